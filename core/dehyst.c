@@ -1,0 +1,500 @@
+#include "dehyst.h"
+
+#include <stddef.h>
+
+/* Samples on the carts between two attempts to encode a state that has no stack yet. */
+#define BLOCK 256
+
+static int is_finite(dehyst_real a) { return a - a == 0; }
+
+static dehyst_real magnitude(dehyst_real a) { return a < 0 ? -a : a; }
+
+/* The number of entries of a[0..n-1], increasing, that are <= u; the answer is sought near the hint first. */
+static int count_below(const dehyst_real *a, int n, dehyst_real u, int hint)
+{
+    int low = 0, high = n, i = hint < n ? hint : n, tries;
+    for (tries = 0; tries < 3; tries++) {
+        if (i < n && a[i] <= u)
+            low = ++i;
+        else if (i > 0 && a[i - 1] > u)
+            high = --i;
+        else
+            return i;
+    }
+    while (low < high) {
+        int middle = low + (high - low) / 2;
+        if (a[middle] <= u)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+static int is_increasing(const dehyst_real *a, int n)
+{
+    int i;
+    for (i = 1; i < n; i++)
+        if (!(a[i] > a[i - 1])) return 0;
+    return 1;
+}
+
+static int all_finite(const dehyst_real *a, int n)
+{
+    int i;
+    for (i = 0; i < n; i++)
+        if (!is_finite(a[i])) return 0;
+    return 1;
+}
+
+dehyst_status dehyst_curve_tabulate(int size, const dehyst_real *knot, const dehyst_real *value, dehyst_real *slope)
+{
+    int j;
+    if (size < 2 || knot == NULL || value == NULL || slope == NULL) return DEHYST_ERR_SIZE;
+    if (!all_finite(knot, size) || !all_finite(value, size)) return DEHYST_ERR_FINITE;
+    if (!is_increasing(knot, size) || !is_increasing(value, size)) return DEHYST_ERR_ORDER;
+    for (j = 0; j + 1 < size; j++) {
+        slope[j] = (value[j + 1] - value[j]) / (knot[j + 1] - knot[j]);
+        if (!is_finite(slope[j])) return DEHYST_ERR_FINITE;
+        if (!(slope[j] > 0)) return DEHYST_ERR_ORDER;
+    }
+    return DEHYST_OK;
+}
+
+dehyst_status dehyst_slip_tabulate(int n, const dehyst_real *rho, const dehyst_real *kappa, dehyst_real *edge,
+                                   dehyst_real *intercept, dehyst_real *stiffness, dehyst_real *inverse_step)
+{
+    int i;
+    if (n < 0 || edge == NULL || intercept == NULL || stiffness == NULL || inverse_step == NULL) return DEHYST_ERR_SIZE;
+    if (n > 0 && (rho == NULL || kappa == NULL)) return DEHYST_ERR_SIZE;
+    if (!all_finite(rho, n) || !all_finite(kappa, n)) return DEHYST_ERR_FINITE;
+    for (i = 0; i < n; i++)
+        if (!(rho[i] > 0) || kappa[i] < 0) return DEHYST_ERR_SIGN;
+    if (!is_increasing(rho, n)) return DEHYST_ERR_ORDER;
+    edge[n] = DEHYST_LARGEST;
+    stiffness[n] = 0;
+    for (i = n - 1; i >= 0; i--) {
+        edge[i] = 2 * rho[i];
+        stiffness[i] = stiffness[i + 1] + kappa[i];
+    }
+    intercept[0] = 0;
+    for (i = 0; i < n; i++) intercept[i + 1] = intercept[i] + 2 * kappa[i] * rho[i];
+    *inverse_step = n > 0 ? 1 / edge[0] : 0;
+    for (i = 0; i < n; i++)
+        if (magnitude(edge[i] - (i + 1) * edge[0]) > (dehyst_real)1e-6 * edge[0]) *inverse_step = 0;
+    return DEHYST_OK;
+}
+
+dehyst_status dehyst_state_check(const dehyst_actuator *actuator, const dehyst_state *state)
+{
+    const dehyst_slip *slip = &actuator->slip;
+    int i;
+    if (slip->size > 0 && state->cart == NULL) return DEHYST_ERR_SIZE;
+    if (!is_finite(state->y) || !all_finite(state->cart, slip->size)) return DEHYST_ERR_FINITE;
+    for (i = 0; i < slip->size; i++) {
+        dehyst_real allowance = 8 * DEHYST_EPSILON * (magnitude(state->y) + slip->rho[i]);
+        if (magnitude(state->y - state->cart[i]) > slip->rho[i] + allowance) return DEHYST_ERR_STATE;
+    }
+    return DEHYST_OK;
+}
+
+/* The segment of the curve that holds x: knot_j <= x < knot_{j+1}, the end segments being unbounded. */
+static int segment(const dehyst_curve *curve, dehyst_real x, int hint)
+{
+    return count_below(curve->knot + 1, curve->size - 2, x, hint);
+}
+
+static dehyst_real on_segment(const dehyst_curve *curve, int j, dehyst_real x)
+{
+    return curve->value[j] + curve->slope[j] * (x - curve->knot[j]);
+}
+
+dehyst_real dehyst_curve_at(const dehyst_curve *curve, dehyst_real x)
+{
+    return on_segment(curve, segment(curve, x, curve->size / 2), x);
+}
+
+dehyst_real dehyst_curve_inverse(const dehyst_curve *curve, dehyst_real value)
+{
+    int j = count_below(curve->value + 1, curve->size - 2, value, curve->size / 2);
+    return curve->knot[j] + (value - curve->value[j]) / curve->slope[j];
+}
+
+void dehyst_slip_move(const dehyst_slip *slip, dehyst_real *cart, dehyst_real y)
+{
+    int i;
+    for (i = 0; i < slip->size; i++) {
+        dehyst_real low = y - slip->rho[i], high = y + slip->rho[i], b = cart[i];
+        b = b < low ? low : b;
+        cart[i] = b > high ? high : b;
+    }
+}
+
+void dehyst_slip_stops(const dehyst_slip *slip, dehyst_real *cart, const dehyst_real *y, dehyst_real *out, long n)
+{
+    long t;
+    int i;
+    for (t = 0; t < n; t++) {
+        dehyst_slip_move(slip, cart, y[t]);
+        for (i = 0; i < slip->size; i++) *out++ = y[t] - cart[i];
+    }
+}
+
+dehyst_real dehyst_voltage(const dehyst_actuator *actuator, const dehyst_state *state)
+{
+    const dehyst_slip *slip = &actuator->slip;
+    dehyst_real v = 0;
+    int i;
+    for (i = 0; i < slip->size; i++) v += slip->kappa[i] * (state->y - state->cart[i]);
+    return v + dehyst_curve_at(&actuator->spring, state->y);
+}
+
+dehyst_real dehyst_compensate_step(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real y)
+{
+    if (is_finite(y)) {
+        dehyst_slip_move(&actuator->slip, state->cart, y);
+        state->y = y;
+    }
+    return dehyst_voltage(actuator, state);
+}
+
+/* What a motion in one direction meets at y: voltage, slope, and the place of the next change of slope. */
+typedef struct outlook {
+    dehyst_real v, slope, event;
+} outlook;
+
+static outlook look_ahead(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real y, dehyst_real direction)
+{
+    const dehyst_slip *slip = &actuator->slip;
+    const dehyst_curve *spring = &actuator->spring;
+    outlook ahead = {0, 0, 0};
+    int i, j = segment(spring, y, spring->size / 2);
+    if (direction < 0 && j > 0 && y <= spring->knot[j]) j--;
+    ahead.event = direction * DEHYST_LARGEST;
+    if (direction > 0 && j + 2 < spring->size) ahead.event = spring->knot[j + 1];
+    if (direction < 0 && j > 0) ahead.event = spring->knot[j];
+    for (i = 0; i < slip->size; i++) {
+        dehyst_real breakaway = state->cart[i] + direction * slip->rho[i];
+        if (direction * (breakaway - y) > 0) {
+            ahead.v += slip->kappa[i] * (y - state->cart[i]);
+            ahead.slope += slip->kappa[i];
+            if (direction * (breakaway - ahead.event) < 0) ahead.event = breakaway;
+        } else {
+            ahead.v += direction * slip->kappa[i] * slip->rho[i];
+        }
+    }
+    ahead.v += on_segment(spring, j, y);
+    ahead.slope += spring->slope[j];
+    return ahead;
+}
+
+dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real v)
+{
+    dehyst_real y = state->y, direction = 1;
+    int changes = actuator->slip.size + actuator->spring.size;
+    outlook ahead;
+    if (!is_finite(v)) return y;
+    ahead = look_ahead(actuator, state, y, direction);
+    if (v < ahead.v) {
+        direction = -1;
+        ahead = look_ahead(actuator, state, y, direction);
+    }
+    while (changes-- > 0) {
+        dehyst_real goal = y + (v - ahead.v) / ahead.slope;
+        if (direction * (goal - ahead.event) <= 0) {
+            y = goal;
+            break;
+        }
+        y = ahead.event;
+        ahead = look_ahead(actuator, state, y, direction);
+    }
+    dehyst_slip_move(&actuator->slip, state->cart, y);
+    state->y = y;
+    return y;
+}
+
+/* The index of the cell of 2 phi(u / 2) that holds u >= 0. */
+static int cell_of(const dehyst_slip *slip, dehyst_real u, int hint)
+{
+    if (slip->inverse_step > 0) {
+        dehyst_real guess = u * slip->inverse_step;
+        hint = guess < slip->size ? (int)guess : slip->size;
+    }
+    return count_below(slip->edge, slip->size, u, hint);
+}
+
+static dehyst_real masing(const dehyst_slip *slip, int cell, dehyst_real u)
+{
+    return slip->intercept[cell] + slip->stiffness[cell] * u;
+}
+
+static dehyst_real distance(const dehyst_reversal *a, const dehyst_reversal *b) { return magnitude(a->y - b->y); }
+
+/* Turn round at the present place. A branch that has moved every cart forgets what lies below it. Of three successive
+ * nested amplitudes in one cell the two middle reversals bound a loop that no element tells from a straight line. */
+static void turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real stops)
+{
+    dehyst_reversal *r = stack->reversal;
+    dehyst_reversal here;
+    here.y = stack->y;
+    here.stops = stops;
+    here.v = stack->v;
+    if (stack->depth == 2 && cell_of(slip, distance(&here, &r[1]), 0) == slip->size) {
+        r[0] = r[1];
+        stack->depth = 1;
+    }
+    r[stack->depth++] = here;
+    stack->direction = -stack->direction;
+    if (stack->depth >= 4) {
+        dehyst_reversal *last = r + stack->depth - 1;
+        int cell = cell_of(slip, distance(last - 3, last - 2), 0);
+        if (cell == cell_of(slip, distance(last - 1, last), cell)) {
+            last[-2] = *last;
+            stack->depth -= 2;
+        }
+    }
+}
+
+/* The reversal at which the present branch joins the outer one again, or NULL on an outermost branch. */
+static const dehyst_reversal *joint(const dehyst_stack *stack)
+{
+    return stack->depth >= 3 ? stack->reversal + stack->depth - 2 : NULL;
+}
+
+dehyst_status dehyst_stack_encode(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_stack *stack)
+{
+    const dehyst_slip *slip = &actuator->slip;
+    dehyst_reversal *r = stack->reversal, swap;
+    dehyst_real direction, y = state->y, cart = state->y, rho = 0, total = 0;
+    int i, count = 0;
+    if (stack->capacity < DEHYST_STACK_CAPACITY(slip->size)) return DEHYST_ERR_CAPACITY;
+    /* The carts are points of a memory curve b(rho) of slope -+1; between two of them it has at most one corner, and
+     * each of its straight pieces, prolonged to rho = 0, names a reversal. */
+    direction = slip->size > 0 && state->cart[0] > state->y ? -1 : 1;
+    stack->direction = direction;
+    for (i = 0; i < slip->size; i++) {
+        dehyst_real width = slip->rho[i] - rho, rise = -direction * (state->cart[i] - cart);
+        dehyst_real allowance = 8 * DEHYST_EPSILON * (magnitude(state->y) + slip->rho[i]);
+        if (magnitude(rise) > width + allowance) return DEHYST_ERR_UNREACHABLE;
+        if (rise < width - allowance) {
+            dehyst_real corner = rho + (width + rise) / 2;
+            y -= direction * 2 * corner;
+            r[count++].y = y;
+            direction = -direction;
+        }
+        rho = slip->rho[i];
+        cart = state->cart[i];
+        total += slip->kappa[i] * slip->rho[i];
+    }
+    r[count].y = y - direction * 2 * rho;
+    r[count].stops = -direction * total;
+    r[count].v = r[count].stops + dehyst_curve_at(&actuator->spring, r[count].y);
+    for (i = count - 1; i >= 0; i--) {
+        dehyst_real u = distance(&r[i], &r[i + 1]);
+        r[i].stops = r[i + 1].stops + direction * masing(slip, cell_of(slip, u, 0), u);
+        r[i].v = r[i].stops + dehyst_curve_at(&actuator->spring, r[i].y);
+        direction = -direction;
+    }
+    for (i = 0; i < count - i; i++) {
+        swap = r[i];
+        r[i] = r[count - i];
+        r[count - i] = swap;
+    }
+    stack->depth = count + 1;
+    stack->y = state->y;
+    stack->v = dehyst_voltage(actuator, state);
+    return DEHYST_OK;
+}
+
+void dehyst_stack_decode(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_state *state)
+{
+    const dehyst_slip *slip = &actuator->slip;
+    dehyst_real y = stack->y, direction = stack->direction;
+    int i, k = stack->depth - 1;
+    for (i = 0; i < slip->size; i++) {
+        while (k > 0 && slip->edge[i] > magnitude(y - stack->reversal[k].y)) {
+            y = stack->reversal[k--].y;
+            direction = -direction;
+        }
+        state->cart[i] = y - direction * slip->rho[i];
+    }
+    state->y = stack->y;
+}
+
+void dehyst_stack_compensate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *y, dehyst_real *v,
+                             long n)
+{
+    const dehyst_slip *slip = &actuator->slip;
+    const dehyst_curve *spring = &actuator->spring;
+    const dehyst_reversal *from = stack->reversal + stack->depth - 1, *to = joint(stack);
+    dehyst_real direction = stack->direction, present = stack->y, voltage = stack->v;
+    dehyst_real stops = from->stops + direction * masing(slip, cell_of(slip, magnitude(present - from->y), 0),
+                                                         magnitude(present - from->y));
+    int cell = 0, j = segment(spring, present, 0);
+    long t;
+    for (t = 0; t < n; t++) {
+        dehyst_real goal = y[t], u;
+        if (!is_finite(goal)) goal = present;
+        if (direction * (goal - present) < 0) {
+            stack->y = present;
+            stack->v = voltage;
+            turn(slip, stack, stops);
+            direction = stack->direction;
+            from = stack->reversal + stack->depth - 1;
+            to = joint(stack);
+        }
+        while (to != NULL && direction * (goal - to->y) >= 0) {
+            stack->depth -= 2;
+            from = stack->reversal + stack->depth - 1;
+            to = joint(stack);
+        }
+        u = direction * (goal - from->y);
+        if (u >= slip->edge[cell] || (cell > 0 && u < slip->edge[cell - 1])) cell = cell_of(slip, u, cell);
+        stops = from->stops + direction * masing(slip, cell, u);
+        j = segment(spring, goal, j);
+        voltage = stops + on_segment(spring, j, goal);
+        v[t] = voltage;
+        present = goal;
+    }
+    stack->y = present;
+    stack->v = voltage;
+}
+
+/* A straight piece of the present branch: y = start + (v - v_start) / slope until v reaches v_end. */
+typedef struct piece {
+    dehyst_real start, v_start, inverse_slope, v_end;
+    int cell, j; /* where to look for the next one first */
+} piece;
+
+static dehyst_real branch_stops(const dehyst_slip *slip, const dehyst_stack *stack, dehyst_real y, int hint)
+{
+    const dehyst_reversal *from = stack->reversal + stack->depth - 1;
+    dehyst_real u = stack->direction * (y - from->y);
+    return from->stops + stack->direction * masing(slip, cell_of(slip, u, hint), u);
+}
+
+/* The segment of the spring in which the present branch, beyond y, reaches v. */
+static int segment_at_voltage(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_real y, dehyst_real v,
+                              const piece *last)
+{
+    const dehyst_curve *spring = &actuator->spring;
+    dehyst_real direction = stack->direction;
+    int forward = direction > 0, tries = 0;
+    int near = segment(spring, y, last->j), far = forward ? spring->size - 2 : 0;
+    while (near != far) {
+        /* Neighbours first, then bisection: near is passed only when its far end lies before v. */
+        int middle = tries++ < 2 ? near : near + (far - near) / 2, knot = middle + forward;
+        dehyst_real at = spring->knot[knot];
+        dehyst_real reached = direction * (at - y) <= 0
+                                  ? direction * -DEHYST_LARGEST
+                                  : branch_stops(&actuator->slip, stack, at, last->cell) + spring->value[knot];
+        if (direction * (v - reached) >= 0)
+            near = middle + (forward ? 1 : -1);
+        else
+            far = middle;
+    }
+    return near;
+}
+
+/* The cell of the present branch in which, within segment j, it reaches v. */
+static int cell_at_voltage(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_real v, int j, int hint)
+{
+    const dehyst_slip *slip = &actuator->slip;
+    const dehyst_reversal *from = stack->reversal + stack->depth - 1;
+    int near = hint, far = slip->size, tries = 0;
+    while (near < far) {
+        int middle = tries++ < 2 ? near : near + (far - near) / 2;
+        dehyst_real y = from->y + stack->direction * slip->edge[middle];
+        dehyst_real stops = from->stops + stack->direction * slip->intercept[middle] +
+                            stack->direction * slip->stiffness[middle] * slip->edge[middle];
+        if (stack->direction * (v - stops - on_segment(&actuator->spring, j, y)) >= 0)
+            near = middle + 1;
+        else
+            far = middle;
+    }
+    return near;
+}
+
+/* The piece of the present branch, at or beyond the present place, that holds v. */
+static piece piece_at(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_real v, const piece *last)
+{
+    const dehyst_slip *slip = &actuator->slip;
+    const dehyst_curve *spring = &actuator->spring;
+    const dehyst_reversal *from = stack->reversal + stack->depth - 1, *to = joint(stack);
+    dehyst_real direction = stack->direction, slope, end;
+    piece found;
+    found.j = segment_at_voltage(actuator, stack, stack->y, v, last);
+    found.cell = cell_of(slip, direction * (stack->y - from->y), last->cell);
+    found.cell = cell_at_voltage(actuator, stack, v, found.j, found.cell);
+    found.start = from->y;
+    if (found.cell > 0) found.start += direction * slip->edge[found.cell - 1];
+    end = found.cell < slip->size ? from->y + direction * slip->edge[found.cell] : direction * DEHYST_LARGEST;
+    slope = slip->stiffness[found.cell] + spring->slope[found.j];
+    found.v_start = from->stops + direction * masing(slip, found.cell, direction * (found.start - from->y)) +
+                    on_segment(spring, found.j, found.start);
+    if (direction > 0 && found.j + 2 < spring->size && spring->knot[found.j + 1] < end) end = spring->knot[found.j + 1];
+    if (direction < 0 && found.j > 0 && spring->knot[found.j] > end) end = spring->knot[found.j];
+    found.v_end = magnitude(end) < DEHYST_LARGEST ? found.v_start + slope * (end - found.start) : end;
+    if (to != NULL && direction * (to->v - found.v_end) < 0) found.v_end = to->v;
+    found.inverse_slope = 1 / slope;
+    return found;
+}
+
+void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y,
+                           long n)
+{
+    piece now = {0, 0, 0, 0, 0, 0};
+    dehyst_real direction = stack->direction, voltage = stack->v, present = stack->y;
+    long t;
+    now.v_end = direction * -DEHYST_LARGEST;
+    for (t = 0; t < n; t++) {
+        dehyst_real goal = v[t];
+        if (!(direction * (goal - voltage) >= 0 && direction * (goal - now.v_end) < 0)) {
+            const dehyst_reversal *to;
+            if (!is_finite(goal)) goal = voltage;
+            stack->y = present;
+            stack->v = voltage;
+            if (direction * (goal - voltage) < 0) {
+                turn(&actuator->slip, stack, branch_stops(&actuator->slip, stack, present, now.cell));
+                direction = stack->direction;
+            }
+            while ((to = joint(stack)) != NULL && direction * (goal - to->v) >= 0) {
+                stack->y = to->y;
+                stack->depth -= 2;
+            }
+            now = piece_at(actuator, stack, goal, &now);
+        }
+        present = now.start + (goal - now.v_start) * now.inverse_slope;
+        voltage = goal;
+        y[t] = present;
+    }
+    stack->y = present;
+    stack->v = voltage;
+}
+
+typedef dehyst_real step_function(const dehyst_actuator *, dehyst_state *, dehyst_real);
+typedef void stack_function(const dehyst_actuator *, dehyst_stack *, const dehyst_real *, dehyst_real *, long);
+
+static void run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work, const dehyst_real *in,
+                dehyst_real *out, long n, step_function *step, stack_function *on_stack)
+{
+    long t = 0, stop;
+    while (t < n && dehyst_stack_encode(actuator, state, work) != DEHYST_OK)
+        for (stop = n - t < BLOCK ? n : t + BLOCK; t < stop; t++) out[t] = step(actuator, state, in[t]);
+    if (t < n) {
+        on_stack(actuator, work, in + t, out + t, n - t);
+        dehyst_stack_decode(actuator, work, state);
+    }
+}
+
+void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work, const dehyst_real *y,
+                           dehyst_real *v, long n)
+{
+    run(actuator, state, work, y, v, n, dehyst_compensate_step, dehyst_stack_compensate);
+}
+
+void dehyst_simulate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work, const dehyst_real *v,
+                         dehyst_real *y, long n)
+{
+    run(actuator, state, work, v, y, n, dehyst_simulate_step, dehyst_stack_simulate);
+}

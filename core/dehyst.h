@@ -1,0 +1,126 @@
+/* dehyst: hysteresis of a piezoelectric actuator, voltage <-> displacement, exact in both directions.
+ *
+ * With y the displacement and v the voltage (the paper's F = T v seen at the terminals, y = (keq/km) x):
+ *
+ *     v = sum_i kappa_i s_i + eta(y),      s_i = y - b_i,      b_i <- min(max(b_i, y - rho_i), y + rho_i)
+ *
+ *   kappa_i  stiffness of Maxwell-slip element i [V/m], >= 0      rho_i  its breakaway elongation [m], > 0, increasing
+ *   b_i      position of cart i [m]                               eta    the parallel spring [V], increasing, piecewise linear,
+ *                                                                        continued linearly beyond its knots
+ *
+ * y -> v (compensate) is explicit; v -> y (simulate) has exactly one solution and is solved segment by segment, with
+ * neither tolerance nor time step. Two evaluators give the same answer:
+ *
+ *   carts    N clips a sample, constant memory, any state                           dehyst_state
+ *   stack    the reversals that are still remembered, amortised O(1) in N           dehyst_stack
+ *            (Masing: F(y) = F_R + sgn 2 phi(|y - y_R| / 2), phi(a) = sum_i kappa_i min(a, rho_i))
+ *
+ * No heap, no input or output, no globals. Every array belongs to the caller; parameters are const and may live in
+ * flash. Checks may fail, steps cannot; a step takes bounded time. A sample that is not a number moves nothing.
+ */
+#ifndef DEHYST_H
+#define DEHYST_H
+
+#include "dehyst_config.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef enum dehyst_status {
+    DEHYST_OK = 0,
+    DEHYST_ERR_SIZE = -1,        /* fewer than two knots, a negative count, or a null array */
+    DEHYST_ERR_FINITE = -2,      /* not a number, or infinite */
+    DEHYST_ERR_ORDER = -3,       /* knots, spring voltages or breakaway elongations not strictly increasing */
+    DEHYST_ERR_SIGN = -4,        /* a negative stiffness, or a breakaway elongation that is not positive */
+    DEHYST_ERR_STATE = -5,       /* a cart farther from y than its breakaway elongation */
+    DEHYST_ERR_CAPACITY = -6,    /* fewer reversals than DEHYST_STACK_CAPACITY(N) */
+    DEHYST_ERR_UNREACHABLE = -7  /* carts that no history from rest leaves: use the carts until they are wiped out */
+} dehyst_status;
+
+/* A strictly increasing piecewise-linear curve, continued linearly beyond its ends. */
+typedef struct dehyst_curve {
+    int size;                 /* knots, >= 2 */
+    const dehyst_real *knot;  /* [size] */
+    const dehyst_real *value; /* [size] */
+    const dehyst_real *slope; /* [size - 1] */
+} dehyst_curve;
+
+/* N Maxwell-slip elements in parallel. The last three arrays are made by dehyst_slip_tabulate. */
+typedef struct dehyst_slip {
+    int size;                     /* N >= 0 */
+    const dehyst_real *rho;       /* [N] breakaway elongations */
+    const dehyst_real *kappa;     /* [N] stiffnesses */
+    const dehyst_real *edge;      /* [N + 1] 2 rho_i, then the largest number */
+    const dehyst_real *intercept; /* [N + 1] 2 phi(u / 2) = intercept_i + stiffness_i u between edges i - 1 and i */
+    const dehyst_real *stiffness; /* [N + 1] */
+    dehyst_real inverse_step;     /* 1 / edge_0 on a uniform grid, else 0 */
+} dehyst_slip;
+
+typedef struct dehyst_actuator {
+    dehyst_slip slip;
+    dehyst_curve spring;
+} dehyst_actuator;
+
+typedef struct dehyst_state {
+    dehyst_real y;
+    dehyst_real *cart; /* [N] */
+} dehyst_state;
+
+typedef struct dehyst_reversal {
+    dehyst_real y;     /* where the motion turned */
+    dehyst_real stops; /* sum_i kappa_i s_i there */
+    dehyst_real v;     /* voltage there */
+} dehyst_reversal;
+
+#define DEHYST_STACK_CAPACITY(n) (2 * (n) + 8)
+
+/* The memory of a history: its nested reversals, outermost first. */
+typedef struct dehyst_stack {
+    int capacity;
+    int depth;
+    dehyst_real direction; /* +1 or -1: the present branch runs from the last reversal in this direction */
+    dehyst_real y;
+    dehyst_real v;
+    dehyst_reversal *reversal; /* [capacity] */
+} dehyst_stack;
+
+/* slope [size - 1] from knots and values. */
+dehyst_status dehyst_curve_tabulate(int size, const dehyst_real *knot, const dehyst_real *value, dehyst_real *slope);
+/* edge, intercept and stiffness [n + 1]; inverse_step [1]. */
+dehyst_status dehyst_slip_tabulate(int n, const dehyst_real *rho, const dehyst_real *kappa, dehyst_real *edge,
+                                   dehyst_real *intercept, dehyst_real *stiffness, dehyst_real *inverse_step);
+dehyst_status dehyst_state_check(const dehyst_actuator *actuator, const dehyst_state *state);
+
+dehyst_real dehyst_curve_at(const dehyst_curve *curve, dehyst_real x);
+dehyst_real dehyst_curve_inverse(const dehyst_curve *curve, dehyst_real value);
+
+/* Move every cart to where a displacement of y leaves it. */
+void dehyst_slip_move(const dehyst_slip *slip, dehyst_real *cart, dehyst_real y);
+/* The same for n samples; out [n N], a row a sample, receives the elongations s_i = y - b_i. */
+void dehyst_slip_stops(const dehyst_slip *slip, dehyst_real *cart, const dehyst_real *y, dehyst_real *out, long n);
+/* Voltage at the present state. */
+dehyst_real dehyst_voltage(const dehyst_actuator *actuator, const dehyst_state *state);
+/* The voltage that brings the actuator to y (Eq. 11), the displacement that v brings it to; O(N) and O(N events). */
+dehyst_real dehyst_compensate_step(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real y);
+dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real v);
+
+/* Carts <-> reversals; the same memory in two forms. */
+dehyst_status dehyst_stack_encode(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_stack *stack);
+void dehyst_stack_decode(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_state *state);
+/* n samples on the stack. Input and output may be the same array. */
+void dehyst_stack_compensate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *y, dehyst_real *v,
+                             long n);
+void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y,
+                           long n);
+
+/* n samples from the carts and back to them: on the stack as soon as the state has one. */
+void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work, const dehyst_real *y,
+                           dehyst_real *v, long n);
+void dehyst_simulate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work, const dehyst_real *v,
+                         dehyst_real *y, long n);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,12 @@
+/* The number type of the core. An export rewrites this file and nothing else; every translation unit includes it,
+ * because a type chosen by macro in one unit only compiles clean and returns garbage. */
+#ifndef DEHYST_CONFIG_H
+#define DEHYST_CONFIG_H
+
+#include <float.h>
+
+typedef double dehyst_real;
+#define DEHYST_EPSILON DBL_EPSILON
+#define DEHYST_LARGEST DBL_MAX
+
+#endif
