@@ -1,0 +1,236 @@
+"""The paper's identification: break points of averaged loops, its linear program (Sec. 4.1) and Remark 2's closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dehyst import program
+from dehyst._errors import IdentifyError
+from dehyst._native import Array
+from dehyst.actuator import Actuator
+from dehyst.elements import MaxwellSlip, Spring
+from dehyst.model import Outcome
+from dehyst.record import Record
+
+_SAME = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A closed loop between two turning points, its cycles averaged.
+
+    Attributes
+    ----------
+    bottom, top : float
+        Turning points [m].
+    descending, ascending : (m, 2) array
+        Break points (displacement [m], voltage [V]) of the branch, its two ends among them, in the order of motion.
+    """
+
+    record: str
+    bottom: float
+    top: float
+    descending: Array
+    ascending: Array
+
+    @property
+    def range(self) -> float:
+        """Width of the loop [m]."""
+        return self.top - self.bottom
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """What a paper's method found; `actuator` is None where the solver failed."""
+
+    actuator: Actuator | None
+    outcome: Outcome
+    status: str
+    gap: float
+    remarks: tuple[str, ...] = ()
+
+
+def loops_of(records: list[Record], elements: int) -> list[Loop]:
+    """Find the closed loops of the records, the widest first, with their break points for N = `elements`.
+
+    A branch counts if the motion before it was at least as wide, for then every element that slides on it starts from
+    its breakaway elongation; the others are springs with an unknown constant force (Remark 4).
+
+    Raises
+    ------
+    IdentifyError
+        If no record holds a closed loop.
+    """
+    families = [family for record in records for family in _families(record)]
+    if not families:
+        raise IdentifyError(
+            "no closed loop found: the voltage has to go up, down and up again between the same turning points. "
+            "Record two cycles, or use method='record'"
+        )
+    step = max(top - bottom for _, bottom, top, _, _ in families) / elements
+    loops = [Loop(name, bottom, top, _break_points(down, top, bottom, step), _break_points(up, bottom, top, step))
+             for name, bottom, top, down, up in families]  # fmt: skip
+    return sorted(loops, key=lambda loop: -loop.range)
+
+
+Branch = tuple[Array, Array]
+Family = tuple[str, float, float, list[Branch], list[Branch]]
+
+
+def _families(record: Record) -> list[Family]:
+    """Branches of a record between the same turning points, put together."""
+    turns = record.reversals()
+    y, v = record.displacement, record.voltage
+    same = _SAME * record.stroke
+    found: list[tuple[float, float, list[Branch], list[Branch]]] = []
+    for before, start, end in zip(turns[:-2], turns[1:-1], turns[2:], strict=True):
+        if abs(y[before] - y[end]) > same:
+            continue
+        low, high = sorted((float(y[start]), float(y[end])))
+        rising = y[end] > y[start]
+        for family in found:
+            if abs(family[0] - low) < same and abs(family[1] - high) < same:
+                break
+        else:
+            family = (low, high, [], [])
+            found.append(family)
+        family[3 if rising else 2].append((y[start : end + 1], v[start : end + 1]))
+    return [(record.name, *_mean_turns(down, up), down, up) for _, _, down, up in found if down and up]
+
+
+def _mean_turns(down: list[Branch], up: list[Branch]) -> tuple[float, float]:
+    bottoms = [y[-1] for y, _ in down] + [y[0] for y, _ in up]
+    tops = [y[0] for y, _ in down] + [y[-1] for y, _ in up]
+    return float(np.mean(bottoms)), float(np.mean(tops))
+
+
+def _break_points(branches: list[Branch], start: float, end: float, step: float) -> Array:
+    """Mean voltages where the motion has gone 0, step, 2 step, ... and at its end."""
+    count = int(np.floor(abs(end - start) / step * (1 + 1e-9)))
+    moved = np.minimum(np.arange(count + 1) * step, abs(end - start))
+    if moved[-1] < abs(end - start) * (1 - 1e-6):
+        moved = np.append(moved, abs(end - start))
+    places = start + np.sign(end - start) * moved
+    places[-1] = end
+    return np.column_stack([places, np.mean([_voltage_at(branch, places) for branch in branches], axis=0)])
+
+
+def _voltage_at(branch: Branch, places: Array) -> Array:
+    """Voltage of one branch at displacements; noise makes y go back and forth, the mean of both envelopes is taken."""
+    y, v = branch if branch[0][-1] > branch[0][0] else (branch[0][::-1], branch[1][::-1])
+    upper, lower = np.maximum.accumulate(y), np.minimum.accumulate(y[::-1])[::-1]
+    monotone = 0.5 * (upper + lower)
+    keep = np.append(True, np.diff(monotone) > 0)
+    return np.interp(places, monotone[keep], v[keep])
+
+
+def linear_program(loops: list[Loop], elements: int, slope_floor: float) -> Identified:
+    """Minimise the sum of absolute voltage errors at the break points of all loops (Sec. 4.1, Remark 4).
+
+    The turning points of the major loop are met exactly (Eq. 4 and closure, Fdown_N = 0). Unknowns: k_i >= 0, the
+    spring's slopes between its knots (the g_i), and a constant for each minor loop. If the spring comes out falling
+    somewhere the program is solved again with Assumption I imposed.
+    """
+    major = loops[0]
+    rho = major.range / (2 * elements) * np.arange(1, elements + 1)
+    knots = np.linspace(major.bottom, major.top, elements + 1)
+    rows, target = _rows(loops, rho, knots)
+    mean_slope = (major.ascending[-1, 1] - major.ascending[0, 1]) / major.range
+    free = _solve(rows, target, elements, len(loops), -np.inf, major)
+    outcome, remarks, found = Outcome.IDENTIFIED, [], free
+    if not free[2] or np.any(free[0][elements : 2 * elements] < 1e-3 * mean_slope):
+        outcome = Outcome.ASSUMPTION_I_IMPOSED
+        found = _solve(rows, target, elements, len(loops), slope_floor * mean_slope, major)
+    x, objective, optimal, status, gap = found
+    if not optimal:
+        return Identified(None, Outcome.FAILED, status, gap)
+    kappa, slopes = np.maximum(x[:elements], 0.0), x[elements : 2 * elements]
+    if len(loops) == 1 and outcome is Outcome.IDENTIFIED:
+        outcome = Outcome.UNDETERMINED
+        remarks.append(
+            f"one loop determines {elements // 2} combinations of the {elements} stiffnesses: minor loops may be "
+            "predicted wrongly (the program returns one of many optima)"
+        )
+    remarks.append(f"{len(target)} break points of {len(loops)} loop(s), sum of absolute errors {objective:.4g} V")
+    values = x[2 * elements] + np.concatenate([[0.0], np.cumsum(slopes * np.diff(knots))])
+    actuator = Actuator(MaxwellSlip(rho, kappa), Spring(knots, values), name=major.record)
+    return Identified(actuator, outcome, status, gap, tuple(remarks))
+
+
+def _rows(loops: list[Loop], rho: Array, knots: Array) -> tuple[Array, Array]:
+    """A row a break point: elongations, parts of the spring's segments, one constant a loop."""
+    rows, target = [], []
+    for number, loop in enumerate(loops):
+        slides = 2 * rho <= loop.range * (1 + 1e-9)
+        for branch, sign in ((loop.descending, -1.0), (loop.ascending, 1.0)):
+            y, v = branch[:, 0], branch[:, 1]
+            moved = np.abs(y - y[0])[:, None]
+            elongation = np.where(slides, sign * (np.minimum(moved, 2 * rho) - rho), (y - 0.5 * (loop.bottom + loop.top))[:, None])
+            lower, upper = knots[:-1].copy(), knots[1:].copy()
+            lower[0], upper[-1] = -np.inf, np.inf
+            spring = np.clip(y[:, None], lower, upper) - knots[:-1]
+            constants = np.zeros((y.size, len(loops)))
+            constants[:, number] = 1.0
+            rows.append(np.hstack([elongation, spring, constants]))
+            target.append(v)
+    return np.vstack(rows), np.concatenate(target)
+
+
+def _solve(
+    rows: Array, target: Array, elements: int, loops: int, floor: float, major: Loop
+) -> tuple[Array, float, bool, str, float]:
+    """The linear program with residuals split in two: x, objective [V], optimal, status, relative gap."""
+    count, unknowns = rows.shape
+    scale = np.abs(rows).max(axis=0)
+    scale[scale == 0] = 1.0
+    size = float(np.abs(target).max())
+    matrix = np.hstack([rows / scale, -np.eye(count), np.eye(count)])
+    fixed = np.zeros(count, dtype=bool)
+    # The first loop's first and last break points: the turning points of the major loop, at its two ends.
+    fixed[[0, len(major.descending) - 1]] = True
+    cost = np.concatenate([np.zeros(unknowns), np.ones(2 * count)])
+    lower = np.concatenate([np.zeros(elements), np.full(elements, floor), np.full(loops, -np.inf)]) * scale / size
+    lower = np.concatenate([lower, np.zeros(2 * count)])
+    upper = np.concatenate([np.full(unknowns, np.inf), np.where(np.tile(fixed, 2), 0.0, np.inf)])
+    goal = target / size
+    x, objective, optimal, status, dual = program.linear_program(cost, (lower, upper), matrix, (goal, goal))
+    gap = abs(objective - dual) / max(float(np.abs(goal).sum()), 1e-300)
+    return x[:unknowns] / scale * size, objective * size, optimal, status, gap
+
+
+def closed_form(loops: list[Loop], elements: int, branch: str) -> Identified:
+    """Remark 2: k_i from second differences of one branch's break voltages, for an anti-symmetric loop without g.
+
+    k_N cannot be told from the spring and is set to zero; so are stiffnesses that come out negative.
+
+    Raises
+    ------
+    IdentifyError
+        If the branch is neither "descending" nor "ascending".
+    """
+    if branch not in ("descending", "ascending"):
+        raise IdentifyError(f"branch: got {branch!r}, need 'descending' or 'ascending'")
+    major = loops[0]
+    points = getattr(major, branch)
+    sign = 1.0 if branch == "descending" else -1.0
+    step = major.range / elements
+    v = points[: elements + 1, 1]
+    kappa = np.append(sign * (v[:-2] + v[2:] - 2 * v[1:-1]) / step, 0.0)
+    rho = 0.5 * step * np.arange(1, elements + 1)
+    clipped = np.flatnonzero(kappa < 0)
+    remarks = []
+    if clipped.size:
+        numbers = ", ".join(str(i + 1) for i in clipped)
+        remarks.append(f"the closed form gave negative stiffnesses for elements {numbers}; set to zero")
+    kappa = np.maximum(kappa, 0.0)
+    slope = abs(v[-1] - v[-2]) / step
+    # Eq. 4, and its mirror image where the ascending branch starts.
+    at_start = v[0] - sign * float(kappa @ rho)
+    start, other = (major.top, major.bottom) if branch == "descending" else (major.bottom, major.top)
+    knots, values = np.array([start, other]), np.array([at_start, at_start + slope * (other - start)])
+    order = np.argsort(knots)
+    actuator = Actuator(MaxwellSlip(rho, kappa), Spring(knots[order], values[order]), name=major.record)
+    outcome = Outcome.STIFFNESS_CLIPPED if clipped.size else Outcome.IDENTIFIED
+    return Identified(actuator, outcome, "closed form", 0.0, tuple(remarks))

@@ -1,0 +1,199 @@
+"""The words that every model shares: its interface, a motion, a state, the result of an identification."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._native import Array, vector
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What an actuator remembers: its displacement [m] and the position [m] of each cart, shape (N,)."""
+
+    displacement: float
+    carts: Array
+
+    def __init__(self, displacement: float, carts: ArrayLike) -> None:
+        if not np.isfinite(displacement):
+            raise ModelError(f"state: displacement is {displacement}, need a finite number")
+        object.__setattr__(self, "displacement", float(displacement))
+        object.__setattr__(self, "carts", vector(carts, "carts").copy())
+        self.carts.flags.writeable = False
+
+    def shifted(self, by: float) -> State:
+        """The same state on a displacement axis moved by `by` [m]."""
+        return State(self.displacement + by, self.carts + by)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Voltage (n,) [V] and displacement (n,) [m] that belong together, and the state at the last sample."""
+
+    voltage: Array
+    displacement: Array
+    state: State
+
+
+class AbstractModel(ABC):
+    """A model of hysteresis: voltage to displacement, and back."""
+
+    @abstractmethod
+    def simulate(self, voltage: ArrayLike, *, state: Any = None) -> Motion:
+        """Displacement that a voltage causes, from `state`."""
+
+    @abstractmethod
+    def compensate(self, displacement: ArrayLike, *, state: Any = None) -> Motion:
+        """Voltage that makes the model follow a displacement, from `state`."""
+
+
+class Outcome(Enum):
+    """How an identification ended; the value is the sentence to show."""
+
+    IDENTIFIED = "Identified: the program was solved to optimality and every check passed."
+    UNDETERMINED = (
+        "Identified, but the records leave directions of the stiffnesses open: other motions than the recorded ones "
+        "may be predicted wrongly. Add minor loops with other turning points."
+    )
+    FLOOR_ACTIVE = (
+        "Identified, but the spring's slope lies on its floor in places: the records do not tell it there, or the model "
+        "class does not fit."
+    )
+    ASSUMPTION_I_IMPOSED = (
+        "Identified, but only with Assumption I imposed: without it the spring would fall somewhere, and no voltage "
+        "would have one displacement."
+    )
+    STIFFNESS_CLIPPED = (
+        "Identified, but the closed form gave negative stiffnesses, which were set to zero: the loop is not that of "
+        "Maxwell-slip elements with a linear spring."
+    )
+    INACCURATE = "Identified, but the model misses the records by more than 5 % of the range: do not use it."
+    FAILED = "Not identified: the solver found no optimum."
+
+    @property
+    def good(self) -> bool:
+        """Whether the model may be used."""
+        return self not in (Outcome.INACCURATE, Outcome.FAILED)
+
+
+@dataclass(frozen=True)
+class RecordErrors:
+    """Measured minus simulated displacement of one record, where its state is known.
+
+    Attributes
+    ----------
+    largest, rms : float
+        [m], after the reported drift of the record was set aside.
+    rms_with_drift : float
+        [m], with the drift left in.
+    stroke : float
+        The range of the widest training loop [m], to which the percentages refer.
+    """
+
+    record: str
+    role: str
+    samples: int
+    left_out: int
+    largest: float
+    rms: float
+    largest_with_drift: float
+    rms_with_drift: float
+    stroke: float
+    offset: float
+    datum: float
+    drift: float
+
+    @property
+    def largest_percent(self) -> float:
+        """Largest error in % of the stroke."""
+        return 100 * self.largest / self.stroke
+
+    @property
+    def rms_percent(self) -> float:
+        """RMS error in % of the stroke."""
+        return 100 * self.rms / self.stroke
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values, lengths in metres."""
+        return {
+            "record": self.record, "role": self.role, "samples": self.samples, "left_out": self.left_out,
+            "largest_percent": self.largest_percent, "rms_percent": self.rms_percent,
+            "largest_m": self.largest, "rms_m": self.rms,
+            "largest_with_drift_percent": 100 * self.largest_with_drift / self.stroke,
+            "rms_with_drift_percent": 100 * self.rms_with_drift / self.stroke,
+            "offset_V": self.offset, "datum_m": self.datum, "drift_percent": 100 * self.drift / self.stroke,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One record beside its simulation: time [s], voltage as it acted [V], displacements [m] on the model's axis."""
+
+    record: str
+    role: str
+    time: Array
+    voltage: Array
+    measured: Array
+    simulated: Array
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus simulated displacement (n,) [m]."""
+        return self.measured - self.simulated
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What an identification found.
+
+    Attributes
+    ----------
+    actuator : AbstractModel or None
+        None only when the outcome is `Outcome.FAILED`.
+    outcome : Outcome
+    errors : tuple of RecordErrors
+        One a record, training first, then validation.
+    repairs : tuple of str
+        Sentences: what was left out, shifted or set aside before or during the fit.
+    remarks : tuple of str
+        Sentences: what else the user should know.
+    traces : tuple of Trace
+        Measured and simulated, record by record.
+    status : str
+        The solver's word.
+    gap : float
+        Duality gap, relative to the sum of the absolute weighted voltages.
+    options : Mapping
+        What was asked for and what it became.
+    """
+
+    actuator: Any
+    outcome: Outcome
+    errors: tuple[RecordErrors, ...] = ()
+    repairs: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    traces: tuple[Trace, ...] = ()
+    status: str = ""
+    gap: float = float("nan")
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values without the traces."""
+        return {
+            "outcome": self.outcome.name,
+            "sentence": self.outcome.value,
+            "good": self.outcome.good,
+            "errors": [error.as_dict() for error in self.errors],
+            "repairs": list(self.repairs),
+            "remarks": list(self.remarks),
+            "solver": {"status": self.status, "duality_gap": self.gap},
+            "options": dict(self.options),
+        }

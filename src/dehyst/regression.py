@@ -1,0 +1,135 @@
+"""From rows to a model: stiffnesses, spring slopes and the nuisances of each record, in one convex program.
+
+    v = sum_i kappa_i s_i + sum_j slope_j R_j(y + d_q) + a_e + c_q L(t) + residual
+
+R_j(y) is the part of y in segment j of the spring, the end segments being unbounded; kappa_i >= 0, slope_j >= floor
+(Assumption I); a_e a constant for each epoch, d_q the datum and c_q the drift of record q.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dehyst._native import Array
+from dehyst.program import Norm, Solution, solve
+from dehyst.rows import Rows
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """What is fixed while coefficients are sought.
+
+    Attributes
+    ----------
+    rows : Rows
+    knots : (M,) array
+        Knots of the spring [m].
+    floor : float
+        Least slope of the spring [V/m].
+    movable : (N,) bool array
+        Elements that slide in some record; the others are one with the spring and get no stiffness.
+    datum : (records,) array
+        d_q [m].
+    drifting : tuple of int
+        Records that get a drift.
+    """
+
+    rows: Rows
+    knots: Array
+    floor: float
+    movable: Array
+    datum: Array
+    drifting: tuple[int, ...] = ()
+
+    def thinned(self, most: int) -> Regression:
+        """The same on fewer rows, for searches."""
+        return replace(self, rows=self.rows.thinned(most))
+
+    @property
+    def axis(self) -> Array:
+        """Displacement of each row on the model's axis (n,)."""
+        return self.rows.displacement + self.datum[self.rows.record]
+
+    def parts_of_spring(self, y: Array) -> Array:
+        """R_j(y), shape (n, M - 1)."""
+        lower, upper = self.knots[:-1].copy(), self.knots[1:].copy()
+        lower[0], upper[-1] = -np.inf, np.inf
+        return np.clip(y[:, None], lower, upper) - self.knots[:-1]
+
+    def nuisances(self) -> Array:
+        """Columns of the epochs' constants, then of the drifts."""
+        epochs = np.unique(self.rows.epoch)
+        constants = (self.rows.epoch[:, None] == epochs).astype(float)
+        drifts = [np.where(self.rows.record == q, self.rows.drift, 0.0)[:, None] for q in self.drifting]
+        return np.hstack([constants, *drifts])
+
+    def fit(self, norm: Norm, weights: Array | None = None) -> Coefficients:
+        """Solve the program."""
+        y = self.axis
+        spring, slip = self.parts_of_spring(y), self.rows.elongation[:, self.movable]
+        floor = self.floor * spring.sum(axis=1)
+        answer = solve(self.nuisances(), np.hstack([slip, spring]), self.rows.voltage - floor, weights=weights, norm=norm)
+        stiffness = np.zeros(self.movable.size)
+        stiffness[self.movable] = answer.nonnegative[: slip.shape[1]]
+        slopes = answer.nonnegative[slip.shape[1] :] + self.floor
+        epochs = np.unique(self.rows.epoch)
+        return Coefficients(
+            stiffness=stiffness,
+            slopes=slopes,
+            offsets=dict(zip(epochs.tolist(), answer.free[: epochs.size].tolist(), strict=True)),
+            drifts=dict(zip(self.drifting, answer.free[epochs.size :].tolist(), strict=True)),
+            solution=answer,
+        )
+
+    def slope(self, found: Coefficients) -> Array:
+        """dv/dy of the model at each row (n,) [V/m]; the weight of a row is its inverse."""
+        j = np.clip(np.searchsorted(self.knots, self.axis, side="right") - 1, 0, found.slopes.size - 1)
+        return np.asarray(self.rows.stuck @ found.stiffness + found.slopes[j])
+
+    def fit_weighted(self, norm: Norm, passes: int = 2) -> Coefficients:
+        """Fit with rows weighted by the inverse slope of the model that a first, least-squares pass finds."""
+        weights = None
+        for _ in range(passes - 1):
+            weights = 1 / self.slope(self.fit("l2", weights))
+        return self.fit(norm, weights)
+
+    def nuisances_of(self, found: Coefficients) -> Coefficients:
+        """Fit only the constants and drifts of these rows, for a model that is given."""
+        model = self.rows.elongation @ found.stiffness + self.parts_of_spring(self.axis) @ found.slopes
+        rest, none = self.rows.voltage - model, np.zeros((len(self.rows), 0))
+        answer = solve(self.nuisances(), none, rest, weights=1 / self.slope(found), norm="l2")
+        epochs = np.unique(self.rows.epoch)
+        return replace(
+            found,
+            offsets=dict(zip(epochs.tolist(), answer.free[: epochs.size].tolist(), strict=True)),
+            drifts=dict(zip(self.drifting, answer.free[epochs.size :].tolist(), strict=True)),
+            solution=answer,
+        )
+
+    def determined(self) -> tuple[int, int]:
+        """Directions of the stiffnesses that the rows tell, and their number (theory: rank once the rest is projected out)."""
+        slip = self.rows.elongation[:, self.movable]
+        others = np.hstack([self.nuisances(), self.parts_of_spring(self.axis)])
+        both = np.hstack([others, slip])
+        both = both / np.maximum(np.abs(both).max(axis=0), np.finfo(float).tiny)
+        triangle = np.linalg.qr(both, mode="r")
+        values = np.linalg.svd(triangle[others.shape[1] :, others.shape[1] :], compute_uv=False)
+        # The spring of the model is linear between knots; what its knots miss must not count as knowledge.
+        return int(np.count_nonzero(values > 1e-3 * values.max(initial=0.0))), int(slip.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """What a regression found: (N,) kappa [V/m], (M - 1,) slopes [V/m], constants by epoch [V], drifts by record [V]."""
+
+    stiffness: Array
+    slopes: Array
+    offsets: dict[int, float]
+    drifts: dict[int, float]
+    solution: Solution
+
+    def rms(self, slope: Array) -> float:
+        """RMS residual [m]."""
+        return float(np.sqrt(np.mean((self.solution.residual / slope) ** 2)))

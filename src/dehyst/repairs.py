@@ -1,0 +1,144 @@
+"""What is put right before a fit, and said: a start-up transient, gaps, the delay, datums and drifts of records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from dehyst._native import Array
+from dehyst.record import Record
+from dehyst.regression import Coefficients, Regression
+
+_BINS = 64
+_SEARCH_ROWS = 4000
+# A repair is made only where it makes the RMS residual smaller by this much.
+_WORTH = 0.97
+
+
+def transient(record: Record) -> int:
+    """Samples at the start of a record that lie outside the loops that follow, 0 if none.
+
+    The first cycle (at most) is compared with the band of displacements that later cycles cover at the same voltage,
+    widened by 1.5 % of the stroke; later cycles must go as far. A first rise from an unknown state is left out with it:
+    no state is known there.
+    """
+    cycles = record.cycles()
+    if len(cycles) < 3:
+        return 0
+    begin = cycles[0].stop
+    v, y = record.voltage, record.displacement
+    tolerance = 0.02 * float(np.ptp(v))
+    if v[begin:].max() < v.max() - tolerance or v[begin:].min() > v.min() + tolerance:
+        return 0
+    edges = np.linspace(v[begin:].min(), v[begin:].max(), _BINS + 1)
+    bins = np.clip(np.searchsorted(edges, v) - 1, 0, _BINS - 1)
+    low, high = np.full(_BINS, np.inf), np.full(_BINS, -np.inf)
+    np.minimum.at(low, bins[begin:], y[begin:])
+    np.maximum.at(high, bins[begin:], y[begin:])
+    margin = 0.015 * float(np.ptp(y[begin:]))
+    early = slice(0, begin)
+    outside = (y[early] < low[bins[early]] - margin) | (y[early] > high[bins[early]] + margin)
+    last = np.flatnonzero(outside)
+    return int(last[-1]) + 1 if last.size else 0
+
+
+def split_at_gaps(record: Record) -> tuple[list[Record], list[str]]:
+    """Cut a record where a gap may hide a reversal; shorter gaps stay, for the model has no time. With sentences."""
+    cuts, said = [0], []
+    cycle = cycle_time(record)
+    for i, length in record.gaps():
+        jump = abs(float(record.voltage[i + 1] - record.voltage[i]))
+        hidden = length > 0.2 * cycle or jump > 0.05 * float(np.ptp(record.voltage))
+        where = f"{record.name}: a gap of {length:.4g} s after {record.time[i]:.4g} s"
+        if hidden:
+            cuts.append(i + 1)
+            said.append(f"{where} may hide a reversal; the record was cut there")
+        else:
+            said.append(f"{where} was bridged")
+    if len(said) > 5:
+        said = [*said[:4], f"{record.name}: {len(said) - 4} more gaps, {len(cuts) - 1} cuts in all"]
+    cuts.append(len(record))
+    return [record.slice(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b - a >= 20], said
+
+
+def cycle_time(record: Record) -> float:
+    """Median time of a cycle of the excitation [s]; the record's length if it has none."""
+    cycles = record.cycles()
+    ends = [float(record.time[min(c.stop, len(record) - 1)] - record.time[c.start]) for c in cycles]
+    return float(np.median(ends)) if ends else float(record.time[-1] - record.time[0])
+
+
+def drift_curve(record: Record, start: float) -> Array:
+    """Creep since the record's start: log10 of time, mean zero (n,)."""
+    scale = 0.1 * cycle_time(record)
+    curve = np.log10(1 + (record.time - start) / scale)
+    return np.asarray(curve - curve.mean())
+
+
+def find_delay(build: Callable[[float], Regression], longest: float, sample_time: float) -> float:
+    """Seconds by which the displacement lags the voltage: least RMS residual; 0 unless that is worth it.
+
+    Parameters
+    ----------
+    build : callable
+        Delay [s] -> Regression on the voltages delayed by it.
+    longest : float
+        Largest delay looked for [s]; a fifth of it is looked for on the negative side.
+    sample_time : float
+        [s]; the answer is good to 1 % of it.
+    """
+
+    def cost(delay: float) -> float:
+        return _rms(build(float(delay)).thinned(_SEARCH_ROWS))
+
+    best = _search(cost, -0.2 * longest, longest, 13, 0.01 * sample_time)
+    return best if abs(best) > 0.02 * sample_time and _worth(cost(best), cost(0.0), build(0.0)) else 0.0
+
+
+def find_datum(regression: Regression, record: int, stroke: float, given: Coefficients | None = None) -> float:
+    """Shift d_q [m] that puts a record on the axis of the others, or of a given model; 0 unless that is worth it."""
+    few = regression.thinned(_SEARCH_ROWS)
+
+    def cost(shift: float) -> float:
+        datum = few.datum.copy()
+        datum[record] = shift
+        return _rms(replace(few, datum=datum), given)
+
+    best = _search(cost, -0.6 * stroke, 0.6 * stroke, 25, 1e-9 * stroke)
+    return best if _worth(cost(best), cost(0.0), few) else 0.0
+
+
+def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...]:
+    """Records among the candidates whose creep since the start is worth a coefficient."""
+    few = regression.thinned(_SEARCH_ROWS)
+    kept: tuple[int, ...] = ()
+    cost = _rms(few)
+    for q in candidates:
+        trial = _rms(replace(few, drifting=(*kept, q)))
+        if _worth(trial, cost, few):
+            kept, cost = (*kept, q), trial
+    return kept
+
+
+def _worth(after: float, before: float, regression: Regression) -> bool:
+    """Whether a repair makes the RMS residual smaller by something that is more than rounding."""
+    return after < _WORTH * before and before - after > 1e-7 * float(np.ptp(regression.knots))
+
+
+def _rms(regression: Regression, given: Coefficients | None = None) -> float:
+    """RMS residual [m], of the best model or of the given one."""
+    found = regression.fit("l2") if given is None else regression.nuisances_of(given)
+    return found.rms(regression.slope(found))
+
+
+def _search(cost: Callable[[float], float], low: float, high: float, points: int, tolerance: float) -> float:
+    """Global scan on `points` places, then Brent's method between the neighbours of the best."""
+    from scipy.optimize import minimize_scalar
+
+    grid = np.linspace(low, high, points)
+    k = int(np.argmin([cost(float(x)) for x in grid]))
+    bounds = grid[max(k - 1, 0)], grid[min(k + 1, points - 1)]
+    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": tolerance, "maxiter": 60})
+    return float(found.x)
