@@ -1,2 +1,52 @@
-"""dehyst."""
-__version__="0.1.0"
+"""dehyst takes the hysteresis out of piezoelectric actuators.
+
+Measured loops in, a physical model and the cancelling voltage out::
+
+    record = dehyst.read("loops.csv")
+    fit = dehyst.identify(record)
+    command = dehyst.Compensator(fit.actuator).trajectory(wanted_displacement)
+"""
+
+from dehyst._errors import (
+    DehystError,
+    FileFormatError,
+    IdentifyError,
+    MissingExtraError,
+    ModelError,
+    RecordError,
+)
+from dehyst.version import __version__
+
+from dehyst.record import Record  # isort: skip
+from dehyst.files import read, write_record
+from dehyst.model import Fit, Motion, Outcome, RecordErrors, State, Trace
+from dehyst.elements import MaxwellSlip, Spring
+from dehyst.actuator import Actuator, Physical
+from dehyst.identify import identify
+from dehyst.compensator import Command, Compensator
+
+__all__ = [
+    "Actuator",
+    "Command",
+    "Compensator",
+    "DehystError",
+    "FileFormatError",
+    "Fit",
+    "IdentifyError",
+    "MaxwellSlip",
+    "MissingExtraError",
+    "ModelError",
+    "Motion",
+    "Outcome",
+    "Physical",
+    "Record",
+    "RecordError",
+    "RecordErrors",
+    "Spring",
+    "State",
+    "Trace",
+    "__version__",
+    "identify",
+    "read",
+    "write_record",
+]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, Core, vector
+from dehyst.files import PathLike, read_json, write_json
 from dehyst.elements import MaxwellSlip, Spring, frozen
 from dehyst.model import AbstractModel, Motion, State
 
@@ -251,6 +252,33 @@ class Actuator(AbstractModel):
             name=data["name"],
             provenance=data["provenance"],
         )
+
+    def save(self, path: PathLike) -> None:
+        """Write the model file (JSON), wholly or not at all.
+
+        Raises
+        ------
+        FileFormatError
+            If it cannot be written.
+        """
+        write_json(path, self.as_dict())
+
+    @classmethod
+    def load(cls, path: PathLike) -> Actuator:
+        """Read a model file, strictly.
+
+        Raises
+        ------
+        FileFormatError
+            If the file cannot be read or is no JSON.
+        ModelError
+            If it is not an actuator of this version, or holds impossible numbers.
+        """
+        data = read_json(path)
+        try:
+            return cls.from_dict(data)
+        except ModelError as error:
+            raise ModelError(f"{path}: {error}") from error
 
     def with_provenance(self, **entries: Any) -> Actuator:
         """Return a copy whose provenance holds `entries` too."""

@@ -66,7 +66,7 @@ def loops_of(records: list[Record], elements: int) -> list[Loop]:
     families = [family for record in records for family in _families(record)]
     if not families:
         raise IdentifyError(
-            "no closed loop found: the voltage has to go up, down and up again between the same turning points. "
+            "no closed loop found: the voltage has to go up, down and up again between the same two turning points. "
             "Record two cycles, or use method='record'"
         )
     step = max(top - bottom for _, bottom, top, _, _ in families) / elements
@@ -81,12 +81,12 @@ Family = tuple[str, float, float, list[Branch], list[Branch]]
 
 def _families(record: Record) -> list[Family]:
     """Branches of a record between the same turning points, put together."""
-    turns = record.reversals()
+    turns = [0, *record.reversals().tolist(), len(record) - 1]
     y, v = record.displacement, record.voltage
     same = _SAME * record.stroke
     found: list[tuple[float, float, list[Branch], list[Branch]]] = []
     for before, start, end in zip(turns[:-2], turns[1:-1], turns[2:], strict=True):
-        if abs(y[before] - y[end]) > same:
+        if abs(y[start] - y[before]) < abs(y[end] - y[start]) - same:
             continue
         low, high = sorted((float(y[start]), float(y[end])))
         rising = y[end] > y[start]

@@ -18,8 +18,9 @@ from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.program import NORMS, Norm
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
-from dehyst.rows import Epoch, collect
+from dehyst.rows import collect, epochs
 from dehyst.verify import errors_of
+from dehyst.version import __version__
 
 Method = Literal["record", "breakpoints", "antisymmetric"]
 Progress = Callable[[str], None]
@@ -34,6 +35,20 @@ class Prepared:
     start: float
     noise: float
     can_drift: bool
+
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest displacement [m] among the samples that count."""
+        counted = [
+            np.append(piece.displacement[epoch.start : epoch.stop], piece.displacement[epoch.turn])
+            for piece in self.pieces
+            for epoch in epochs(piece, self.noise)
+        ]
+        if not counted:
+            raise IdentifyError(
+                f"{self.record.name}: no sample counts, for the voltage never comes back into the range it has been in. "
+                "Record one full cycle at least, better two"
+            )
+        return min(float(y.min()) for y in counted), max(float(y.max()) for y in counted)
 
     def delayed(self, number: int, delay: float) -> list[tuple[int, Record, Array]]:
         """(record number, piece, drift curve) of each piece, for `rows.collect`."""
@@ -191,15 +206,17 @@ class _Job:
                  tell: Progress) -> None:  # fmt: skip
         self.settings, self.training, self.held_out = settings, training, held_out
         self.said, self.tell, self.remarks = said, tell, list[str]()
-        self.widest = int(np.argmax([item.record.stroke for item in training]))
-        self.stroke = training[self.widest].record.stroke
+        spans = [item.span() for item in training]
+        self.widest = int(np.argmax([high - low for low, high in spans]))
+        self.span = spans[self.widest]
+        self.stroke = self.span[1] - self.span[0]
         self.delay = 0.0
 
     def by_records(self) -> Fit:
         """Every sample of every record."""
         self.tell("estimating delay, datums and drifts")
         rho = self._thresholds()
-        self.delay = self._delay(rho)
+        self.delay = self._delay()
         regression = self._nuisances(self._regression(rho, self.delay))
         self.tell(f"solving the {self.settings.norm} program for {len(regression.rows)} samples")
         found = regression.fit_weighted(self.settings.norm)
@@ -220,7 +237,7 @@ class _Job:
     def by_breakpoints(self, method: str, branch: str) -> Fit:
         """The paper's own method, or Remark 2's closed form."""
         settings = self.settings
-        self.delay = self._delay(self._thresholds()) if settings.delay is None else settings.delay
+        self.delay = self._delay()
         records = [replace(item, record=item.record.delayed(self.delay)) if self.delay else item for item in self.training]
         self.tell("reading break points")
         loops = breakpoints.loops_of([item.record for item in records], settings.elements)
@@ -249,14 +266,14 @@ class _Job:
             )
         return first * np.arange(1, n + 1)
 
-    def _delay(self, rho: Array) -> float:
+    def _delay(self) -> float:
         if self.settings.delay is not None:
             return self.settings.delay
         longest = 0.05 * min(repairs.cycle_time(item.record) for item in self.training)
         sample = min(item.record.sample_time for item in self.training)
-        # Cheap to search with few elements: a delay rounds the turning points whatever the grid.
-        coarse = rho if rho.size <= 20 else rho[:: rho.size // 20]
-        return repairs.find_delay(lambda delay: self._regression(coarse, delay), longest, sample)
+        # Too few elements would round the turning points as a delay does.
+        grid = self.stroke / 60 * np.arange(1, 31)
+        return repairs.find_delay(lambda delay: self._regression(grid, delay), longest, sample)
 
     def _regression(self, rho: Array, delay: float) -> Regression:
         pieces = [piece for q, item in enumerate(self.training) for piece in item.delayed(q, delay)]
@@ -267,10 +284,9 @@ class _Job:
                 f"{len(rows)} samples count for {rho.size} elements: only those after the range of a record has been seen "
                 "once say something. Record two cycles at least, or use fewer elements"
             )
-        widest = self.training[self.widest].record
-        low, high = widest.displacement_range
+        low, high = self.span
         count = self.settings.knots or min(rho.size + 1, 41)
-        floor = self.settings.slope_floor * (widest.voltage_range[1] - widest.voltage_range[0]) / (high - low)
+        floor = self.settings.slope_floor * float(np.ptp(self.training[self.widest].record.voltage)) / self.stroke
         movable = 2 * rho < self.stroke * (1 - 1e-9)
         if not movable.any():
             raise IdentifyError(
@@ -329,8 +345,6 @@ class _Job:
         return float(ranges[:, 0].min()), float(ranges[:, 1].max())
 
     def _provenance(self, method: str) -> dict[str, Any]:
-        from dehyst import __version__
-
         return {
             "program": f"dehyst {__version__}",
             "method": method,
@@ -365,6 +379,3 @@ class _Job:
             outcome = Outcome.INACCURATE
         return Fit(actuator, outcome, tuple(errors), tuple(self.said), tuple(self.remarks), tuple(traces), status, gap,
                    {**self._provenance(outcome.name), "delay_s": self.delay, "stroke_m": self.stroke})  # fmt: skip
-
-
-__all__ = ["Epoch", "identify"]

@@ -23,12 +23,15 @@ class Epoch:
 
     Attributes
     ----------
+    turn : int
+        The sample before `start` at which the range grew last.
     reach : float
         Range of displacement [m] seen up to here: elements with 2 rho <= reach are known.
     middle : float
         The place [m] to which the constant of the carts that stand still refers.
     """
 
+    turn: int
     start: int
     stop: int
     reach: float
@@ -81,12 +84,13 @@ def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
     tolerance = max(2e-3 * float(np.ptp(v)), 6 * white_noise(v))
     growing = np.flatnonzero(_grows(v, tolerance) | _grows(-v, tolerance))
     edges = np.append(growing, len(v))
-    found = []
+    found: list[Epoch] = []
     for start, stop in zip(edges[:-1] + 1, edges[1:], strict=True):
         if stop - start >= _SHORTEST_EPOCH:
-            seen = y[:start]
+            seen, since = y[:start], found[-1].stop if found else 0
             low, high = float(seen.min()), float(seen.max())
-            found.append(Epoch(int(start), int(stop), high - low - 4 * noise, 0.5 * (low + high)))
+            turn = since + max(int(np.argmax(v[since:start])), int(np.argmin(v[since:start])))
+            found.append(Epoch(turn, int(start), int(stop), high - low - 4 * noise, 0.5 * (low + high)))
     return found
 
 

@@ -1,0 +1,363 @@
+"""What an identification found, as one self-contained HTML file to read, print and pass on."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from dehyst import plot
+from dehyst.actuator import Actuator
+from dehyst.elements import Spring
+from dehyst.files import write_atomically
+from dehyst.model import Fit, Outcome, RecordErrors, Trace
+
+MOST_RECORDS = 6
+_STYLE = """
+*{box-sizing:border-box}
+body{margin:0 auto;max-width:1100px;padding:1.5rem 1.25rem 4rem;background:#fff;color:#222;line-height:1.5;
+ font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif}
+h1{font-size:1.7rem;line-height:1.25;margin:.2rem 0 .3rem;font-weight:600;overflow-wrap:anywhere}
+h2{font-size:1.15rem;font-weight:600;margin:2.4rem 0 .6rem;padding-top:.6rem;border-top:1px solid #ddd}
+h3{font-size:.92rem;font-weight:600;margin:0 0 .2rem;overflow-wrap:anywhere}
+h3 span,.muted,td small{color:#666;font-weight:400}
+.muted{margin:.3rem 0;font-size:.92rem}
+.outcome{margin:1rem 0;padding:.8rem 1rem;border-left:6px solid;font-size:1.08rem}
+.outcome strong{display:block;font-size:.85rem;letter-spacing:.04em;text-transform:uppercase}
+.green{background:#eaf5ee;border-color:#1d7f46}.green strong{color:#14613a}
+.amber{background:#fdf4dd;border-color:#c98a00}.amber strong{color:#7d5600}
+.red{background:#fbe9e7;border-color:#b3261e}.red strong{color:#8c1d17}
+.wide{overflow-x:auto}
+table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
+th,td{padding:.3rem .9rem .3rem 0;text-align:right;vertical-align:top;border-bottom:1px solid #e5e5e5}
+th{font-weight:600;border-bottom-color:#999;vertical-align:bottom}
+th:last-child,td:last-child{padding-right:0}
+td small{display:block;font-size:.85em;white-space:nowrap}
+td.text,th.text{text-align:left;overflow-wrap:anywhere;min-width:6rem}
+ul{margin:.3rem 0;padding-left:1.2rem}li{margin:.25rem 0;overflow-wrap:anywhere}
+figure{margin:1rem 0 1.6rem}
+figcaption{font-size:.92rem;color:#444;margin-bottom:.8rem;max-width:60rem}
+.panels{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,25rem),1fr));gap:1.2rem 1.6rem}
+.panel{min-width:0;break-inside:avoid}
+svg{display:block;width:100%;height:auto;max-width:40rem}
+svg text{font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif!important}
+summary{cursor:pointer;color:#0a5a8f}
+details{margin:.6rem 0}details>div{margin-top:.6rem}
+dl{display:grid;grid-template-columns:max-content 1fr;gap:.25rem 1.2rem;font-size:.92rem;margin:.6rem 0}
+dt{color:#666}dd{margin:0;overflow-wrap:anywhere}
+pre,code{font-family:ui-monospace,Menlo,Consolas,monospace;font-size:.85rem}
+pre{background:#f5f5f5;padding:.7rem .9rem;white-space:pre-wrap;overflow-wrap:anywhere}
+@media(max-width:40rem){dl{grid-template-columns:1fr;gap:0}dd{margin-bottom:.5rem}body{padding:1rem 1rem 3rem}}
+@media print{body{max-width:none;padding:0;font-size:10pt}h2{break-after:avoid}
+ .panels{grid-template-columns:1fr 1fr}.outcome{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
+"""
+# The policy forbids the browser any request, whatever a name or a sentence holds.
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+_LABELS = {"program": "Program", "method": "Method", "norm": "Norm", "elements": "Slip elements asked for",
+           "slope_floor": "Floor of the slope (part of the mean)"}  # fmt: skip
+
+
+def write_report(path: str | PathLike[str], fit: Fit, *, command: str | None = None) -> None:
+    """Write a report of `fit` to one HTML file that asks for nothing from outside.
+
+    Parameters
+    ----------
+    path : path-like
+        Replaced if it exists; never left half written.
+    fit : Fit
+    command : str, optional
+        The command line that made it, to be shown.
+
+    Raises
+    ------
+    MissingExtraError
+        If there is something to draw and matplotlib is not installed.
+    FileFormatError
+        If the file cannot be written.
+    """
+    write_atomically(path, render(fit, command))
+
+
+def render(fit: Fit, command: str | None = None) -> str:
+    """Return the text of the report; the same text for the same fit.
+
+    Raises
+    ------
+    MissingExtraError
+        If there is something to draw and matplotlib is not installed.
+    """
+    name = fit.actuator.name if isinstance(fit.actuator, Actuator) else "Actuator not identified"
+    actuator = fit.actuator if isinstance(fit.actuator, Actuator) else None
+    parts = [
+        f"<h1>{escape(name)}</h1>",
+        _facts(fit, actuator),
+        _outcome(fit.outcome),
+        _errors(fit.errors),
+        _sentences("What was repaired or left out", fit.repairs, "Nothing was repaired or left out."),
+        _sentences("What to know", fit.remarks, "No remarks."),
+        _loops(fit),
+        _residuals(fit),
+        *([_model(actuator), _numbers(actuator)] if actuator else []),
+        _reproduce(fit, actuator, command),
+    ]
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light">\n'
+        f"<title>{escape(name)}: identification</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<main>\n"
+        + "\n".join(part for part in parts if part)
+        + "\n</main>\n</body>\n</html>\n"
+    )
+
+
+def assumption(spring: Spring) -> str:
+    """Whether Assumption I holds, from the numbers: the spring's least slope and where it is."""
+    least = int(np.argmin(spring.slopes))
+    slope = float(spring.slopes[least])
+    factor, unit = plot.length_unit(float(np.ptp(spring.displacement)))
+    low, high = (number(float(y) * factor, 4) for y in spring.displacement[least : least + 2])
+    word = "holds" if slope > 0 else "does not hold"
+    return f"Assumption I {word}: least slope {number(slope * 1e-6)} V/µm at {low} to {high} {unit}."
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Write `value` with so many significant digits, as plainly as its size allows."""
+    if not math.isfinite(value):
+        return "not known"
+    if value == 0:
+        return "0"
+    size = math.floor(math.log10(abs(value)))
+    text = f"{value:.{max(0, digits - 1 - size)}f}" if -4 <= size <= 5 else f"{value:.{digits - 1}e}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def length(metres: float) -> str:
+    """Write a length in µm, or in nm below 1 µm."""
+    factor, unit = plot.length_unit(metres)
+    return f"{number(metres * factor)} {unit}"
+
+
+def _facts(fit: Fit, actuator: Actuator | None) -> str:
+    facts = ["Identification of a Maxwell-slip model of hysteresis"]
+    if actuator:
+        count = len(actuator.slip)
+        facts.append(f"{count} slip element{'s' if count != 1 else ''}, {actuator.spring.voltage.size} spring knots")
+    if actuator and actuator.limits:
+        facts.append(f"{number(actuator.limits[0])} to {number(actuator.limits[1])} V")
+    if fit.errors:
+        facts.append(f"stroke {length(fit.errors[0].stroke)}")
+    return f'<p class="muted">{escape(" · ".join(facts))}</p>'
+
+
+def _outcome(outcome: Outcome) -> str:
+    if outcome is Outcome.IDENTIFIED:
+        colour, word = "green", "Good"
+    elif outcome.good:
+        colour, word = "amber", "Usable, with care"
+    else:
+        colour, word = "red", "Not usable"
+    return f'<p class="outcome {colour}" role="status"><strong>{word}</strong> {_said(outcome.value)}</p>'
+
+
+def _errors(errors: Sequence[RecordErrors]) -> str:
+    if not errors:
+        return ""
+    rows = [
+        (
+            *(error.record, error.role, str(error.samples), str(error.left_out)),
+            *(_error_cell(value, error.stroke) for value in (error.largest, error.rms, error.rms_with_drift)),
+        )
+        for error in errors
+    ]
+    head = ("Record", "Role", "Samples counted", "Left out", "Largest error", "RMS error", "RMS, drift left in")
+    stroke = length(errors[0].stroke)
+    return (
+        "<h2>Errors by record</h2>\n"
+        '<p class="muted">Measured minus simulated displacement, simulated from the voltage alone, in % of the stroke '
+        f"({stroke}, the range of the widest training loop). Validation records took no part in the fit of the "
+        f"model.</p>\n{_table(head, rows, texts=2)}"
+    )
+
+
+def _error_cell(error: float, stroke: float) -> str:
+    return f"{number(100 * error / stroke)} %\n{length(error)}"
+
+
+def _sentences(title: str, sentences: Sequence[str], none: str) -> str:
+    if not sentences:
+        return f'<h2>{title}</h2>\n<p class="muted">{none}</p>'
+    items = "\n".join(f"<li>{_said(sentence)}</li>" for sentence in sentences)
+    return f"<h2>{title}</h2>\n<ul>\n{items}\n</ul>"
+
+
+def _said(sentence: str) -> str:
+    return re.sub(r"(?<=\d )um\b", "µm", escape(sentence))
+
+
+def _shown(fit: Fit) -> list[tuple[Trace, float]]:
+    """Traces to draw, each with the stroke to which its percentages refer."""
+    strokes = [error.stroke for error in fit.errors]
+    if len(strokes) != len(fit.traces):
+        strokes = [max(float(np.ptp(trace.measured)) for trace in fit.traces)] * len(fit.traces) if fit.traces else []
+    pairs = zip(fit.traces, strokes, strict=True)
+    return [(trace, stroke) for trace, stroke in pairs if trace.time.size > 1][:MOST_RECORDS]
+
+
+def _only(fit: Fit) -> str:
+    if len(fit.traces) <= MOST_RECORDS:
+        return ""
+    return f" The first {MOST_RECORDS} of {len(fit.traces)} records are drawn; the table above tells of all."
+
+
+def _loops(fit: Fit) -> str:
+    panels = [_panel(_whose(t), plot.loop(t, name=f"loop{i}"), "Loop of") for i, (t, _) in enumerate(_shown(fit))]
+    caption = (
+        "Where the thin line (simulated) leaves the broad one (measured), the model misses; look at the turning points "
+        "and at the minor loops." + _only(fit)
+    )
+    return _figure("Loops", caption, panels)
+
+
+def _residuals(fit: Fit) -> str:
+    shown = _shown(fit)
+    if not shown:
+        return ""
+    worst = max(float(np.abs(100 * trace.residual / stroke).max()) for trace, stroke in shown)
+    limit = 1.15 * worst or 1.0
+    panels = []
+    for i, (trace, stroke) in enumerate(shown):
+        time = plot.residual_in_time(trace, stroke, limit, name=f"time{i}")
+        place = plot.residual_in_displacement(trace, stroke, limit, name=f"place{i}")
+        panels.append(_panel(_whose(trace), time, "Residual against time of"))
+        panels.append(_panel(_whose(trace), place, "Residual against displacement of"))
+    caption = (
+        "A slow trend in time (left) is drift or creep; a pattern in displacement (right), or rising and falling "
+        "branches apart, is what the model class cannot follow; an even band is the sensor's noise. The circle marks "
+        "the largest residual; all panels share one scale." + _only(fit)
+    )
+    return _figure("Residuals: measured minus simulated", caption, panels)
+
+
+def _model(actuator: Actuator) -> str:
+    slip = _panel(("Slip elements", ""), plot.slip_elements(actuator.slip, name="slip"), "")
+    spring = _panel(("Parallel spring", ""), plot.parallel_spring(actuator.spring, name="spring"), "")
+    caption = (
+        f"{assumption(actuator.spring)} Left: an element of large stiffness late in the row, or many zeros (hollow), "
+        "tells that the records leave single stiffnesses open; their sum is what loops show."
+    )
+    return _figure("The model", caption, [slip, spring])
+
+
+def _whose(trace: Trace) -> tuple[str, str]:
+    return trace.record, trace.role
+
+
+def _panel(title: tuple[str, str], svg: str, label: str) -> str:
+    name, role = escape(title[0]), escape(title[1])
+    image = svg.replace("<svg", f'<svg role="img" aria-label="{f"{label} {name}".strip()}"', 1)
+    return f'<div class="panel"><h3>{name} <span>{role}</span></h3>\n{image}</div>'
+
+
+def _figure(title: str, caption: str, panels: Sequence[str]) -> str:
+    if not panels:
+        return ""
+    body = "\n".join(panels)
+    return (
+        f"<h2>{title}</h2>\n<figure>\n<figcaption>{escape(caption)}</figcaption>\n"
+        f'<div class="panels">\n{body}\n</div>\n</figure>'
+    )
+
+
+def _numbers(actuator: Actuator) -> str:
+    slip, spring = actuator.slip, actuator.spring
+    elements = [
+        (str(i), number(rho * 1e6, 5), number(kappa * 1e-6, 5), number(f, 5))
+        for i, (rho, kappa, f) in enumerate(zip(slip.breakaway, slip.stiffness, slip.friction, strict=True), 1)
+    ]
+    knots = [
+        (str(i), number(y * 1e6, 6), number(v, 6))
+        for i, (y, v) in enumerate(zip(spring.displacement, spring.voltage, strict=True), 1)
+    ]
+    first = _table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements)
+    second = _table(("Knot", "y (µm)", "η (V)"), knots)
+    return (
+        "<details>\n<summary>The model's numbers</summary>\n"
+        f'<div class="panels">\n<div><h3>Slip elements</h3>\n{first}'
+        f"</div>\n<div><h3>Knots of the parallel spring</h3>\n{second}</div>\n</div>\n</details>"
+    )
+
+
+def _constants(errors: Iterable[RecordErrors]) -> str:
+    """Show each record's nuisances, which a critical reader asks for: they are fitted to held-out records too."""
+    rows = [
+        (
+            error.record,
+            error.role,
+            number(error.offset),
+            number(error.datum * 1e6),
+            number(100 * error.drift / error.stroke),
+        )
+        for error in errors
+    ]
+    if not rows:
+        return ""
+    head = ("Record", "Role", "Offset (V)", "Shift of the sensor's zero (µm)", "Drift (% of stroke a decade of time)")
+    return (
+        "<details>\n<summary>Constants found for each record, validation records too</summary>\n"
+        f"<div>{_table(head, rows, texts=2)}</div>\n</details>"
+    )
+
+
+def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
+    options = dict(fit.options)
+    records = options.pop("records", ())
+    delay = options.pop("delay_s", actuator.delay if actuator else None)
+    stroke = options.pop("stroke_m", None)
+    entries = [(_LABELS.get(str(key), str(key)), _value(value)) for key, value in options.items()]
+    if isinstance(delay, int | float):
+        entries.append(("Delay of the displacement", f"{number(1e3 * delay, 4)} ms"))
+    if isinstance(stroke, int | float):
+        entries.append(("Stroke", length(stroke)))
+    entries.append(("Solver", fit.status or "not known"))
+    entries.append(("Duality gap, relative", number(fit.gap)))
+    listed = "\n".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in entries)
+    shown = f"<pre>{escape(command)}</pre>\n" if command else ""
+    return f"<h2>How to reproduce</h2>\n{shown}<dl>\n{listed}\n</dl>\n{_sources(records)}\n{_constants(fit.errors)}"
+
+
+def _sources(records: Any) -> str:
+    if not isinstance(records, Sequence) or isinstance(records, str) or not records:
+        return ""
+    rows = [
+        tuple(str(record.get(key, "")) for key in ("name", "source", "sha256"))
+        if isinstance(record, Mapping) else (_value(record), "", "")
+        for record in records
+    ]  # fmt: skip
+    return _table(("Record", "File", "SHA-256"), rows, texts=3)
+
+
+def _value(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 0) -> str:
+    """Draw a table whose first `texts` columns are words; a cell's second line is set small."""
+
+    def cells(tag: str, row: Sequence[str]) -> str:
+        written = []
+        for i, cell in enumerate(row):
+            first, _, second = cell.partition("\n") if i >= texts else (cell, "", "")
+            small = f"<small>{escape(second)}</small>" if second else ""
+            kind = ' class="text"' if i < texts else ""
+            written.append(f"<{tag}{kind}>{escape(first)}{small}</{tag}>")
+        return f"<tr>{''.join(written)}</tr>"
+
+    body = "\n".join(cells("td", row) for row in rows)
+    return f'<div class="wide"><table>\n<thead>{cells("th", head)}</thead>\n<tbody>\n{body}\n</tbody>\n</table></div>'

@@ -1,0 +1,138 @@
+"""What looks wrong with a record: what forbids it, or its use, and what the user should only know."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dehyst._errors import RecordError
+from dehyst.signals import FloatArray, noise_span, resolution, white_noise
+
+if TYPE_CHECKING:
+    from dehyst.record import Record, Span
+
+
+def problems(record: Record) -> tuple[str, ...]:
+    """Sentences about what is suspicious but allowed, see `Record.problems`."""
+    found = []
+    steps, gaps = np.diff(record.time), record.gaps()
+    if gaps:
+        i, length = gaps[0]
+        found.append(f"{len(gaps)} gap(s) in time, the first of {length:.4g} s after sample {i}.")
+    jitter = float(np.std(steps[steps <= 1.5 * record.sample_time])) / record.sample_time
+    if jitter > 0.01:
+        found.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; try resample().")
+    cycles = record.cycles()
+    points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
+    if points < 50:
+        found.append(f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners.")
+    for column, unit in (("voltage", "V"), ("displacement", "m")):
+        step, part = resolution(getattr(record, column))
+        if part > 0.005:
+            found.append(
+                f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
+            )
+    if not 1e-9 <= record.stroke <= 1e-3:
+        found.append(
+            f"The stroke is {record.stroke:.3g} m, unusual for a piezo actuator; check the displacement's unit."
+        )
+    return tuple(found)
+
+
+def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
+    """Raise when no hysteresis loop can be learnt from the record, see `Record.check_usable`."""
+    if len(record) < min_samples:
+        raise RecordError(f"record '{record.name}': {len(record)} samples, {min_samples} are needed; record for longer")
+    refuse_constant(record)
+    cycles = record.cycles()
+    if len(cycles) < min_cycles:
+        raise RecordError(
+            f"record '{record.name}': {len(cycles)} full cycle(s) of the voltage found, {min_cycles} needed; "
+            "drive it up and back down, for instance with a sine over the whole range"
+        )
+    refuse_inverted(record)
+    least = max(5, round(0.005 * len(record) / max(1, len(cycles))))
+    refuse_clipped(record, least)
+    refuse_leading(record, cycles)
+
+
+def refuse_not_finite(values: FloatArray, column: str, unit: str, name: str) -> None:
+    """Raise when a value of the `column` is NaN or infinite."""
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise RecordError(
+            f"record '{name}': {column} holds {len(bad)} value(s) that are not finite, the first is "
+            f"{column}[{bad[0]}] = {values[bad[0]]} {unit}; cut these rows out or fill them in"
+        )
+
+
+def refuse_not_rising(time: FloatArray, name: str) -> None:
+    """Raise when a time [s] is not above the one before."""
+    bad = np.flatnonzero(np.diff(time) <= 0.0)
+    if len(bad):
+        i = int(bad[0])
+        raise RecordError(
+            f"record '{name}': time must rise strictly, but time[{i + 1}] = {time[i + 1]:.9g} s follows "
+            f"time[{i}] = {time[i]:.9g} s; sort the rows, drop repeated ones, or check the time unit's digits"
+        )
+
+
+def refuse_constant(record: Record) -> None:
+    """Raise when the voltage or, but for the sensor's noise, the displacement stands still."""
+    low, high = record.voltage_range
+    if high - low < max(1e-9, 1e-6 * max(abs(low), abs(high))):
+        raise RecordError(
+            f"record '{record.name}': the voltage is constant at {low:.6g} V; drive the actuator up and down"
+        )
+    if record.stroke <= max(noise_span(record.displacement), 1e-12 * max(map(abs, record.displacement_range))):
+        raise RecordError(
+            f"record '{record.name}': the displacement is constant: its stroke of {record.stroke:.3g} m is no more "
+            f"than the sensor's noise ({record.noise:.3g} m); check the sensor and the chosen column"
+        )
+
+
+def refuse_inverted(record: Record) -> None:
+    """Raise when the displacement falls as the voltage rises."""
+    if np.corrcoef(record.voltage, record.displacement)[0, 1] < -0.5:
+        raise RecordError(
+            f"record '{record.name}': displacement falls when voltage rises: the sensor's sign is inverted; "
+            "try multiplying the displacement by -1"
+        )
+
+
+def refuse_clipped(record: Record, least: int) -> None:
+    """Raise when the sensor stays at its extreme while the voltage goes on in that direction."""
+    span_v = float(np.ptp(record.voltage))
+    needed = (0.02 + 3.0 * resolution(record.displacement)[1]) * span_v
+    for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
+        y, v = sign * record.displacement, sign * record.voltage
+        at_top = np.concatenate(([False], y >= y.max() - 1e-12 * record.stroke, [False]))
+        edges = np.flatnonzero(at_top[1:] != at_top[:-1])
+        for a, b in zip(edges[::2], edges[1::2], strict=True):
+            # A dead zone after a reversal is flat too, but there the voltage only goes back.
+            if b - a >= least and v[a:b].max() - v[a] > needed:
+                raise RecordError(
+                    f"record '{record.name}': the sensor is clipped: the displacement sits at its {side} "
+                    f"{sign * y[a]:.6g} m over samples {a} to {b - 1} while the voltage still moves; "
+                    "lower the voltage range or shift the sensor's range"
+                )
+
+
+def refuse_leading(record: Record, cycles: list[Span]) -> None:
+    """Raise when the loops run clockwise in the (voltage, displacement) plane by more than noise can explain."""
+    area = box = var_y = var_v = 0.0
+    for cycle in cycles:
+        v, y = record.voltage[cycle], record.displacement[cycle]
+        dv, dy = np.diff(np.append(v, v[0])), np.diff(np.append(y, y[0]))
+        # Rising below falling is counter-clockwise: the actuator lags, and this sum is positive.
+        area -= float(np.dot(y - y.mean() + 0.5 * dy, dv))
+        box += float(np.ptp(v) * np.ptp(y))
+        var_y, var_v = var_y + float(dv @ dv), var_v + float(dy @ dy)
+    doubt = sqrt(record.noise**2 * var_y + white_noise(record.voltage) ** 2 * var_v)
+    if area < -(0.005 * box + 5.0 * doubt):
+        raise RecordError(
+            f"record '{record.name}': the displacement leads the voltage (loop area {100 * area / box:.2g} % of its "
+            "box): the columns look swapped (or the displacement's sign is inverted); check which column is which"
+        )
