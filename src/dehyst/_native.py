@@ -22,7 +22,10 @@ def vector(values: ArrayLike, what: str) -> Array:
         If it has another number of dimensions, is not numeric, or holds NaN or infinity.
     """
     try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
+        given = np.asarray(values)
+        if given.dtype.kind not in "iuf" and given.size:
+            raise TypeError
+        array = np.asarray(given, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ModelError(f"{what}: got {type(values).__name__}, need an array of numbers") from error
     if array.ndim != 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -232,7 +233,8 @@ class Actuator(AbstractModel):
         ModelError
             If the format or version is another one, a key is unknown or missing, or a number is impossible.
         """
-        if data.get("format") != FORMAT or data.get("version") != VERSION:
+        version = data.get("version")
+        if data.get("format") != FORMAT or type(version) is not int or version != VERSION:
             raise ModelError(
                 f"got format {data.get('format')!r} version {data.get('version')!r}, need {FORMAT!r} version {VERSION}"
             )
@@ -244,9 +246,15 @@ class Actuator(AbstractModel):
         if not isinstance(data["name"], str) or not isinstance(data["provenance"], Mapping):
             raise ModelError("model: name must be text and provenance an object")
         return cls(
-            MaxwellSlip(slip["breakaway_m"], slip["stiffness_V_per_m"]),
-            Spring(spring["displacement_m"], spring["voltage_V"]),
-            State(_number(state["displacement_m"], "state.displacement_m"), vector(state["carts_m"], "state.carts_m")),
+            MaxwellSlip(
+                _numbers(slip["breakaway_m"], "slip.breakaway_m"),
+                _numbers(slip["stiffness_V_per_m"], "slip.stiffness_V_per_m"),
+            ),
+            Spring(
+                _numbers(spring["displacement_m"], "spring.displacement_m"),
+                _numbers(spring["voltage_V"], "spring.voltage_V"),
+            ),
+            State(_number(state["displacement_m"], "state.displacement_m"), _numbers(state["carts_m"], "state.carts_m")),
             limits=None if limits is None else _pair(limits),
             delay=_number(data["delay_s"], "delay_s"),
             name=data["name"],
@@ -317,9 +325,15 @@ def _part(data: Mapping[str, Any], key: str, needed: set[str]) -> Mapping[str, A
 
 
 def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise ModelError(f"{where}: got {value!r}, need a finite number")
     return float(value)
+
+
+def _numbers(values: Any, where: str) -> Array:
+    if not isinstance(values, list):
+        raise ModelError(f"{where}: got {type(values).__name__}, need a list of numbers")
+    return np.array([_number(value, f"{where}[{i}]") for i, value in enumerate(values)], dtype=np.float64)
 
 
 def _pair(values: Any) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from dehyst._native import Array, vector
 from dehyst.actuator import Actuator
 from dehyst.elements import MaxwellSlip, Spring
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
-from dehyst.program import NORMS, Norm
+from dehyst.program import NORMS, Norm, one_thread
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.rows import collect, epochs
@@ -143,11 +143,9 @@ def identify(
     said: list[str] = []
     prepared = [_prepare(record, said) for record in training]
     checks = [_prepare(record, said) for record in held_out]
-    job = _Job(settings, prepared, checks, said, tell)
-    if method == "record":
-        fit = job.by_records()
-    else:
-        fit = job.by_breakpoints(method, branch)
+    with one_thread():
+        job = _Job(settings, prepared, checks, said, tell)
+        fit = job.by_records() if method == "record" else job.by_breakpoints(method, branch)
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
     return fit

@@ -22,7 +22,7 @@ MEASURED, SIMULATED = "#0072B2", "#D55E00"
 RISING, FALLING = "#44AA99", "#332288"
 _INK, _PALE = "#333333", "#D9D9D9"
 _INCHES = 4.8
-_DPI = 220
+_DPI = 170
 # More points than this become one image inside the figure: as vectors they would take 100 bytes each.
 _VECTOR_POINTS = 1500
 _VECTOR_VERTICES = 20_000
@@ -108,7 +108,7 @@ def residual_in_displacement(trace: Trace, stroke: float, limit: float, *, name:
         _mark_largest(ax, y, percent)
         _residual_axes(ax, stroke, limit)
         ax.set_xlabel(f"displacement ({unit})")
-        legend = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, handlelength=0.8)
+        legend = ax.legend(loc="upper left", ncols=2, handlelength=0.8)
         for handle in legend.legend_handles:
             if handle is not None:
                 handle.set(alpha=1.0, markersize=6)
@@ -188,7 +188,8 @@ def _stems(ax: Axes, x: Array, height: Array, label: str) -> None:
     zero = height <= 0
     ax.vlines(x[~zero], 0, height[~zero], color=MEASURED, lw=1.2)
     ax.plot(x[~zero], height[~zero], ls="none", marker="o", ms=3.4, color=MEASURED)
-    ax.plot(x[zero], height[zero], ls="none", marker="o", ms=3.4, mfc="white", mec=MEASURED, mew=0.8, clip_on=False)
+    if zero.any():  # the layout cannot take an empty line that is not clipped
+        ax.plot(x[zero], height[zero], ls="none", marker="o", ms=3.4, mfc="white", mec=MEASURED, mew=0.8, clip_on=False)
     ax.set_ylabel(label)
     ax.set_ylim(0, 1.12 * float(height.max()) if height.any() else 1.0)
 

@@ -9,6 +9,8 @@ factorisation, after the free coefficients are eliminated. Each answer comes wit
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -21,6 +23,15 @@ Norm = Literal["l1", "l2", "linf"]
 NORMS: tuple[Norm, ...] = ("l1", "l2", "linf")
 _ROWS_AT_A_TIME = 200
 _ROUNDS = 60
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep BLAS on one thread: these factorisations gain nothing from more, and lose a factor of 40 on a busy machine."""
+    import threadpoolctl
+
+    with threadpoolctl.threadpool_limits(1, user_api="blas"):
+        yield
 
 
 @dataclass(frozen=True)

@@ -8,17 +8,21 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from os import PathLike
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from dehyst import plot
+from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.elements import Spring
 from dehyst.files import write_atomically
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
 
+Row: TypeAlias = "Sequence[str | tuple[str, str]]"
+
 MOST_RECORDS = 6
+MINUS = "\N{MINUS SIGN}"
 _STYLE = """
 *{box-sizing:border-box}
 body{margin:0 auto;max-width:1100px;padding:1.5rem 1.25rem 4rem;background:#fff;color:#222;line-height:1.5;
@@ -38,8 +42,8 @@ table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-num
 th,td{padding:.3rem .9rem .3rem 0;text-align:right;vertical-align:top;border-bottom:1px solid #e5e5e5}
 th{font-weight:600;border-bottom-color:#999;vertical-align:bottom}
 th:last-child,td:last-child{padding-right:0}
-td small{display:block;font-size:.85em;white-space:nowrap}
-td.text,th.text{text-align:left;overflow-wrap:anywhere;min-width:6rem}
+td{white-space:nowrap}td small{display:block;font-size:.85em}
+td.text,th.text{text-align:left;white-space:normal;overflow-wrap:anywhere;min-width:6rem}
 ul{margin:.3rem 0;padding-left:1.2rem}li{margin:.25rem 0;overflow-wrap:anywhere}
 figure{margin:1rem 0 1.6rem}
 figcaption{font-size:.92rem;color:#444;margin-bottom:.8rem;max-width:60rem}
@@ -135,7 +139,7 @@ def number(value: float, digits: int = 3) -> str:
         return "0"
     size = math.floor(math.log10(abs(value)))
     text = f"{value:.{max(0, digits - 1 - size)}f}" if -4 <= size <= 5 else f"{value:.{digits - 1}e}"
-    return text.replace("-", "\N{MINUS SIGN}")
+    return text.replace("-", MINUS)
 
 
 def length(metres: float) -> str:
@@ -169,25 +173,25 @@ def _outcome(outcome: Outcome) -> str:
 def _errors(errors: Sequence[RecordErrors]) -> str:
     if not errors:
         return ""
-    rows = [
+    rows: list[Row] = [
         (
-            *(error.record, error.role, str(error.samples), str(error.left_out)),
-            *(_error_cell(value, error.stroke) for value in (error.largest, error.rms, error.rms_with_drift)),
+            (error.record, error.role),
+            *(
+                (f"{number(100 * e / error.stroke)} %", length(e))
+                for e in (error.largest, error.rms, error.rms_with_drift)
+            ),
+            *(str(error.samples), str(error.left_out)),
         )
         for error in errors
     ]
-    head = ("Record", "Role", "Samples counted", "Left out", "Largest error", "RMS error", "RMS, drift left in")
+    head = ("Record", "Largest error", "RMS error", "RMS, drift left in", "Samples counted", "Left out")
     stroke = length(errors[0].stroke)
     return (
         "<h2>Errors by record</h2>\n"
         '<p class="muted">Measured minus simulated displacement, simulated from the voltage alone, in % of the stroke '
         f"({stroke}, the range of the widest training loop). Validation records took no part in the fit of the "
-        f"model.</p>\n{_table(head, rows, texts=2)}"
+        f"model.</p>\n{_table(head, rows, texts=1)}"
     )
-
-
-def _error_cell(error: float, stroke: float) -> str:
-    return f"{number(100 * error / stroke)} %\n{length(error)}"
 
 
 def _sentences(title: str, sentences: Sequence[str], none: str) -> str:
@@ -230,7 +234,7 @@ def _residuals(fit: Fit) -> str:
     if not shown:
         return ""
     worst = max(float(np.abs(100 * trace.residual / stroke).max()) for trace, stroke in shown)
-    limit = 1.15 * worst or 1.0
+    limit = 1.3 * worst or 1.0
     panels = []
     for i, (trace, stroke) in enumerate(shown):
         time = plot.residual_in_time(trace, stroke, limit, name=f"time{i}")
@@ -238,9 +242,9 @@ def _residuals(fit: Fit) -> str:
         panels.append(_panel(_whose(trace), time, "Residual against time of"))
         panels.append(_panel(_whose(trace), place, "Residual against displacement of"))
     caption = (
-        "A slow trend in time (left) is drift or creep; a pattern in displacement (right), or rising and falling "
-        "branches apart, is what the model class cannot follow; an even band is the sensor's noise. The circle marks "
-        "the largest residual; all panels share one scale." + _only(fit)
+        "A slow trend in time is drift or creep; a pattern in displacement, or rising and falling branches apart, is "
+        "what the model cannot follow; an even band is the sensor's noise. The circle marks the largest residual; all "
+        "panels share one scale." + _only(fit)
     )
     return _figure("Residuals: measured minus simulated", caption, panels)
 
@@ -249,8 +253,8 @@ def _model(actuator: Actuator) -> str:
     slip = _panel(("Slip elements", ""), plot.slip_elements(actuator.slip, name="slip"), "")
     spring = _panel(("Parallel spring", ""), plot.parallel_spring(actuator.spring, name="spring"), "")
     caption = (
-        f"{assumption(actuator.spring)} Left: an element of large stiffness late in the row, or many zeros (hollow), "
-        "tells that the records leave single stiffnesses open; their sum is what loops show."
+        f"{assumption(actuator.spring)} Among the slip elements, lone large values between zeros (hollow "
+        "circles) hint that the records tell sums of stiffnesses better than single ones."
     )
     return _figure("The model", caption, [slip, spring])
 
@@ -277,16 +281,13 @@ def _figure(title: str, caption: str, panels: Sequence[str]) -> str:
 
 def _numbers(actuator: Actuator) -> str:
     slip, spring = actuator.slip, actuator.spring
-    elements = [
-        (str(i), number(rho * 1e6, 5), number(kappa * 1e-6, 5), number(f, 5))
-        for i, (rho, kappa, f) in enumerate(zip(slip.breakaway, slip.stiffness, slip.friction, strict=True), 1)
-    ]
-    knots = [
-        (str(i), number(y * 1e6, 6), number(v, 6))
-        for i, (y, v) in enumerate(zip(spring.displacement, spring.voltage, strict=True), 1)
-    ]
-    first = _table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements)
-    second = _table(("Knot", "y (µm)", "η (V)"), knots)
+    each = [str(i) for i in range(1, len(slip) + 1)]
+    columns = (slip.breakaway * 1e6, slip.stiffness * 1e-6, slip.friction)
+    elements = zip(each, *map(_column, columns), strict=True)
+    each = [str(i) for i in range(1, spring.voltage.size + 1)]
+    knots = zip(each, _column(spring.displacement * 1e6), _column(spring.voltage), strict=True)
+    first = _table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0)
+    second = _table(("Knot", "y (µm)", "η (V)"), knots, texts=0)
     return (
         "<details>\n<summary>The model's numbers</summary>\n"
         f'<div class="panels">\n<div><h3>Slip elements</h3>\n{first}'
@@ -296,22 +297,19 @@ def _numbers(actuator: Actuator) -> str:
 
 def _constants(errors: Iterable[RecordErrors]) -> str:
     """Show each record's nuisances, which a critical reader asks for: they are fitted to held-out records too."""
-    rows = [
+    rows: list[Row] = [
         (
-            error.record,
-            error.role,
-            number(error.offset),
-            number(error.datum * 1e6),
-            number(100 * error.drift / error.stroke),
+            (error.record, error.role),
+            *(number(x) for x in (error.offset, error.datum * 1e6, 100 * error.drift / error.stroke)),
         )
         for error in errors
     ]
     if not rows:
         return ""
-    head = ("Record", "Role", "Offset (V)", "Shift of the sensor's zero (µm)", "Drift (% of stroke a decade of time)")
+    head = ("Record", "Offset (V)", "Sensor's zero (µm)", "Drift (% of stroke a decade)")
     return (
         "<details>\n<summary>Constants found for each record, validation records too</summary>\n"
-        f"<div>{_table(head, rows, texts=2)}</div>\n</details>"
+        f"<div>{_table(head, rows, texts=1)}</div>\n</details>"
     )
 
 
@@ -347,13 +345,20 @@ def _value(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 0) -> str:
-    """Draw a table whose first `texts` columns are words; a cell's second line is set small."""
+def _column(values: Array) -> list[str]:
+    """Write a column with the decimals that give its largest value six digits."""
+    largest = float(np.abs(values).max())
+    decimals = min(12, max(0, 5 - math.floor(math.log10(largest)))) if largest > 0 else 0
+    return [f"{float(value):.{decimals}f}".replace("-", MINUS) for value in values]
 
-    def cells(tag: str, row: Sequence[str]) -> str:
+
+def _table(head: Row, rows: Iterable[Row], texts: int) -> str:
+    """Set a table whose first `texts` columns are words; the second text of a cell is set small beneath the first."""
+
+    def cells(tag: str, row: Row) -> str:
         written = []
         for i, cell in enumerate(row):
-            first, _, second = cell.partition("\n") if i >= texts else (cell, "", "")
+            first, second = (cell, "") if isinstance(cell, str) else cell
             small = f"<small>{escape(second)}</small>" if second else ""
             kind = ' class="text"' if i < texts else ""
             written.append(f"<{tag}{kind}>{escape(first)}{small}</{tag}>")

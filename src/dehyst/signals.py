@@ -51,7 +51,7 @@ def interpolate(x: FloatArray, y: FloatArray, asked: FloatArray, kind: str) -> F
 
 
 def turning_points(values: FloatArray, band: float) -> NDArray[np.intp]:
-    """Indices of the extremes from which the signal goes back by more than `band`, see `Record.reversals`."""
+    """Find the extremes from which the signal goes back by more than `band`, see `Record.reversals`."""
     # Only local extremes (and the last sample of a plateau) can be turning points or complete a way back.
     steps = np.sign(np.diff(values))
     kept = np.concatenate(([0], np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + 1, [len(values) - 1]))
