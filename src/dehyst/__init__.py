@@ -18,12 +18,12 @@ from dehyst._errors import (
 from dehyst.version import __version__
 
 from dehyst.record import Record  # isort: skip
-from dehyst.files import read, write_record
-from dehyst.model import Fit, Motion, Outcome, RecordErrors, State, Trace
-from dehyst.elements import MaxwellSlip, Spring
 from dehyst.actuator import Actuator, Physical
-from dehyst.identify import identify
 from dehyst.compensator import Command, Compensator
+from dehyst.elements import MaxwellSlip, Spring
+from dehyst.files import read, write_record
+from dehyst.identify import identify
+from dehyst.model import Fit, Motion, Outcome, RecordErrors, State, Trace
 
 __all__ = [
     "Actuator",

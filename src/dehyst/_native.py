@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,12 +85,14 @@ class Core:
         """Displacement [m] at which the parallel spring alone holds v."""
         return float(self._core.spring_inverse(v))
 
-    def _run(self, function: object, x: Array, start: float, carts: Array, stack: bool) -> tuple[Array, float, Array]:
+    def _run(
+        self, function: Callable[..., Any], x: Array, start: float, carts: Array, stack: bool
+    ) -> tuple[Array, float, Array]:
         out, position, moved = self._checked(function, x, start, carts, stack)
         return out, float(position), moved
 
     @staticmethod
-    def _checked(function, *arguments):  # type: ignore[no-untyped-def]
+    def _checked(function: Callable[..., Any], *arguments: object) -> Any:
         try:
             return function(*arguments)
         except _core.CoreError as error:

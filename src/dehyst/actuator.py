@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, Core, vector
-from dehyst.files import PathLike, read_json, write_json
 from dehyst.elements import MaxwellSlip, Spring, frozen
+from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import AbstractModel, Motion, State
 
 FORMAT = "dehyst-actuator"
@@ -254,7 +254,9 @@ class Actuator(AbstractModel):
                 _numbers(spring["displacement_m"], "spring.displacement_m"),
                 _numbers(spring["voltage_V"], "spring.voltage_V"),
             ),
-            State(_number(state["displacement_m"], "state.displacement_m"), _numbers(state["carts_m"], "state.carts_m")),
+            State(
+                _number(state["displacement_m"], "state.displacement_m"), _numbers(state["carts_m"], "state.carts_m")
+            ),
             limits=None if limits is None else _pair(limits),
             delay=_number(data["delay_s"], "delay_s"),
             name=data["name"],

@@ -1,4 +1,4 @@
-"""The paper's identification: break points of averaged loops, its linear program (Sec. 4.1) and Remark 2's closed form."""
+"""The paper's identification: break points of averaged loops, a linear program (Sec. 4.1), Remark 2's closed form."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from dehyst.actuator import Actuator
 from dehyst.elements import MaxwellSlip, Spring
 from dehyst.model import Outcome
 from dehyst.record import Record
+from dehyst.settings import Direction
 
 _SAME = 0.02
 
@@ -85,18 +86,20 @@ def _families(record: Record) -> list[Family]:
     y, v = record.displacement, record.voltage
     same = _SAME * record.stroke
     found: list[tuple[float, float, list[Branch], list[Branch]]] = []
+
+    def family_of(low: float, high: float) -> tuple[list[Branch], list[Branch]]:
+        for bottom, top, down, up in found:
+            if abs(bottom - low) < same and abs(top - high) < same:
+                return down, up
+        found.append((low, high, [], []))
+        return found[-1][2:]
+
     for before, start, end in zip(turns[:-2], turns[1:-1], turns[2:], strict=True):
         if abs(y[start] - y[before]) < abs(y[end] - y[start]) - same:
             continue
         low, high = sorted((float(y[start]), float(y[end])))
-        rising = y[end] > y[start]
-        for family in found:
-            if abs(family[0] - low) < same and abs(family[1] - high) < same:
-                break
-        else:
-            family = (low, high, [], [])
-            found.append(family)
-        family[3 if rising else 2].append((y[start : end + 1], v[start : end + 1]))
+        down, up = family_of(low, high)
+        (up if y[end] > y[start] else down).append((y[start : end + 1], v[start : end + 1]))
     return [(record.name, *_mean_turns(down, up), down, up) for _, _, down, up in found if down and up]
 
 
@@ -123,7 +126,7 @@ def _voltage_at(branch: Branch, places: Array) -> Array:
     upper, lower = np.maximum.accumulate(y), np.minimum.accumulate(y[::-1])[::-1]
     monotone = 0.5 * (upper + lower)
     keep = np.append(True, np.diff(monotone) > 0)
-    return np.interp(places, monotone[keep], v[keep])
+    return np.asarray(np.interp(places, monotone[keep], v[keep]))
 
 
 def linear_program(loops: list[Loop], elements: int, slope_floor: float) -> Identified:
@@ -134,7 +137,7 @@ def linear_program(loops: list[Loop], elements: int, slope_floor: float) -> Iden
     somewhere the program is solved again with Assumption I imposed.
     """
     major = loops[0]
-    rho = major.range / (2 * elements) * np.arange(1, elements + 1)
+    rho: Array = np.asarray(major.range / (2 * elements) * np.arange(1, elements + 1), dtype=np.float64)
     knots = np.linspace(major.bottom, major.top, elements + 1)
     rows, target = _rows(loops, rho, knots)
     mean_slope = (major.ascending[-1, 1] - major.ascending[0, 1]) / major.range
@@ -150,10 +153,10 @@ def linear_program(loops: list[Loop], elements: int, slope_floor: float) -> Iden
     if len(loops) == 1 and outcome is Outcome.IDENTIFIED:
         outcome = Outcome.UNDETERMINED
         remarks.append(
-            f"one loop determines {elements // 2} combinations of the {elements} stiffnesses: minor loops may be "
-            "predicted wrongly (the program returns one of many optima)"
+            f"One loop determines {elements // 2} combinations of the {elements} stiffnesses: minor loops may be "
+            "predicted wrongly (the program returns one of many optima)."
         )
-    remarks.append(f"{len(target)} break points of {len(loops)} loop(s), sum of absolute errors {objective:.4g} V")
+    remarks.append(f"{len(target)} break points of {len(loops)} loop(s), sum of absolute errors {objective:.4g} V.")
     values = x[2 * elements] + np.concatenate([[0.0], np.cumsum(slopes * np.diff(knots))])
     actuator = Actuator(MaxwellSlip(rho, kappa), Spring(knots, values), name=major.record)
     return Identified(actuator, outcome, status, gap, tuple(remarks))
@@ -167,7 +170,9 @@ def _rows(loops: list[Loop], rho: Array, knots: Array) -> tuple[Array, Array]:
         for branch, sign in ((loop.descending, -1.0), (loop.ascending, 1.0)):
             y, v = branch[:, 0], branch[:, 1]
             moved = np.abs(y - y[0])[:, None]
-            elongation = np.where(slides, sign * (np.minimum(moved, 2 * rho) - rho), (y - 0.5 * (loop.bottom + loop.top))[:, None])
+            elongation = np.where(
+                slides, sign * (np.minimum(moved, 2 * rho) - rho), (y - 0.5 * (loop.bottom + loop.top))[:, None]
+            )
             lower, upper = knots[:-1].copy(), knots[1:].copy()
             lower[0], upper[-1] = -np.inf, np.inf
             spring = np.clip(y[:, None], lower, upper) - knots[:-1]
@@ -200,18 +205,11 @@ def _solve(
     return x[:unknowns] / scale * size, objective * size, optimal, status, gap
 
 
-def closed_form(loops: list[Loop], elements: int, branch: str) -> Identified:
+def closed_form(loops: list[Loop], elements: int, branch: Direction) -> Identified:
     """Remark 2: k_i from second differences of one branch's break voltages, for an anti-symmetric loop without g.
 
     k_N cannot be told from the spring and is set to zero; so are stiffnesses that come out negative.
-
-    Raises
-    ------
-    IdentifyError
-        If the branch is neither "descending" nor "ascending".
     """
-    if branch not in ("descending", "ascending"):
-        raise IdentifyError(f"branch: got {branch!r}, need 'descending' or 'ascending'")
     major = loops[0]
     points = getattr(major, branch)
     sign = 1.0 if branch == "descending" else -1.0
@@ -223,7 +221,7 @@ def closed_form(loops: list[Loop], elements: int, branch: str) -> Identified:
     remarks = []
     if clipped.size:
         numbers = ", ".join(str(i + 1) for i in clipped)
-        remarks.append(f"the closed form gave negative stiffnesses for elements {numbers}; set to zero")
+        remarks.append(f"The closed form gave negative stiffnesses for elements {numbers}; set to zero.")
     kappa = np.maximum(kappa, 0.0)
     slope = abs(v[-1] - v[-2]) / step
     # Eq. 4, and its mirror image where the ascending branch starts.

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, vector
 from dehyst.actuator import Actuator
 from dehyst.model import State
 
+Mask = NDArray[np.bool_]
 _CHUNK = 64
 
 
@@ -35,7 +36,7 @@ class Command:
 
     voltage: Array
     displacement: Array
-    clamped: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    clamped: Mask
     state: State
     warnings: tuple[str, ...]
 
@@ -65,7 +66,7 @@ class Compensator:
     def __post_init__(self) -> None:
         limits = self.actuator.limits if self.limits is None else self.limits
         if limits is None:
-            raise ModelError("no voltage limits: neither the actuator has them nor were they given; give limits=(low, high)")
+            raise ModelError("no voltage limits: the actuator has none and none were given; give limits=(low, high)")
         if len(limits) != 2 or not np.isfinite(limits).all() or limits[0] >= limits[1]:
             raise ModelError(f"limits: got {limits}, need two finite voltages, the lower one first")
         object.__setattr__(self, "limits", (float(limits[0]), float(limits[1])))
@@ -134,7 +135,7 @@ class Compensator:
         # Limits come last: slew may not push a voltage out of them.
         return np.clip(np.clip(voltage, previous - steps, previous + steps), low, high)
 
-    def _warnings(self, voltage: Array, wanted: Array, reached: Array, clamped: Array) -> tuple[str, ...]:
+    def _warnings(self, voltage: Array, wanted: Array, reached: Array, clamped: Mask) -> tuple[str, ...]:
         count = int(np.count_nonzero(clamped))
         if not count:
             return ()
@@ -143,6 +144,6 @@ class Compensator:
         first, miss = int(np.flatnonzero(clamped)[0]), float(np.abs(wanted - reached).max())
         why = f"{at_limit} at the limits {low:.6g} to {high:.6g} V, {count - at_limit} by the slew rate"
         return (
-            f"CLAMPED: {count} of {voltage.size} voltages ({why}), the first at sample {first}; the path is missed by up "
-            f"to {miss * 1e6:.4g} um",
+            f"CLAMPED: {count} of {voltage.size} voltages ({why}), the first at sample {first}; the path is missed by "
+            f"up to {miss * 1e6:.4g} um",
         )

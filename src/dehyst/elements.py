@@ -44,11 +44,15 @@ class MaxwellSlip:
     def __init__(self, breakaway: ArrayLike, stiffness: ArrayLike) -> None:
         rho, kappa = vector(breakaway, "breakaway elongations"), vector(stiffness, "stiffnesses")
         if rho.size != kappa.size:
-            raise ModelError(f"got {rho.size} breakaway elongations and {kappa.size} stiffnesses, need one of each an element")
+            raise ModelError(
+                f"got {rho.size} breakaway elongations and {kappa.size} stiffnesses, need one of each an element"
+            )
         if np.any(rho <= 0) or np.any(np.diff(rho) <= 0):
             raise ModelError(f"breakaway elongations must be positive and strictly increasing, got {rho}")
         if np.any(kappa < 0):
-            raise ModelError(f"stiffness {int(np.argmin(kappa))} is {kappa.min():g} V/m; a negative one never lets go (footnote 3)")
+            raise ModelError(
+                f"stiffness {int(np.argmin(kappa))} is {kappa.min():g} V/m; a negative one never lets go (footnote 3)"
+            )
         object.__setattr__(self, "breakaway", frozen(rho))
         object.__setattr__(self, "stiffness", frozen(kappa))
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dehyst._errors import RecordError
 from dehyst._native import Array
 
 
-def raised_cosine(peaks: Sequence[float], *, base: float = 0.0, samples: int = 400) -> Array:
+def raised_cosine(peaks: ArrayLike, *, base: float = 0.0, samples: int = 400) -> Array:
     """One cycle base -> peak -> base for each peak [V], ``samples`` a cycle (the paper's excitation, Sec. 3).
 
     Starts one sample after `base` and ends at it, so that protocols can be put one after another.
@@ -24,7 +23,7 @@ def raised_cosine(peaks: Sequence[float], *, base: float = 0.0, samples: int = 4
         raise RecordError(f"samples: got {samples} a cycle, need 8 at least")
     tops = np.asarray(peaks, dtype=np.float64)
     if tops.ndim != 1 or not tops.size or not np.isfinite(tops).all() or np.any(tops <= base):
-        raise RecordError(f"peaks: got {peaks}, need voltages above the base {base:g} V")
+        raise RecordError(f"peaks: got {tops}, need voltages above the base {base:g} V")
     shape = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(1, samples + 1) / samples)
     return np.concatenate([base + (top - base) * shape for top in tops])
 

@@ -64,8 +64,8 @@ class Outcome(Enum):
         "may be predicted wrongly. Add minor loops with other turning points."
     )
     FLOOR_ACTIVE = (
-        "Identified, but the spring's slope lies on its floor in places: the records do not tell it there, or the model "
-        "class does not fit."
+        "Identified, but the spring's slope lies on its floor in places: the records do not tell it there, or the "
+        "model class does not fit."
     )
     ASSUMPTION_I_IMPOSED = (
         "Identified, but only with Assumption I imposed: without it the spring would fall somewhere, and no voltage "

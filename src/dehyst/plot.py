@@ -26,6 +26,8 @@ _DPI = 170
 # More points than this become one image inside the figure: as vectors they would take 100 bytes each.
 _VECTOR_POINTS = 1500
 _VECTOR_VERTICES = 20_000
+# Beyond this many points the branch drawn last would hide the other.
+MOST_BRANCH_POINTS = 20_000
 # A line leaves out vertices that do not move by this part of its range, a quarter of a printed pixel.
 _CELLS = 2000
 _STYLE: dict[str, Any] = {
@@ -103,8 +105,9 @@ def residual_in_displacement(trace: Trace, stroke: float, limit: float, *, name:
 
     def draw(ax: Axes) -> None:
         y, percent, up = trace.measured * factor, 100 * trace.residual / stroke, rising(trace)
-        _points(ax, y[up], percent[up], RISING, of=percent.size, label="rising")
-        _points(ax, y[~up], percent[~up], FALLING, of=percent.size, label="falling")
+        some = _sample(percent.size)
+        for branch, colour, label in ((some & up, RISING, "rising"), (some & ~up, FALLING, "falling")):
+            _points(ax, y[branch], percent[branch], colour, of=int(some.sum()), label=label)
         _mark_largest(ax, y, percent)
         _residual_axes(ax, stroke, limit)
         ax.set_xlabel(f"displacement ({unit})")
@@ -166,6 +169,15 @@ def _points(ax: Axes, x: Array, y: Array, colour: str, *, of: int, label: str | 
     alpha = min(0.8, max(0.06, 35 / np.sqrt(max(of, 1))))
     ax.plot(x, y, ls="none", marker=".", ms=2.4, mew=0, color=colour, alpha=alpha, label=label,
             rasterized=of > _VECTOR_POINTS)  # fmt: skip
+
+
+def _sample(size: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Pick at random, but the same ones each time: every k-th sample would fall in step with the cycles."""
+    some = np.ones(size, bool)
+    if size > MOST_BRANCH_POINTS:
+        some[:] = False
+        some[np.random.default_rng(0).choice(size, MOST_BRANCH_POINTS, replace=False)] = True
+    return some
 
 
 def _mark_largest(ax: Axes, x: Array, y: Array) -> None:

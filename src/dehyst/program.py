@@ -27,7 +27,7 @@ _ROUNDS = 60
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep BLAS on one thread: these factorisations gain nothing from more, and lose a factor of 40 on a busy machine."""
+    """Keep BLAS on one thread: these factorisations gain nothing from more and lose much on a busy machine."""
     import threadpoolctl
 
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
@@ -56,7 +56,9 @@ class Solution:
     gap: float
 
 
-def solve(free: Array, nonnegative: Array, target: Array, *, weights: Array | None = None, norm: Norm = "l1") -> Solution:
+def solve(
+    free: Array, nonnegative: Array, target: Array, *, weights: Array | None = None, norm: Norm = "l1"
+) -> Solution:
     """Solve the program.
 
     Parameters
@@ -92,11 +94,16 @@ def solve(free: Array, nonnegative: Array, target: Array, *, weights: Array | No
 Answer = tuple[Array, str, bool, float]
 
 
+def triangle_of(matrix: Array) -> Array:
+    """Triangle R of the QR factorisation."""
+    return np.asarray(np.linalg.qr(matrix, mode="r"), dtype=np.float64)
+
+
 def _l2(rows: Array, goal: Array, p: int) -> Answer:
     from scipy.linalg import solve_triangular
     from scipy.optimize import nnls
 
-    triangle = np.linalg.qr(np.column_stack([rows, goal]), mode="r")
+    triangle = triangle_of(np.column_stack([rows, goal]))
     k = min(rows.shape[1], triangle.shape[0])
     head, x = triangle[:k, :-1], np.zeros(rows.shape[1])
     try:
@@ -196,7 +203,8 @@ def _highs(
     lp.a_matrix_.start_ = np.arange(n + 1) * m
     lp.a_matrix_.index_ = np.tile(np.arange(m), n)
     lp.a_matrix_.value_ = np.ascontiguousarray(rows.T).ravel()
-    highs: Any = highspy.Highs()
+    make_highs: Any = highspy.Highs
+    highs = make_highs()
     for option, value in (("output_flag", False), ("threads", 1), ("solver", solver), ("random_seed", 0),
                           ("primal_feasibility_tolerance", 1e-9), ("dual_feasibility_tolerance", 1e-9)):  # fmt: skip
         highs.setOptionValue(option, value)

@@ -11,10 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._native import Array
-from dehyst.program import Norm, Solution, solve
+from dehyst.program import Norm, Solution, solve, triangle_of
 from dehyst.rows import Rows
+
+# Singular values below this share of the largest count as nothing known.
+_TOLD = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +43,7 @@ class Regression:
     rows: Rows
     knots: Array
     floor: float
-    movable: Array
+    movable: NDArray[np.bool_]
     datum: Array
     drifting: tuple[int, ...] = ()
 
@@ -70,7 +74,9 @@ class Regression:
         y = self.axis
         spring, slip = self.parts_of_spring(y), self.rows.elongation[:, self.movable]
         floor = self.floor * spring.sum(axis=1)
-        answer = solve(self.nuisances(), np.hstack([slip, spring]), self.rows.voltage - floor, weights=weights, norm=norm)
+        answer = solve(
+            self.nuisances(), np.hstack([slip, spring]), self.rows.voltage - floor, weights=weights, norm=norm
+        )
         stiffness = np.zeros(self.movable.size)
         stiffness[self.movable] = answer.nonnegative[: slip.shape[1]]
         slopes = answer.nonnegative[slip.shape[1] :] + self.floor
@@ -109,15 +115,14 @@ class Regression:
         )
 
     def determined(self) -> tuple[int, int]:
-        """Directions of the stiffnesses that the rows tell, and their number (theory: rank once the rest is projected out)."""
+        """Directions of the stiffnesses that the rows tell, and their number (rank, the rest projected out)."""
         slip = self.rows.elongation[:, self.movable]
         others = np.hstack([self.nuisances(), self.parts_of_spring(self.axis)])
         both = np.hstack([others, slip])
         both = both / np.maximum(np.abs(both).max(axis=0), np.finfo(float).tiny)
-        triangle = np.linalg.qr(both, mode="r")
+        triangle = triangle_of(both)
         values = np.linalg.svd(triangle[others.shape[1] :, others.shape[1] :], compute_uv=False)
-        # The spring of the model is linear between knots; what its knots miss must not count as knowledge.
-        return int(np.count_nonzero(values > 1e-3 * values.max(initial=0.0))), int(slip.shape[1])
+        return int(np.count_nonzero(values > _TOLD * values.max(initial=0.0))), int(slip.shape[1])
 
 
 @dataclass(frozen=True, eq=False)

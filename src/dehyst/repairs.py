@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -54,13 +55,13 @@ def split_at_gaps(record: Record) -> tuple[list[Record], list[str]]:
         where = f"{record.name}: a gap of {length:.4g} s after {record.time[i]:.4g} s"
         if hidden:
             cuts.append(i + 1)
-            said.append(f"{where} may hide a reversal; the record was cut there")
+            said.append(f"{where} may hide a reversal; the record was cut there.")
         else:
-            said.append(f"{where} was bridged")
+            said.append(f"{where} was bridged.")
     if len(said) > 5:
-        said = [*said[:4], f"{record.name}: {len(said) - 4} more gaps, {len(cuts) - 1} cuts in all"]
+        said = [*said[:4], f"{record.name}: {len(said) - 4} more gaps, {len(cuts) - 1} cuts in all."]
     cuts.append(len(record))
-    return [record.slice(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b - a >= 20], said
+    return [record.slice(a, b) for a, b in pairwise(cuts) if b - a >= 20], said
 
 
 def cycle_time(record: Record) -> float:

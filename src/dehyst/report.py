@@ -47,7 +47,9 @@ td.text,th.text{text-align:left;white-space:normal;overflow-wrap:anywhere;min-wi
 ul{margin:.3rem 0;padding-left:1.2rem}li{margin:.25rem 0;overflow-wrap:anywhere}
 figure{margin:1rem 0 1.6rem}
 figcaption{font-size:.92rem;color:#444;margin-bottom:.8rem;max-width:60rem}
-.panels{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,25rem),1fr));gap:1.2rem 1.6rem}
+.panels{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,25rem),1fr));gap:1.2rem 1.6rem;
+ align-items:end}
+.tables{align-items:start}
 .panel{min-width:0;break-inside:avoid}
 svg{display:block;width:100%;height:auto;max-width:40rem}
 svg text{font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif!important}
@@ -58,7 +60,7 @@ dt{color:#666}dd{margin:0;overflow-wrap:anywhere}
 pre,code{font-family:ui-monospace,Menlo,Consolas,monospace;font-size:.85rem}
 pre{background:#f5f5f5;padding:.7rem .9rem;white-space:pre-wrap;overflow-wrap:anywhere}
 @media(max-width:40rem){dl{grid-template-columns:1fr;gap:0}dd{margin-bottom:.5rem}body{padding:1rem 1rem 3rem}}
-@media print{body{max-width:none;padding:0;font-size:10pt}h2{break-after:avoid}
+@media print{body{max-width:none;padding:0;font-size:10pt}h2,figcaption{break-after:avoid;break-inside:avoid}
  .panels{grid-template-columns:1fr 1fr}.outcome{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
 """
 # The policy forbids the browser any request, whatever a name or a sentence holds.
@@ -207,11 +209,10 @@ def _said(sentence: str) -> str:
 
 def _shown(fit: Fit) -> list[tuple[Trace, float]]:
     """Traces to draw, each with the stroke to which its percentages refer."""
-    strokes = [error.stroke for error in fit.errors]
-    if len(strokes) != len(fit.traces):
-        strokes = [max(float(np.ptp(trace.measured)) for trace in fit.traces)] * len(fit.traces) if fit.traces else []
-    pairs = zip(fit.traces, strokes, strict=True)
-    return [(trace, stroke) for trace, stroke in pairs if trace.time.size > 1][:MOST_RECORDS]
+    traces = [trace for trace in fit.traces if trace.time.size > 1]
+    widest = max((float(np.ptp(trace.measured)) for trace in traces), default=0.0)
+    stroke = fit.errors[0].stroke if fit.errors else widest
+    return [(trace, stroke) for trace in traces[:MOST_RECORDS]]
 
 
 def _only(fit: Fit) -> str:
@@ -246,6 +247,8 @@ def _residuals(fit: Fit) -> str:
         "what the model cannot follow; an even band is the sensor's noise. The circle marks the largest residual; all "
         "panels share one scale." + _only(fit)
     )
+    if any(trace.time.size > plot.MOST_BRANCH_POINTS for trace, _ in shown):
+        caption += f" Against displacement, {plot.MOST_BRANCH_POINTS} samples of a longer record are drawn."
     return _figure("Residuals: measured minus simulated", caption, panels)
 
 
@@ -290,7 +293,7 @@ def _numbers(actuator: Actuator) -> str:
     second = _table(("Knot", "y (µm)", "η (V)"), knots, texts=0)
     return (
         "<details>\n<summary>The model's numbers</summary>\n"
-        f'<div class="panels">\n<div><h3>Slip elements</h3>\n{first}'
+        f'<div class="panels tables">\n<div><h3>Slip elements</h3>\n{first}'
         f"</div>\n<div><h3>Knots of the parallel spring</h3>\n{second}</div>\n</div>\n</details>"
     )
 
@@ -349,7 +352,7 @@ def _column(values: Array) -> list[str]:
     """Write a column with the decimals that give its largest value six digits."""
     largest = float(np.abs(values).max())
     decimals = min(12, max(0, 5 - math.floor(math.log10(largest)))) if largest > 0 else 0
-    return [f"{float(value):.{decimals}f}".replace("-", MINUS) for value in values]
+    return [f"{float(value):.{decimals}f}".replace("-", MINUS) if value else "0" for value in values]
 
 
 def _table(head: Row, rows: Iterable[Row], texts: int) -> str:

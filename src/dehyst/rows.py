@@ -7,6 +7,7 @@ every other cart stands still: it adds kappa y and a constant. Such a stretch is
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +107,9 @@ def _grows(v: Array, tolerance: float) -> NDArray[np.bool_]:
     return grown
 
 
-def collect(pieces: list[tuple[int, Record, Array]], breakaway: Array, noise: list[float]) -> tuple[Rows, list[list[Epoch]]]:
+def collect(
+    pieces: list[tuple[int, Record, Array]], breakaway: Array, noise: list[float]
+) -> tuple[Rows, list[list[Epoch]]]:
     """Stack the samples that count.
 
     Parameters
@@ -122,7 +125,7 @@ def collect(pieces: list[tuple[int, Record, Array]], breakaway: Array, noise: li
     Rows, list of list of Epoch
         The epochs of each piece.
     """
-    parts: list[tuple[Array, ...]] = []
+    parts: list[tuple[NDArray[Any], ...]] = []
     all_epochs: list[list[Epoch]] = []
     count = 0
     for (number, piece, drift), sigma in zip(pieces, noise, strict=True):
@@ -144,4 +147,4 @@ def collect(pieces: list[tuple[int, Record, Array]], breakaway: Array, noise: li
         empty = np.zeros(0)
         none = np.zeros((0, breakaway.size))
         return Rows(none, none > 0, empty, empty, empty, empty.astype(int), empty.astype(int)), all_epochs
-    return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True))), all_epochs  # type: ignore[arg-type]
+    return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True))), all_epochs

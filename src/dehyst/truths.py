@@ -18,7 +18,7 @@ from dehyst._native import Array, vector
 class PlayActuator:
     """Play operators of the voltage, summed and seen through an asymmetric map.
 
-    ``w = c v + sum_j p_j play_{r_j}[v]`` scaled to 1 at the first `voltage`-high turn, then
+    ``w = (1 - width) v / highest + width sum_j p_j play_{r_j}[v]``, 0 and 1 at the ends of the major loop, then
     ``y = stroke (w + asymmetry w (w - 1) + bend w (w - 1)(w - 1/2))``: the loop is not anti-symmetric and its width
     changes along the stroke.
 
@@ -42,7 +42,7 @@ class PlayActuator:
 
     stroke: float = 16.152e-6
     highest: float = 200.0
-    width: float = 0.31
+    width: float = 0.55
     asymmetry: float = 0.10
     bend: float = 0.12
     plays: int = 300
@@ -56,7 +56,7 @@ class PlayActuator:
     def __post_init__(self) -> None:
         w = np.linspace(-0.1, 1.1, 400)
         if np.any(np.diff(self._mapped(w)) <= 0):
-            raise ModelError(f"asymmetry {self.asymmetry} and bend {self.bend}: the map must increase; try smaller ones")
+            raise ModelError(f"asymmetry {self.asymmetry} and bend {self.bend}: the map must increase; try less")
         self._thresholds = 0.5 * self.highest * (np.arange(self.plays) + 0.5) / self.plays
         density = np.exp(-2.5 * self._thresholds / (0.5 * self.highest))
         reach = self.highest - 2 * self._thresholds

@@ -1,0 +1,47 @@
+# make demo   install into .venv and run the main job on a virtual actuator
+# make test   install with the tests' dependencies and run every test
+# make check  lint, types, import contracts, and the C core under strict warnings
+# make bench  measure speed and accuracy, write benchmarks/*.json and the README's table
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/* src/*.cpp src/dehyst/* src/dehyst/*/*)
+
+.PHONY: demo test check bench clean
+
+demo: $(VENV)/.report
+	$(BIN)/dehyst demo
+
+test: $(VENV)/.test
+	$(BIN)/python -m pytest
+
+check: $(VENV)/.check
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	sh core/check.sh
+
+bench: $(VENV)/.test
+	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/accuracy.py
+	$(BIN)/python benchmarks/readme.py
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.report: $(BIN)/python $(SOURCES)
+	$(BIN)/python -m pip install --quiet '.[report]'
+	touch $@
+
+$(VENV)/.test: $(BIN)/python $(SOURCES)
+	$(BIN)/python -m pip install --quiet '.[test]'
+	touch $@ $(VENV)/.report
+
+$(VENV)/.check: $(BIN)/python $(SOURCES)
+	$(BIN)/python -m pip install --quiet '.[test,check]'
+	touch $@ $(VENV)/.test $(VENV)/.report
+
+clean:
+	rm -rf build dehyst-demo $(VENV)

@@ -1,0 +1,30 @@
+#!/bin/sh
+# The core as firmware would build it: strict warnings, link-time optimisation, no library but the compiler's own.
+set -eu
+cd "$(dirname "$0")"
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+flags="-std=c99 -O3 -Wall -Wextra -Werror -pedantic -Wconversion -Wno-sign-conversion -flto -ffp-contract=off"
+cat >"$work/main.c" <<'C'
+#include "dehyst.h"
+int main(void)
+{
+    dehyst_real cart = 0;
+    dehyst_state state = {0, &cart};
+    return state.y != 0;
+}
+C
+# shellcheck disable=SC2086
+${CC:-gcc} $flags -I. dehyst.c "$work/main.c" -o "$work/check"
+"$work/check"
+${CC:-gcc} -std=c99 -O2 -ffreestanding -ffp-contract=off -I. -c dehyst.c -o "$work/dehyst.o"
+needed=$(nm -u "$work/dehyst.o" | grep -vE ' (memcpy|memset|memmove)$' || true)
+[ -z "$needed" ] || { echo "the core needs from outside: $needed"; exit 1; }
+# The strict build must really be strict: a core with an unused variable has to fail.
+{ cat dehyst.c; echo 'int dehyst_probe(void) { int unused; return 0; }'; } >"$work/probe.c"
+# shellcheck disable=SC2086
+if ${CC:-gcc} $flags -I. -c "$work/probe.c" -o "$work/probe.o" 2>/dev/null; then
+    echo "the warning flags no longer take effect"
+    exit 1
+fi
+echo "core: strict build, no outside symbols"

@@ -1,0 +1,135 @@
+"""The journey on a virtual actuator that is no instance of the model: record, identify, compensate, verify."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dehyst._errors import FileFormatError
+from dehyst._native import Array
+from dehyst.compensator import Compensator
+from dehyst.excite import descending_tops, raised_cosine
+from dehyst.files import write_columns, write_json, write_record
+from dehyst.identify import identify
+from dehyst.metrics import largest, percent, rms
+from dehyst.model import Fit
+from dehyst.record import Record
+from dehyst.truths import PlayActuator
+
+_SAMPLES = 400
+_RATE = 0.01 * _SAMPLES
+# Turning points of the path to follow, as fractions of the stroke: nine of them, no two alike.
+_PATH = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9)
+# The paper: Sec. 4.3 and Fig. 12.
+_PAPER = {"linear": 13.63, "compensated": 0.76}
+
+
+@dataclass(frozen=True, eq=False)
+class Demo:
+    """What the demo found; errors in % of the stroke."""
+
+    fit: Fit
+    time: Array
+    wanted: Array
+    linear: Array
+    compensated: Array
+    voltage: Array
+    stroke: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {
+            "stroke_um": self.stroke * 1e6,
+            "linear": self._errors(self.linear),
+            "compensated": self._errors(self.compensated),
+            "paper": {f"{kind}_largest_percent": value for kind, value in _PAPER.items()},
+            "fit": self.fit.as_dict(),
+        }
+
+    def _errors(self, reached: Array) -> dict[str, float]:
+        error = reached - self.wanted
+        return {
+            "largest_percent": percent(largest(error), self.stroke),
+            "rms_percent": percent(rms(error), self.stroke),
+            "largest_um": 1e6 * largest(error),
+        }
+
+
+def wanted_path(stroke: float) -> Array:
+    """Path with nine reversals [m], smooth between them."""
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, _SAMPLES // 2 + 1) / (_SAMPLES // 2))
+    legs = [start + (end - start) * rise for start, end in pairwise(_PATH)]
+    return stroke * np.concatenate([[_PATH[0]], *legs])
+
+
+def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
+    """Two major loops and descending tops in one run, for training; loops of other heights, for validation."""
+    records = []
+    tops = np.concatenate([raised_cosine([truth.highest] * 2, samples=_SAMPLES),
+                           descending_tops(truth.highest, samples=_SAMPLES)])  # fmt: skip
+    others = raised_cosine([0.75 * truth.highest] * 2 + [0.45 * truth.highest] * 2, samples=_SAMPLES)
+    for name, plan in (("loops", tops), ("other-loops", others)):
+        voltage = np.concatenate([[0.0], plan])
+        records.append(Record(np.arange(voltage.size) / _RATE, voltage, truth.drive(voltage), name=name))
+    return records[0], records[1]
+
+
+def run(progress: Callable[[str], None] = lambda _: None) -> Demo:
+    """Run the whole journey; everything is seeded, so that it always gives the same numbers."""
+    truth = PlayActuator()
+    progress("recording loops of a virtual actuator")
+    training, validation = record_loops(truth)
+    fit = identify(training, validate=validation, progress=progress)
+    progress("playing the compensating voltage into the virtual actuator")
+    wanted = wanted_path(truth.stroke)
+    # Up to the highest voltage and down to 0 V: after it the state is known, whatever it was.
+    homing = np.concatenate([np.linspace(0, truth.highest, _SAMPLES), np.linspace(truth.highest, 0, _SAMPLES)])
+    actuator = fit.actuator
+    homed = actuator.simulate(homing).state
+    command = Compensator(actuator, (0.0, truth.highest)).trajectory(wanted, state=homed)
+    truth.drive(homing)
+    compensated = truth.drive(command.voltage, measured=False)
+    truth.drive(homing)
+    linear = truth.drive(wanted * truth.highest / truth.stroke, measured=False)
+    return Demo(fit, np.arange(wanted.size) / _RATE, wanted, linear, compensated, command.voltage, truth.stroke)
+
+
+def write(demo: Demo, folder: str | Path, *, report: bool = True) -> list[Path]:
+    """Leave the records, the model, the path, the numbers and the report in a folder; returns what was written.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder cannot be made.
+    MissingExtraError
+        If a report is wanted and matplotlib is missing.
+    """
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileFormatError(
+            f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
+        ) from error
+    training, validation = record_loops(PlayActuator())
+    write_record(target / "loops.csv", training)
+    write_record(target / "other-loops.csv", validation)
+    demo.fit.actuator.save(target / "model.json")
+    write_columns(target / "tracking.csv", {
+        "time_s": demo.time, "wanted_um": demo.wanted * 1e6, "voltage_V": demo.voltage,
+        "compensated_um": demo.compensated * 1e6, "linear_um": demo.linear * 1e6,
+    })  # fmt: skip
+    write_json(target / "demo.json", demo.as_dict())
+    names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json"]
+    if report:
+        from dehyst.report import write_report
+
+        write_report(target / "report.html", demo.fit, command="dehyst identify loops.csv --validate other-loops.csv "
+                     "-o model.json --report report.html")  # fmt: skip
+        names.append("report.html")
+    return [target / name for name in names]

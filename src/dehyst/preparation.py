@@ -1,0 +1,107 @@
+"""A record made ready for identification: checked, its start-up transient left out, cut at gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dehyst import repairs
+from dehyst._errors import IdentifyError
+from dehyst._native import Array
+from dehyst.record import Record
+from dehyst.rows import epochs
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """One record, ready; voltages not yet delayed.
+
+    Attributes
+    ----------
+    record : Record
+        Without its start-up transient.
+    pieces : tuple of Record
+        The same between gaps.
+    start : float
+        Time of the first sample [s], from which creep counts.
+    noise : float
+        Of the sensor [m].
+    can_drift : bool
+        Whether it has cycles enough to tell a drift from hysteresis.
+    sentences : tuple of str
+        What was repaired.
+    """
+
+    record: Record
+    pieces: tuple[Record, ...]
+    start: float
+    noise: float
+    can_drift: bool
+    sentences: tuple[str, ...]
+
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest displacement [m] of the loops: of samples that count and of the turn before them."""
+        counted = [
+            np.append(piece.displacement[epoch.start : epoch.stop], piece.displacement[epoch.turn])
+            for piece in self.pieces
+            for epoch in epochs(piece, self.noise)
+        ]
+        if not counted:
+            raise IdentifyError(
+                f"{self.record.name}: no sample counts, for the voltage never comes back into the range it has been "
+                "in. Record one full cycle at least, better two"
+            )
+        return min(float(y.min()) for y in counted), max(float(y.max()) for y in counted)
+
+    def delayed(self, number: int, delay: float) -> list[tuple[int, Record, Array]]:
+        """(record number, piece, drift curve) of each piece, for `rows.collect`."""
+        pieces = [piece.delayed(delay) if delay else piece for piece in self.pieces]
+        whole = repairs.drift_curve(self.record, self.start)
+        return [(number, piece, np.interp(piece.time, self.record.time, whole)) for piece in pieces]
+
+    def source(self) -> dict[str, Any]:
+        """Where the record came from: name, file and hash."""
+        meta = self.record.meta
+        return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256") if key in meta}}
+
+
+def prepare(record: Record) -> Prepared:
+    """Check a record and leave out what cannot be used.
+
+    Raises
+    ------
+    RecordError
+        If it cannot be used at all.
+    """
+    record.check_usable()
+    sentences = [sentence if record.name in sentence else f"{record.name}: {sentence}"
+                 for sentence in record.problems() if "gap" not in sentence]  # fmt: skip
+    dropped = repairs.transient(record)
+    kept = record.slice(dropped, len(record)) if dropped else record
+    if dropped:
+        until = float(record.time[dropped] - record.time[0])
+        sentences.append(
+            f"{record.name}: the first {until:.4g} s ({dropped} samples) lie outside the loops that follow, a start-up "
+            "transient or a rise from an unknown state; left out."
+        )
+    pieces, gaps = repairs.split_at_gaps(kept)
+    return Prepared(kept, tuple(pieces), float(record.time[0]), record.noise, len(record.cycles()) >= 3,
+                    (*sentences, *gaps))  # fmt: skip
+
+
+def as_list(records: Record | Sequence[Record]) -> list[Record]:
+    """One record or several, as a list.
+
+    Raises
+    ------
+    IdentifyError
+        If something else was given.
+    """
+    given = [records] if isinstance(records, Record) else list(records)
+    for item in given:
+        if not isinstance(item, Record):
+            raise IdentifyError(f"got {type(item).__name__}, need records; read a file with dehyst.read(path)")
+    return given

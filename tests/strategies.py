@@ -1,0 +1,136 @@
+"""Random actuators, states and paths for property tests.
+
+Hypothesis draws few small numbers (a seed, sizes, a kind); NumPy makes the arrays from them. That keeps drawing quick
+and lets an example shrink to few elements, few knots and a short path of a named kind.
+"""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from dehyst import Actuator, MaxwellSlip, Spring, State
+
+SEEDS = st.integers(0, 2**32 - 1)
+STATE_KINDS = ("relaxed", "turned up", "turned down", "reached", "arbitrary", "extreme")
+PATH_KINDS = ("walk", "decay", "repeated", "constant", "jumps", "noisy ramp", "break points")
+
+
+def make_slip(rng, n, span, volts, *, uniform, zeros):
+    """Return n elements whose largest breakaway is between a twentieth and all of the span."""
+    gaps = np.ones(n) if uniform else rng.lognormal(sigma=1.5, size=n)
+    rho = span * rng.uniform(0.05, 1.0) * (np.cumsum(gaps) / max(gaps.sum(), 1e-300))
+    if uniform and n:
+        rho = rho[0] * np.arange(1, n + 1)
+    kappa = rng.exponential(volts / span / max(n, 1), size=n)
+    kappa[rng.random(n) < zeros] = 0.0
+    return MaxwellSlip(rho, kappa)
+
+
+def make_spring(rng, m, span, volts):
+    """Return a spring of m knots; slopes between a fifth and five times the mean keep the inverse well conditioned."""
+    gaps = rng.uniform(0.2, 1.0, m - 1)
+    knots = span * (np.concatenate([[0.0], np.cumsum(gaps)]) / gaps.sum() - rng.uniform(0, 1))
+    slopes = volts / span * np.exp(rng.uniform(-1.6, 1.6, m - 1))
+    values = np.concatenate([[0.0], np.cumsum(slopes * np.diff(knots))])
+    return Spring(knots, values - rng.uniform(0, 1) * values[-1])
+
+
+def make_actuator(seed, n, m, uniform=True, zeros=0.0):
+    rng = np.random.default_rng(seed)
+    span, volts = 10 ** rng.uniform(-7, -3), 10 ** rng.uniform(0, 3)
+    return Actuator(make_slip(rng, n, span, volts, uniform=uniform, zeros=zeros), make_spring(rng, m, span, volts))
+
+
+def actuators(min_elements=0, max_elements=40, knots=None):
+    """Draw actuators of micrometres to millimetres and volts to kilovolts."""
+    return st.builds(
+        make_actuator,
+        SEEDS,
+        st.integers(min_elements, max_elements),
+        st.integers(2, 30) if knots is None else st.just(knots),
+        st.booleans(),
+        st.sampled_from([0.0, 0.0, 0.3, 1.0]),
+    )
+
+
+def wide_actuators():
+    """Draw mostly small banks of elements, now and then a thousand."""
+    return st.one_of(actuators(), actuators(), actuators(), actuators(1000, 1000))
+
+
+def span_of(actuator):
+    """Length [m] between the spring's outer knots."""
+    return float(np.ptp(actuator.spring.displacement))
+
+
+def volts_of(actuator):
+    """Voltage [V] of the major loop over the spring's knots: the scale of rounding in the force balance."""
+    return float(np.ptp(actuator.spring.voltage) + 2 * actuator.slip.friction.sum())
+
+
+def slide(rho, carts, path):
+    """Move carts along a path of displacements, written down once more."""
+    for y in path:
+        carts = np.clip(carts, y - rho, y + rho)
+    return carts
+
+
+def make_state(actuator, seed, kind):
+    rng = np.random.default_rng([seed, 1])
+    rho, knots = actuator.slip.breakaway, actuator.spring.displacement
+    y = rng.uniform(knots[0], knots[-1])
+    if kind == "relaxed":
+        return State(y, np.full(rho.size, y))
+    if kind.startswith("turned"):
+        return actuator.turned(y, rising=kind.endswith("up"))
+    if kind == "extreme":
+        return State(y, y + rng.choice([-1, 1], rho.size) * rho)
+    if kind == "arbitrary":
+        return State(y, y + rng.uniform(-1, 1, rho.size) * rho)
+    history = make_path(actuator, y, seed, "walk", 30)
+    return State(history[-1], slide(rho, np.full(rho.size, y), history))
+
+
+def make_path(actuator, start, seed, kind, n):
+    """Return n displacements [m]; `start` is where the actuator stands before the first."""
+    rng = np.random.default_rng([seed, 2])
+    span, knots = span_of(actuator), actuator.spring.displacement
+    middle = 0.5 * (knots[0] + knots[-1])
+    if kind == "walk":
+        return start + np.cumsum(rng.normal(scale=span * 10 ** rng.uniform(-2, 0), size=n))
+    if kind == "decay":
+        amplitude = span * rng.uniform(0.3, 1.5) * (1 - np.arange(n) / max(n, 1)) ** rng.uniform(0.5, 3)
+        return middle + amplitude * np.where(np.arange(n) % 2, -1, 1)
+    if kind == "repeated":
+        return np.repeat(rng.uniform(knots[0], knots[-1], n), rng.integers(1, 4, n))[:n]
+    if kind == "constant":
+        return np.full(n, rng.choice([start, knots[0], middle]))
+    if kind == "jumps":
+        return middle + span * rng.standard_cauchy(n).clip(-20, 20)
+    if kind == "noisy ramp":
+        return np.linspace(knots[0], knots[-1], n) + rng.normal(scale=span * 10 ** rng.uniform(-6, -1), size=n)
+    # Turns exactly where elements begin to slide and where segments of the spring meet: every comparison is a tie.
+    hops = np.concatenate([2 * actuator.slip.breakaway, [0.0]])
+    at = np.where(rng.random(n) < 0.5, rng.choice(knots, n), np.nan)
+    path = np.empty(n)
+    for t in range(n):
+        last = path[t - 1] if t else start
+        path[t] = last + rng.choice([-1, 1]) * rng.choice(hops) if np.isnan(at[t]) else at[t]
+    return path
+
+
+@st.composite
+def motions(draw, bank=None, states=STATE_KINDS, paths=PATH_KINDS, max_samples=120):
+    """Draw an actuator, a state of it and a path of displacements [m] from there."""
+    actuator = draw(wide_actuators() if bank is None else bank)
+    seed = draw(SEEDS)
+    state = make_state(actuator, seed, draw(st.sampled_from(states)))
+    kind, n = draw(st.sampled_from(paths)), draw(st.integers(0, max_samples))
+    return actuator, state, make_path(actuator, state.displacement, seed, kind, n)
+
+
+def voltages_like(actuator, state, path, seed):
+    """Return voltages [V] that reach as far as the path does, but are not its compensation."""
+    if not len(path):
+        return np.zeros(0)
+    v = actuator.compensate(path, state=state).voltage
+    return v + np.random.default_rng([seed, 3]).normal(scale=0.05 * volts_of(actuator)) * (1 + 0 * v)

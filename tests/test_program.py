@@ -1,0 +1,193 @@
+"""The convex program against solvers that share nothing with it, and against arithmetic on small cases."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog, lsq_linear
+
+from dehyst import IdentifyError
+from dehyst.program import NORMS, linear_program, solve
+
+CASES = [(seed, free, positive) for seed in range(4) for free, positive in ((1, 5), (3, 8), (0, 6), (4, 0))]
+
+
+def problem(seed, free, positive, rows=60):
+    """A random problem whose best coefficients lie partly on their bound."""
+    rng = np.random.default_rng(seed)
+    f, p = rng.normal(size=(rows, free)), rng.normal(size=(rows, positive))
+    b = f @ rng.normal(size=free) + p @ rng.normal(size=positive) + 0.3 * rng.standard_t(2, rows)
+    return f, p, b, rng.uniform(0.1, 1.0, rows)
+
+
+def value(norm, residual, weights):
+    """The objective, weights as the program scales them: relative to the largest."""
+    r = np.abs(residual) * weights / weights.max()
+    return {"l1": r.sum(), "l2": np.sqrt(r @ r), "linf": r.max()}[norm]
+
+
+def reference(norm, f, p, b, weights):
+    """The least objective by SciPy: HiGHS on the primal program in epigraph form, or its bounded least squares."""
+    a, w = np.hstack([f, p]), weights / weights.max()
+    q = a.shape[1]
+    low = np.where(np.arange(q) < f.shape[1], -np.inf, 0.0)
+    if norm == "l2":
+        found = lsq_linear(a * w[:, None], b * w, (low, np.full(q, np.inf)), method="bvls", tol=1e-14, max_iter=1000)
+        return np.sqrt(2 * found.cost)
+    t = np.diag(1 / w) if norm == "l1" else 1 / w[:, None]
+    cost = np.concatenate([np.zeros(q), np.ones(t.shape[1])])
+    bounds = [(x if np.isfinite(x) else None, None) for x in low] + [(0, None)] * t.shape[1]
+    answer = linprog(cost, np.block([[a, -t], [-a, -t]]), np.concatenate([b, -b]), bounds=bounds)
+    assert answer.status == 0
+    return answer.fun
+
+
+@pytest.mark.parametrize("norm", NORMS)
+@pytest.mark.parametrize(("seed", "free", "positive"), CASES)
+def test_agrees_with_another_solver(norm, seed, free, positive):
+    f, p, b, w = problem(seed, free, positive)
+    found = solve(f, p, b, weights=w, norm=norm)
+    assert found.optimal
+    assert np.all(found.nonnegative >= 0)
+    np.testing.assert_allclose(found.residual, f @ found.free + p @ found.nonnegative - b, atol=1e-12)
+    assert value(norm, found.residual, w) == pytest.approx(reference(norm, f, p, b, w), rel=1e-8)
+    assert abs(found.gap) < 1e-8
+
+
+def test_least_squares_by_trying_every_set_of_active_bounds():
+    f, p, b, _ = problem(7, 2, 6)
+    best = np.inf
+    for size in range(7):
+        for chosen in combinations(range(6), size):
+            a = np.hstack([f, p[:, chosen]])
+            x = np.linalg.lstsq(a, b, rcond=None)[0]
+            if np.all(x[2:] >= 0):
+                best = min(best, np.linalg.norm(a @ x - b))
+    assert np.linalg.norm(solve(f, p, b, norm="l2").residual) == pytest.approx(best, rel=1e-12)
+
+
+def test_the_l1_fit_of_a_constant_is_the_median_and_linf_the_middle():
+    b = np.array([1.0, 2.0, 3.5, 10.0, 40.0])
+    one, none = np.ones((5, 1)), np.zeros((5, 0))
+    assert solve(one, none, b, norm="l1").free[0] == pytest.approx(3.5, rel=1e-12)
+    assert solve(one, none, b, norm="l2").free[0] == pytest.approx(11.3, rel=1e-12)
+    assert solve(one, none, b, norm="linf").free[0] == pytest.approx(20.5, rel=1e-12)
+
+
+@pytest.mark.parametrize("norm", NORMS)
+def test_exact_data_are_met_exactly_whatever_the_units(norm):
+    rng = np.random.default_rng(3)
+    scale = 10.0 ** rng.uniform(-9, 9, 10)
+    x = np.concatenate([rng.normal(size=3), rng.uniform(0.1, 1, 6), [0.0]])
+    a = rng.normal(size=(300, 10))
+    found = solve(a[:, :3] * scale[:3], a[:, 3:] * scale[3:], a @ x, weights=rng.uniform(0.01, 1, 300), norm=norm)
+    got = np.concatenate([found.free, found.nonnegative]) * scale
+    np.testing.assert_allclose(got, x, atol=1e-9)
+    assert abs(found.gap) < 1e-9
+
+
+@pytest.mark.parametrize("norm", NORMS)
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_units_of_the_target_only_scale_the_answer(norm, unit):
+    f, p, b, w = problem(11, 2, 5)
+    one, other = solve(f, p, b, weights=w, norm=norm), solve(f, p, b * unit, weights=w * unit, norm=norm)
+    np.testing.assert_allclose(other.nonnegative, one.nonnegative * unit, rtol=1e-7, atol=1e-9 * unit)
+    assert value(norm, other.residual, w) == pytest.approx(unit * value(norm, one.residual, w), rel=1e-9)
+
+
+@pytest.mark.parametrize("norm", NORMS)
+@pytest.mark.parametrize("seed", range(4))
+def test_dependent_columns_change_nothing_but_the_split(norm, seed):
+    f, p, b, w = problem(seed, 2, 4)
+    zeros = np.zeros((len(b), 1))
+    best = value(norm, solve(f, p, b, weights=w, norm=norm).residual, w)
+    wider = {"p twice": (f, np.hstack([p, p[:, :1]])), "p and zeros": (f, np.hstack([zeros, p])),
+             "f twice": (np.hstack([f, 2 * f[:, :1]]), p), "f and zeros": (np.hstack([zeros, f]), p)}  # fmt: skip
+    for name, (more_f, more_p) in wider.items():
+        found = solve(more_f, more_p, b, weights=w, norm=norm)
+        assert found.optimal, name
+        assert np.all(np.isfinite(np.concatenate([found.free, found.nonnegative]))), name
+        assert value(norm, found.residual, w) == pytest.approx(best, rel=1e-8), name
+        assert abs(found.gap) < 1e-8, name
+
+
+@pytest.mark.parametrize("norm", NORMS)
+def test_a_free_column_may_be_negative_and_a_bounded_one_not(norm):
+    t = np.linspace(0, 1, 50)[:, None]
+    assert solve(t, np.zeros((50, 0)), -2 * t[:, 0], norm=norm).free[0] == pytest.approx(-2, rel=1e-9)
+    bounded = solve(np.zeros((50, 0)), t, -2 * t[:, 0], norm=norm)
+    assert bounded.nonnegative[0] == 0
+    np.testing.assert_allclose(bounded.residual, 2 * t[:, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("norm", NORMS)
+def test_a_target_of_zeros_has_coefficients_zero(norm):
+    f, p, _, w = problem(8, 2, 3)
+    found = solve(f, p, np.zeros(len(f)), weights=w, norm=norm)
+    np.testing.assert_allclose(np.concatenate([found.free, found.nonnegative]), 0.0, atol=1e-12)
+    assert abs(found.gap) < 1e-9
+
+
+def test_row_generation_sees_rows_that_its_first_choice_left_out():
+    t = np.linspace(0, 1, 5003)
+    b = 3 * t
+    b[1237] += 1.0
+    b[4001] -= 1.0
+    found = solve(np.ones((5003, 1)), t[:, None], b, norm="linf")
+    assert found.optimal
+    exact = reference("linf", np.ones((5003, 1)), t[:, None], b, np.ones(5003))
+    assert np.abs(found.residual).max() == pytest.approx(exact, rel=1e-9)
+
+
+def test_l1_is_not_moved_by_outliers():
+    rng = np.random.default_rng(2)
+    f, p = np.ones((200, 1)), rng.uniform(0, 1, (200, 3))
+    b = 0.5 + p @ [1.0, 2.0, 0.0]
+    b[rng.choice(200, 40, replace=False)] += 50.0
+    found = solve(f, p, b, norm="l1")
+    np.testing.assert_allclose(np.append(found.free, found.nonnegative), [0.5, 1.0, 2.0, 0.0], atol=1e-9)
+
+
+def test_the_same_question_has_the_same_answer_to_the_bit():
+    f, p, b, w = problem(9, 3, 8)
+    for norm in NORMS:
+        one, two = (solve(f, p, b, weights=w, norm=norm) for _ in range(2))
+        assert one.free.tobytes() + one.nonnegative.tobytes() == two.free.tobytes() + two.nonnegative.tobytes()
+
+
+def test_refusals():
+    f, p, b, _ = problem(0, 3, 2)
+    with pytest.raises(IdentifyError, match=r"norm: got 'l3', need one of l1, l2, linf"):
+        solve(f, p, b, norm="l3")
+    for norm in NORMS:
+        with pytest.raises(IdentifyError, match="got 2 rows for 5 unknowns, need more samples"):
+            solve(f[:2], p[:2], b[:2], norm=norm)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_linear_program_and_its_dual_meet(seed):
+    rng = np.random.default_rng(seed)
+    rows, cost = rng.normal(size=(15, 8)), rng.normal(size=8)
+    inside = rng.uniform(-1, 1, 8)
+    bounds = np.where(np.arange(8) < 4, -2.0, -3.0), np.full(8, 2.0)
+    limits = rows @ inside - rng.uniform(0, 1, 15), np.where(np.arange(15) < 7, rows @ inside, np.inf)
+    x, objective, optimal, status, dual = linear_program(cost, bounds, rows, limits)
+    assert optimal, status
+    assert objective == pytest.approx(cost @ x, rel=1e-12)
+    assert dual == pytest.approx(objective, rel=1e-8)
+    assert np.all(rows @ x >= limits[0] - 1e-8)
+    assert np.all(rows @ x <= limits[1] + 1e-8)
+    bounded = np.isfinite(limits[1])
+    other = linprog(cost, np.vstack([-rows, rows[bounded]]), np.concatenate([-limits[0], limits[1][bounded]]),
+                    bounds=list(zip(*bounds, strict=True)))  # fmt: skip
+    assert objective == pytest.approx(other.fun, rel=1e-8)
+
+
+def test_a_linear_program_without_an_optimum_says_so():
+    nothing = linear_program(np.ones(1), (np.zeros(1), np.ones(1)), np.ones((1, 1)), (np.full(1, 3.0), np.full(1, 4.0)))
+    assert not nothing[2]
+    assert "nfeasible" in nothing[3]
+    above = np.zeros(1), np.full(1, np.inf)
+    endless = linear_program(-np.ones(1), above, np.ones((1, 1)), above)
+    assert not endless[2]
+    assert "nbounded" in endless[3]

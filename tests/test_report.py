@@ -1,0 +1,260 @@
+import html
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from dehyst import plot, report
+from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst.actuator import Actuator
+from dehyst.elements import MaxwellSlip, Spring
+from dehyst.model import Fit, Outcome, RecordErrors, Trace
+
+HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$ " + "long_" * 60
+VOID = {"meta", "br", "hr", "img", "link", "input"}
+
+
+class Page(HTMLParser):
+    """Checks that every tag is closed in order; keeps tags, attributes and text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.attributes, self.text = [], [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes.extend((tag, key, value) for key, value in attrs)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes.extend((tag, key, value) for key, value in attrs)
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
+        self.open.pop()
+
+    def handle_data(self, data):
+        if not {"style", "script"} & set(self.open):
+            self.text.append(data)
+
+    @property
+    def words(self):
+        return re.sub(r"\s+", " ", "".join(self.text))
+
+
+def actuator(name="stage", elements=3):
+    slip = MaxwellSlip(np.arange(1, elements + 1) * 2e-6, np.linspace(2e5, 0, elements, endpoint=False))
+    return Actuator(slip, Spring([-110e-6, -105e-6, -98e-6, -90e-6], [0, 6, 11, 20]), limits=(0, 20), name=name)
+
+
+def trace(model, name="major", role="training", samples=600, seed=1):
+    time = np.arange(samples) * 1e-3
+    voltage = 10 - 10 * np.cos(2 * np.pi * 3 * time / time[-1])
+    simulated = model.simulate(voltage).displacement
+    noise = np.random.default_rng(seed).normal(0, 2e-8, samples)
+    return Trace(name, role, time, voltage, simulated + noise, simulated)
+
+
+def errors(t, left_out=7):
+    largest, rms = np.abs(t.residual).max(), t.residual.std()
+    return RecordErrors(t.record, t.role, t.time.size, left_out, largest, rms, largest, 2 * rms, 20e-6, 0.1, 1e-6, 3e-7)
+
+
+def fit_of(*traces, model=None, outcome=Outcome.IDENTIFIED, **kwargs):
+    return Fit(model or actuator(), outcome, tuple(errors(t) for t in traces), traces=traces, **kwargs)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    model = actuator()
+    options = {
+        "program": "dehyst 9.8.7", "method": "record", "norm": "l1", "delay_s": 0.0125, "stroke_m": 20e-6,
+        "records": [{"name": "major", "source": "major.csv", "sha256": "ab" * 32}, {"name": "no file"}],
+    }  # fmt: skip
+    return fit_of(
+        trace(model), trace(model, "minor", "validation", seed=2), model=model, options=options, status="optimal",
+        gap=3e-12, repairs=("major: shifted by 3 um", "a gap was bridged"), remarks=("few minor loops",),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def text(fit):
+    return report.render(fit, "dehyst identify 'a b.csv' > out && echo")
+
+
+def test_the_page_is_whole(text):
+    page = Page(text)
+    assert page.tags.count("html") == page.tags.count("main") == page.tags.count("h1") == 1
+    assert page.tags.count("svg") == 2 + 2 * 2 + 2
+    ids = [value for _, key, value in page.attributes if key == "id"]
+    assert len(ids) == len(set(ids))
+    used = set(re.findall(r"url\(#([^)]+)\)", text)) | {
+        value[1:] for _, key, value in page.attributes if key == "xlink:href" and value.startswith("#")
+    }
+    assert used and used <= set(ids)
+
+
+def test_nothing_is_asked_for_from_outside(text):
+    page = Page(text)
+    assert not {"script", "link", "iframe", "object", "embed", "base"} & set(page.tags)
+    for _, key, value in page.attributes:
+        if key in ("src", "href", "xlink:href", "srcset", "action"):
+            assert value.startswith(("#", "data:image/png;base64,"))
+        elif not key.startswith("xmlns"):
+            assert "//" not in (value or "")
+    assert "@import" not in text
+    assert re.findall(r"url\((?!#)", text) == []
+    assert "default-src 'none'" in text
+
+
+def test_it_says_what_the_fit_says(fit, text):
+    words = Page(text).words
+    assert Outcome.IDENTIFIED.value in words
+    assert "major: shifted by 3 µm" in words and "a gap was bridged" in words and "few minor loops" in words
+    for error in fit.errors:
+        assert f"{report.number(error.largest_percent)} %{report.length(error.largest)}" in words
+        assert f"{report.number(error.rms_percent)} %{report.length(error.rms)}" in words
+        assert f"{report.number(2 * error.rms_percent)} %{report.length(2 * error.rms)}" in words
+    for part in ("majortraining", "minorvalidation", "600", "stroke 20.0 µm", "dehyst 9.8.7", "12.50 ms", "ab" * 32,
+                 "major.csv", "no file", "optimal", "3.00e−12", "dehyst identify 'a b.csv' > out && echo"):  # fmt: skip
+        assert part in words
+    assert "0.200000" in words  # kappa_1 [V/um]
+    assert "−98.000" in words  # a knot [um]
+
+
+@pytest.mark.parametrize("outcome", Outcome)
+def test_colour_follows_the_outcome(outcome):
+    expected = "green" if outcome is Outcome.IDENTIFIED else "amber" if outcome.good else "red"
+    assert f'class="outcome {expected}"' in report.render(Fit(None, outcome))
+
+
+def test_hostile_names_stay_text():
+    model = actuator(HOSTILE)
+    t = trace(model, HOSTILE, HOSTILE)
+    options = {HOSTILE: HOSTILE, "records": [{"name": HOSTILE, "source": HOSTILE}], "more": {"a": [HOSTILE]}}
+    fit = fit_of(t, model=model, repairs=(HOSTILE,), remarks=(HOSTILE,), options=options, status=HOSTILE)
+    text = report.render(fit, HOSTILE)
+    page = Page(text)
+    assert "script" not in page.tags and "<script" not in text
+    assert page.words.count(HOSTILE.strip()) >= 9
+    assert html.escape(HOSTILE) in text
+
+
+def test_a_failed_fit_needs_no_drawing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    page = Page(report.render(Fit(None, Outcome.FAILED, status="infeasible")))
+    assert Outcome.FAILED.value in page.words and "infeasible" in page.words and "not known" in page.words
+    assert "svg" not in page.tags and "table" not in page.tags
+
+
+def test_missing_matplotlib_names_the_extra(monkeypatch, fit):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"dehyst\[report\]"):
+        report.render(fit)
+
+
+def test_importing_it_does_not_load_matplotlib():
+    code = "import sys, dehyst.report; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_same_fit_gives_the_same_text(fit, text):
+    import matplotlib
+
+    before = dict(matplotlib.rcParams)
+    with matplotlib.rc_context({"font.size": 30, "axes.facecolor": "red"}):
+        assert report.render(fit, "dehyst identify 'a b.csv' > out && echo") == text
+    assert dict(matplotlib.rcParams) == before
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("elements", [1, 2, 40])
+@pytest.mark.parametrize("size", [0, 1, 2, 50])
+def test_small_fits(elements, size):
+    model = actuator(elements=elements)
+    one = trace(model, samples=600)
+    short = Trace("x", "training", *(z[:size] for z in (one.time, one.voltage, one.measured, one.simulated)))
+    fit = Fit(model, Outcome.UNDETERMINED, traces=(short,))
+    page = Page(report.render(fit))
+    assert page.tags.count("svg") == (5 if size > 1 else 2)
+
+
+def test_elements_of_zero_stiffness_and_a_residual_of_zero():
+    model = Actuator(MaxwellSlip([1e-7, 2e-7], [0, 0]), Spring([0, 5e-7], [0, 5]))
+    voltage = np.linspace(0, 5, 50)
+    y = model.simulate(voltage).displacement
+    t = Trace("exact", "training", np.arange(50.0), voltage, y, y)
+    words = Page(report.render(Fit(model, Outcome.IDENTIFIED, traces=(t,)))).words
+    assert "displacement (nm)" in words and "breakaway elongation (nm)" in words
+
+
+def test_more_records_than_are_drawn():
+    model = actuator()
+    traces = [trace(model, f"record {i}", samples=100) for i in range(8)]
+    page = Page(report.render(fit_of(*traces, model=model)))
+    assert page.tags.count("svg") == 3 * report.MOST_RECORDS + 2
+    assert "The first 6 of 8 records are drawn" in page.words
+    assert "record 7" in page.words
+
+
+@pytest.mark.parametrize(("samples", "records", "most"), [(8000, 2, 3e6), (500_000, 2, 6e6)])
+def test_size_is_bounded(samples, records, most):
+    model = actuator()
+    traces = [trace(model, f"{i}", samples=samples, seed=i) for i in range(records)]
+    assert len(report.render(fit_of(*traces, model=model)).encode()) < most
+
+
+def test_assumption_from_the_numbers():
+    sentence = report.assumption(actuator().spring)
+    assert sentence == "Assumption I holds: least slope 0.714 V/µm at −105.0 to −98.00 µm."
+
+
+def test_branches_and_holds():
+    y = np.array([0.0, 1, 1, 2, 2, 1, 1, 0])
+    t = Trace("x", "training", np.arange(8.0), y, y, y)
+    assert plot.rising(t).tolist() == [True, True, True, True, True, False, False, False]
+
+
+def test_a_line_is_broken_where_samples_are_missing():
+    t = np.array([0.0, 1, 2, 3, 50, 51, 52])
+    x, y = plot._thinned(t, t, 2 * t)
+    assert np.flatnonzero(np.isnan(x)).tolist() == [4] == np.flatnonzero(np.isnan(y)).tolist()
+    assert x[~np.isnan(x)].tolist() == t.tolist()
+
+
+def test_thinning_keeps_the_shape():
+    t = np.linspace(0, 1, 200_001)
+    x, y = plot._thinned(t, t, t**2)
+    assert 2 < x.size <= 4002 and (x[0], x[-1]) == (0, 1)
+    assert np.abs(np.interp(t, x, y) - t**2).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(0.0, "0"), (0.05, "0.0500"), (-1.234, "−1.23"), (1234.5, "1234"), (2e-9, "2.00e−09"), (np.nan, "not known"),
+     (np.inf, "not known")],
+)  # fmt: skip
+def test_numbers(value, expected):
+    assert report.number(value) == expected
+
+
+def test_lengths_change_unit_at_a_micrometre():
+    assert (report.length(1e-6), report.length(9.99e-7)) == ("1.00 µm", "999 nm")
+
+
+def test_write_report(tmp_path, fit, text):
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    report.write_report(path, fit, command="dehyst identify 'a b.csv' > out && echo")
+    assert path.read_text(encoding="utf-8") == text
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    with pytest.raises(FileFormatError):
+        report.write_report(tmp_path / "none" / "report.html", fit)
