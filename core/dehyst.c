@@ -363,7 +363,8 @@ void dehyst_stack_compensate(const dehyst_actuator *actuator, dehyst_stack *stac
 /* A straight piece of the present branch: y = start + (v - v_start) / slope until v reaches v_end. */
 typedef struct piece {
     dehyst_real start, v_start, inverse_slope, v_end;
-    int cell, j; /* where to look for the next one first */
+    int cell, j;
+    int ends_at_knot; /* the next piece lies in the next segment of the spring; else in the next cell */
 } piece;
 
 static dehyst_real branch_stops(const dehyst_slip *slip, const dehyst_stack *stack, dehyst_real y, int hint)
@@ -415,58 +416,92 @@ static int cell_at_voltage(const dehyst_actuator *actuator, const dehyst_stack *
     return near;
 }
 
-/* The piece of the present branch, at or beyond the present place, that holds v. */
-static piece piece_at(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_real v, const piece *last)
+/* The piece of the present branch in one cell and one segment. Written in place: pieces returned by value are copied
+ * by wider loads than the stores before them, which stalls the processor at every change of piece. */
+static void piece_in(const dehyst_actuator *actuator, const dehyst_stack *stack, int cell, int j, piece *found)
 {
     const dehyst_slip *slip = &actuator->slip;
     const dehyst_curve *spring = &actuator->spring;
-    const dehyst_reversal *from = stack->reversal + stack->depth - 1, *to = joint(stack);
-    dehyst_real direction = stack->direction, slope, end;
-    piece found;
-    found.j = segment_at_voltage(actuator, stack, stack->y, v, last);
-    found.cell = cell_of(slip, direction * (stack->y - from->y), last->cell);
-    found.cell = cell_at_voltage(actuator, stack, v, found.j, found.cell);
-    found.start = from->y;
-    if (found.cell > 0) found.start += direction * slip->edge[found.cell - 1];
-    end = found.cell < slip->size ? from->y + direction * slip->edge[found.cell] : direction * DEHYST_LARGEST;
-    slope = slip->stiffness[found.cell] + spring->slope[found.j];
-    found.v_start = from->stops + direction * masing(slip, found.cell, direction * (found.start - from->y)) +
-                    on_segment(spring, found.j, found.start);
-    if (direction > 0 && found.j + 2 < spring->size && spring->knot[found.j + 1] < end) end = spring->knot[found.j + 1];
-    if (direction < 0 && found.j > 0 && spring->knot[found.j] > end) end = spring->knot[found.j];
-    found.v_end = magnitude(end) < DEHYST_LARGEST ? found.v_start + slope * (end - found.start) : end;
-    if (to != NULL && direction * (to->v - found.v_end) < 0) found.v_end = to->v;
-    found.inverse_slope = 1 / slope;
-    return found;
+    const dehyst_reversal *from = stack->reversal + stack->depth - 1;
+    const dehyst_real direction = stack->direction, y_from = from->y;
+    const dehyst_real slope = slip->stiffness[cell] + spring->slope[j];
+    const dehyst_real u = cell > 0 ? slip->edge[cell - 1] : 0, start = y_from + direction * u;
+    const dehyst_real v_start = from->stops + direction * masing(slip, cell, u) + on_segment(spring, j, start);
+    const int forward = direction > 0, last = forward ? j + 2 == spring->size : j == 0;
+    const dehyst_real knot = spring->knot[j + forward];
+    dehyst_real end = y_from + direction * slip->edge[cell];
+    found->ends_at_knot = !last && direction * (knot - end) < 0;
+    if (found->ends_at_knot) end = knot;
+    found->cell = cell;
+    found->j = j;
+    found->start = start;
+    found->v_start = v_start;
+    found->inverse_slope = 1 / slope;
+    found->v_end = direction * DEHYST_LARGEST;
+    if (cell < slip->size || found->ends_at_knot) found->v_end = v_start + slope * (end - start);
+    if (stack->depth >= 3 && direction * (from[-1].v - found->v_end) < 0) found->v_end = from[-1].v;
+}
+
+/* Move to the piece of the present branch, at or beyond the present place, that holds v. */
+static void find_piece(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_real v, piece *now)
+{
+    const dehyst_reversal *from = stack->reversal + stack->depth - 1;
+    int j = segment_at_voltage(actuator, stack, stack->y, v, now);
+    int cell = cell_of(&actuator->slip, stack->direction * (stack->y - from->y), now->cell);
+    piece_in(actuator, stack, cell_at_voltage(actuator, stack, v, j, cell), j, now);
+}
+
+/* Work out the piece that follows `now` on its branch, if one does. Done ahead of need, it costs no waiting. */
+static void look_beyond(const dehyst_actuator *actuator, const dehyst_stack *stack, const piece *now, piece *ahead)
+{
+    int forward = stack->direction > 0 ? 1 : -1;
+    if (magnitude(now->v_end) < DEHYST_LARGEST)
+        piece_in(actuator, stack, now->cell + !now->ends_at_knot, now->j + forward * now->ends_at_knot, ahead);
 }
 
 void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y,
                            long n)
 {
-    piece now = {0, 0, 0, 0, 0, 0};
+    piece pieces[2] = {{0, 0, 0, 0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0}}, *now = pieces, *ahead = pieces + 1;
     dehyst_real direction = stack->direction, voltage = stack->v, present = stack->y;
-    long t;
-    now.v_end = direction * -DEHYST_LARGEST;
-    for (t = 0; t < n; t++) {
+    int on_piece = 0;
+    long t = 0;
+    while (t < n) {
         dehyst_real goal = v[t];
-        if (!(direction * (goal - voltage) >= 0 && direction * (goal - now.v_end) < 0)) {
-            const dehyst_reversal *to;
-            if (!is_finite(goal)) goal = voltage;
-            stack->y = present;
-            stack->v = voltage;
-            if (direction * (goal - voltage) < 0) {
-                turn(&actuator->slip, stack, branch_stops(&actuator->slip, stack, present, now.cell));
-                direction = stack->direction;
-            }
-            while ((to = joint(stack)) != NULL && direction * (goal - to->v) >= 0) {
-                stack->y = to->y;
-                stack->depth -= 2;
-            }
-            now = piece_at(actuator, stack, goal, &now);
+        const dehyst_reversal *to;
+        if (!is_finite(goal)) goal = voltage;
+        stack->y = present;
+        stack->v = voltage;
+        if (direction * (goal - voltage) < 0) {
+            turn(&actuator->slip, stack, branch_stops(&actuator->slip, stack, present, now->cell));
+            direction = stack->direction;
+            on_piece = 0;
         }
-        present = now.start + (goal - now.v_start) * now.inverse_slope;
-        voltage = goal;
-        y[t] = present;
+        while ((to = joint(stack)) != NULL && direction * (goal - to->v) >= 0) {
+            stack->y = to->y;
+            stack->depth -= 2;
+            on_piece = 0;
+        }
+        if (on_piece && direction * (goal - ahead->v_end) < 0) {
+            piece *passed = now;
+            now = ahead;
+            ahead = passed;
+        } else {
+            find_piece(actuator, stack, goal, now);
+        }
+        look_beyond(actuator, stack, now, ahead);
+        on_piece = 1;
+        {
+            const dehyst_real start = now->start, v_start = now->v_start, inverse_slope = now->inverse_slope;
+            const dehyst_real v_end = now->v_end;
+            do {
+                present = start + (goal - v_start) * inverse_slope;
+                voltage = goal;
+                y[t++] = present;
+                if (t == n) break;
+                goal = v[t];
+            } while (direction * (goal - voltage) >= 0 && direction * (goal - v_end) < 0);
+        }
     }
     stack->y = present;
     stack->v = voltage;

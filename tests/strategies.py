@@ -11,7 +11,7 @@ from dehyst import Actuator, MaxwellSlip, Spring, State
 
 SEEDS = st.integers(0, 2**32 - 1)
 STATE_KINDS = ("relaxed", "turned up", "turned down", "reached", "arbitrary", "extreme")
-PATH_KINDS = ("walk", "decay", "repeated", "constant", "jumps", "noisy ramp", "break points")
+PATH_KINDS = ("walk", "decay", "repeated", "constant", "jumps", "noisy ramp", "nested", "break points")
 
 
 def make_slip(rng, n, span, volts, *, uniform, zeros):
@@ -95,27 +95,32 @@ def make_path(actuator, start, seed, kind, n):
     rng = np.random.default_rng([seed, 2])
     span, knots = span_of(actuator), actuator.spring.displacement
     middle = 0.5 * (knots[0] + knots[-1])
-    if kind == "walk":
-        return start + np.cumsum(rng.normal(scale=span * 10 ** rng.uniform(-2, 0), size=n))
-    if kind == "decay":
-        amplitude = span * rng.uniform(0.3, 1.5) * (1 - np.arange(n) / max(n, 1)) ** rng.uniform(0.5, 3)
-        return middle + amplitude * np.where(np.arange(n) % 2, -1, 1)
-    if kind == "repeated":
-        return np.repeat(rng.uniform(knots[0], knots[-1], n), rng.integers(1, 4, n))[:n]
-    if kind == "constant":
-        return np.full(n, rng.choice([start, knots[0], middle]))
-    if kind == "jumps":
-        return middle + span * rng.standard_cauchy(n).clip(-20, 20)
-    if kind == "noisy ramp":
-        return np.linspace(knots[0], knots[-1], n) + rng.normal(scale=span * 10 ** rng.uniform(-6, -1), size=n)
-    # Turns exactly where elements begin to slide and where segments of the spring meet: every comparison is a tie.
-    hops = np.concatenate([2 * actuator.slip.breakaway, [0.0]])
-    at = np.where(rng.random(n) < 0.5, rng.choice(knots, n), np.nan)
-    path = np.empty(n)
-    for t in range(n):
-        last = path[t - 1] if t else start
-        path[t] = last + rng.choice([-1, 1]) * rng.choice(hops) if np.isnan(at[t]) else at[t]
-    return path
+    reach = float(actuator.slip.breakaway[-1]) if len(actuator.slip) else span
+    makers = {
+        "walk": lambda: start + np.cumsum(rng.normal(scale=span * 10 ** rng.uniform(-2, 0), size=n)),
+        "decay": lambda: middle + span * rng.uniform(0.3, 1.5) * _decay(n, rng.uniform(0.5, 3)),
+        "repeated": lambda: np.repeat(rng.uniform(knots[0], knots[-1], n), rng.integers(1, 4, n))[:n],
+        "constant": lambda: np.full(n, rng.choice([start, knots[0], middle])),
+        "jumps": lambda: middle + span * rng.standard_cauchy(n).clip(-20, 20),
+        "noisy ramp": lambda: np.linspace(*knots[[0, -1]], n) + rng.normal(scale=span * 10 ** rng.uniform(-6, -1), size=n),
+        # About the outermost loop a state remembers: whether it has been left is a close question.
+        "nested": lambda: start + reach * rng.choice([0.5, 1.5, 2.2, 4.0]) * rng.uniform(-1, 1, n),
+        "break points": lambda: _on_break_points(actuator, start, rng, n),
+    }
+    return makers[kind]()
+
+
+def _decay(n, power):
+    return (1 - np.arange(n) / max(n, 1)) ** power * np.where(np.arange(n) % 2, -1, 1)
+
+
+def _on_break_points(actuator, start, rng, n):
+    """Turn exactly where elements begin to slide and where segments of the spring meet: every comparison is a tie."""
+    hops, path = np.concatenate([2 * actuator.slip.breakaway, [0.0]]), [start]
+    for _ in range(n):
+        at_knot = rng.choice(actuator.spring.displacement)
+        path.append(at_knot if rng.random() < 0.5 else path[-1] + rng.choice([-1, 1]) * rng.choice(hops))
+    return np.array(path[1:])
 
 
 @st.composite

@@ -214,7 +214,6 @@ def test_not_finite_in_text(tmp_path, place, value, word):
         ("slip.breakaway_m", ["1e-7", "1e-6"], r"slip.breakaway_m\[0\]: got '1e-7', need a finite number"),
         ("slip.stiffness_V_per_m", [True, False], r"slip.stiffness_V_per_m\[0\]: got True, need a finite number"),
         ("slip.stiffness_V_per_m", 3.0, "slip.stiffness_V_per_m: got float, need a list of numbers"),
-        ("delay_s", 10**30, "delay_s: got 10+, need"),
         ("version", True, "got format 'dehyst-actuator' version True"),
         ("version", 1.0, "got format 'dehyst-actuator' version 1.0"),
         ("spring.voltage_V", [0.0, 2.0, 1.0], r"must strictly increase \(Assumption I\); .* between knots 1 and 2"),

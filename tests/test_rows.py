@@ -30,7 +30,7 @@ def rest(actuator, rows):
 
 
 def growth(record, epoch):
-    """By how much the displacement leaves the range seen before an epoch [m]; the voltage's tolerance allows a little."""
+    """By how much [m] an epoch leaves the range seen before it; the tolerance on the voltage allows a little."""
     before, during = record.displacement[: epoch.start], record.displacement[epoch.start : epoch.stop]
     return max(before.min() - during.min(), 0.0) + max(during.max() - before.max(), 0.0)
 

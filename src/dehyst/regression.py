@@ -127,7 +127,7 @@ class Regression:
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """What a regression found: (N,) kappa [V/m], (M - 1,) slopes [V/m], constants by epoch [V], drifts by record [V]."""
+    """What a regression found: (N,) kappa and (M - 1,) slopes [V/m], constants by epoch and drifts by record [V]."""
 
     stiffness: Array
     slopes: Array

@@ -1,0 +1,93 @@
+"""Nanoseconds a sample and ratios to `numpy.interp` on the same array, in one run on one core.
+
+Compensate and simulate, on the stack of reversals and on clipped elements, for N = 10, 100 and 1000 and three paths:
+slow (swept loops of falling height), noisy (the same with sensor noise: every other sample reverses) and random
+(uniformly distributed samples). Repeats are interleaved and the least time counts. Writes `speed.json`.
+"""
+
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from dehyst import Actuator, MaxwellSlip, Spring
+
+SAMPLES = 1_000_000
+REPEATS = 15
+KNOTS = np.linspace(0, 1, 21)
+VOLTAGES = KNOTS + 0.1 * KNOTS**2
+TARGETS = {"compensate": 2.0, "simulate": 6.0}
+
+
+def paths() -> dict[str, np.ndarray]:
+    t = np.linspace(0, 1, SAMPLES)
+    random = np.random.default_rng(1)
+    slow = (0.5 - 0.5 * np.cos(2 * np.pi * 20 * t)) * (1 - 0.8 * t)
+    return {"slow": slow, "noisy": slow + random.normal(0, 1e-4, SAMPLES), "random": random.random(SAMPLES)}
+
+
+def actuator(elements: int) -> Actuator:
+    random = np.random.default_rng(elements)
+    rho = 0.5 / elements * np.arange(1, elements + 1)
+    return Actuator(MaxwellSlip(rho, random.random(elements) / elements), Spring(KNOTS, VOLTAGES))
+
+
+def least(jobs: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Least nanoseconds a sample of each job; one job after another, again and again."""
+    times = dict.fromkeys(jobs, np.inf)
+    for _ in range(REPEATS):
+        for name, job in jobs.items():
+            start = time.perf_counter()
+            job()
+            times[name] = min(times[name], time.perf_counter() - start)
+    return {name: 1e9 * seconds / SAMPLES for name, seconds in times.items()}
+
+
+def measure(path: np.ndarray) -> dict[str, dict[str, float]]:
+    jobs: dict[str, Callable[[], object]] = {"interp": lambda: np.interp(path, KNOTS, VOLTAGES)}
+    for elements in (10, 100, 1000):
+        model = actuator(elements)
+        voltage = model.compensate(path).voltage
+        jobs[f"compensate {elements}"] = lambda model=model: model.compensate(path)
+        jobs[f"simulate {elements}"] = lambda model=model, voltage=voltage: model.simulate(voltage)
+    times = least(jobs)
+    return {name: {"ns": ns, "ratio": ns / times["interp"]} for name, ns in times.items()}
+
+
+def clips(path: np.ndarray) -> dict[str, float]:
+    """The constant-time evaluator, for comparison: nanoseconds a sample, once."""
+    short = path[: SAMPLES // 20]
+    found = {}
+    for elements in (10, 100, 1000):
+        model = actuator(elements)
+        start = time.perf_counter()
+        model.compensate(short, stack=False)
+        found[f"compensate {elements}"] = 1e9 * (time.perf_counter() - start) / short.size
+    return found
+
+
+def main() -> None:
+    results = {}
+    for name, path in paths().items():
+        results[name] = measure(path)
+        print(f"\n{name} path, {SAMPLES} samples          ns   times np.interp")
+        for job, row in results[name].items():
+            print(f"  {job:<28}{row['ns']:8.2f}{row['ratio']:12.2f}")
+    results["clips, slow"] = clips(paths()["slow"])
+    slow = results["slow"]
+    summary = {}
+    for job, target in TARGETS.items():
+        ratios = [slow[f"{job} {n}"]["ratio"] for n in (10, 100, 1000)]
+        summary[job] = {"largest_ratio": max(ratios), "target": target, "spread_percent": 100 * (max(ratios) / min(ratios) - 1)}
+        print(f"\n{job}: at most {max(ratios):.2f} times np.interp (target {target:g}), "
+              f"N = 10, 100, 1000 within {summary[job]['spread_percent']:.0f} % of one another (target 25)")  # fmt: skip
+    Path(__file__).with_suffix(".json").write_text(json.dumps({"summary": summary, "paths": results}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

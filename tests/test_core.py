@@ -1,0 +1,283 @@
+"""The C core: two evaluators and the oracle give one answer, a record may be cut anywhere, memory stays bounded."""
+
+import re
+import subprocess
+
+import numpy as np
+import oracle
+import pytest
+import strategies as our
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from dehyst import Actuator, MaxwellSlip, ModelError, Spring, State
+from dehyst._native import Core, stops
+
+RANGE = 1e-12
+SLIP = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6])
+SPRING = Spring([0, 4e-6, 1e-5], [0, 30, 100])
+ACTUATOR = Actuator(SLIP, SPRING)
+
+
+def numbers(actuator, state):
+    slip, spring = actuator.slip, actuator.spring
+    return slip.breakaway, slip.stiffness, spring.displacement, spring.voltage, state.displacement, state.carts
+
+
+def span_with(actuator, state, path):
+    """Range [m] that a motion covers, the actuator's own included: what 1e-12 is measured by."""
+    return max(our.span_of(actuator), float(np.ptp(np.append(path, state.displacement))))
+
+
+def volts_with(actuator, voltages):
+    return max(our.volts_of(actuator), float(np.ptp(voltages)) if len(voltages) else 0.0)
+
+
+def assert_close(got, expected, allowance):
+    assert np.shape(got) == np.shape(expected)
+    assert np.abs(np.subtract(got, expected)).max(initial=0.0) <= allowance
+
+
+def assert_same_motion(motion, other, metres, volts):
+    assert_close(motion.voltage, other.voltage, volts)
+    assert_close(motion.displacement, other.displacement, metres)
+    assert_close(motion.state.displacement, other.state.displacement, metres)
+    assert_close(motion.state.carts, other.state.carts, metres)
+
+
+def barely_nested():
+    """A relaxed element: the amplitude 2 rho of its outermost loop, 1.4 - (-0.4), comes out one bit below 1.8."""
+    actuator = Actuator(MaxwellSlip([0.9], [1]), Spring([-1, 1], [-1, 1]))
+    return actuator, State(0.5, [0.5]), np.array([0, 0.5, 1, 1.6, 0])
+
+
+NESTED = our.motions(our.actuators(1, 3), ("relaxed", "reached", "turned up"), ("nested", "walk"), max_samples=40)
+
+
+@given(st.one_of(NESTED, our.motions(max_samples=500)))
+@example(barely_nested())
+@settings(max_examples=300)
+def test_clips_and_stack_agree_on_the_voltage(motion):
+    actuator, state, path = motion
+    metres = RANGE * span_with(actuator, state, path)
+    stack = actuator.compensate(path, state=state)
+    clips = actuator.compensate(path, state=state, stack=False)
+    assert_same_motion(stack, clips, metres, RANGE * volts_with(actuator, clips.voltage))
+
+
+@given(st.one_of(NESTED, our.motions(max_samples=300)), our.SEEDS)
+@example(barely_nested(), 0)
+@settings(max_examples=200)
+def test_clips_and_stack_agree_on_the_displacement(motion, seed):
+    actuator, state, path = motion
+    v = our.voltages_like(actuator, state, path, seed)
+    stack = actuator.simulate(v, state=state)
+    clips = actuator.simulate(v, state=state, stack=False)
+    assert_same_motion(stack, clips, RANGE * span_with(actuator, state, clips.displacement), 0.0)
+
+
+@pytest.mark.parametrize("stack", [True, False])
+@given(motion=our.motions())
+@example(motion=barely_nested())
+def test_compensate_agrees_with_the_oracle(stack, motion):
+    actuator, state, path = motion
+    v, y, carts = oracle.compensate(*numbers(actuator, state), path)
+    got = actuator.compensate(path, state=state, stack=stack)
+    metres = RANGE * span_with(actuator, state, path)
+    assert_close(got.voltage, v, RANGE * volts_with(actuator, v))
+    assert_close(got.state.displacement, y, metres)
+    assert_close(got.state.carts, carts, metres)
+
+
+@pytest.mark.parametrize("stack", [True, False])
+@given(motion=our.motions(max_samples=25), seed=our.SEEDS)
+@settings(max_examples=40)
+def test_simulate_agrees_with_the_oracle(stack, motion, seed):
+    actuator, state, path = motion
+    v = our.voltages_like(actuator, state, path, seed)
+    y, last, carts = oracle.simulate(*numbers(actuator, state), v)
+    got = actuator.simulate(v, state=state, stack=stack)
+    metres = RANGE * span_with(actuator, state, y)
+    assert_close(got.displacement, y, metres)
+    assert_close(got.state.displacement, last, metres)
+    assert_close(got.state.carts, carts, metres)
+
+
+@pytest.mark.parametrize("there", [True, False])
+@pytest.mark.parametrize("back", [True, False])
+@given(motion=our.motions(max_samples=300))
+@example(motion=barely_nested())
+def test_simulating_the_compensating_voltage_gives_the_path(there, back, motion):
+    actuator, state, path = motion
+    sent = actuator.compensate(path, state=state, stack=there)
+    came = actuator.simulate(sent.voltage, state=state, stack=back)
+    assert_same_motion(came, sent, RANGE * span_with(actuator, state, path), 0.0)
+
+
+@pytest.mark.parametrize("stack", [True, False])
+@given(motion=our.motions(max_samples=600), seed=our.SEEDS, cuts=st.lists(st.floats(0, 1), max_size=4))
+@example(motion=barely_nested(), seed=0, cuts=[0.4])
+def test_a_record_may_be_cut_anywhere(stack, motion, seed, cuts):
+    actuator, start, path = motion
+    v = our.voltages_like(actuator, start, path, seed)
+    for run, given_in in ((actuator.compensate, path), (actuator.simulate, v)):
+        whole = run(given_in, state=start, stack=stack)
+        state, parts = start, []
+        for part in np.split(given_in, sorted(int(cut * len(given_in)) for cut in cuts)):
+            parts.append(run(part, state=state, stack=stack))
+            state = parts[-1].state
+        metres = 1e-13 * span_with(actuator, start, whole.displacement)
+        volts = 1e-13 * volts_with(actuator, whole.voltage)
+        assert_close(np.concatenate([part.voltage for part in parts]), whole.voltage, volts)
+        assert_close(np.concatenate([part.displacement for part in parts]), whole.displacement, metres)
+        assert_close(state.carts, whole.state.carts, metres)
+
+
+@pytest.mark.parametrize("stack", [True, False])
+@given(motion=our.motions(max_samples=0))
+def test_nothing_in_nothing_out(stack, motion):
+    actuator, state, _ = motion
+    for run in (actuator.compensate, actuator.simulate):
+        got = run([], state=state, stack=stack)
+        assert got.voltage.shape == got.displacement.shape == (0,)
+        assert got.state.displacement == state.displacement
+        assert np.array_equal(got.state.carts, state.carts)
+
+
+@pytest.mark.parametrize("stack", [True, False])
+@given(motion=our.motions(), seed=our.SEEDS)
+def test_more_voltage_more_displacement(stack, motion, seed):
+    actuator, state, path = motion
+    v = our.voltages_like(actuator, state, path, seed)
+    y = np.append(state.displacement, actuator.simulate(v, state=state, stack=stack).displacement)
+    rise, steps = np.diff(y), np.diff(np.append(actuator.voltage(state), v))
+    clear = np.abs(steps) > RANGE * volts_with(actuator, v)
+    assert np.all(rise[clear] * steps[clear] > 0)
+
+
+@given(our.motions(states=("relaxed", "reached", "turned up"), paths=("decay", "noisy ramp", "walk"), max_samples=3000))
+def test_the_stack_of_reversals_stays_short(motion):
+    actuator, state, path = motion
+    assert 1 <= actuator.core.depth(path, state.displacement, state.carts) <= 2 * len(actuator.slip) + 8
+
+
+def test_a_long_decay_is_pruned_and_a_major_loop_is_forgotten():
+    decay = 5e-6 + 5e-6 * np.linspace(1, 0, 20000) * np.where(np.arange(20000) % 2, -1, 1)
+    major = 5e-6 - 5e-6 * np.cos(np.linspace(0, 20 * np.pi, 1000))
+    start = ACTUATOR.state.displacement, ACTUATOR.state.carts
+    assert ACTUATOR.core.depth(decay, *start) <= 2 * 2 + 8
+    assert ACTUATOR.core.depth(major, *start) <= 2
+    assert ACTUATOR.core.depth(np.concatenate([decay, major]), *start) <= 2
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: MaxwellSlip([1, 2], [1]), "2 breakaway elongations and 1 stiffnesses"),
+        (lambda: MaxwellSlip([1, 1], [1, 1]), "strictly increasing"),
+        (lambda: MaxwellSlip([0, 1], [1, 1]), "positive"),
+        (lambda: MaxwellSlip([1, 2], [1, -3]), "stiffness 1 is -3"),
+        (lambda: MaxwellSlip([1, np.nan], [1, 1]), "1 of 2 values are not finite, the first at index 1"),
+        (lambda: MaxwellSlip([[1, 2]], [1, 1]), r"shape \(1, 2\), need one dimension"),
+        (lambda: MaxwellSlip("ab", [1, 1]), "got str, need an array of numbers"),
+        (lambda: Spring([0, 1, 2], [0, 1]), "3 spring knots and 2 voltages"),
+        (lambda: Spring([0], [0]), "two at least"),
+        (lambda: Spring([0, 0], [0, 1]), "knots must strictly increase"),
+        (lambda: Spring([0, 1, 2], [0, 1, 1]), r"Assumption I.*between knots 1 and 2"),
+        (lambda: Spring([0, np.inf], [0, 1]), "not finite"),
+        (lambda: Spring([[0, 1]], [0, 1]), "one dimension"),
+        (lambda: Spring(["a", "b"], [0, 1]), "need an array of numbers"),
+        (lambda: State(np.nan, [0]), "displacement is nan"),
+        (lambda: State("far", [0]), "displacement"),
+        (lambda: State(0, [np.nan]), "carts: 1 of 1 values are not finite"),
+        (lambda: State(0, [[0]]), "one dimension"),
+        (lambda: State(0, "ab"), "need an array of numbers"),
+        (lambda: Actuator(SLIP, SPRING, State(0, [0])), "got 1 carts, this actuator has 2 elements"),
+        (lambda: Actuator(SLIP, SPRING, State(0, [0, 3e-6])), "cart 1 is 1e-06 m farther"),
+        (lambda: Actuator(SLIP, SPRING, limits=(5, 5)), "two finite voltages, the lower one first"),
+        (lambda: Actuator(SLIP, SPRING, limits=("a", "b")), "limits"),
+        (lambda: Actuator(SLIP, SPRING, limits=(1,)), "limits"),
+        (lambda: Actuator(SLIP, SPRING, delay=np.nan), "delay"),
+        (lambda: Actuator(SLIP, SPRING, delay="x"), "delay"),
+        (lambda: ACTUATOR.turned(np.nan), "displacement is nan"),
+        (lambda: ACTUATOR.compensate([0], state=State(0, [0])), "got 1 carts"),
+        (lambda: ACTUATOR.simulate([0], state=State(0, [5e-6, 0])), "cart 0 is"),
+        (lambda: Actuator(MaxwellSlip([1e200], [1e200]), SPRING).compensate([0]), "finite"),
+    ],
+)
+def test_impossible_numbers_are_refused(make, message):
+    with pytest.raises(ModelError, match=message):
+        make()
+
+
+@pytest.mark.parametrize("run", [ACTUATOR.compensate, ACTUATOR.simulate])
+@pytest.mark.parametrize("bad", [[0.0, np.nan], [np.inf], [[0.0]], "text", ["1"], None, [1j], 3.0])
+def test_paths_that_are_none_never_reach_the_core(run, bad):
+    with pytest.raises(ModelError, match=r"(voltage|displacement): "):
+        run(bad)
+
+
+KNOTS, VOLTS = SPRING.displacement, SPRING.voltage
+ZERO, TWO = np.zeros(1), np.zeros(2)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Core(SLIP.breakaway, ZERO, KNOTS, VOLTS), "different lengths"),
+        (lambda: Core(SLIP.breakaway, -SLIP.stiffness, KNOTS, VOLTS), "must be >= 0"),
+        (lambda: Core(SLIP.breakaway[::-1], SLIP.stiffness, KNOTS, VOLTS), "strictly increase"),
+        (lambda: Core(SLIP.breakaway, np.nan * SLIP.stiffness, KNOTS, VOLTS), "not finite"),
+        (lambda: Core(SLIP.breakaway, SLIP.stiffness, KNOTS, VOLTS[::-1]), "strictly increase"),
+        (lambda: Core(SLIP.breakaway, SLIP.stiffness, KNOTS[:1], VOLTS[:1]), "fewer than two knots"),
+        (lambda: ACTUATOR.core.compensate(ZERO, 0.0, ZERO), "different lengths"),
+        (lambda: ACTUATOR.core.simulate(ZERO, 0.0, TWO + 1), "farther from the displacement"),
+        (lambda: ACTUATOR.core.voltage(np.nan, TWO), "not finite"),
+        (lambda: ACTUATOR.core.depth(ZERO, 0.0, TWO + 1), "farther from the displacement"),
+        (lambda: ACTUATOR.core.depth(ZERO, 0.0, np.array([1e-6, -2e-6])), "no history from rest"),
+        (lambda: stops(SLIP.breakaway, ZERO, ZERO), "different lengths"),
+    ],
+)
+def test_the_core_itself_refuses_what_python_did_not(make, message):
+    with pytest.raises(ModelError, match=message):
+        make()
+
+
+@pytest.mark.parametrize("level", ["-O0", "-O2", "-Os"])
+def test_the_core_needs_nothing(compiled, level):
+    """Firmware without a C library links it: no heap, no input or output, no mathematics library."""
+    compiled.compile(level, "-ffreestanding", "-flto", "-c", "dehyst.c", "-o", "lto.o")
+    compiled.compile(level, "-ffreestanding", "-c", "dehyst.c", "-o", "dehyst.o")
+    command = ["nm", "-u", "dehyst.o"]
+    listing = subprocess.run(command, cwd=compiled.folder, capture_output=True, text=True, check=True).stdout
+    assert set(re.findall(r"\bU (\w+)", listing)) <= {"memcpy", "memset"}
+
+
+def bench():
+    """A bank, a state no history leaves, a path long enough to reach the stack and to prune it."""
+    actuator = our.make_actuator(7, 12, 9, uniform=False)
+    state = our.make_state(actuator, 7, "arbitrary")
+    kinds = ("break points", "decay", "jumps", "noisy ramp", "walk")
+    return actuator, state, np.concatenate([our.make_path(actuator, state.displacement, 7, k, 300) for k in kinds])
+
+
+@pytest.mark.parametrize("options", [["-O2"], ["-O3", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
+def test_c_compiled_apart_gives_the_same_bits(compiled, options):
+    actuator, state, path = bench()
+    compiled.compile(*options, "-fno-sanitize-recover", "main.c", "dehyst.c", "-o", "main")
+    got = compiled.run(actuator, state, path)
+    for column, stack in ((0, True), (2, False)):
+        sent = actuator.compensate(path, state=state, stack=stack)
+        came = actuator.simulate(sent.voltage, state=state, stack=stack)
+        assert np.array_equal(got[:, column], sent.voltage)
+        assert np.array_equal(got[:, column + 1], came.displacement)
+
+
+def test_the_core_works_in_single_precision(compiled):
+    actuator, state, path = bench()
+    compiled.use_float().compile("-O2", "-flto", "-Wdouble-promotion", "main.c", "dehyst.c", "-o", "main")
+    got = compiled.run(actuator, state, path)
+    span, sent = span_with(actuator, state, path), actuator.compensate(path, state=state)
+    for column in (0, 2):
+        assert_close(got[:, column], sent.voltage, 1e-4 * volts_with(actuator, sent.voltage))
+        assert_close(got[:, column + 1], path, 1e-4 * span)
