@@ -163,7 +163,8 @@ typedef struct outlook {
     dehyst_real v, slope, event;
 } outlook;
 
-static outlook look_ahead(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real y, dehyst_real direction)
+static outlook look_ahead(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real y,
+                          dehyst_real direction)
 {
     const dehyst_slip *slip = &actuator->slip;
     const dehyst_curve *spring = &actuator->spring;
@@ -455,7 +456,7 @@ static void find_piece(const dehyst_actuator *actuator, const dehyst_stack *stac
 static void look_beyond(const dehyst_actuator *actuator, const dehyst_stack *stack, const piece *now, piece *ahead)
 {
     int forward = stack->direction > 0 ? 1 : -1;
-    if (magnitude(now->v_end) < DEHYST_LARGEST)
+    if (now->ends_at_knot || now->cell < actuator->slip.size)
         piece_in(actuator, stack, now->cell + !now->ends_at_knot, now->j + forward * now->ends_at_knot, ahead);
 }
 
@@ -482,7 +483,7 @@ void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack,
             stack->depth -= 2;
             on_piece = 0;
         }
-        if (on_piece && direction * (goal - ahead->v_end) < 0) {
+        if (on_piece && direction * (goal - now->v_end) >= 0 && direction * (goal - ahead->v_end) < 0) {
             piece *passed = now;
             now = ahead;
             ahead = passed;
@@ -522,14 +523,14 @@ static void run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_sta
     }
 }
 
-void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work, const dehyst_real *y,
-                           dehyst_real *v, long n)
+void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work,
+                           const dehyst_real *y, dehyst_real *v, long n)
 {
     run(actuator, state, work, y, v, n, dehyst_compensate_step, dehyst_stack_compensate);
 }
 
-void dehyst_simulate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work, const dehyst_real *v,
-                         dehyst_real *y, long n)
+void dehyst_simulate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work,
+                         const dehyst_real *v, dehyst_real *y, long n)
 {
     run(actuator, state, work, v, y, n, dehyst_simulate_step, dehyst_stack_simulate);
 }
