@@ -102,7 +102,7 @@ def make_path(actuator, start, seed, kind, n):
         "repeated": lambda: np.repeat(rng.uniform(knots[0], knots[-1], n), rng.integers(1, 4, n))[:n],
         "constant": lambda: np.full(n, rng.choice([start, knots[0], middle])),
         "jumps": lambda: middle + span * rng.standard_cauchy(n).clip(-20, 20),
-        "noisy ramp": lambda: np.linspace(*knots[[0, -1]], n) + rng.normal(scale=span * 10 ** rng.uniform(-6, -1), size=n),
+        "noisy ramp": lambda: np.linspace(knots[0], knots[-1], n) + span * _noise(rng, n),
         # About the outermost loop a state remembers: whether it has been left is a close question.
         "nested": lambda: start + reach * rng.choice([0.5, 1.5, 2.2, 4.0]) * rng.uniform(-1, 1, n),
         "break points": lambda: _on_break_points(actuator, start, rng, n),
@@ -112,6 +112,10 @@ def make_path(actuator, start, seed, kind, n):
 
 def _decay(n, power):
     return (1 - np.arange(n) / max(n, 1)) ** power * np.where(np.arange(n) % 2, -1, 1)
+
+
+def _noise(rng, n):
+    return rng.normal(scale=10 ** rng.uniform(-6, -1), size=n)
 
 
 def _on_break_points(actuator, start, rng, n):

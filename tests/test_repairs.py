@@ -130,9 +130,9 @@ def test_a_delay_is_found_to_a_hundredth_of_a_sample(samples):
     assert any("lags the voltage" in said for said in fit.repairs)
     # In the middle of a leg of 100 samples a sample is 1.6 % of the stroke: a hundredth of one is 0.016 %. A part of a
     # sample cannot be had exactly: PCHIP rounds the kinks that v(t) has where an element lets go. Its slope changes by
-    # a fifth there at most, which is worth 0.2 x 1.6 % / 4 = 0.08 % of the stroke between two samples.
+    # 37 % there at most (this plant), and a chord over a kink is off by 0.37 x 1.6 % / 4 = 0.15 % of the stroke.
     assert fit.errors[0].rms_percent < 0.016
-    assert fit.errors[0].largest_percent < 0.1
+    assert fit.errors[0].largest_percent < 0.15
     assert bench.stiffness_error(fit.actuator, PLANT) < 0.01
 
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from os import PathLike
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -18,55 +18,12 @@ from dehyst.actuator import Actuator
 from dehyst.elements import Spring
 from dehyst.files import write_atomically
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
-
-Row: TypeAlias = "Sequence[str | tuple[str, str]]"
+from dehyst.page import MINUS, POLICY, STYLE, Row, figure, length, number, panel, table
 
 MOST_RECORDS = 6
-MINUS = "\N{MINUS SIGN}"
-_STYLE = """
-*{box-sizing:border-box}
-body{margin:0 auto;max-width:1100px;padding:1.5rem 1.25rem 4rem;background:#fff;color:#222;line-height:1.5;
- font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif}
-h1{font-size:1.7rem;line-height:1.25;margin:.2rem 0 .3rem;font-weight:600;overflow-wrap:anywhere}
-h2{font-size:1.15rem;font-weight:600;margin:2.4rem 0 .6rem;padding-top:.6rem;border-top:1px solid #ddd}
-h3{font-size:.92rem;font-weight:600;margin:0 0 .2rem;overflow-wrap:anywhere}
-h3 span,.muted,td small{color:#666;font-weight:400}
-.muted{margin:.3rem 0;font-size:.92rem}
-.outcome{margin:1rem 0;padding:.8rem 1rem;border-left:6px solid;font-size:1.08rem}
-.outcome strong{display:block;font-size:.85rem;letter-spacing:.04em;text-transform:uppercase}
-.green{background:#eaf5ee;border-color:#1d7f46}.green strong{color:#14613a}
-.amber{background:#fdf4dd;border-color:#c98a00}.amber strong{color:#7d5600}
-.red{background:#fbe9e7;border-color:#b3261e}.red strong{color:#8c1d17}
-.wide{overflow-x:auto}
-table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
-th,td{padding:.3rem .9rem .3rem 0;text-align:right;vertical-align:top;border-bottom:1px solid #e5e5e5}
-th{font-weight:600;border-bottom-color:#999;vertical-align:bottom}
-th:last-child,td:last-child{padding-right:0}
-td{white-space:nowrap}td small{display:block;font-size:.85em}
-td.text,th.text{text-align:left;white-space:normal;overflow-wrap:anywhere;min-width:6rem}
-ul{margin:.3rem 0;padding-left:1.2rem}li{margin:.25rem 0;overflow-wrap:anywhere}
-figure{margin:1rem 0 1.6rem}
-figcaption{font-size:.92rem;color:#444;margin-bottom:.8rem;max-width:60rem}
-.panels{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,25rem),1fr));gap:1.2rem 1.6rem;
- align-items:end}
-.tables{align-items:start}
-.panel{min-width:0;break-inside:avoid}
-svg{display:block;width:100%;height:auto;max-width:40rem}
-svg text{font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif!important}
-summary{cursor:pointer;color:#0a5a8f}
-details{margin:.6rem 0}details>div{margin-top:.6rem}
-dl{display:grid;grid-template-columns:max-content 1fr;gap:.25rem 1.2rem;font-size:.92rem;margin:.6rem 0}
-dt{color:#666}dd{margin:0;overflow-wrap:anywhere}
-pre,code{font-family:ui-monospace,Menlo,Consolas,monospace;font-size:.85rem}
-pre{background:#f5f5f5;padding:.7rem .9rem;white-space:pre-wrap;overflow-wrap:anywhere}
-@media(max-width:40rem){dl{grid-template-columns:1fr;gap:0}dd{margin-bottom:.5rem}body{padding:1rem 1rem 3rem}}
-@media print{body{max-width:none;padding:0;font-size:10pt}h2,figcaption{break-after:avoid;break-inside:avoid}
- .panels{grid-template-columns:1fr 1fr}.outcome{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
-"""
-# The policy forbids the browser any request, whatever a name or a sentence holds.
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 _LABELS = {"program": "Program", "method": "Method", "norm": "Norm", "elements": "Slip elements asked for",
-           "slope_floor": "Floor of the slope (part of the mean)"}  # fmt: skip
+           "slope_floor": "Floor of the slope (part of the mean)", "shared_datum": "Sensor zero shared by all records",
+           "drift": "Drift of a record set aside"}  # fmt: skip
 
 
 def write_report(path: str | PathLike[str], fit: Fit, *, command: str | None = None) -> None:
@@ -114,10 +71,10 @@ def render(fit: Fit, command: str | None = None) -> str:
     ]
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light">\n'
-        f"<title>{escape(name)}: identification</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<main>\n"
+        f"<title>{escape(name)}: identification</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"
         + "\n".join(part for part in parts if part)
         + "\n</main>\n</body>\n</html>\n"
     )
@@ -131,23 +88,6 @@ def assumption(spring: Spring) -> str:
     low, high = (number(float(y) * factor, 4) for y in spring.displacement[least : least + 2])
     word = "holds" if slope > 0 else "does not hold"
     return f"Assumption I {word}: least slope {number(slope * 1e-6)} V/µm at {low} to {high} {unit}."
-
-
-def number(value: float, digits: int = 3) -> str:
-    """Write `value` with so many significant digits, as plainly as its size allows."""
-    if not math.isfinite(value):
-        return "not known"
-    if value == 0:
-        return "0"
-    size = math.floor(math.log10(abs(value)))
-    text = f"{value:.{max(0, digits - 1 - size)}f}" if -4 <= size <= 5 else f"{value:.{digits - 1}e}"
-    return text.replace("-", MINUS)
-
-
-def length(metres: float) -> str:
-    """Write a length in µm, or in nm below 1 µm."""
-    factor, unit = plot.length_unit(metres)
-    return f"{number(metres * factor)} {unit}"
 
 
 def _facts(fit: Fit, actuator: Actuator | None) -> str:
@@ -180,19 +120,27 @@ def _errors(errors: Sequence[RecordErrors]) -> str:
             (error.record, error.role),
             *(
                 (f"{number(100 * e / error.stroke)} %", length(e))
-                for e in (error.largest, error.rms, error.rms_with_drift)
+                for e in (error.largest, error.rms, error.largest_with_drift, error.rms_with_drift)
             ),
             *(str(error.samples), str(error.left_out)),
         )
         for error in errors
     ]
-    head = ("Record", "Largest error", "RMS error", "RMS, drift left in", "Samples counted", "Left out")
+    head = (
+        "Record",
+        "Largest error",
+        "RMS error",
+        "Largest, drift left in",
+        "RMS, drift left in",
+        "Samples counted",
+        "Left out",
+    )
     stroke = length(errors[0].stroke)
     return (
         "<h2>Errors by record</h2>\n"
         '<p class="muted">Measured minus simulated displacement, simulated from the voltage alone, in % of the stroke '
         f"({stroke}, the range of the widest training loop). Validation records took no part in the fit of the "
-        f"model.</p>\n{_table(head, rows, texts=1)}"
+        f"model.</p>\n{table(head, rows, texts=1)}"
     )
 
 
@@ -222,12 +170,12 @@ def _only(fit: Fit) -> str:
 
 
 def _loops(fit: Fit) -> str:
-    panels = [_panel(_whose(t), plot.loop(t, name=f"loop{i}"), "Loop of") for i, (t, _) in enumerate(_shown(fit))]
+    panels = [panel(_whose(t), plot.loop(t, name=f"loop{i}"), "Loop of") for i, (t, _) in enumerate(_shown(fit))]
     caption = (
         "Where the thin line (simulated) leaves the broad one (measured), the model misses; look at the turning points "
         "and at the minor loops." + _only(fit)
     )
-    return _figure("Loops", caption, panels)
+    return figure("Loops", caption, panels)
 
 
 def _residuals(fit: Fit) -> str:
@@ -240,8 +188,8 @@ def _residuals(fit: Fit) -> str:
     for i, (trace, stroke) in enumerate(shown):
         time = plot.residual_in_time(trace, stroke, limit, name=f"time{i}")
         place = plot.residual_in_displacement(trace, stroke, limit, name=f"place{i}")
-        panels.append(_panel(_whose(trace), time, "Residual against time of"))
-        panels.append(_panel(_whose(trace), place, "Residual against displacement of"))
+        panels.append(panel(_whose(trace), time, "Residual against time of"))
+        panels.append(panel(_whose(trace), place, "Residual against displacement of"))
     caption = (
         "A slow trend in time is drift or creep; a pattern in displacement, or rising and falling branches apart, is "
         "what the model cannot follow; an even band is the sensor's noise. The circle marks the largest residual; all "
@@ -249,37 +197,21 @@ def _residuals(fit: Fit) -> str:
     )
     if any(trace.time.size > plot.MOST_BRANCH_POINTS for trace, _ in shown):
         caption += f" Against displacement, {plot.MOST_BRANCH_POINTS} samples of a longer record are drawn."
-    return _figure("Residuals: measured minus simulated", caption, panels)
+    return figure("Residuals: measured minus simulated", caption, panels)
 
 
 def _model(actuator: Actuator) -> str:
-    slip = _panel(("Slip elements", ""), plot.slip_elements(actuator.slip, name="slip"), "")
-    spring = _panel(("Parallel spring", ""), plot.parallel_spring(actuator.spring, name="spring"), "")
+    slip = panel(("Slip elements", ""), plot.slip_elements(actuator.slip, name="slip"), "")
+    spring = panel(("Parallel spring", ""), plot.parallel_spring(actuator.spring, name="spring"), "")
     caption = (
         f"{assumption(actuator.spring)} Among the slip elements, lone large values between zeros (hollow "
         "circles) hint that the records tell sums of stiffnesses better than single ones."
     )
-    return _figure("The model", caption, [slip, spring])
+    return figure("The model", caption, [slip, spring])
 
 
 def _whose(trace: Trace) -> tuple[str, str]:
     return trace.record, trace.role
-
-
-def _panel(title: tuple[str, str], svg: str, label: str) -> str:
-    name, role = escape(title[0]), escape(title[1])
-    image = svg.replace("<svg", f'<svg role="img" aria-label="{f"{label} {name}".strip()}"', 1)
-    return f'<div class="panel"><h3>{name} <span>{role}</span></h3>\n{image}</div>'
-
-
-def _figure(title: str, caption: str, panels: Sequence[str]) -> str:
-    if not panels:
-        return ""
-    body = "\n".join(panels)
-    return (
-        f"<h2>{title}</h2>\n<figure>\n<figcaption>{escape(caption)}</figcaption>\n"
-        f'<div class="panels">\n{body}\n</div>\n</figure>'
-    )
 
 
 def _numbers(actuator: Actuator) -> str:
@@ -289,8 +221,8 @@ def _numbers(actuator: Actuator) -> str:
     elements = zip(each, *map(_column, columns), strict=True)
     each = [str(i) for i in range(1, spring.voltage.size + 1)]
     knots = zip(each, _column(spring.displacement * 1e6), _column(spring.voltage), strict=True)
-    first = _table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0)
-    second = _table(("Knot", "y (µm)", "η (V)"), knots, texts=0)
+    first = table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0)
+    second = table(("Knot", "y (µm)", "η (V)"), knots, texts=0)
     return (
         "<details>\n<summary>The model's numbers</summary>\n"
         f'<div class="panels tables">\n<div><h3>Slip elements</h3>\n{first}'
@@ -312,13 +244,13 @@ def _constants(errors: Iterable[RecordErrors]) -> str:
     head = ("Record", "Offset (V)", "Sensor's zero (µm)", "Drift (% of stroke a decade)")
     return (
         "<details>\n<summary>Constants found for each record, validation records too</summary>\n"
-        f"<div>{_table(head, rows, texts=1)}</div>\n</details>"
+        f"<div>{table(head, rows, texts=1)}</div>\n</details>"
     )
 
 
 def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
     options = dict(fit.options)
-    records = options.pop("records", ())
+    records = [*options.pop("records", ()), *options.pop("validation", ())]
     delay = options.pop("delay_s", actuator.delay if actuator else None)
     stroke = options.pop("stroke_m", None)
     entries = [(_LABELS.get(str(key), str(key)), _value(value)) for key, value in options.items()]
@@ -341,10 +273,12 @@ def _sources(records: Any) -> str:
         if isinstance(record, Mapping) else (_value(record), "", "")
         for record in records
     ]  # fmt: skip
-    return _table(("Record", "File", "SHA-256"), rows, texts=3)
+    return table(("Record", "File", "SHA-256"), rows, texts=3)
 
 
 def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
 
 
@@ -353,19 +287,3 @@ def _column(values: Array) -> list[str]:
     largest = float(np.abs(values).max())
     decimals = min(12, max(0, 5 - math.floor(math.log10(largest)))) if largest > 0 else 0
     return [f"{float(value):.{decimals}f}".replace("-", MINUS) if value else "0" for value in values]
-
-
-def _table(head: Row, rows: Iterable[Row], texts: int) -> str:
-    """Set a table whose first `texts` columns are words; the second text of a cell is set small beneath the first."""
-
-    def cells(tag: str, row: Row) -> str:
-        written = []
-        for i, cell in enumerate(row):
-            first, second = (cell, "") if isinstance(cell, str) else cell
-            small = f"<small>{escape(second)}</small>" if second else ""
-            kind = ' class="text"' if i < texts else ""
-            written.append(f"<{tag}{kind}>{escape(first)}{small}</{tag}>")
-        return f"<tr>{''.join(written)}</tr>"
-
-    body = "\n".join(cells("td", row) for row in rows)
-    return f'<div class="wide"><table>\n<thead>{cells("th", head)}</thead>\n<tbody>\n{body}\n</tbody>\n</table></div>'

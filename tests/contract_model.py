@@ -1,0 +1,160 @@
+"""What every model must do, ours and every rival. To enter a model, add one line to `MODELS`.
+
+A candidate makes a model that answers voltages between 0 and 100 V with displacements it can also be asked for.
+"""
+
+from collections.abc import Callable
+from dataclasses import is_dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from dehyst import Actuator, MaxwellSlip, ModelError, Spring
+from dehyst.model import AbstractModel, Motion
+
+VOLTS = 100.0
+
+
+class Candidate(NamedTuple):
+    """A model and how far, as a fraction of the range, its inverse may be from exact."""
+
+    name: str
+    factory: Callable[[], AbstractModel]
+    tolerance: float = 1e-12
+
+
+def actuator(elements, knots, volts):
+    """Return an actuator of 10 um; elements of increasing stiffness on a uniform grid."""
+    rho = 5e-6 * np.arange(1, elements + 1) / max(elements, 1)
+    kappa = 4e6 * np.arange(1, elements + 1) / max(elements, 1) ** 2
+    return Actuator(MaxwellSlip(rho, kappa), Spring(knots, volts))
+
+
+MODELS = [
+    Candidate("spring alone", lambda: actuator(0, [0, 4e-6, 1e-5], [0, 60, 100])),
+    Candidate("one element", lambda: actuator(1, [0, 1e-5], [0, 80])),
+    Candidate("ten elements", lambda: actuator(10, np.linspace(0, 1e-5, 11), 90 * np.linspace(0, 1, 11) ** 1.3)),
+    Candidate("thousand elements", lambda: actuator(1000, [0, 2e-6, 1e-5], [0, 10, 90])),
+]
+
+
+@pytest.fixture(params=MODELS, ids=lambda candidate: candidate.name)
+def candidate(request):
+    return request.param
+
+
+@pytest.fixture
+def model(candidate):
+    return candidate.factory()
+
+
+def walk(n, seed=0):
+    """Return n voltages [V] within what every candidate takes, turning often."""
+    return np.random.default_rng(seed).uniform(0.05 * VOLTS, 0.95 * VOLTS, n)
+
+
+def both_ways(model, n=60, seed=0):
+    """Yield each method with a path it can follow and the name of what comes out."""
+    motion = model.simulate(walk(n, seed))
+    yield model.simulate, motion.voltage, "displacement"
+    yield model.compensate, motion.displacement, "voltage"
+
+
+def close(got, expected, tolerance):
+    return np.abs(np.subtract(got, expected)).max(initial=0.0) <= tolerance * np.ptp(expected)
+
+
+def test_is_an_abstract_model_that_cannot_be_changed(model):
+    assert isinstance(model, AbstractModel)
+    assert is_dataclass(model)
+    for name in [*type(model).__dataclass_fields__, "anything"]:
+        with pytest.raises(AttributeError):
+            setattr(model, name, 1.0)
+
+
+def test_shapes_and_the_other_column_is_the_input(model):
+    for n in (0, 1, 60):
+        for run, drive, out in both_ways(model, n):
+            motion = run(drive.tolist())
+            assert isinstance(motion, Motion)
+            assert motion.voltage.shape == motion.displacement.shape == (n,)
+            assert motion.voltage.dtype == motion.displacement.dtype == np.float64
+            assert np.isfinite(getattr(motion, out)).all()
+            given_in = motion.voltage if out == "displacement" else motion.displacement
+            assert np.array_equal(given_in, drive)
+
+
+def test_the_state_handed_back_carries_on(model, candidate):
+    for run, drive, out in both_ways(model):
+        whole, parts, state = getattr(run(drive), out), [], None
+        for part in np.split(drive, [0, 1, 17, 18, 50]):
+            motion = run(part, state=state)
+            parts.append(getattr(motion, out))
+            state = motion.state
+        assert close(np.concatenate(parts), whole, candidate.tolerance)
+
+
+def test_input_and_state_are_not_modified(model):
+    for run, drive, out in both_ways(model):
+        state, before = run(drive[:10]).state, drive.copy()
+        first = getattr(run(drive, state=state), out)
+        assert np.array_equal(drive, before)
+        assert np.array_equal(getattr(run(drive, state=state), out), first)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_not_finite_are_refused(model, bad):
+    for run, drive, _ in both_ways(model):
+        with pytest.raises(ModelError, match=r"(voltage|displacement).*not finite, the first at index 7"):
+            run(np.where(np.arange(drive.size) == 7, bad, drive))
+
+
+@pytest.mark.parametrize("bad", [[[0.0]], "text", None, [1j]])
+def test_what_is_no_path_is_refused(model, bad):
+    for run in (model.simulate, model.compensate):
+        with pytest.raises(ModelError, match=r"voltage|displacement"):
+            run(bad)
+
+
+def test_the_same_question_gets_the_same_answer(model, candidate):
+    for run, drive, out in both_ways(model):
+        first = getattr(run(drive), out)
+        assert np.array_equal(getattr(run(drive), out), first)
+        again = getattr(candidate.factory(), run.__name__)
+        assert np.array_equal(getattr(again(drive), out), first)
+
+
+def test_rate_independence(model, candidate):
+    for run, drive, out in both_ways(model):
+        between = drive[:-1, None] + np.diff(drive)[:, None] * [0, 0.25, 0.5, 0.5]
+        slow = getattr(run(np.append(between.ravel(), drive[-1])), out)
+        assert close(slow[::4], getattr(run(drive), out), candidate.tolerance)
+
+
+def test_wiping_out(model, candidate):
+    """A loop within the last one, closed again, leaves no trace in what follows."""
+    for run, drive, out in both_ways(model):
+        low, high = drive.min(), drive.max()
+        at = low + (high - low) * np.array([0, 1, 0.2, 0.9, 0.4, 0.7, 0.5, 0.9, 0.3, 0.2, 0.1, 0.6, 1])
+        kept = np.array([0, 1, 2, 3, 8, 9, 10, 11, 12])
+        assert close(getattr(run(at), out)[kept], getattr(run(at[kept]), out), candidate.tolerance)
+
+
+def test_simulating_the_compensation_gives_the_path(model, candidate):
+    state = model.simulate(walk(30, seed=1)).state
+    path = model.simulate(walk(200, seed=2), state=state).displacement
+    sent = model.compensate(path, state=state)
+    assert close(model.simulate(sent.voltage, state=state).displacement, path, candidate.tolerance)
+
+
+def test_compensating_the_simulation_gives_the_voltage(model, candidate):
+    state = model.simulate(walk(30, seed=3)).state
+    voltage = walk(200, seed=4)
+    path = model.simulate(voltage, state=state).displacement
+    assert close(model.compensate(path, state=state).voltage, voltage, candidate.tolerance)
+
+
+def test_more_voltage_more_displacement(model):
+    rise = model.simulate(np.linspace(0.05, 0.95, 50) * VOLTS).displacement
+    assert np.all(np.diff(rise) > 0)

@@ -1,0 +1,363 @@
+"""The laws of the model (theory sections 1-5, 7, 10, 11), each on random actuators, states and paths.
+
+Voltages agree to `EXACT` of the major loop's, displacements to `EXACT` of the range: rounding, not approximation.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import strategies as our
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from dehyst import Actuator, MaxwellSlip, Spring, State
+from dehyst._native import stops
+from dehyst.metrics import loop_area
+
+EXACT = 1e-12
+KM, T, KE = 1.4e6, 0.042, 8.82e4
+SOME = our.actuators(1, 20)
+AFFINE = our.actuators(1, 20, knots=2)
+
+
+def close(got, expected, allowance):
+    return np.abs(np.subtract(got, expected)).max(initial=0.0) <= allowance
+
+
+def same_state(state, other, metres):
+    return close(state.displacement, other.displacement, metres) and close(state.carts, other.carts, metres)
+
+
+def compensated(actuator, path, start):
+    return actuator.compensate(path, state=start).voltage
+
+
+def major(actuator, extra=1.0):
+    """Bottom and top [m] of a loop about the spring's middle in which every element slides, both ways."""
+    knots = actuator.spring.displacement
+    half = extra * max(actuator.slip.breakaway[-1], our.span_of(actuator) / 2)
+    return (knots[0] + knots[-1]) / 2 - half, (knots[0] + knots[-1]) / 2 + half
+
+
+def scales(actuator):
+    bottom, top = major(actuator, 3)
+    volts = actuator.spring(top) - actuator.spring(bottom) + 2 * actuator.slip.friction.sum()
+    return EXACT * float(volts), EXACT * (top - bottom)
+
+
+def at_rest(actuator, elongation):
+    """Return the equilibrium at 0 V with these elongations (Sec. 2): h(x(0)) = -sum k_i s_i."""
+    y = actuator.relaxed(-float(actuator.slip.stiffness @ elongation)).displacement
+    return State(y, y - elongation)
+
+
+@given(our.motions(max_samples=12), our.SEEDS)
+def test_force_balance(motion, seed):
+    """Eq. 2: v = sum kappa_i s_i + eta(y) after every sample, with every |s_i| <= rho_i."""
+    actuator, state, path = motion
+    slip = actuator.slip
+    for v in our.voltages_like(actuator, state, path, seed):
+        state = actuator.simulate([v], state=state).state
+        s = state.displacement - state.carts
+        assert np.all(np.abs(s) <= slip.breakaway + EXACT * our.span_of(actuator))
+        balance = slip.stiffness @ s + actuator.spring(state.displacement)
+        assert close(balance, v, EXACT * (our.volts_of(actuator) + abs(v)))
+
+
+def in_newtons(actuator):
+    return actuator.physical(transformer_ratio=T, mechanical_stiffness=KM, electrical_stiffness=KE)
+
+
+@given(SOME, our.SEEDS)
+def test_peak_voltage(actuator, seed):
+    """Eq. 4: once every element has slid, F0 = sum f_i + keq X + g(X), in newtons."""
+    rho, top = actuator.slip.breakaway, actuator.spring.displacement[-1]
+    bottom = top - 2 * rho[-1]
+    start = State(bottom, bottom + np.random.default_rng(seed).uniform(-1, 1, rho.size) * rho)
+    paper = in_newtons(actuator)
+    force = paper.friction.sum() + paper.equivalent_stiffness * paper.deformation[-1] + paper.nonlinear[-1]
+    volts = scales(actuator)[0] + EXACT * paper.equivalent_stiffness * np.abs(paper.deformation[-1]) / T
+    assert close(compensated(actuator, [top], start), force / T, volts)
+
+
+@given(SOME)
+def test_break_points(actuator):
+    """Eqs. 6 and 7: the force at X - 2 r_i going down and at x(T0) + 2 r_i going up, in the paper's symbols."""
+    bottom, top = major(actuator)
+    slip, paper = actuator.slip, in_newtons(actuator)
+    c = paper.equivalent_stiffness / KM
+    sliding = np.cumsum(paper.friction)
+    stuck = paper.stiffness.sum() - np.cumsum(paper.stiffness)
+    drop = 2 * sliding + 2 * (paper.equivalent_stiffness + stuck) * paper.breakaway
+
+    def g(y):
+        return T * actuator.spring(y) - paper.equivalent_stiffness * y / c
+
+    down, up = top - 2 * slip.breakaway, bottom + 2 * slip.breakaway
+    at_top, at_bottom = actuator.turned(top), actuator.turned(bottom, rising=False)
+    f_down = T * actuator.voltage(at_top) - drop + g(down) - g(top)
+    f_up = T * actuator.voltage(at_bottom) + drop + g(up) - g(bottom)
+    volts = scales(actuator)[0] + EXACT * paper.equivalent_stiffness * (top - bottom) / c / T
+    assert close(compensated(actuator, down, at_top), f_down / T, volts)
+    assert close(compensated(actuator, up, at_bottom), f_up / T, volts)
+
+
+@given(our.SEEDS, st.integers(1, 20))
+def test_break_points_of_a_uniform_grid(seed, n):
+    """Eqs. 8 and 9, Remark 2: N equal segments between the ends, whose second differences are the stiffnesses."""
+    actuator = our.make_actuator(seed, n, 2, uniform=True)
+    delta, kappa = actuator.slip.breakaway[0], actuator.slip.stiffness
+    falling = actuator.spring.displacement[-1] - 2 * delta * np.arange(n + 1)
+    down = compensated(actuator, falling, actuator.turned(falling[0]))
+    up = compensated(actuator, falling[::-1], actuator.turned(falling[-1], rising=False))
+    allowance = n * scales(actuator)[0] / delta
+    assert close(np.diff(down, 2) / (2 * delta), kappa[:-1], allowance)
+    assert close(-np.diff(up, 2) / (2 * delta), kappa[:-1], allowance)
+    assert close((down[-2] - down[-1]) / (2 * delta) - actuator.spring.slopes[0], kappa[-1], allowance)
+
+
+@given(SOME, our.SEEDS, our.SEEDS)
+def test_lemma_1(actuator, seed, other):
+    """Once every element has slid, the state does not depend on the start."""
+    v, metres = scales(actuator)
+    bottom, top = major(actuator, 2)
+    a, b = (our.make_state(actuator, s, "arbitrary") for s in (seed, other))
+    path = our.make_path(actuator, bottom, seed, "nested", 20).clip(bottom, top)
+    path = np.concatenate([path, [bottom, top, 0.3 * bottom + 0.7 * top]])
+    one, two = actuator.compensate(path, state=a), actuator.compensate(path, state=b)
+    assert same_state(one.state, two.state, metres)
+    assert close(one.voltage[-2:], two.voltage[-2:], v)
+
+
+def asymmetry(actuator):
+    """Return v_up(yc + d) + v_down(yc - d) - v(top) - v(bottom) over a major loop about yc."""
+    bottom, top = major(actuator)
+    rise = np.linspace(bottom, top, 101)
+    up = compensated(actuator, rise, actuator.turned(bottom, rising=False))
+    down = compensated(actuator, rise[::-1], actuator.turned(top))
+    even = actuator.spring(rise) + actuator.spring(rise[::-1]) - actuator.spring(top) - actuator.spring(bottom)
+    return up + down - up[-1] - down[-1], even
+
+
+@given(AFFINE)
+def test_lemma_2(actuator):
+    """With an affine spring the loop is anti-symmetric about its centre."""
+    assert close(asymmetry(actuator)[0], 0.0, scales(actuator)[0])
+
+
+@given(SOME)
+def test_lemma_2_has_a_false_converse(actuator):
+    """A spring that is odd about the centre is anti-symmetric too; of any other the even part is what is seen."""
+    y, v = actuator.spring.displacement - actuator.spring.displacement[0], actuator.spring.voltage
+    odd = Spring(np.concatenate([-y[:0:-1], y]), np.concatenate([2 * v[0] - v[:0:-1], v]))
+    assert close(asymmetry(Actuator(actuator.slip, odd))[0], 0.0, 4 * scales(actuator)[0])
+    seen, even = asymmetry(actuator)
+    assert close(seen, even, scales(actuator)[0])
+
+
+def test_a_curved_spring_breaks_lemma_2():
+    curved = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 5e-6, 1e-5], [0, 20, 100]))
+    assert np.abs(asymmetry(curved)[0]).max() > 50
+
+
+@given(SOME, our.SEEDS)
+def test_residual_strain_shifts_the_loop(actuator, seed):
+    """Eq. 10 and Sec. 2: another start at 0 V shifts the rest of the loop, in y - y(0), by exactly the difference of
+    y(0); x(0) lies in h^-1([-sum f, sum f]) and never beyond x(T0).
+    """
+    rng, rho = np.random.default_rng(seed), actuator.slip.breakaway
+    starts = [at_rest(actuator, rho * rng.uniform(-1, 1, rho.size)) for _ in range(2)]
+    highest = max(start.displacement for start in starts) + 2 * rho[-1]
+    v = actuator.voltage(actuator.turned(highest)) * (0.5 - 0.5 * np.cos(np.linspace(0, 4 * np.pi, 121)))
+    loops = [actuator.simulate(v, state=s).displacement - s.displacement for s in starts]
+    allowance, force = 4 * scales(actuator)[1], actuator.slip.friction.sum()
+    shift = starts[1].displacement - starts[0].displacement
+    assert close(loops[0][30:] - loops[1][30:], shift, allowance)
+    for start, loop in zip(starts, loops, strict=True):
+        ends = actuator.relaxed(-force).displacement, actuator.relaxed(force).displacement
+        assert ends[0] - allowance <= start.displacement <= ends[1] + allowance
+        assert loop[60] >= -allowance
+
+
+@given(our.motions(max_samples=30), our.SEEDS, st.floats(0, 1))
+def test_wiping_out(motion, seed, depth):
+    """Return-point memory: an excursion within the present branch, closed again, leaves no trace."""
+    actuator, state, path = motion
+    path = np.append(path, our.make_path(actuator, state.displacement, seed, "jumps", 1))
+    before, here = np.append(state.displacement, path)[-2:]
+    turn = here + depth * (before - here)
+    inside = here + np.random.default_rng(seed).uniform(0, 1, 10) * (turn - here)
+    plain = actuator.compensate(path, state=state)
+    detour = actuator.compensate(np.concatenate([path, [turn], inside, [here]]), state=state)
+    volts = EXACT * (our.volts_of(actuator) + np.ptp(detour.voltage))
+    metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(path, state.displacement)))
+    assert same_state(plain.state, detour.state, metres)
+    assert close(detour.voltage[-1], plain.voltage[-1], volts)
+
+
+@given(SOME, our.SEEDS)
+def test_masing(actuator, seed):
+    """After a reversal the stops' force follows the virgin curve phi doubled: F_R - 2 phi(u / 2)."""
+    slip = actuator.slip
+    y0 = actuator.relaxed().displacement
+    peak = slip.breakaway[-1] * np.random.default_rng(seed).uniform(0.1, 1.5)
+    u = np.linspace(0, 2 * peak, 50)
+    phi = np.minimum(u[:, None] / 2, slip.breakaway) @ slip.stiffness
+    path = np.concatenate([y0 + u / 2, y0 + peak - u])
+    force = compensated(actuator, path, actuator.relaxed()) - actuator.spring(path)
+    assert close(force[:50], phi, scales(actuator)[0])
+    assert close(force[50:], force[49] - 2 * phi, scales(actuator)[0])
+
+
+@given(our.motions(max_samples=60), our.SEEDS)
+def test_rate_independence(motion, seed):
+    """Samples held, or added on the way from one to the next, change nothing at the samples that were there."""
+    actuator, state, path = motion
+    rng = np.random.default_rng(seed)
+    v = our.voltages_like(actuator, state, path, seed)
+    for run, drive, first in (
+        (actuator.compensate, path, state.displacement),
+        (actuator.simulate, v, actuator.voltage(state)),
+    ):
+        part = np.sort(rng.uniform(0, 1, (len(drive), 4)), axis=1)
+        part[:, 2:] = 1
+        previous = np.append(first, drive)[:-1, None]
+        slow = np.where(part == 1, drive[:, None], previous + part * (drive[:, None] - previous))
+        fast, slowed = run(drive, state=state), run(slow.ravel(), state=state)
+        volts = EXACT * (our.volts_of(actuator) + np.ptp(np.append(fast.voltage, 0)))
+        metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(fast.displacement, state.displacement)))
+        assert close(slowed.voltage[3::4], fast.voltage, volts)
+        assert close(slowed.displacement[3::4], fast.displacement, metres)
+        assert same_state(slowed.state, fast.state, metres)
+
+
+@given(SOME, our.SEEDS, our.SEEDS)
+def test_congruency(actuator, seed, other):
+    """Closed loops between the same two displacements differ by a constant voltage, whatever came before."""
+    bottom, top = np.sort(np.random.default_rng(seed).uniform(*major(actuator), 2))
+    loop = np.concatenate([np.linspace(bottom, top, 40), np.linspace(top, bottom, 40)])
+    starts = [our.make_state(actuator, s, "arbitrary") for s in (seed, other)]
+    loops = [compensated(actuator, np.tile(loop, 2), start)[80:] for start in starts]
+    assert close(np.ptp(loops[0] - loops[1]), 0.0, scales(actuator)[0])
+
+
+def through_knots(actuator, path):
+    """Add the spring's knots to a path: between them the trapezoidal rule is exact for the spring."""
+    pieces = [path[:1]]
+    knots = actuator.spring.displacement
+    for a, b in pairwise(path):
+        between = knots[(knots > min(a, b)) & (knots < max(a, b))]
+        pieces += [between if b > a else between[::-1], [b]]
+    return np.concatenate(pieces)
+
+
+@given(our.motions(SOME, max_samples=40))
+def test_dissipation(motion):
+    """No closed loop gives back more than it took."""
+    actuator, state, path = motion
+    assume(path.size > 1)
+    closed = through_knots(actuator, np.append(path, path[0]))[:-1]
+    v = np.array_split(compensated(actuator, np.tile(closed, 2), state), 2)[1]
+    assert loop_area(v, closed) >= -EXACT * np.abs(v).max() * np.ptp(closed) * closed.size
+
+
+@given(SOME, st.floats(0.1, 3))
+def test_dissipation_is_what_friction_takes(actuator, width):
+    """A loop of range R loses sum 2 f_i max(0, R - 2 r_i): nothing at all while no element slides."""
+    rho, friction = actuator.slip.breakaway, actuator.slip.friction
+    size = 2 * width * rho[min(1, rho.size - 1)]
+    bottom = major(actuator)[0]
+    ticks = bottom + np.unique(np.append(2 * rho[2 * rho < size], [0, size]))
+    ends = np.concatenate([ticks[:-1], ticks[:0:-1], size + 2 * bottom - ticks])
+    ticks = np.unique(np.append(ends, actuator.spring.displacement.clip(bottom, bottom + size)))
+    loop = np.concatenate([ticks[:-1], ticks[:0:-1]])
+    v = np.array_split(compensated(actuator, np.tile(loop, 2), actuator.turned(bottom)), 2)[1]
+    lost = 2 * friction @ np.maximum(0, size - 2 * rho)
+    assert close(loop_area(v, loop), lost, EXACT * loop.size * size * np.ptp(v) + scales(actuator)[0] * size)
+
+
+@given(our.motions(SOME, max_samples=60), our.SEEDS)
+def test_superposition(motion, seed):
+    """The elements do not know each other: two halves sharing the spring add up to the whole."""
+    actuator, state, path = motion
+    slip, spring = actuator.slip, actuator.spring
+    mine, share = np.random.default_rng(seed).random(len(slip)) < 0.5, 0.3
+    whole, halves = compensated(actuator, path, state), 0
+    for chosen, part in ((mine, share), (~mine, 1 - share)):
+        half = Actuator(MaxwellSlip(slip.breakaway[chosen], slip.stiffness[chosen]),
+                        Spring(spring.displacement, part * spring.voltage))  # fmt: skip
+        halves = halves + compensated(half, path, State(state.displacement, state.carts[chosen]))
+    elongations, _ = stops(slip.breakaway, state.carts, path)
+    volts = EXACT * (our.volts_of(actuator) + np.ptp(np.append(whole, 0)))
+    assert close(whole, halves, volts)
+    assert close(whole, elongations @ slip.stiffness + spring(path), volts)
+
+
+@given(our.motions(SOME, states=("relaxed",), max_samples=60))
+def test_what_is_known_of_the_state(motion):
+    """Sec. 11: from total ignorance the width of s_i is max(0, 2 rho_i - R), R the running range of y; after an
+    excursion of 2 rho_N the state is certain.
+    """
+    actuator, state, path = motion
+    rho, y0 = actuator.slip.breakaway, state.displacement
+    low, high = (stops(rho, y0 + side * rho, path)[0] for side in (1, -1))
+    seen = np.append(y0, path)
+    ranges = (np.maximum.accumulate(seen) - np.minimum.accumulate(seen))[1:, None]
+    metres = EXACT * (our.span_of(actuator) + np.ptp(seen))
+    assert close(high - low, np.maximum(0, 2 * rho - ranges), metres)
+    sweep = y0 + np.array([0.5, 0, 2.0]) * rho[-1]
+    one, two = (stops(rho, y0 + side * rho, sweep)[1] for side in (1, -1))
+    assert close(one, two, metres)
+
+
+@given(our.motions(SOME, states=("arbitrary", "reached", "extreme"), max_samples=60), our.SEEDS)
+def test_order_is_preserved_under_voltage(motion, seed):
+    """Sec. 11: of two states under the same voltage, the one whose carts all lie higher stays the higher one."""
+    actuator, lower, path = motion
+    y, rho = lower.displacement, actuator.slip.breakaway
+    higher = State(y, lower.carts + np.random.default_rng(seed).uniform(0, 1, rho.size) * (y + rho - lower.carts))
+    v = our.voltages_like(actuator, lower, path, seed)
+    for voltage in v:
+        one, two = actuator.simulate([voltage], state=lower), actuator.simulate([voltage], state=higher)
+        metres = EXACT * (our.span_of(actuator) + abs(one.displacement[0]))
+        assert two.displacement[0] - one.displacement[0] >= -metres
+        assert np.all(two.state.carts - one.state.carts >= -metres)
+        lower, higher = one.state, two.state
+
+
+@given(our.motions(SOME, states=("relaxed", "turned up", "reached"), max_samples=60), our.SEEDS)
+def test_carts_slide_in_increasing_order(motion, seed):
+    """Sec. 2: every state that a history can reach has |b_i - b_{i+1}| <= rho_{i+1} - rho_i (b_0 = y, rho_0 = 0), so
+    on a rise element i + 1 never slides before element i.
+    """
+    actuator, state, path = motion
+    state = actuator.simulate(our.voltages_like(actuator, state, path, seed), state=state).state
+    rho = actuator.slip.breakaway
+    metres = EXACT * (our.span_of(actuator) + abs(state.displacement))
+    gaps = np.diff(np.append(state.displacement, state.carts))
+    assert np.all(np.abs(gaps) <= np.diff(np.append(0, rho)) + metres)
+    _, after = stops(rho, state.carts, state.displacement + np.array([rho[-1] / 2]))
+    moved = after - state.carts > metres
+    assert not np.any(~moved[:-1] & (after - state.carts > 2 * metres)[1:])
+
+
+@given(our.motions(SOME, max_samples=1), our.SEEDS)
+@settings(max_examples=30)
+def test_physical_units(motion, seed):
+    """Eqs. 1-3 in newtons: T v = sum k_i s_i + keq x + g(x), f_i = k_i r_i, y = (keq / km) x; Sec. 4's T, km, ke."""
+    actuator, state, _ = motion
+    paper = in_newtons(actuator)
+    keq = KE * KM / (KE + KM)
+    knot = int(np.random.default_rng(seed).integers(paper.deformation.size))
+    at = actuator.simulate(compensated(actuator, [actuator.spring.displacement[knot]], state), state=state).state
+    s = (at.displacement - at.carts) * KM / keq
+    force = paper.stiffness @ s + keq * paper.deformation[knot] + paper.nonlinear[knot]
+    volts = scales(actuator)[0] + EXACT * np.abs(keq * paper.deformation).max() / T
+    assert close(force / T, actuator.voltage(at), volts)
+    np.testing.assert_allclose(paper.friction, paper.stiffness * paper.breakaway, rtol=1e-13)
+    np.testing.assert_allclose(paper.breakaway, actuator.slip.breakaway * KM / keq, rtol=1e-13)
+    np.testing.assert_allclose(paper.parallel, keq * paper.deformation + paper.nonlinear, atol=T * volts)
+    assert paper.equivalent_stiffness == pytest.approx(keq, rel=1e-15)
+    x0 = np.interp(0, paper.parallel, paper.deformation, left=0, right=0)
+    assert abs(x0) <= EXACT * np.ptp(paper.deformation)
