@@ -173,14 +173,29 @@ class _Job:
     def delay(self) -> float:
         """Seconds by which the displacement lags the voltage."""
         if self.settings.delay is not None:
+            cycle = min(repairs.cycle_time(item.record) for item in (*self.training, *self.held_out))
+            if abs(self.settings.delay) > 0.25 * cycle:
+                raise IdentifyError(
+                    f"delay: got {self.settings.delay:g} s, need less than a quarter of the shortest cycle ({cycle:.4g} s)"
+                )
             return self.settings.delay
         longest = 0.05 * min(repairs.cycle_time(item.record) for item in self.training)
         sample = min(item.record.sample_time for item in self.training)
-        # Too few elements would round the turning points as a delay does.
+        # Too few elements or knots would round the turning points as a delay does, and creep would open the loop.
         grid = self.stroke / 60 * np.arange(1.0, 31.0)
-        return repairs.find_delay(lambda delay: self._regression(grid, delay), longest, sample)
+        drifting = tuple(self._can_drift())
 
-    def _regression(self, rho: Array, delay: float) -> Regression:
+        def build(delay: float) -> Regression:
+            return replace(self._regression(grid, delay, knots=31, slope_floor=0.01), drifting=drifting)
+
+        return repairs.find_delay(build, longest, sample)
+
+    def _can_drift(self) -> list[int]:
+        return [q for q, item in enumerate(self.training) if item.can_drift and self.settings.drift]
+
+    def _regression(
+        self, rho: Array, delay: float, *, knots: int | None = None, slope_floor: float | None = None
+    ) -> Regression:
         pieces = [piece for q, item in enumerate(self.training) for piece in item.delayed(q, delay)]
         rows, _ = collect(pieces, rho, [self.training[q].noise for q, _, _ in pieces])
         if len(rows) < 2 * rho.size:
@@ -189,22 +204,18 @@ class _Job:
                 "seen once say something. Record two cycles at least, or use fewer elements"
             )
         low, high = self.span
-        floor = self.settings.slope_floor * float(np.ptp(self.training[self.widest].record.voltage)) / self.stroke
+        mean_slope = float(np.ptp(self.training[self.widest].record.voltage)) / self.stroke
+        floor = mean_slope * (slope_floor or self.settings.slope_floor)
         movable = 2 * rho < self.stroke * (1 - 1e-9)
-        knots = np.linspace(low, high, self.settings.knots or min(rho.size + 1, 41))
-        return Regression(rows, knots, floor, movable, np.zeros(len(self.training)))
+        places = np.linspace(low, high, knots or self.settings.knots or min(rho.size + 1, 41))
+        return Regression(rows, places, floor, movable, np.zeros(len(self.training)))
 
     def _with_datums(self, regression: Regression) -> Regression:
-        for q in range(len(self.training)):
-            if q != self.widest and not self.settings.shared_datum:
-                datum = regression.datum.copy()
-                datum[q] = repairs.find_datum(regression, q, self.stroke)
-                regression = replace(regression, datum=datum)
-        return regression
+        others = [q for q in range(len(self.training)) if q != self.widest and not self.settings.shared_datum]
+        return repairs.with_datums(regression, others, self.stroke)
 
     def _with_drifts(self, regression: Regression) -> Regression:
-        can = [q for q, item in enumerate(self.training) if item.can_drift and self.settings.drift]
-        return replace(regression, drifting=repairs.find_drifts(regression, can))
+        return replace(regression, drifting=repairs.find_drifts(regression, self._can_drift()))
 
     def _actuator(self, rho: Array, regression: Regression, found: Coefficients) -> Actuator:
         reference = regression.rows.epoch[regression.rows.record == self.widest].max()
@@ -237,6 +248,12 @@ class _Job:
                 f"The records determine {determined} of {of} directions of the stiffnesses; minor loops with other "
                 "turning points determine more."
             )
+        still = int(np.count_nonzero(~regression.movable))
+        if still > 1 or not regression.movable.any():
+            self.remarks.append(
+                f"{still} of {regression.movable.size} elements let go at half of the range or more: they never slide "
+                "over all of it, are one with the spring, and got no stiffness."
+            )
         low = np.flatnonzero(found.slopes <= regression.floor * (1 + 1e-6))
         if low.size:
             ends = regression.knots * 1e6
@@ -261,7 +278,8 @@ class _Job:
             drifting = q in regression.drifting if trained else self.settings.drift and item.can_drift
             pieces = [(piece, curve) for _, piece, curve in item.delayed(q, self.delay)]
             role = "training" if trained else "validation"
-            error, trace = errors_of(actuator, item.record, pieces, item.noise, role, datum, drifting, self.stroke)
+            error, trace = errors_of(actuator, item.name, pieces, item.noise, role, datum, drifting, self.stroke)
+            error = replace(error, left_out=item.samples - error.samples)
             errors.append(error)
             traces.append(trace)
         if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -194,6 +195,6 @@ class Fit:
             "errors": [error.as_dict() for error in self.errors],
             "repairs": list(self.repairs),
             "remarks": list(self.remarks),
-            "solver": {"status": self.status, "duality_gap": self.gap},
+            "solver": {"status": self.status, "duality_gap": self.gap if isfinite(self.gap) else None},
             "options": dict(self.options),
         }

@@ -25,6 +25,9 @@ class Prepared:
         Without its start-up transient.
     pieces : tuple of Record
         The same between gaps.
+    name : str
+    samples : int
+        Of the record as it was given.
     start : float
         Time of the first sample [s], from which creep counts.
     noise : float
@@ -37,6 +40,8 @@ class Prepared:
 
     record: Record
     pieces: tuple[Record, ...]
+    name: str
+    samples: int
     start: float
     noise: float
     can_drift: bool
@@ -88,8 +93,8 @@ def prepare(record: Record) -> Prepared:
             "transient or a rise from an unknown state; left out."
         )
     pieces, gaps = repairs.split_at_gaps(kept)
-    return Prepared(kept, tuple(pieces), float(record.time[0]), record.noise, len(record.cycles()) >= 3,
-                    (*sentences, *gaps))  # fmt: skip
+    return Prepared(kept, tuple(pieces), record.name, len(record), float(record.time[0]), record.noise,
+                    len(record.cycles()) >= 3, (*sentences, *gaps))  # fmt: skip
 
 
 def as_list(records: Record | Sequence[Record]) -> list[Record]:
@@ -100,7 +105,7 @@ def as_list(records: Record | Sequence[Record]) -> list[Record]:
     IdentifyError
         If something else was given.
     """
-    given = [records] if isinstance(records, Record) else list(records)
+    given = [records] if not isinstance(records, Sequence) or isinstance(records, str) else list(records)
     for item in given:
         if not isinstance(item, Record):
             raise IdentifyError(f"got {type(item).__name__}, need records; read a file with dehyst.read(path)")

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
@@ -23,6 +24,8 @@ Norm = Literal["l1", "l2", "linf"]
 NORMS: tuple[Norm, ...] = ("l1", "l2", "linf")
 _ROWS_AT_A_TIME = 200
 _ROUNDS = 60
+# Largest relative duality gap of an optimum.
+_OPTIMAL = 1e-6
 
 
 @contextmanager
@@ -103,6 +106,12 @@ def _l2(rows: Array, goal: Array, p: int) -> Answer:
     from scipy.linalg import solve_triangular
     from scipy.optimize import nnls
 
+    independent = _independent(rows[:, :p])
+    if independent.size < p:
+        # A dependent free column would swallow a direction of the residual: it stays at zero.
+        kept = np.concatenate([independent, np.arange(p, rows.shape[1])])
+        x, status, optimal, gap = _l2(rows[:, kept], goal, independent.size)
+        return _spread(x, kept, rows.shape[1]), status, optimal, gap
     triangle = triangle_of(np.column_stack([rows, goal]))
     k = min(rows.shape[1], triangle.shape[0])
     head, x = triangle[:k, :-1], np.zeros(rows.shape[1])
@@ -112,17 +121,29 @@ def _l2(rows: Array, goal: Array, p: int) -> Answer:
     except RuntimeError as error:
         return x, f"non-negative least squares: {error}", False, float("nan")
     if p:
-        rest = triangle[:p, -1] - head[:p, p:] @ x[p:]
-        diagonal = np.abs(np.diag(head[:p, :p]))
-        if diagonal.min() > 1e-12 * diagonal.max():
-            x[:p] = solve_triangular(head[:p, :p], rest)
-        else:
-            x[:p] = np.linalg.lstsq(head[:p, :p], rest, rcond=None)[0]
+        x[:p] = solve_triangular(head[:p, :p], triangle[:p, -1] - head[:p, p:] @ x[p:])
     residual = rows @ x - goal
     slack = rows.T @ residual
     # What is left of stationarity: x'g must vanish, and g may not be negative where x is not bounded above.
     gap = float(abs(slack @ x) + np.maximum(-slack[p:], 0).sum()) / max(float(goal @ goal), np.finfo(float).tiny)
-    return x, "optimal (non-negative least squares)", True, gap
+    return x, "optimal (non-negative least squares)", gap < _OPTIMAL, gap
+
+
+def _independent(columns: Array) -> NDArray[np.intp]:
+    """Columns that are independent of one another, in order."""
+    from scipy.linalg import qr
+
+    if not columns.shape[1]:
+        return np.zeros(0, dtype=np.intp)
+    triangle, order = qr(columns, mode="r", pivoting=True)
+    diagonal = np.abs(np.diag(triangle))
+    return np.sort(order[: int(np.count_nonzero(diagonal > 1e-12 * diagonal[0]))])
+
+
+def _spread(x: Array, places: NDArray[np.intp], size: int) -> Array:
+    whole = np.zeros(size)
+    whole[places] = x
+    return whole
 
 
 def _l1(rows: Array, goal: Array, p: int) -> Answer:

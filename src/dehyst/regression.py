@@ -91,8 +91,7 @@ class Regression:
 
     def slope(self, found: Coefficients) -> Array:
         """dv/dy of the model at each row (n,) [V/m]; the weight of a row is its inverse."""
-        j = np.clip(np.searchsorted(self.knots, self.axis, side="right") - 1, 0, found.slopes.size - 1)
-        return np.asarray(self.rows.stuck @ found.stiffness + found.slopes[j])
+        return np.asarray(self.rows.stuck @ found.stiffness + found.slopes[self.segment(self.axis)])
 
     def fit_weighted(self, norm: Norm, passes: int = 2) -> Coefficients:
         """Fit with rows weighted by the inverse slope of the model that a first, least-squares pass finds."""
@@ -100,6 +99,21 @@ class Regression:
         for _ in range(passes - 1):
             weights = 1 / self.slope(self.fit("l2", weights))
         return self.fit(norm, weights)
+
+    def datum_steps(self, records: list[int]) -> Array:
+        """Changes of the datums [m] that a least-squares fit asks for, the spring linearised at the present ones."""
+        found = self.fit("l2")
+        y = self.axis
+        slope = found.slopes[self.segment(y)]
+        shifts = np.column_stack([np.where(self.rows.record == q, slope, 0.0) for q in records])
+        spring, slip = self.parts_of_spring(y), self.rows.elongation[:, self.movable]
+        target = self.rows.voltage - self.floor * spring.sum(axis=1)
+        answer = solve(np.hstack([self.nuisances(), shifts]), np.hstack([slip, spring]), target, norm="l2")
+        return answer.free[-len(records) :]
+
+    def segment(self, y: Array) -> NDArray[np.intp]:
+        """Segment of the spring in which each y lies."""
+        return np.clip(np.searchsorted(self.knots, y, side="right") - 1, 0, self.knots.size - 2)
 
     def nuisances_of(self, found: Coefficients) -> Coefficients:
         """Fit only the constants and drifts of these rows, for a model that is given."""

@@ -14,6 +14,7 @@ from dehyst.regression import Coefficients, Regression
 
 _BINS = 64
 _SEARCH_ROWS = 4000
+_STEPS = 20
 # A repair is made only where it makes the RMS residual smaller by this much.
 _WORTH = 0.97
 
@@ -22,8 +23,9 @@ def transient(record: Record) -> int:
     """Samples at the start of a record that lie outside the loops that follow, 0 if none.
 
     The first cycle (at most) is compared with the band of displacements that later cycles cover at the same voltage,
-    widened by 1.5 % of the stroke; later cycles must go as far. A first rise from an unknown state is left out with it:
-    no state is known there.
+    widened by 1.5 % of the stroke or 4 standard deviations of the noise; later cycles must go as far. The transient
+    begins with the record and ends where a twentieth of a cycle lies inside. A first rise from an unknown state is left
+    out with it: no state is known there.
     """
     cycles = record.cycles()
     if len(cycles) < 3:
@@ -38,11 +40,12 @@ def transient(record: Record) -> int:
     low, high = np.full(_BINS, np.inf), np.full(_BINS, -np.inf)
     np.minimum.at(low, bins[begin:], y[begin:])
     np.maximum.at(high, bins[begin:], y[begin:])
-    margin = 0.015 * float(np.ptp(y[begin:]))
+    margin = max(0.015 * float(np.ptp(y[begin:])), 4 * record.noise)
     early = slice(0, begin)
     outside = (y[early] < low[bins[early]] - margin) | (y[early] > high[bins[early]] + margin)
-    last = np.flatnonzero(outside)
-    return int(last[-1]) + 1 if last.size else 0
+    ends = np.concatenate([[-1], np.flatnonzero(outside), [begin + begin]])
+    calm = np.flatnonzero(np.diff(ends) > max(5, begin // 20))
+    return int(ends[calm[0]]) + 1
 
 
 def split_at_gaps(record: Record) -> tuple[list[Record], list[str]]:
@@ -98,6 +101,38 @@ def find_delay(build: Callable[[float], Regression], longest: float, sample_time
     return best if abs(best) > 0.02 * sample_time and _worth(cost(best), cost(0.0), build(0.0)) else 0.0
 
 
+def with_datums(regression: Regression, records: list[int], stroke: float) -> Regression:
+    """Put records on one axis: each datum looked for by itself, then those found polished together (Gauss-Newton).
+
+    A datum that was looked for while others were still wrong may have been missed, hence two rounds.
+    """
+    few = regression.thinned(_SEARCH_ROWS)
+    for _ in range(2 if len(records) > 1 else 1):
+        for q in records:
+            if not few.datum[q]:
+                datum = few.datum.copy()
+                datum[q] = find_datum(few, q, stroke)
+                few = replace(few, datum=datum)
+        few = _polished(few, [q for q in records if few.datum[q]])
+    return replace(regression, datum=few.datum)
+
+
+def _polished(regression: Regression, records: list[int]) -> Regression:
+    """All these datums at once; each step may only make the residual smaller."""
+    if not records:
+        return regression
+    best = _rms(regression)
+    for _ in range(_STEPS):
+        datum = regression.datum.copy()
+        datum[records] += regression.datum_steps(records)
+        trial = replace(regression, datum=datum)
+        cost = _rms(trial)
+        if not cost < best:
+            break
+        regression, best = trial, cost
+    return regression
+
+
 def find_datum(regression: Regression, record: int, stroke: float, given: Coefficients | None = None) -> float:
     """Shift d_q [m] that puts a record on the axis of the others, or of a given model; 0 unless that is worth it."""
     few = regression.thinned(_SEARCH_ROWS)
@@ -124,8 +159,8 @@ def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...
 
 
 def _worth(after: float, before: float, regression: Regression) -> bool:
-    """Whether a repair makes the RMS residual smaller by something that is more than rounding."""
-    return after < _WORTH * before and before - after > 1e-7 * float(np.ptp(regression.knots))
+    """Whether a repair makes the RMS residual smaller, by more than a hundred-thousandth of the range."""
+    return after < _WORTH * before and before - after > 1e-5 * float(np.ptp(regression.knots))
 
 
 def _rms(regression: Regression, given: Coefficients | None = None) -> float:

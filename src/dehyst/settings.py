@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import IdentifyError
+from dehyst._errors import IdentifyError, ModelError
 from dehyst._native import Array, vector
 from dehyst.program import NORMS, Norm
 
@@ -44,15 +45,19 @@ class Settings:
         _demand(self.method in METHODS, "method", self.method, f"one of {', '.join(METHODS)}")
         _demand(self.norm in NORMS, "norm", self.norm, f"one of {', '.join(NORMS)}")
         _demand(self.branch in ("descending", "ascending"), "branch", self.branch, "'descending' or 'ascending'")
-        _demand(self.elements is None or 1 <= self.elements <= 500, "elements", self.elements, "1 to 500")
-        _demand(self.knots is None or 2 <= self.knots <= 500, "knots", self.knots, "2 to 500")
-        _demand(0 < self.slope_floor < 1, "slope_floor", self.slope_floor, "a fraction between 0 and 1")
-        _demand(self.delay is None or abs(self.delay) < np.inf, "delay", self.delay, "a finite number of seconds")
+        _demand(_is_count(self.elements, 1), "elements", self.elements, "a whole number from 1 to 500")
+        _demand(_is_count(self.knots, 2), "knots", self.knots, "a whole number from 2 to 500")
+        _demand(_is_number(self.slope_floor) and 0 < self.slope_floor < 1, "slope_floor", self.slope_floor,
+                "a fraction between 0 and 1")  # fmt: skip
+        _demand(self.delay is None or _is_number(self.delay), "delay", self.delay, "a finite number of seconds")
         if self.breakaway is not None:
             self._check_breakaway(self.breakaway)
 
     def _check_breakaway(self, breakaway: ArrayLike) -> None:
-        rho = vector(breakaway, "breakaway")
+        try:
+            rho = vector(breakaway, "breakaway")
+        except ModelError as error:
+            raise IdentifyError(str(error)) from error
         if self.elements is not None:
             raise IdentifyError("got both elements and breakaway, need one of them")
         if self.method != "record":
@@ -72,6 +77,14 @@ class Settings:
         """JSON values of what bears on the result."""
         return {"method": self.method, "norm": self.norm, "elements": self.count, "slope_floor": self.slope_floor,
                 "shared_datum": self.shared_datum, "drift": self.drift}  # fmt: skip
+
+
+def _is_count(value: object, least: int) -> bool:
+    return value is None or (isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) <= 500)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and abs(float(value)) < np.inf
 
 
 def _demand(holds: bool, name: str, got: object, needed: str) -> None:

@@ -20,7 +20,7 @@ Piece = tuple[Record, Array]
 
 def errors_of(
     actuator: Actuator,
-    record: Record,
+    name: str,
     pieces: list[Piece],
     noise: float,
     role: str,
@@ -36,10 +36,10 @@ def errors_of(
     Parameters
     ----------
     actuator : Actuator
-    record : Record
-        The whole record, for its name and length.
+    name : str
+        The record's.
     pieces : list of (Record, drift curve)
-        Its pieces without gaps, delayed.
+        The record without gaps, delayed.
     noise : float
         Sensor noise [m].
     role : str
@@ -73,12 +73,12 @@ def errors_of(
     slope = float(np.median(regression.slope(model)))
     offset = float(np.median(list(found.offsets.values()))) - float(actuator.spring.voltage[0])
     summary = RecordErrors(
-        record=record.name, role=role, samples=time.size, left_out=len(record) - time.size,
+        record=name, role=role, samples=time.size, left_out=sum(len(piece) for piece, _ in pieces) - time.size,
         largest=largest(error), rms=rms(error),
         largest_with_drift=largest(error_with_drift), rms_with_drift=rms(error_with_drift),
         stroke=stroke, offset=offset, datum=shift, drift=-drift / slope,
     )  # fmt: skip
-    return summary, Trace(record.name, role, time, voltage, measured, simulated)
+    return summary, Trace(name, role, time, voltage, measured, simulated)
 
 
 def _play(

@@ -1,0 +1,141 @@
+"""The command line as a process: what it prints, what it writes, its exit status."""
+
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import dehyst
+from dehyst import Actuator
+from dehyst.files import read_table, write_record
+from dehyst.truths import PlayActuator
+
+
+def run(*arguments, cwd=None):
+    """Exit status, standard output and standard error of a dehyst command."""
+    command = [sys.executable, "-c", "from dehyst.cli import main; main()", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120, check=False)
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with two records, a model and its path."""
+    target = tmp_path_factory.mktemp("cli")
+    from dehyst import demo
+
+    training, validation = demo.record_loops(PlayActuator(plays=60))
+    write_record(target / "loops.csv", training)
+    write_record(target / "other.csv", validation)
+    status, out, _ = run(
+        "identify", "loops.csv", "--validate", "other.csv", "-o", "model.json", "--norm", "l2", "--json", cwd=target
+    )
+    assert status == 0
+    (target / "fit.json").write_text(out)
+    path = np.concatenate([np.linspace(2, 14, 50), np.linspace(14, 5, 40)])
+    rows = "\n".join(f"{i * 0.1:.1f},{y!r}" for i, y in enumerate(path.tolist()))
+    (target / "path.csv").write_text(f"time_s,displacement_um\n{rows}\n")
+    return target
+
+
+def test_identify_prints_json_that_tells_the_errors_of_both_records(folder):
+    found = json.loads((folder / "fit.json").read_text())
+    assert found["good"] is True
+    assert [(e["record"], e["role"]) for e in found["errors"]] == [("loops", "training"), ("other", "validation")]
+    assert all(0 < e["rms_percent"] < e["largest_percent"] < 2 for e in found["errors"])
+    assert found["options"]["records"][0]["source"] == "loops.csv"
+    assert Actuator.load(folder / "model.json").provenance["norm"] == "l2"
+
+
+def test_identify_prints_a_table_and_writes_a_report(folder):
+    status, out, err = run("identify", "loops.csv", "--elements", "8", "--report", "r.html", cwd=folder)
+    assert status == 0
+    assert re.search(r"loops +training +\d+ +\d\.\d+ % +\d\.\d+ %", out)
+    assert out.startswith("Identified")
+    assert "<svg" in (folder / "r.html").read_text()
+    assert err == ""  # progress is for terminals only
+
+
+def test_compensate_then_simulate_gives_the_path_back(folder):
+    assert run("compensate", "model.json", "path.csv", "-o", "voltage.csv", cwd=folder)[0] == 0
+    voltage = read_table(folder / "voltage.csv")
+    assert voltage.names == ("time_s", "displacement_um", "voltage_V", "expected_um")
+    status, out, _ = run("simulate", "model.json", "voltage.csv", "-o", "back.csv", "--json", cwd=folder)
+    assert (status, json.loads(out)["warnings"]) == (0, [])
+    back = read_table(folder / "back.csv").column("displacement")
+    wanted = read_table(folder / "path.csv").column("displacement")
+    assert np.abs(back - wanted).max() < 1e-12 * np.ptp(wanted)
+
+
+def test_a_voltage_beyond_the_limits_is_clamped_loudly(folder):
+    status, out, err = run(
+        "compensate", "model.json", "path.csv", "-o", "low.csv", "--limits", "0", "100", "--json", cwd=folder
+    )
+    assert (status, json.loads(out)["clamped"] > 0) == (1, True)
+    assert "CLAMPED" in err
+    assert read_table(folder / "low.csv").column("voltage").max() <= 100
+    status, _, err = run("compensate", "model.json", "path.csv", "-o", "slow.csv", "--slew", "20", cwd=folder)
+    sent = read_table(folder / "slow.csv")
+    slew = np.abs(np.diff(sent.column("voltage")) / np.diff(sent.column("time")))
+    assert (status, slew.max() <= 20 * (1 + 1e-9)) == (1, True)
+    assert "slew rate" in err
+
+
+def test_extrapolation_is_said(folder):
+    (folder / "high.csv").write_text("voltage_V\n0\n150\n260\n")
+    status, _, err = run("simulate", "model.json", "high.csv", "-o", "high-out.csv", cwd=folder)
+    assert (status, "1 voltages lie outside" in err) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["identify", "absent.csv"], "absent.csv"),
+        (["identify", "loops.csv", "--voltage", "drive_V"], "drive_V"),
+        (["identify", "loops.csv", "--elements", "0"], "need a whole number from 1 to 500"),
+        (["identify", "loops.csv", "-o", "loops.csv"], "is an input of this command too"),
+        (["identify", "loops.csv", "-o", "no/such/model.json"], "does not exist; create it first"),
+        (["simulate", "loops.csv", "loops.csv", "-o", "x.csv"], "loops.csv"),
+        (["compensate", "model.json", "loops.csv", "-o", "x.csv", "--limits", "5", "1"], "the lower one first"),
+        (["compensate", "model.json", "high-only.csv", "-o", "x.csv"], "high-only.csv"),
+    ],
+)
+def test_wrong_input_ends_with_status_2_and_a_sentence(folder, arguments, message):
+    status, out, err = run(*arguments, cwd=folder)
+    assert (status, out) == (2, "")
+    assert message in err
+    assert not (folder / "x.csv").exists()
+
+
+def test_a_model_that_misses_its_records_ends_with_status_1(folder):
+    t = np.arange(2400) * 0.01
+    voltage = 50 - 50 * np.cos(2 * np.pi * t / 4)
+    # A loop whose lag grows along the record: no rate-independent model follows it.
+    displacement = 1e-7 * (50 - 50 * np.cos(2 * np.pi * t / 4 - 0.2 - 0.05 * t))
+    write_record(folder / "odd.csv", dehyst.Record(t, voltage, displacement))
+    status, out, _ = run("identify", "odd.csv", "--no-drift", "--delay", "0", cwd=folder)
+    assert status == 1
+    assert "do not use it" in out
+
+
+def test_demo_leaves_its_files_and_beats_the_paper(tmp_path):
+    status, out, _ = run("demo", "-o", "d", "--json", cwd=tmp_path)
+    numbers = json.loads(out)
+    assert status == 0
+    assert numbers["compensated"]["largest_percent"] <= 0.7 < 10 < numbers["linear"]["largest_percent"]
+    names = {"loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json", "report.html"}
+    assert {path.name for path in (tmp_path / "d").iterdir()} == names
+    tracking = read_table(tmp_path / "d" / "tracking.csv").columns
+    data = {column.name: column.data for column in tracking}
+    error = np.abs(data["compensated_um"] - data["wanted_um"]).max() / numbers["stroke_um"] * 100
+    assert error == pytest.approx(numbers["compensated"]["largest_percent"], rel=1e-6)
+
+
+def test_help_names_every_command():
+    status, out, _ = run("--help")
+    assert status == 0
+    assert all(command in out for command in ("identify", "simulate", "compensate", "demo"))
