@@ -273,6 +273,16 @@ def test_c_compiled_apart_gives_the_same_bits(compiled, options):
         assert np.array_equal(got[:, column + 1], came.displacement)
 
 
+def test_the_core_stays_within_its_arrays(compiled):
+    """With the first seed, pruning once left a branch that began beyond the present place, and read before a table."""
+    compiled.compile("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover", "main.c", "dehyst.c", "-o", "main")
+    for seed, n, kind in [(624, 1, "walk"), *((s, s % 4, our.PATH_KINDS[s % 7]) for s in range(40))]:
+        actuator = our.make_actuator(seed, n, 2 + seed % 2, uniform=True)
+        state = our.make_state(actuator, seed, "reached")
+        got = compiled.run(actuator, state, our.make_path(actuator, state.displacement, seed, kind, 800))
+        assert np.isfinite(got).all()
+
+
 def test_the_core_works_in_single_precision(compiled):
     actuator, state, path = bench()
     compiled.use_float().compile("-O2", "-flto", "-Wdouble-promotion", "main.c", "dehyst.c", "-o", "main")

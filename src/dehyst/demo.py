@@ -24,7 +24,7 @@ from dehyst.truths import PlayActuator
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
 # Turning points of the path to follow, as fractions of the stroke: nine of them, no two alike.
-_PATH = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9)
+_PATH = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)
 # The paper: Sec. 4.3 and Fig. 12.
 _PAPER = {"linear": 13.63, "compensated": 0.76}
 

@@ -1,0 +1,72 @@
+"""Put the figures of `speed.json` and `accuracy.json` into the README, between its markers.
+
+With --check nothing is written; the exit status tells whether the README holds them already.
+"""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+README = HERE.parent / "README.md"
+BLOCK = re.compile(r"(<!-- figures: benchmarks -->\n).*?(<!-- end of figures -->)", re.DOTALL)
+
+
+def accuracy(data: dict) -> list[str]:
+    virtual, paper = data["virtual"], data["virtual"]["paper"]
+    rows = [
+        "| Largest error, in % of the stroke | linear feedforward | dehyst | the paper: linear, inverse control |",
+        "| --- | --- | --- | --- |",
+        f"| following a path with nine reversals, virtual actuator | {virtual['linear']['largest_percent']:.2f} "
+        f"| **{virtual['compensated']['largest_percent']:.2f}** | {paper['linear_largest_percent']:.2f}, "
+        f"{paper['compensated_largest_percent']:.2f} (their actuator, one raised cosine) |",
+    ]
+    if data["measured"]:
+        rows += [
+            "",
+            "| Measured: a PICMA stack in a micromanipulator, 1 Hz | largest % | RMS % | with its drift: largest, RMS % |",
+            "| --- | --- | --- | --- |",
+        ]
+        names = {"record": "trained on both", "held out": "trained on major and 4500 rows of ramps",
+                 "breakpoints": "the paper's method, both"}  # fmt: skip
+        for key, what in names.items():
+            for error in data["measured"][key]["errors"]:
+                role = "" if error["role"] == "training" else " (validation)"
+                rows.append(
+                    f"| {error['record']}{role}, {what} | {error['largest_percent']:.2f} | {error['rms_percent']:.3f} "
+                    f"| {error['largest_with_drift_percent']:.2f}, {error['rms_with_drift_percent']:.3f} |"
+                )
+    return rows
+
+
+def speed(data: dict) -> list[str]:
+    rows = ["", "| Time a sample, in units of `numpy.interp` on the same array | N = 10 | N = 100 | N = 1000 |",
+            "| --- | --- | --- | --- |"]  # fmt: skip
+    for path, what in (("slow", "swept loops"), ("noisy", "the same, a reversal at every other sample"),
+                       ("random", "uniformly distributed samples")):  # fmt: skip
+        for job in ("compensate", "simulate"):
+            cells = " | ".join(f"{data['paths'][path][f'{job} {n}']['ratio']:.2f}" for n in (10, 100, 1000))
+            rows.append(f"| {job}, {what} | {cells} |")
+    return rows
+
+
+def table() -> str:
+    figures = [json.loads((HERE / name).read_text()) for name in ("accuracy.json", "speed.json")]
+    return "\n".join([*accuracy(figures[0]), *speed(figures[1])]) + "\n"
+
+
+def main() -> int:
+    text = README.read_text()
+    if not BLOCK.search(text):
+        print("README.md has lost its markers")
+        return 1
+    wanted = BLOCK.sub(lambda found: found[1] + table() + found[2], text)
+    if "--check" in sys.argv:
+        return 0 if wanted == text else 1
+    README.write_text(wanted)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,41 @@
+"""The README keeps its word: its figures are the benchmarks', its code runs, its files exist."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dehyst import demo
+from dehyst.files import write_record
+from dehyst.truths import PlayActuator
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_its_figures_are_those_of_the_benchmarks():
+    check = [sys.executable, str(ROOT / "benchmarks" / "readme.py"), "--check"]
+    assert subprocess.run(check, check=False).returncode == 0, "run make bench"
+
+
+def test_its_code_runs(tmp_path, monkeypatch, capsys):
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[1]
+    write_record(tmp_path / "loops.csv", demo.record_loops(PlayActuator(plays=60))[0])
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(code, names)
+    assert "loops: 0." in capsys.readouterr().out
+    assert names["command"].voltage.shape == (1000,)
+    assert names["command"].warnings == ()
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
+def test_the_files_it_names_exist(page):
+    text = (ROOT / page).read_text()
+    links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
+    modules = re.findall(r"`((?:[a-z_]+/)*[a-z_]+\.(?:py|h|c|cpp))`", text)
+    folders = ("", "src/dehyst", "tests", "core")
+    missing = [name for name in (*links, *modules) if not any((ROOT / place / name).exists() for place in folders)]
+    assert missing == []
+    assert links or modules
