@@ -25,7 +25,8 @@ def accuracy(data: dict) -> list[str]:
     if data["measured"]:
         rows += [
             "",
-            "| Measured: a PICMA stack in a micromanipulator, 1 Hz | largest % | RMS % | with its drift: largest, RMS % |",
+            "| Measured: a PICMA stack in a micromanipulator, 1 Hz | largest % | RMS % "
+            "| with its drift: largest, RMS % |",
             "| --- | --- | --- | --- |",
         ]
         names = {"record": "trained on both", "held out": "trained on major and 4500 rows of ramps",

@@ -89,7 +89,7 @@ def main() -> None:
             "spread_percent": 100 * (max(ratios) / min(ratios) - 1),
         }
         print(f"\n{job}: at most {max(ratios):.2f} times np.interp (target {target:g}), "
-              f"N = 10, 100, 1000 within {summary[job]['spread_percent']:.0f} % of one another (target 25)")  # fmt: skip
+              f"N = 10, 100, 1000 within {spread:.0f} % of one another (target 25)")  # fmt: skip
     Path(__file__).with_suffix(".json").write_text(json.dumps({"summary": summary, "paths": results}, indent=1) + "\n")
 
 
