@@ -83,11 +83,8 @@ def main() -> None:
     summary = {}
     for job, target in TARGETS.items():
         ratios = [slow[f"{job} {n}"]["ratio"] for n in (10, 100, 1000)]
-        summary[job] = {
-            "largest_ratio": max(ratios),
-            "target": target,
-            "spread_percent": 100 * (max(ratios) / min(ratios) - 1),
-        }
+        spread = 100 * (max(ratios) / min(ratios) - 1)
+        summary[job] = {"largest_ratio": max(ratios), "target": target, "spread_percent": spread}
         print(f"\n{job}: at most {max(ratios):.2f} times np.interp (target {target:g}), "
               f"N = 10, 100, 1000 within {spread:.0f} % of one another (target 25)")  # fmt: skip
     Path(__file__).with_suffix(".json").write_text(json.dumps({"summary": summary, "paths": results}, indent=1) + "\n")

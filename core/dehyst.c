@@ -287,7 +287,8 @@ dehyst_status dehyst_stack_encode(const dehyst_actuator *actuator, const dehyst_
         cart = state->cart[i];
         total += slip->kappa[i] * slip->rho[i];
     }
-    r[count].y = y - direction * 2 * rho;
+    /* Twice as far as it takes to move every cart: rounding must not make the outermost amplitude look shorter. */
+    r[count].y = y - direction * 4 * rho;
     r[count].stops = -direction * total;
     r[count].v = r[count].stops + dehyst_curve_at(&actuator->spring, r[count].y);
     for (i = count - 1; i >= 0; i--) {

@@ -149,6 +149,8 @@ std::tuple<Matrix, Output> stops(Input rho, Input cart, Input y) {
 } // namespace
 
 NB_MODULE(_core, m) {
+    // Actuators that live until the interpreter ends are no leak worth a page of warnings.
+    nb::set_leak_warnings(false);
     m.doc() = "The C core of dehyst; use it through dehyst._native.";
     nb::exception<CoreError>(m, "CoreError", PyExc_ValueError);
     nb::class_<Core>(m, "Core")

@@ -176,7 +176,7 @@ class _Job:
             cycle = min(repairs.cycle_time(item.record) for item in (*self.training, *self.held_out))
             if abs(self.settings.delay) > 0.25 * cycle:
                 raise IdentifyError(
-                    f"delay: got {self.settings.delay:g} s, need less than a quarter of a cycle, which takes {cycle:.4g} s"
+                    f"delay: got {self.settings.delay:g} s, need less than a quarter of a cycle of {cycle:.4g} s"
                 )
             return self.settings.delay
         longest = 0.05 * min(repairs.cycle_time(item.record) for item in self.training)
