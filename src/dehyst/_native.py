@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -35,6 +37,24 @@ def vector(values: ArrayLike, what: str) -> Array:
     if bad.size:
         raise ModelError(f"{what}: {bad.size} of {array.size} values are not finite, the first at index {bad[0]}")
     return array
+
+
+def number(value: object, what: str) -> float:
+    """Return `value` as a finite float.
+
+    Raises
+    ------
+    ModelError
+        If it is no number, or NaN or infinite.
+    """
+    if isinstance(value, Real) and not isinstance(value, bool):
+        try:
+            as_float = float(value)
+        except OverflowError:
+            as_float = math.inf
+        if math.isfinite(as_float):
+            return as_float
+    raise ModelError(f"{what}: got {value!r}, need a finite number")
 
 
 class Core:
@@ -71,11 +91,11 @@ class Core:
 
     def depth(self, y: Array, start: float, carts: Array) -> int:
         """Entries on the stack of reversals after the displacements y."""
-        return int(self._core.depth(y, start, carts))
+        return int(checked(self._core.depth, y, start, carts))
 
     def voltage(self, y: float, carts: Array) -> float:
         """Voltage [V] in the state (y, carts)."""
-        return float(self._checked(self._core.voltage, y, carts))
+        return float(checked(self._core.voltage, y, carts))
 
     def spring_at(self, y: float) -> float:
         """Voltage [V] of the parallel spring at y."""
@@ -88,18 +108,19 @@ class Core:
     def _run(
         self, function: Callable[..., Any], x: Array, start: float, carts: Array, stack: bool
     ) -> tuple[Array, float, Array]:
-        out, position, moved = self._checked(function, x, start, carts, stack)
+        out, position, moved = checked(function, x, start, carts, stack)
         return out, float(position), moved
 
-    @staticmethod
-    def _checked(function: Callable[..., Any], *arguments: object) -> Any:
-        try:
-            return function(*arguments)
-        except _core.CoreError as error:
-            raise ModelError(f"impossible state: {error}") from error
+
+def checked(function: Callable[..., Any], *arguments: object) -> Any:
+    """Call the core; its refusal becomes a `ModelError`."""
+    try:
+        return function(*arguments)
+    except _core.CoreError as error:
+        raise ModelError(f"impossible state: {error}") from error
 
 
 def stops(rho: Array, carts: Array | Sequence[float], y: Array) -> tuple[Array, Array]:
     """Elongations (n, N) of elements of breakaway `rho` driven by y (n,), from and to the cart positions."""
-    matrix, moved = _core.stops(rho, np.array(carts, dtype=np.float64), y)
+    matrix, moved = checked(_core.stops, rho, np.array(carts, dtype=np.float64), y)
     return matrix, moved

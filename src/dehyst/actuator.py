@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, Core, vector
+from dehyst._native import Array, Core, number, vector
 from dehyst.elements import MaxwellSlip, Spring, frozen
 from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import AbstractModel, Motion, State
@@ -48,6 +47,20 @@ class Physical:
     def equivalent_stiffness(self) -> float:
         """Keq = ke km / (ke + km) [N/m]."""
         return _in_series(self.electrical_stiffness, self.mechanical_stiffness)
+
+
+def interval(limits: Sequence[float]) -> tuple[float, float]:
+    """Check voltage limits [V].
+
+    Raises
+    ------
+    ModelError
+        If they are not two finite numbers, the lower one first.
+    """
+    ends = [number(end, "limits") for end in limits]
+    if len(ends) != 2 or ends[0] >= ends[1]:
+        raise ModelError(f"limits: got {limits}, need two finite voltages, the lower one first")
+    return ends[0], ends[1]
 
 
 def _in_series(a: float, b: float) -> float:
@@ -94,13 +107,10 @@ class Actuator(AbstractModel):
         if self.state is None:
             object.__setattr__(self, "state", self.turned(float(self.spring.displacement[-1])))
         self._start(self.state)
+        _ = self.core  # which refuses what the parts cannot see
         if self.limits is not None:
-            low, high = float(self.limits[0]), float(self.limits[1])
-            if not (np.isfinite([low, high]).all() and low < high):
-                raise ModelError(f"limits: got {self.limits}, need two finite voltages, the lower one first")
-            object.__setattr__(self, "limits", (low, high))
-        if not np.isfinite(self.delay):
-            raise ModelError(f"delay: got {self.delay}, need a finite number of seconds")
+            object.__setattr__(self, "limits", interval(self.limits))
+        number(self.delay, "delay")
 
     @cached_property
     def core(self) -> Core:
@@ -194,7 +204,7 @@ class Actuator(AbstractModel):
         given = {"transformer_ratio": transformer_ratio, "mechanical_stiffness": mechanical_stiffness,
                  "electrical_stiffness": electrical_stiffness}  # fmt: skip
         for name, value in given.items():
-            if not (np.isfinite(value) and value > 0):
+            if number(value, name) <= 0:
                 raise ModelError(f"{name}: got {value}, need a positive number")
         equivalent = _in_series(electrical_stiffness, mechanical_stiffness)
         c = equivalent / mechanical_stiffness
@@ -254,11 +264,9 @@ class Actuator(AbstractModel):
                 _numbers(spring["displacement_m"], "spring.displacement_m"),
                 _numbers(spring["voltage_V"], "spring.voltage_V"),
             ),
-            State(
-                _number(state["displacement_m"], "state.displacement_m"), _numbers(state["carts_m"], "state.carts_m")
-            ),
+            State(number(state["displacement_m"], "state.displacement_m"), _numbers(state["carts_m"], "state.carts_m")),
             limits=None if limits is None else _pair(limits),
-            delay=_number(data["delay_s"], "delay_s"),
+            delay=number(data["delay_s"], "delay_s"),
             name=data["name"],
             provenance=data["provenance"],
         )
@@ -326,19 +334,13 @@ def _part(data: Mapping[str, Any], key: str, needed: set[str]) -> Mapping[str, A
     return part
 
 
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
-        raise ModelError(f"{where}: got {value!r}, need a finite number")
-    return float(value)
-
-
 def _numbers(values: Any, where: str) -> Array:
     if not isinstance(values, list):
         raise ModelError(f"{where}: got {type(values).__name__}, need a list of numbers")
-    return np.array([_number(value, f"{where}[{i}]") for i, value in enumerate(values)], dtype=np.float64)
+    return np.array([number(value, f"{where}[{i}]") for i, value in enumerate(values)], dtype=np.float64)
 
 
 def _pair(values: Any) -> tuple[float, float]:
     if not isinstance(values, list) or len(values) != 2:
         raise ModelError(f"limits.voltage_V: got {values!r}, need two numbers")
-    return _number(values[0], "limits.voltage_V"), _number(values[1], "limits.voltage_V")
+    return number(values[0], "limits.voltage_V"), number(values[1], "limits.voltage_V")

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, vector
-from dehyst.actuator import Actuator
+from dehyst._native import Array, number, vector
+from dehyst.actuator import Actuator, interval
 from dehyst.model import State
 
 Mask = NDArray[np.bool_]
@@ -67,10 +67,8 @@ class Compensator:
         limits = self.actuator.limits if self.limits is None else self.limits
         if limits is None:
             raise ModelError("no voltage limits: the actuator has none and none were given; give limits=(low, high)")
-        if len(limits) != 2 or not np.isfinite(limits).all() or limits[0] >= limits[1]:
-            raise ModelError(f"limits: got {limits}, need two finite voltages, the lower one first")
-        object.__setattr__(self, "limits", (float(limits[0]), float(limits[1])))
-        if self.slew_rate is not None and not (np.isfinite(self.slew_rate) and self.slew_rate > 0):
+        object.__setattr__(self, "limits", interval(limits))
+        if self.slew_rate is not None and number(self.slew_rate, "slew_rate") <= 0:
             raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
 
     def trajectory(

@@ -9,11 +9,9 @@ from enum import Enum
 from math import isfinite
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError
-from dehyst._native import Array, vector
+from dehyst._native import Array, number, vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +22,7 @@ class State:
     carts: Array
 
     def __init__(self, displacement: float, carts: ArrayLike) -> None:
-        if not np.isfinite(displacement):
-            raise ModelError(f"state: displacement is {displacement}, need a finite number")
-        object.__setattr__(self, "displacement", float(displacement))
+        object.__setattr__(self, "displacement", number(displacement, "state: displacement"))
         object.__setattr__(self, "carts", vector(carts, "carts").copy())
         self.carts.flags.writeable = False
 
