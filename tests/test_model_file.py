@@ -32,6 +32,13 @@ def rising(draw, elements, size):
 
 
 @st.composite
+def climbing(draw, size):
+    """Values whose steps are neither lost nor too steep for a slope."""
+    start, steps = draw(st.floats(-1, 1)), st.floats(1e-6, 1e6)
+    return np.cumsum([start, *draw(st.lists(steps, min_size=size - 1, max_size=size - 1))])
+
+
+@st.composite
 def actuators(draw):
     n, m = draw(st.integers(0, 6)), draw(st.integers(2, 6))
     rho = draw(rising(st.floats(0, 1e150, exclude_min=True), n))
@@ -40,7 +47,7 @@ def actuators(draw):
     strained = draw(st.lists(st.floats(-1, 1), min_size=n, max_size=n))
     return Actuator(
         MaxwellSlip(rho, kappa),
-        Spring(draw(rising(numbers, m)), draw(rising(numbers, m))),
+        Spring(draw(climbing(m)), draw(climbing(m))),
         draw(st.sampled_from([None, State(y, y - rho * strained)])),
         limits=draw(st.none() | rising(numbers, 2).map(tuple)),
         delay=draw(numbers),
