@@ -28,7 +28,7 @@ def vector(values: ArrayLike, what: str) -> Array:
         given = np.asarray(values)
         if given.dtype.kind not in "iuf" and given.size:
             raise TypeError
-        array = np.asarray(given, dtype=np.float64, order="C")
+        array = np.array(given, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ModelError(f"{what}: got {type(values).__name__}, need an array of numbers") from error
     if array.ndim != 1:

@@ -57,7 +57,7 @@ def interval(limits: Sequence[float]) -> tuple[float, float]:
     ModelError
         If they are not two finite numbers, the lower one first.
     """
-    ends = [number(end, "limits") for end in limits]
+    ends = [number(end, "limits") for end in limits] if isinstance(limits, Sequence | np.ndarray) else []
     if len(ends) != 2 or ends[0] >= ends[1]:
         raise ModelError(f"limits: got {limits}, need two finite voltages, the lower one first")
     return ends[0], ends[1]
@@ -104,6 +104,9 @@ class Actuator(AbstractModel):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for part, kind in (("slip", MaxwellSlip), ("spring", Spring)):
+            if not isinstance(getattr(self, part), kind):
+                raise ModelError(f"{part}: got {type(getattr(self, part)).__name__}, need a {kind.__name__}")
         if self.state is None:
             object.__setattr__(self, "state", self.turned(float(self.spring.displacement[-1])))
         self._start(self.state)
@@ -169,12 +172,13 @@ class Actuator(AbstractModel):
 
     def relaxed(self, voltage: float = 0.0) -> State:
         """The state in which no element is strained and the spring alone holds `voltage` [V]."""
-        y = self.core.spring_inverse(float(voltage))
+        y = self.core.spring_inverse(number(voltage, "voltage"))
         return State(y, np.full(len(self.slip), y))
 
     def turned(self, displacement: float, *, rising: bool = True) -> State:
         """The state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II)."""
-        return State(displacement, displacement - (1 if rising else -1) * self.slip.breakaway)
+        y = number(displacement, "displacement")
+        return State(y, y - (1 if rising else -1) * self.slip.breakaway)
 
     def voltage(self, state: State | None = None) -> float:
         """Voltage [V] that holds the actuator in `state`; default ``self.state``."""
@@ -304,6 +308,8 @@ class Actuator(AbstractModel):
 
     def _start(self, state: State | None) -> State:
         start = self.state if state is None else state
+        if not isinstance(start, State):
+            raise ModelError(f"state: got {type(start).__name__}, need a State, such as the one a Motion hands back")
         if start.carts.size != len(self.slip):
             raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
         excess = np.abs(start.displacement - start.carts) - self.slip.breakaway
