@@ -14,6 +14,7 @@ from dehyst import Actuator, MaxwellSlip, ModelError, Spring, State
 from dehyst._native import Core, stops
 
 RANGE = 1e-12
+SOURCES = ("dehyst.c", "dehyst_stack.c")
 SLIP = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6])
 SPRING = Spring([0, 4e-6, 1e-5], [0, 30, 100])
 ACTUATOR = Actuator(SLIP, SPRING)
@@ -249,9 +250,9 @@ def test_the_core_itself_refuses_what_python_did_not(make, message):
 @pytest.mark.parametrize("level", ["-O0", "-O2", "-Os"])
 def test_the_core_needs_nothing(compiled, level):
     """Firmware without a C library links it: no heap, no input or output, no mathematics library."""
-    compiled.compile(level, "-ffreestanding", "-flto", "-c", "dehyst.c", "-o", "lto.o")
-    compiled.compile(level, "-ffreestanding", "-c", "dehyst.c", "-o", "dehyst.o")
-    command = ["nm", "-u", "dehyst.o"]
+    compiled.compile(level, "-ffreestanding", "-flto", "-c", *SOURCES)
+    compiled.compile(level, "-ffreestanding", "-fno-pic", "-nostdlib", "-r", *SOURCES, "-o", "core.o")
+    command = ["nm", "-u", "core.o"]
     listing = subprocess.run(command, cwd=compiled.folder, capture_output=True, text=True, check=True).stdout
     assert set(re.findall(r"\bU (\w+)", listing)) <= {"memcpy", "memset"}
 
@@ -267,7 +268,7 @@ def bench():
 @pytest.mark.parametrize("options", [["-O2"], ["-O3", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
 def test_c_compiled_apart_gives_the_same_bits(compiled, options):
     actuator, state, path = bench()
-    compiled.compile(*options, "-fno-sanitize-recover", "main.c", "dehyst.c", "-o", "main")
+    compiled.compile(*options, "-fno-sanitize-recover", "main.c", *SOURCES, "-o", "main")
     got = compiled.run(actuator, state, path)
     for column, stack in ((0, True), (2, False)):
         sent = actuator.compensate(path, state=state, stack=stack)
@@ -278,7 +279,7 @@ def test_c_compiled_apart_gives_the_same_bits(compiled, options):
 
 def test_the_core_stays_within_its_arrays(compiled):
     """With the first seed, pruning once left a branch that began beyond the present place, and read before a table."""
-    compiled.compile("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover", "main.c", "dehyst.c", "-o", "main")
+    compiled.compile("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover", "main.c", *SOURCES, "-o", "main")
     for seed, n, kind in [(624, 1, "walk"), *((s, s % 4, our.PATH_KINDS[s % 7]) for s in range(40))]:
         actuator = our.make_actuator(seed, n, 2 + seed % 2, uniform=True)
         state = our.make_state(actuator, seed, "reached")
@@ -288,7 +289,7 @@ def test_the_core_stays_within_its_arrays(compiled):
 
 def test_the_core_works_in_single_precision(compiled):
     actuator, state, path = bench()
-    compiled.use_float().compile("-O2", "-flto", "-Wdouble-promotion", "main.c", "dehyst.c", "-o", "main")
+    compiled.use_float().compile("-O2", "-flto", "-Wdouble-promotion", "main.c", *SOURCES, "-o", "main")
     got = compiled.run(actuator, state, path)
     span, sent = span_with(actuator, state, path), actuator.compensate(path, state=state)
     for column in (0, 2):
