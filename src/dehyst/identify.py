@@ -22,7 +22,7 @@ from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.rows import collect
 from dehyst.settings import Direction, Method, Settings
-from dehyst.verify import errors_of
+from dehyst.verify import Protocol, errors_of
 from dehyst.version import __version__
 
 Progress = Callable[[str], None]
@@ -276,10 +276,8 @@ class _Job:
             # The paper's methods put every record on one axis; a held-out record's datum is looked for.
             datum = float(regression.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
             drifting = q in regression.drifting if trained else self.settings.drift and item.can_drift
-            pieces = [(piece, curve) for _, piece, curve in item.delayed(q, self.delay)]
-            role = "training" if trained else "validation"
-            error, trace = errors_of(actuator, item.name, pieces, item.noise, role, datum, drifting, self.stroke)
-            error = replace(error, left_out=item.samples - error.samples)
+            protocol = Protocol("training" if trained else "validation", self.delay, datum, drifting, self.stroke)
+            error, trace = errors_of(actuator, item, protocol)
             errors.append(error)
             traces.append(trace)
         if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:

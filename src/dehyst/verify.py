@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,40 +10,23 @@ from dehyst._native import Array, stops
 from dehyst.actuator import Actuator
 from dehyst.metrics import largest, rms
 from dehyst.model import RecordErrors, State, Trace
+from dehyst.preparation import Prepared
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.repairs import find_datum
 from dehyst.rows import Epoch, collect
 
-Piece = tuple[Record, Array]
 
+@dataclass(frozen=True)
+class Protocol:
+    """How a record is compared with a model.
 
-def errors_of(
-    actuator: Actuator,
-    name: str,
-    pieces: list[Piece],
-    noise: float,
-    role: str,
-    datum: float | None,
-    drifting: bool,
-    stroke: float,
-) -> tuple[RecordErrors, Trace]:
-    """Simulate a record's last epoch, in which the range of the excitation no longer grows, and compare.
-
-    The state at its start follows from the displacement measured before. What a record cannot be told without, its
-    constant, datum and drift, is found by least squares with the model held fixed.
-
-    Parameters
+    Attributes
     ----------
-    actuator : Actuator
-    name : str
-        The record's.
-    pieces : list of (Record, drift curve)
-        The record without gaps, delayed.
-    noise : float
-        Sensor noise [m].
     role : str
         "training" or "validation".
+    delay : float
+        Seconds by which voltages are delayed.
     datum : float or None
         Shift [m] to the model's axis; None: find it.
     drifting : bool
@@ -51,34 +34,48 @@ def errors_of(
     stroke : float
         Reference of the percentages [m].
     """
+
+    role: str
+    delay: float
+    datum: float | None
+    drifting: bool
+    stroke: float
+
+
+def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:
+    """Simulate a record's last epoch, in which the range of the excitation no longer grows, and compare.
+
+    The state at its start follows from the displacement measured before. What a record cannot be told without, its
+    constant, datum and drift, is found by least squares with the model held fixed.
+    """
+    pieces = record.delayed(0, protocol.delay)
     rho = actuator.slip.breakaway
-    rows, epochs = collect([(0, piece, curve) for piece, curve in pieces], rho, [noise] * len(pieces))
+    rows, epochs = collect(pieces, rho, [record.noise] * len(pieces))
     model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
-    regression = Regression(
-        rows, actuator.spring.displacement, 0.0, np.ones(rho.size, bool), np.zeros(1), (0,) if drifting else ()
-    )
-    shift = find_datum(regression, 0, stroke, given=model) if datum is None else datum
-    regression = replace(regression, datum=np.array([shift]))
+    drifting = (0,) if protocol.drifting else ()
+    every = np.ones(rho.size, dtype=bool)
+    regression = Regression(rows, actuator.spring.displacement, 0.0, every, np.zeros(1), drifting)
+    datum = protocol.datum
+    if datum is None:
+        datum = find_datum(regression, 0, protocol.stroke, given=model)
+    regression = replace(regression, datum=np.array([datum]))
     found = regression.nuisances_of(model)
-    drift = found.drifts.get(0, 0.0)
-    parts = []
-    first = 0
-    for (piece, curve), own in zip(pieces, epochs, strict=True):
+    parts, first = [], 0
+    for (_, piece, curve), own in zip(pieces, epochs, strict=True):
         if own:
             offset = found.offsets[first + len(own) - 1] - float(actuator.spring.voltage[0])
-            parts.append(_play(actuator, piece, own[-1], offset, drift * curve, shift))
+            parts.append(_play(actuator, piece, own[-1], offset, found.drifts.get(0, 0.0) * curve, datum))
         first += len(own)
     time, voltage, measured, simulated, with_drift = (np.concatenate(column) for column in zip(*parts, strict=True))
-    error, error_with_drift = measured - simulated, measured - with_drift
+    trace = Trace(record.name, protocol.role, time, voltage, measured, simulated)
     slope = float(np.median(regression.slope(model)))
     offset = float(np.median(list(found.offsets.values()))) - float(actuator.spring.voltage[0])
-    summary = RecordErrors(
-        record=name, role=role, samples=time.size, left_out=sum(len(piece) for piece, _ in pieces) - time.size,
-        largest=largest(error), rms=rms(error),
-        largest_with_drift=largest(error_with_drift), rms_with_drift=rms(error_with_drift),
-        stroke=stroke, offset=offset, datum=shift, drift=-drift / slope,
-    )  # fmt: skip
-    return summary, Trace(name, role, time, voltage, measured, simulated)
+    return RecordErrors(
+        record=record.name, role=protocol.role, samples=time.size, left_out=record.samples - time.size,
+        largest=largest(trace.residual), rms=rms(trace.residual),
+        largest_with_drift=largest(measured - with_drift), rms_with_drift=rms(measured - with_drift),
+        stroke=protocol.stroke, offset=offset, datum=datum, drift=-found.drifts.get(0, 0.0) / slope,
+    ), trace  # fmt: skip
 
 
 def _play(
