@@ -301,12 +301,16 @@ def _print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
     click.echo(fit.outcome.value)
     if fit.errors:
         width = max(6, *(len(error.record) for error in fit.errors))
-        click.echo(f"\n{'':<{width}}  {'':<10} {'':>8}  {'of the stroke':^18}  {'':^18}  {'with its drift':^18}")
-        click.echo(f"{'record':<{width}}  {'role':<10} {'samples':>8}" + 3 * f"  {'largest':>9}{'RMS':>9}")
+        click.echo(
+            f"\n{'':<{width}}  {'':<10} {'':>8} {'':>8}  {'of the stroke':^18}  {'':^18}  {'with its drift':^18}"
+        )
+        click.echo(
+            f"{'record':<{width}}  {'role':<10} {'samples':>8} {'left out':>8}" + 3 * f"  {'largest':>9}{'RMS':>9}"
+        )
     for error in fit.errors:
         drift, rms = 100 * error.largest_with_drift / error.stroke, 100 * error.rms_with_drift / error.stroke
         click.echo(
-            f"{error.record:<{width}}  {error.role:<10} {error.samples:>8}"
+            f"{error.record:<{width}}  {error.role:<10} {error.samples:>8} {error.left_out:>8}"
             f"  {error.largest_percent:>7.3f} %{error.rms_percent:>7.3f} %"
             f"  {error.largest * 1e9:>6.0f} nm{error.rms * 1e9:>6.0f} nm  {drift:>7.3f} %{rms:>7.3f} %"
         )

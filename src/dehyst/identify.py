@@ -15,6 +15,7 @@ from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.elements import MaxwellSlip, Spring
+from dehyst.insight import directions
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.program import Norm, one_thread
@@ -137,7 +138,7 @@ class _Job:
             return self._failed(found.solution.status)
         actuator = self._actuator(rho, regression, found)
         self.tell("simulating every record")
-        outcome = self._outcome(regression, found)
+        outcome = self._outcome(rho, regression, found)
         return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
 
     def by_breakpoints(self) -> Fit:
@@ -241,8 +242,10 @@ class _Job:
             "validation": [item.source() for item in self.held_out],
         }
 
-    def _outcome(self, regression: Regression, found: Coefficients) -> Outcome:
-        determined, of = regression.determined()
+    def _outcome(self, rho: Array, regression: Regression, found: Coefficients) -> Outcome:
+        pieces = [replace(piece, displacement=piece.displacement + regression.datum[q])
+                  for q, item in enumerate(self.training) for piece in item.pieces]  # fmt: skip
+        determined, of = directions(pieces, rho, regression)
         if determined < of:
             self.remarks.append(
                 f"The records determine {determined} of {of} directions of the stiffnesses; minor loops with other "
