@@ -54,7 +54,7 @@ def test_identify_prints_json_that_tells_the_errors_of_both_records(folder):
 def test_identify_prints_a_table_and_writes_a_report(folder):
     status, out, err = run("identify", "loops.csv", "--elements", "8", "--report", "r.html", cwd=folder)
     assert status == 0
-    assert re.search(r"loops +training +\d+ +\d\.\d+ % +\d\.\d+ %", out)
+    assert re.search(r"loops +training +\d+ +\d+ +\d\.\d+ % +\d\.\d+ %", out)
     assert out.startswith("Identified")
     assert "<svg" in (folder / "r.html").read_text()
     assert err == ""  # progress is for terminals only
@@ -140,3 +140,36 @@ def test_help_names_every_command():
     status, out, _ = run("--help")
     assert status == 0
     assert all(command in out for command in ("identify", "simulate", "compensate", "demo"))
+
+
+def test_the_measured_lag_is_said_and_can_be_put_in(folder):
+    model = json.loads((folder / "model.json").read_text())
+    (folder / "late.json").write_text(json.dumps({**model, "delay_s": 0.25}))
+    status, _, err = run("simulate", "late.json", "loops.csv", "-o", "a.csv", cwd=folder)
+    assert (status, "lag by 250 ms; --lag puts that in" in err) == (0, True)
+    assert run("simulate", "late.json", "loops.csv", "-o", "b.csv", "--lag", cwd=folder)[2] == ""
+    prompt, late = (read_table(folder / name).column("displacement") for name in ("a.csv", "b.csv"))
+    np.testing.assert_allclose(late[1:], prompt[:-1], atol=1e-18)  # one sample takes 0.25 s
+    status, _, err = run("simulate", "late.json", "high.csv", "-o", "c.csv", "--lag", cwd=folder)
+    assert (status, "--lag needs the time of each sample" in err) == (2, True)
+
+
+def test_the_way_to_the_first_voltage_is_said(folder):
+    _, out, err = run("compensate", "model.json", "path.csv", "-o", "slow.csv", "--slew", "1e4", cwd=folder)
+    assert "ramp there within the slew rate before you play the file" in err
+    assert "coming from the top, 199.9 V" in out
+
+
+def test_a_wide_limit_does_not_hide_extrapolation(folder):
+    (folder / "far.csv").write_text("displacement_um\n2\n20\n3\n")
+    _, _, err = run("compensate", "model.json", "far.csv", "-o", "far-out.csv", "--limits", "-500", "500", cwd=folder)
+    assert "outside the identified range 0 to 200 V: extrapolated" in err
+
+
+def test_a_held_out_record_that_is_missed_decides_the_verdict(folder):
+    record = dehyst.read(folder / "loops.csv")
+    straight = dehyst.Record(record.time, record.voltage, 8e-8 * record.voltage + 1e-9 * np.sin(record.voltage))
+    write_record(folder / "straight.csv", straight)
+    status, out, _ = run("identify", "loops.csv", "--validate", "straight.csv", "--norm", "l2", cwd=folder)
+    assert (status, "misses a held-out record" in out) == (1, True)
+    assert "times that of training" in out

@@ -102,6 +102,14 @@ def test_units_in_attributes_and_properties(tmp_path):
     assert_same(read(tmp_path / "a.tdms"))
 
 
+def test_a_tdms_waveform_brings_its_own_time(tmp_path):
+    step = {"wf_increment": 0.01}
+    with nptdms.TdmsWriter(tmp_path / "w.tdms") as file:
+        file.write_segment([nptdms.ChannelObject("g", name, data, step)
+                            for name, data in (("voltage_V", V), ("displacement_um", Y * 1e6))])  # fmt: skip
+    assert_same(read(tmp_path / "w.tdms"))
+
+
 def test_an_unknown_attribute_leaves_the_unit_in_the_name(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for name, values in NAMED.items():

@@ -50,7 +50,7 @@ def actuators(draw):
         Spring(draw(climbing(m)), draw(climbing(m))),
         draw(st.sampled_from([None, State(y, y - rho * strained)])),
         limits=draw(st.none() | rising(numbers, 2).map(tuple)),
-        delay=draw(numbers),
+        delay=draw(st.floats(0, 1e300)),
         name=draw(texts),
         provenance=draw(st.dictionaries(texts, json_values, max_size=4)),
     )

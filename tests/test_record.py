@@ -317,7 +317,7 @@ def test_refuses_a_constant_displacement(n):
     record = lagging(n)
     noise = 1e-8 * np.random.default_rng(5).normal(size=n + 1)
     for still in (np.full(n + 1, 1e-6), 1e-6 + noise):
-        with pytest.raises(RecordError, match="the displacement is constant: its stroke"):
+        with pytest.raises(RecordError, match="the displacement is constant but for noise: its stroke,"):
             with_displacement(record, still).check_usable()
 
 
@@ -349,7 +349,9 @@ def test_refuses_a_clipped_sensor(side, limits):
     noisy = record.displacement + 2e-8 * np.random.default_rng(4).normal(size=len(record))
     for y in (record.displacement, noisy, 2e-8 * np.round(noisy / 2e-8)):
         clipped = with_displacement(record, np.clip(y, *limits))
-        with pytest.raises(RecordError, match=rf"clipped: the displacement sits at its {side} .* over samples \d+"):
+        with pytest.raises(
+            RecordError, match=rf"clipped, or the amplifier: the displacement sits at its {side} .* over samples \d+"
+        ):
             clipped.check_usable()
 
 
@@ -383,3 +385,16 @@ def test_measured_data(name, turns, cycles):
     swapped = Record(record.time, record.displacement, record.voltage * 1e-6)
     with pytest.raises(RecordError, match="swapped"):
         swapped.check_usable()
+
+
+def test_a_spike_is_told_and_only_a_spike():
+    made = np.linspace(0, 6 * np.pi, 600)
+    clean = Record(made, 50 - 50 * np.cos(made), 5e-6 * (1 - np.cos(made - 0.2)))
+    assert not any("jumps away" in said for said in clean.problems())
+    y = clean.displacement.copy()
+    y[200] += 3e-6
+    said = " ".join(Record(clean.time, clean.voltage, y).problems())
+    assert f"jumps away and back at 1 sample(s), the first at {made[200]:.6g} s" in said
+    corners = np.abs((np.arange(200) % 20) - 10.0)  # a triangle of 20 samples a cycle turns round sharply
+    sharp = Record(np.arange(200.0), corners, 1e-6 * np.roll(corners, 1))
+    assert not any("jumps away" in said for said in sharp.problems())

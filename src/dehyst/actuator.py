@@ -113,7 +113,8 @@ class Actuator(AbstractModel):
         _ = self.core  # which refuses what the parts cannot see
         if self.limits is not None:
             object.__setattr__(self, "limits", interval(self.limits))
-        number(self.delay, "delay")
+        if number(self.delay, "delay") < 0:
+            raise ModelError(f"delay: got {self.delay}, need 0 or more: a displacement does not lead its voltage")
 
     @cached_property
     def core(self) -> Core:

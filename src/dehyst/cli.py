@@ -125,10 +125,13 @@ def identify(
 @click.argument("model", type=_PATH)
 @click.argument("voltage_file", metavar="VOLTAGE", type=_PATH)
 @click.option("-o", "--output", type=_PATH, required=True, help="Write time, voltage and displacement here (CSV).")
+@click.option("--lag", is_flag=True, help="Let the displacement lag the voltage as it was measured to do.")
 @_start_option
 @_columns
 @_json_option
-def simulate(model: Path, voltage_file: Path, output: Path, start: str, as_json: bool, **columns: Any) -> None:
+def simulate(
+    model: Path, voltage_file: Path, output: Path, lag: bool, start: str, as_json: bool, **columns: Any
+) -> None:
     """Displacement that a VOLTAGE file causes; adds displacement_um."""
     from dehyst.actuator import Actuator
     from dehyst.files import read_table, write_columns
@@ -137,15 +140,14 @@ def simulate(model: Path, voltage_file: Path, output: Path, start: str, as_json:
     actuator = Actuator.load(model)
     table = read_table(voltage_file)
     voltage = table.column("voltage", columns["voltage"])
+    time = _time(table, voltage.size, columns)
     motion = actuator.simulate(voltage, state=_start(actuator, start))
+    displacement = _lagging(motion.displacement, actuator, time) if lag else motion.displacement
+    write_columns(output, {**time, "voltage_V": voltage, "displacement_um": displacement * 1e6})
     outside = _outside(actuator, voltage)
-    written = {
-        **_time(table, voltage.size, columns),
-        "voltage_V": voltage,
-        "displacement_um": motion.displacement * 1e6,
-    }
-    write_columns(output, written)
     said = [f"{outside} voltages lie outside the identified range {_range(actuator)}: extrapolated"] if outside else []
+    if actuator.delay and not lag:
+        said.append(f"the displacement was measured to lag by {actuator.delay * 1e3:.4g} ms; --lag puts that in")
     result = {"samples": voltage.size, "warnings": said, "state": _state(motion.state), "output": str(output)}
     _conclude(as_json, result, f"{voltage.size} samples {_came_from(actuator, start)}: {output}", said)
 
@@ -181,10 +183,11 @@ def compensate(
     write_columns(output, {**time, "displacement_um": wanted * 1e6, "voltage_V": command.voltage,
                            "expected_um": command.displacement * 1e6})  # fmt: skip
     low, high = float(command.voltage.min()), float(command.voltage.max())
+    said = [*command.warnings, *_before_and_after(actuator, float(command.voltage[0]), start, slew)]
     result = {"samples": wanted.size, "clamped": int(command.clamped.sum()), "lowest_V": low, "highest_V": high,
-              "warnings": list(command.warnings), "state": _state(command.state), "output": str(output)}  # fmt: skip
+              "warnings": said, "state": _state(command.state), "output": str(output)}  # fmt: skip
     line = f"{wanted.size} samples, {low:.6g} to {high:.6g} V {_came_from(actuator, start)}: {output}"
-    _conclude(as_json, result, line, command.warnings)
+    _conclude(as_json, result, line, said)
     sys.exit(1 if command.clamped.any() else 0)
 
 
@@ -227,6 +230,9 @@ def _refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
     from dehyst._errors import FileFormatError
 
     taken = {path.resolve() for path in inputs}
+    named = [output.resolve() for output in outputs if output is not None]
+    if len(set(named)) < len(named):
+        raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own")
     for output in outputs:
         if output is not None and output.resolve() in taken:
             raise FileFormatError(f"{output}: is an input of this command too; give another name for the output")
@@ -258,6 +264,31 @@ def _came_from(actuator: Actuator, start: str) -> str:
 
 def _state(state: State) -> dict[str, Any]:
     return {"displacement_m": state.displacement, "carts_m": state.carts.tolist()}
+
+
+def _lagging(displacement: Any, actuator: Actuator, time: dict[str, Any]) -> Any:
+    """The displacement as a sensor shows it, which lags by the actuator's delay."""
+    import numpy as np
+
+    from dehyst._errors import FileFormatError
+
+    if "time_s" not in time:
+        raise FileFormatError("--lag needs the time of each sample: a time column, or --sample-rate")
+    return np.interp(time["time_s"] - actuator.delay, time["time_s"], displacement)
+
+
+def _before_and_after(actuator: Actuator, first: float, start: str, slew: float | None) -> list[str]:
+    """What the file cannot hold: the way to its first voltage, and the lag of the stage."""
+    said = []
+    present = actuator.voltage(_start(actuator, start))
+    if slew is not None and abs(first - present) > 0.01 * abs(present):
+        said.append(
+            f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from that of the start, "
+            f"{present:.6g} V: ramp there within the slew rate before you play the file"
+        )
+    if actuator.delay:
+        said.append(f"the displacement was measured to lag by {actuator.delay * 1e3:.4g} ms: expect it that much later")
+    return said
 
 
 def _outside(actuator: Actuator, voltage: Any) -> int:

@@ -134,6 +134,18 @@ class Compensator:
         return np.clip(np.clip(voltage, previous - steps, previous + steps), low, high)
 
     def _warnings(self, voltage: Array, wanted: Array, reached: Array, clamped: Mask) -> tuple[str, ...]:
+        return (*self._clamps(voltage, wanted, reached, clamped), *self._extrapolates(voltage))
+
+    def _extrapolates(self, voltage: Array) -> tuple[str, ...]:
+        if self.actuator.limits is None:
+            return ()
+        low, high = self.actuator.limits
+        count = int(np.count_nonzero((voltage < low) | (voltage > high)))
+        if not count:
+            return ()
+        return (f"{count} voltages lie outside the identified range {low:.6g} to {high:.6g} V: extrapolated",)
+
+    def _clamps(self, voltage: Array, wanted: Array, reached: Array, clamped: Mask) -> tuple[str, ...]:
         count = int(np.count_nonzero(clamped))
         if not count:
             return ()

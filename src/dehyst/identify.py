@@ -29,6 +29,9 @@ from dehyst.version import __version__
 Progress = Callable[[str], None]
 # A model that misses its own training records by more of the range than this is of no use.
 _USELESS_PERCENT = 5.0
+_MOST_ROWS = 60_000
+# Less creep a decade than this part of the stroke is not worth a sentence.
+_SMALLEST_DRIFT = 2e-4
 
 
 def identify(
@@ -133,7 +136,7 @@ class _Job:
         regression = self._with_datums(self._regression(rho, self.delay))
         regression = self._with_drifts(regression)
         self.tell(f"solving the {self.settings.norm} program for {len(regression.rows)} samples")
-        found = regression.fit_weighted(self.settings.norm)
+        found = self._thinned(regression).fit_weighted(self.settings.norm)
         if not found.solution.optimal:
             return self._failed(found.solution.status)
         actuator = self._actuator(rho, regression, found)
@@ -157,6 +160,16 @@ class _Job:
         actuator = replace(found.actuator, delay=self.delay, limits=self._limits(), provenance=self._provenance())
         regression = self._with_drifts(self._regression(actuator.slip.breakaway, self.delay))
         return self._finish(actuator, regression, found.outcome, found.status, found.gap)
+
+    def _thinned(self, regression: Regression) -> Regression:
+        """Rows enough for the program: more add minutes and gigabytes, and nothing to the answer."""
+        thin = regression.thinned(_MOST_ROWS)
+        if len(thin.rows) < len(regression.rows):
+            self.said.append(
+                f"{len(regression.rows)} samples count; every {len(regression.rows) // len(thin.rows)}th went into the "
+                "program, all of them into the errors."
+            )
+        return thin
 
     def _thresholds(self) -> Array:
         if self.settings.breakaway is not None:
@@ -283,11 +296,33 @@ class _Job:
             error, trace = errors_of(actuator, item, protocol)
             errors.append(error)
             traces.append(trace)
+        if max(error.largest_percent for error in errors) > _USELESS_PERCENT:
+            outcome = Outcome.VALIDATION_MISSED
         if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:
             outcome = Outcome.INACCURATE
+        self._judge_validation(errors)
         options = {**self._provenance(), "delay_s": self.delay, "stroke_m": self.stroke}
         return Fit(actuator, outcome, tuple(errors), (*self.said, *self._nuisances(errors)), tuple(self.remarks),
                    tuple(traces), status, gap, options)  # fmt: skip
+
+    def _judge_validation(self, errors: list[RecordErrors]) -> None:
+        """Remarks about held-out records that the model should not, or cannot, be expected to meet."""
+        low, high = self._limits()
+        margin = 0.02 * (high - low)
+        for item in self.held_out:
+            lowest, highest = item.record.voltage_range
+            if lowest < low - margin or highest > high + margin:
+                self.remarks.append(
+                    f"{item.name}: its voltages, {lowest:.4g} to {highest:.4g} V, leave those of the training records, "
+                    f"{low:.4g} to {high:.4g} V: the model is extrapolated there."
+                )
+        usual = max(error.rms for error in errors if error.role == "training")
+        for error in errors:
+            if error.role == "validation" and error.rms > 2 * usual:
+                self.remarks.append(
+                    f"{error.record}: held out, its RMS error is {error.rms / usual:.2g} times that of training: the "
+                    "training records lack motions like it, or it is of another stage."
+                )
 
     def _nuisances(self, errors: list[RecordErrors]) -> list[str]:
         """Sentences about the delay, and about the datum and drift of each record."""
@@ -302,9 +337,9 @@ class _Job:
         for error in errors:
             if error.datum:
                 said.append(
-                    f"{error.record}: its sensor's zero differs by {error.datum * 1e6:.4g} um; shifted by that."
+                    f"{error.record}: fits best with its sensor's zero moved by {error.datum * 1e6:.4g} um; moved so."
                 )
-            if error.drift:
+            if abs(error.drift) > _SMALLEST_DRIFT * error.stroke:
                 said.append(
                     f"{error.record}: creeps by {100 * error.drift / error.stroke:.3g} % of the range a decade of time "
                     "since its start; set aside."

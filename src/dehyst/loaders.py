@@ -291,11 +291,17 @@ def _read_parquet(path: Path) -> list[Column]:
 
 def _read_tdms(path: Path) -> list[Column]:
     file = _library("nptdms", "Reading TDMS files").TdmsFile.read(path)
-    columns = []
+    columns: list[Column] = []
+    increments: set[tuple[int, float]] = set()
     for group in file.groups():
         for channel in group.channels():
             unit = str(channel.properties.get("unit_string", "")).strip()
             columns += [Column(f"{group.name}/{channel.name}", c.data, unit) for c in _vectors({"x": channel[:]})]
+            increments.add((len(channel), float(channel.properties.get("wf_increment", 0.0))))
+    # A waveform has no time channel: its sampling stands in a property, the same for every channel of a run.
+    timed = any(column.parts[0].lower() in ("time", "t") for column in columns)
+    if not timed and len(increments) == 1 and (run := increments.pop())[1] > 0:
+        columns.append(Column("time", np.arange(float(run[0])) * run[1], "s"))
     return columns
 
 

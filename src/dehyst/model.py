@@ -73,12 +73,16 @@ class Outcome(Enum):
         "Maxwell-slip elements with a linear spring."
     )
     INACCURATE = "Identified, but the model misses the records by more than 5 % of the range: do not use it."
+    VALIDATION_MISSED = (
+        "Identified, but the model misses a held-out record by more than 5 % of the range: do not use it for motions "
+        "like that one."
+    )
     FAILED = "Not identified: the solver found no optimum."
 
     @property
     def good(self) -> bool:
         """Whether the model may be used."""
-        return self not in (Outcome.INACCURATE, Outcome.FAILED)
+        return self not in (Outcome.INACCURATE, Outcome.VALIDATION_MISSED, Outcome.FAILED)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ _SEARCH_ROWS = 4000
 _STEPS = 20
 # A repair is made only where it makes the RMS residual smaller by this much.
 _WORTH = 0.97
+# A sensor that was zeroed anew shows at once; a small gain is the model bending.
+_WORTH_OF_DATUM = 0.8
 
 
 def transient(record: Record) -> int:
@@ -89,7 +91,7 @@ def find_delay(build: Callable[[float], Regression], longest: float, sample_time
     build : callable
         Delay [s] -> Regression on the voltages delayed by it.
     longest : float
-        Largest delay looked for [s]; a fifth of it is looked for on the negative side.
+        Largest delay looked for [s]; a displacement that leads has another cause.
     sample_time : float
         [s]; the answer is good to 1 % of it.
     """
@@ -97,7 +99,7 @@ def find_delay(build: Callable[[float], Regression], longest: float, sample_time
     def cost(delay: float) -> float:
         return _rms(build(float(delay)).thinned(_SEARCH_ROWS))
 
-    best = _search(cost, -0.2 * longest, longest, 13, 0.01 * sample_time)
+    best = _search(cost, 0.0, longest, 13, 0.01 * sample_time)
     return best if abs(best) > 0.02 * sample_time and _worth(cost(best), cost(0.0), build(0.0)) else 0.0
 
 
@@ -143,7 +145,7 @@ def find_datum(regression: Regression, record: int, stroke: float, given: Coeffi
         return _rms(replace(few, datum=datum), given)
 
     best = _search(cost, -0.6 * stroke, 0.6 * stroke, 25, 1e-9 * stroke)
-    return best if _worth(cost(best), cost(0.0), few) else 0.0
+    return best if _worth(cost(best), cost(0.0), few, _WORTH_OF_DATUM) else 0.0
 
 
 def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...]:
@@ -158,9 +160,9 @@ def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...
     return kept
 
 
-def _worth(after: float, before: float, regression: Regression) -> bool:
+def _worth(after: float, before: float, regression: Regression, share: float = _WORTH) -> bool:
     """Whether a repair makes the RMS residual smaller, by more than a hundred-thousandth of the range."""
-    return after < _WORTH * before and before - after > 1e-5 * float(np.ptp(regression.knots))
+    return after < share * before and before - after > 1e-5 * float(np.ptp(regression.knots))
 
 
 def _rms(regression: Regression, given: Coefficients | None = None) -> float:

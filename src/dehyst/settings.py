@@ -49,7 +49,8 @@ class Settings:
         _demand(_is_count(self.knots, 2), "knots", self.knots, "a whole number from 2 to 500")
         _demand(_is_number(self.slope_floor) and 0 < self.slope_floor < 1, "slope_floor", self.slope_floor,
                 "a fraction between 0 and 1")  # fmt: skip
-        _demand(self.delay is None or _is_number(self.delay), "delay", self.delay, "a finite number of seconds")
+        _demand(self.delay is None or (_is_number(self.delay) and self.delay >= 0), "delay", self.delay,
+                "a number of seconds, 0 or more")  # fmt: skip
         if self.breakaway is not None:
             self._check_breakaway(self.breakaway)
 

@@ -6,6 +6,7 @@ from math import sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._errors import RecordError
 from dehyst.signals import FloatArray, noise_span, resolution, white_noise
@@ -34,11 +35,26 @@ def problems(record: Record) -> tuple[str, ...]:
             found.append(
                 f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
             )
+    spikes = _spikes(record)
+    if len(spikes):
+        found.append(
+            f"The displacement jumps away and back at {len(spikes)} sample(s), the first at "
+            f"{record.time[spikes[0]]:.6g} s: take such spikes out, they spoil range and fit."
+        )
     if not 1e-9 <= record.stroke <= 1e-3:
         found.append(
             f"The stroke is {record.stroke:.3g} m, unusual for a piezo actuator; check the displacement's unit."
         )
     return tuple(found)
+
+
+def _spikes(record: Record) -> NDArray[np.intp]:
+    """Samples far from both neighbours, which are near one another."""
+    y = record.displacement
+    steps = np.abs(np.diff(y))
+    away = np.minimum(steps[:-1], steps[1:])
+    usual = max(20 * record.noise, 10 * float(np.quantile(steps, 0.9)))
+    return np.flatnonzero((away > usual) & (np.abs(y[2:] - y[:-2]) < 0.3 * away)) + 1
 
 
 def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
@@ -88,8 +104,8 @@ def refuse_constant(record: Record) -> None:
         )
     if record.stroke <= max(noise_span(record.displacement), 1e-12 * max(map(abs, record.displacement_range))):
         raise RecordError(
-            f"record '{record.name}': the displacement is constant: its stroke of {record.stroke:.3g} m is no more "
-            f"than the sensor's noise ({record.noise:.3g} m); check the sensor and the chosen column"
+            f"record '{record.name}': the displacement is constant but for noise: its stroke, {record.stroke:.3g} m, "
+            f"is no more than the sensor's noise ({record.noise:.3g} m); check the sensor and the chosen column"
         )
 
 
@@ -114,8 +130,8 @@ def refuse_clipped(record: Record, least: int) -> None:
             # A dead zone after a reversal is flat too, but there the voltage only goes back.
             if b - a >= least and v[a:b].max() - v[a] > needed:
                 raise RecordError(
-                    f"record '{record.name}': the sensor is clipped: the displacement sits at its {side} "
-                    f"{sign * y[a]:.6g} m over samples {a} to {b - 1} while the voltage still moves; "
+                    f"record '{record.name}': the sensor is clipped, or the amplifier: the displacement sits at its "
+                    f"{side} {sign * y[a]:.6g} m over samples {a} to {b - 1} while the voltage still moves; "
                     "lower the voltage range or shift the sensor's range"
                 )
 
