@@ -173,3 +173,12 @@ def test_a_held_out_record_that_is_missed_decides_the_verdict(folder):
     status, out, _ = run("identify", "loops.csv", "--validate", "straight.csv", "--norm", "l2", cwd=folder)
     assert (status, "misses a held-out record" in out) == (1, True)
     assert "times that of training" in out
+
+
+@pytest.mark.parametrize("names", [["other.csv", "low.csv"], ["other.csv", "--validate", "low.csv"]])
+def test_validate_takes_every_name_up_to_the_next_option(folder, names):
+    tops = dehyst.read(folder / "other.csv")
+    write_record(folder / "low.csv", tops[800:])
+    _, out, _ = run("identify", "loops.csv", "--validate", *names, "--norm", "l2", "--json", cwd=folder)
+    roles = [(error["record"], error["role"]) for error in json.loads(out)["errors"]]
+    assert roles == [("loops", "training"), ("other", "validation"), ("low", "validation")]

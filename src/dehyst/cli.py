@@ -39,6 +39,21 @@ class Commands(click.Group):
             sys.exit(2)
 
 
+class ManyToValidate(click.Command):
+    """A command whose --validate takes every name up to the next option."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Say --validate before each of its names, as click wants it."""
+        spread: list[str] = []
+        inside = False
+        for word in args:
+            if inside and not word.startswith("-") and spread[-1] != "--validate":
+                spread.append("--validate")
+            inside = word == "--validate" or (inside and not word.startswith("-"))
+            spread.append(word)
+        return super().parse_args(ctx, spread)
+
+
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, prog_name="dehyst")
 def main() -> None:
@@ -67,11 +82,15 @@ def _start_option(command: Callable[..., None]) -> Callable[..., None]:
     )(command)  # fmt: skip
 
 
-@main.command()
+@main.command(cls=ManyToValidate)
 @click.argument("records", nargs=-1, required=True, metavar="RECORD...", type=_PATH)
 @click.option("-o", "--output", type=_PATH, help="Write the model here (JSON).")
 @click.option(
-    "--validate", multiple=True, type=_PATH, metavar="RECORD", help="Simulate this record only; may be repeated."
+    "--validate",
+    multiple=True,
+    type=_PATH,
+    metavar="RECORD...",
+    help="Simulate these records only, all named up to the next option.",
 )
 @click.option("--report", type=_PATH, help="Write a self-contained HTML report here.")
 @click.option(
