@@ -35,6 +35,9 @@ static void turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real stops
         r[0] = r[1];
         stack->depth = 1;
     }
+    /* On an outermost branch every cart slides, wherever it began: its beginning is put where rounding cannot make the
+     * amplitude look shorter than it takes to move them all. */
+    if (stack->depth == 1 && slip->size > 0) r[0].y = here.y - stack->direction * 2 * slip->edge[slip->size - 1];
     r[stack->depth++] = here;
     stack->direction = -stack->direction;
     if (stack->depth >= 4) {

@@ -257,6 +257,21 @@ def test_the_core_needs_nothing(compiled, level):
     assert set(re.findall(r"\bU (\w+)", listing)) <= {"memcpy", "memset"}
 
 
+def test_an_outermost_branch_that_rounding_shortens_by_a_bit():
+    """Paths through the very places at which the last cart lets go: a bit less, and two reversals were forgotten."""
+    knots = [-0.8656961892293875, -0.43605599226834757, -0.3735116657399876,
+             0.05587403875994656, 0.376856202514648, 0.6456266897536116]  # fmt: skip
+    volts = [0.713581623069496, 0.846782822028675, 0.8839323878382238,
+             1.1246994749755306, 1.3887834762105535, 1.6451861345093217]  # fmt: skip
+    actuator = Actuator(MaxwellSlip([0.9375861923041937], [0.7031061056953217]), Spring(knots, volts))
+    state = State(0.940325206469228, [0.0027390141650343])
+    high, low, top = 2.8154975910776154, -0.9348471781391594, 0.940325206469228
+    path = np.array([high, low, top, low, -0.1, low, top, 0.1, 1.8779113987734217])
+    voltage = actuator.compensate(path, state=state, stack=False).voltage
+    for stack in (False, True):
+        np.testing.assert_allclose(actuator.simulate(voltage, state=state, stack=stack).displacement, path, atol=1e-14)
+
+
 def bench():
     """A bank, a state no history leaves, a path long enough to reach the stack and to prune it."""
     actuator = our.make_actuator(7, 12, 9, uniform=False)
