@@ -119,12 +119,13 @@ def _noise(rng, n):
 
 
 def _on_break_points(actuator, start, rng, n):
-    """Turn exactly where elements begin to slide and where segments of the spring meet: every comparison is a tie."""
+    """Turn where elements begin to slide and where segments of the spring meet: every comparison is a tie, or nearly."""
     hops, path = np.concatenate([2 * actuator.slip.breakaway, [0.0]]), [start]
     for _ in range(n):
         at_knot = rng.choice(actuator.spring.displacement)
         path.append(at_knot if rng.random() < 0.5 else path[-1] + rng.choice([-1, 1]) * rng.choice(hops))
-    return np.array(path[1:])
+    bits = rng.integers(-2, 3, n) * (rng.random() < 0.5)
+    return np.array(path[1:]) * (1 + bits * np.finfo(float).eps)
 
 
 @st.composite
