@@ -5,8 +5,8 @@
  *     v = sum_i kappa_i s_i + eta(y),      s_i = y - b_i,      b_i <- min(max(b_i, y - rho_i), y + rho_i)
  *
  *   kappa_i  stiffness of Maxwell-slip element i [V/m], >= 0      rho_i  its breakaway elongation [m], > 0, increasing
- *   b_i      position of cart i [m]                               eta    the parallel spring [V], increasing, piecewise linear,
- *                                                                        continued linearly beyond its knots
+ *   b_i      position of cart i [m]                               eta    the parallel spring [V], increasing, piecewise
+ *                                                                        linear, continued so beyond its knots
  *
  * y -> v (compensate) is explicit; v -> y (simulate) has exactly one solution and is solved segment by segment, with
  * neither tolerance nor time step. Two evaluators give the same answer:
@@ -115,10 +115,10 @@ void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack,
                            long n);
 
 /* n samples from the carts and back to them: on the stack as soon as the state has one. */
-void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work, const dehyst_real *y,
-                           dehyst_real *v, long n);
-void dehyst_simulate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work, const dehyst_real *v,
-                         dehyst_real *y, long n);
+void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work,
+                           const dehyst_real *y, dehyst_real *v, long n);
+void dehyst_simulate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work,
+                         const dehyst_real *v, dehyst_real *y, long n);
 
 #ifdef __cplusplus
 }

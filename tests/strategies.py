@@ -119,7 +119,7 @@ def _noise(rng, n):
 
 
 def _on_break_points(actuator, start, rng, n):
-    """Turn where elements begin to slide and where segments of the spring meet: every comparison is a tie, or nearly."""
+    """Turn where elements begin to slide and where segments of the spring meet: each comparison is a tie, or nearly."""
     hops, path = np.concatenate([2 * actuator.slip.breakaway, [0.0]]), [start]
     for _ in range(n):
         at_knot = rng.choice(actuator.spring.displacement)
