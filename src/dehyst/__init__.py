@@ -15,15 +15,14 @@ from dehyst._errors import (
     ModelError,
     RecordError,
 )
-from dehyst.version import __version__
-
-from dehyst.record import Record  # isort: skip
 from dehyst.actuator import Actuator, Physical
 from dehyst.compensator import Command, Compensator
 from dehyst.elements import MaxwellSlip, Spring
 from dehyst.files import read, write_record
 from dehyst.identify import identify
 from dehyst.model import Fit, Motion, Outcome, RecordErrors, State, Trace
+from dehyst.record import Record
+from dehyst.version import __version__
 
 __all__ = [
     "Actuator",

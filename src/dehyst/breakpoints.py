@@ -10,7 +10,7 @@ from dehyst import program
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
-from dehyst.elements import MaxwellSlip, Spring
+from dehyst.elements import MaxwellSlip, Spring, parts_in_segments
 from dehyst.model import Outcome
 from dehyst.record import Record
 from dehyst.settings import Direction
@@ -157,8 +157,8 @@ def linear_program(loops: list[Loop], elements: int, slope_floor: float) -> Iden
             "predicted wrongly (the program returns one of many optima)."
         )
     remarks.append(f"{len(target)} break points of {len(loops)} loop(s), sum of absolute errors {objective:.4g} V.")
-    values = x[2 * elements] + np.concatenate([[0.0], np.cumsum(slopes * np.diff(knots))])
-    actuator = Actuator(MaxwellSlip(rho, kappa), Spring(knots, values), name=major.record)
+    spring = Spring.of_slopes(knots, slopes, float(x[2 * elements]))
+    actuator = Actuator(MaxwellSlip(rho, kappa), spring, name=major.record)
     return Identified(actuator, outcome, status, gap, tuple(remarks))
 
 
@@ -173,12 +173,9 @@ def _rows(loops: list[Loop], rho: Array, knots: Array) -> tuple[Array, Array]:
             elongation = np.where(
                 slides, sign * (np.minimum(moved, 2 * rho) - rho), (y - 0.5 * (loop.bottom + loop.top))[:, None]
             )
-            lower, upper = knots[:-1].copy(), knots[1:].copy()
-            lower[0], upper[-1] = -np.inf, np.inf
-            spring = np.clip(y[:, None], lower, upper) - knots[:-1]
             constants = np.zeros((y.size, len(loops)))
             constants[:, number] = 1.0
-            rows.append(np.hstack([elongation, spring, constants]))
+            rows.append(np.hstack([elongation, parts_in_segments(knots, y), constants]))
             target.append(v)
     return np.vstack(rows), np.concatenate(target)
 

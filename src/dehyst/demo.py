@@ -33,6 +33,7 @@ _PAPER = {"linear": 13.63, "compensated": 0.76}
 class Demo:
     """What the demo found; errors in % of the stroke."""
 
+    records: tuple[Record, Record]
     fit: Fit
     time: Array
     wanted: Array
@@ -83,8 +84,8 @@ def run(progress: Callable[[str], None] = lambda _: None) -> Demo:
     """Run the whole journey; everything is seeded, so that it always gives the same numbers."""
     truth = PlayActuator()
     progress("recording loops of a virtual actuator")
-    training, validation = record_loops(truth)
-    fit = identify(training, validate=validation, progress=progress)
+    records = record_loops(truth)
+    fit = identify(records[0], validate=records[1], progress=progress)
     progress("playing the compensating voltage into the virtual actuator")
     wanted = wanted_path(truth.stroke)
     # Up to the highest voltage and down to 0 V: after it the state is known, whatever it was.
@@ -96,7 +97,9 @@ def run(progress: Callable[[str], None] = lambda _: None) -> Demo:
     compensated = truth.drive(command.voltage, measured=False)
     truth.drive(homing)
     linear = truth.drive(wanted * truth.highest / truth.stroke, measured=False)
-    return Demo(fit, np.arange(wanted.size) / _RATE, wanted, linear, compensated, command.voltage, truth.stroke)
+    return Demo(
+        records, fit, np.arange(wanted.size) / _RATE, wanted, linear, compensated, command.voltage, truth.stroke
+    )
 
 
 def write(demo: Demo, folder: str | Path, *, report: bool = True) -> list[Path]:
@@ -116,9 +119,8 @@ def write(demo: Demo, folder: str | Path, *, report: bool = True) -> list[Path]:
         raise FileFormatError(
             f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
         ) from error
-    training, validation = record_loops(PlayActuator())
-    write_record(target / "loops.csv", training)
-    write_record(target / "other-loops.csv", validation)
+    for record in demo.records:
+        write_record(target / f"{record.name}.csv", record)
     demo.fit.actuator.save(target / "model.json")
     write_columns(target / "tracking.csv", {
         "time_s": demo.time, "wanted_um": demo.wanted * 1e6, "voltage_V": demo.voltage,

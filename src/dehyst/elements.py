@@ -18,6 +18,16 @@ def frozen(array: Array) -> Array:
     return copy
 
 
+def parts_in_segments(knots: Array, y: Array) -> Array:
+    """The part of y that lies in each segment between knots, the end segments being unbounded, shape (n, M - 1).
+
+    A spring of slopes a_j between its knots holds ``eta(knots[0]) + sum_j a_j parts_j(y)``.
+    """
+    lower, upper = knots[:-1].copy(), knots[1:].copy()
+    lower[0], upper[-1] = -np.inf, np.inf
+    return np.asarray(np.clip(y[:, None], lower, upper) - knots[:-1])
+
+
 @dataclass(frozen=True, eq=False)
 class MaxwellSlip:
     """N Maxwell-slip elements in parallel: springs in series with Coulomb friction (Eq. 1).
@@ -99,6 +109,11 @@ class Spring:
             )
         object.__setattr__(self, "displacement", frozen(y))
         object.__setattr__(self, "voltage", frozen(v))
+
+    @classmethod
+    def of_slopes(cls, displacement: Array, slopes: Array, first: float) -> Spring:
+        """Build a spring from the slopes of its segments (M - 1,) [V/m] and the voltage at its first knot [V]."""
+        return cls(displacement, first + np.concatenate([[0.0], np.cumsum(slopes * np.diff(displacement))]))
 
     @property
     def slopes(self) -> Array:

@@ -233,10 +233,9 @@ class _Job:
 
     def _actuator(self, rho: Array, regression: Regression, found: Coefficients) -> Actuator:
         reference = regression.rows.epoch[regression.rows.record == self.widest].max()
-        rises = np.concatenate([[0.0], np.cumsum(found.slopes * np.diff(regression.knots))])
         return Actuator(
             MaxwellSlip(rho, found.stiffness),
-            Spring(regression.knots, found.offsets[int(reference)] + rises),
+            Spring.of_slopes(regression.knots, found.slopes, found.offsets[int(reference)]),
             limits=self._limits(),
             delay=self.delay,
             name=self.training[self.widest].record.name,

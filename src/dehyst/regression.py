@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._native import Array
+from dehyst.elements import parts_in_segments
 from dehyst.program import Norm, Solution, solve, triangle_of
 from dehyst.rows import Rows
 
@@ -59,9 +60,7 @@ class Regression:
 
     def parts_of_spring(self, y: Array) -> Array:
         """R_j(y), shape (n, M - 1)."""
-        lower, upper = self.knots[:-1].copy(), self.knots[1:].copy()
-        lower[0], upper[-1] = -np.inf, np.inf
-        return np.clip(y[:, None], lower, upper) - self.knots[:-1]
+        return parts_in_segments(self.knots, y)
 
     def nuisances(self) -> Array:
         """Columns of the epochs' constants, then of the drifts."""
