@@ -4,7 +4,7 @@ import bench
 import numpy as np
 import pytest
 
-from dehyst.insight import directions
+from dehyst.directions import directions
 from dehyst.record import Record
 from dehyst.regression import Regression
 from dehyst.rows import collect
