@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from dehyst import Actuator, MaxwellSlip, ModelError, Spring
+from dehyst import Actuator, MaxwellSlip, ModelError, Record, Spring
 from dehyst.model import AbstractModel, Motion
+from dehyst.rivals.goldfarb import Goldfarb
 
 VOLTS = 100.0
 
@@ -31,11 +32,18 @@ def actuator(elements, knots, volts):
     return Actuator(MaxwellSlip(rho, kappa), Spring(knots, volts))
 
 
+def goldfarb():
+    """Return the rival identified from a rise to 10 um and 100 V."""
+    u = np.linspace(0, 1, 101)
+    return Goldfarb.fit(Record(u, VOLTS * (0.7 * u + 0.3 * np.sqrt(u)), 1e-5 * u))
+
+
 MODELS = [
     Candidate("spring alone", lambda: actuator(0, [0, 4e-6, 1e-5], [0, 60, 100])),
     Candidate("one element", lambda: actuator(1, [0, 1e-5], [0, 80])),
     Candidate("ten elements", lambda: actuator(10, np.linspace(0, 1e-5, 11), 90 * np.linspace(0, 1, 11) ** 1.3)),
     Candidate("thousand elements", lambda: actuator(1000, [0, 2e-6, 1e-5], [0, 10, 90])),
+    Candidate("Goldfarb and Celanovic", goldfarb),
 ]
 
 

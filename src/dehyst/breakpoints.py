@@ -10,12 +10,11 @@ from dehyst import program
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
+from dehyst.branches import Branch, families, voltage_at
 from dehyst.elements import MaxwellSlip, Spring, parts_in_segments
 from dehyst.model import Outcome
 from dehyst.record import Record
 from dehyst.settings import Direction
-
-_SAME = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,49 +63,16 @@ def loops_of(records: list[Record], elements: int) -> list[Loop]:
     IdentifyError
         If no record holds a closed loop.
     """
-    families = [family for record in records for family in _families(record)]
-    if not families:
+    found = [family for record in records for family in families(record)]
+    if not found:
         raise IdentifyError(
             "no closed loop found: the voltage has to go up, down and up again between the same two turning points. "
             "Record two cycles, or use method='record'"
         )
-    step = max(top - bottom for _, bottom, top, _, _ in families) / elements
+    step = max(top - bottom for _, bottom, top, _, _ in found) / elements
     loops = [Loop(name, bottom, top, _break_points(down, top, bottom, step), _break_points(up, bottom, top, step))
-             for name, bottom, top, down, up in families]  # fmt: skip
+             for name, bottom, top, down, up in found]  # fmt: skip
     return sorted(loops, key=lambda loop: -loop.range)
-
-
-Branch = tuple[Array, Array]
-Family = tuple[str, float, float, list[Branch], list[Branch]]
-
-
-def _families(record: Record) -> list[Family]:
-    """Branches of a record between the same turning points, put together."""
-    turns = [0, *record.reversals().tolist(), len(record) - 1]
-    y, v = record.displacement, record.voltage
-    same = _SAME * record.stroke
-    found: list[tuple[float, float, list[Branch], list[Branch]]] = []
-
-    def family_of(low: float, high: float) -> tuple[list[Branch], list[Branch]]:
-        for bottom, top, down, up in found:
-            if abs(bottom - low) < same and abs(top - high) < same:
-                return down, up
-        found.append((low, high, [], []))
-        return found[-1][2:]
-
-    for before, start, end in zip(turns[:-2], turns[1:-1], turns[2:], strict=True):
-        if abs(y[start] - y[before]) < abs(y[end] - y[start]) - same:
-            continue
-        low, high = sorted((float(y[start]), float(y[end])))
-        down, up = family_of(low, high)
-        (up if y[end] > y[start] else down).append((y[start : end + 1], v[start : end + 1]))
-    return [(record.name, *_mean_turns(down, up), down, up) for _, _, down, up in found if down and up]
-
-
-def _mean_turns(down: list[Branch], up: list[Branch]) -> tuple[float, float]:
-    bottoms = [y[-1] for y, _ in down] + [y[0] for y, _ in up]
-    tops = [y[0] for y, _ in down] + [y[-1] for y, _ in up]
-    return float(np.mean(bottoms)), float(np.mean(tops))
 
 
 def _break_points(branches: list[Branch], start: float, end: float, step: float) -> Array:
@@ -117,16 +83,7 @@ def _break_points(branches: list[Branch], start: float, end: float, step: float)
         moved = np.append(moved, abs(end - start))
     places = start + np.sign(end - start) * moved
     places[-1] = end
-    return np.column_stack([places, np.mean([_voltage_at(branch, places) for branch in branches], axis=0)])
-
-
-def _voltage_at(branch: Branch, places: Array) -> Array:
-    """Voltage of one branch at displacements; noise makes y go back and forth, the mean of both envelopes is taken."""
-    y, v = branch if branch[0][-1] > branch[0][0] else (branch[0][::-1], branch[1][::-1])
-    upper, lower = np.maximum.accumulate(y), np.minimum.accumulate(y[::-1])[::-1]
-    monotone = 0.5 * (upper + lower)
-    keep = np.append(True, np.diff(monotone) > 0)
-    return np.asarray(np.interp(places, monotone[keep], v[keep]))
+    return np.column_stack([places, np.mean([voltage_at(branch, places) for branch in branches], axis=0)])
 
 
 def linear_program(loops: list[Loop], elements: int, slope_floor: float) -> Identified:
