@@ -13,7 +13,7 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst._native import Array
 from dehyst.compensator import Compensator
-from dehyst.excite import descending_tops, raised_cosine
+from dehyst.excite import Drive, descending_tops, raised_cosine
 from dehyst.files import write_columns, write_json, write_record
 from dehyst.identify import identify
 from dehyst.metrics import largest, percent, rms
@@ -70,14 +70,13 @@ def wanted_path(stroke: float) -> Array:
 
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
     """Two major loops and descending tops in one run, for training; loops of other heights, for validation."""
-    records = []
-    tops = np.concatenate([raised_cosine([truth.highest] * 2, samples=_SAMPLES),
-                           descending_tops(truth.highest, samples=_SAMPLES)])  # fmt: skip
-    others = raised_cosine([0.75 * truth.highest] * 2 + [0.45 * truth.highest] * 2, samples=_SAMPLES)
-    for name, plan in (("loops", tops), ("other-loops", others)):
-        voltage = np.concatenate([[0.0], plan])
-        records.append(Record(np.arange(voltage.size) / _RATE, voltage, truth.drive(voltage), name=name))
-    return records[0], records[1]
+    drive = Drive(sample_rate=_RATE)
+    tops = descending_tops(truth.highest, drive=drive)
+    others = raised_cosine([0.75 * truth.highest, 0.45 * truth.highest], cycles=2, drive=drive)
+    return (
+        Record(tops.time, tops.voltage, truth.drive(tops.voltage), name="loops"),
+        Record(others.time, others.voltage, truth.drive(others.voltage), name="other-loops"),
+    )
 
 
 def run(progress: Callable[[str], None] = lambda _: None) -> Demo:

@@ -1,0 +1,401 @@
+"""Excitations: they turn where they should, keep limits and slew rate, and show what theory says they show."""
+
+import math
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dehyst import Record, RecordError, excitation
+from dehyst._native import stops
+from dehyst.excite import (
+    Drive,
+    descending_tops,
+    homing,
+    minor_loop,
+    raised_cosine,
+    reversal_curves,
+    staircase,
+)
+from dehyst.signals import turning_points
+
+KINDS = {
+    "raised cosine": partial(raised_cosine, [200.0, 80.0], cycles=2),
+    "descending tops": partial(descending_tops, 200.0),
+    "reversal curves": partial(reversal_curves, 200.0),
+    "minor loop": partial(minor_loop, 70.0, 130.0, highest=200.0),
+    "staircase": partial(staircase, 200.0),
+    "homing": partial(homing, 200.0),
+    "homing through turns": partial(homing, turns=[150.0, 30.0, 120.0]),
+}
+every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+
+
+def turns_of(kind, *arguments, **options):
+    return kind(*arguments, **options).turns.tolist()
+
+
+def log_uniform(low, high):
+    return st.floats(math.log(low), math.log(high)).map(math.exp)
+
+
+@st.composite
+def drives(draw):
+    """Any way to play voltages of some 100 V; a slew rate that stretches nothing, some legs, or a hundredfold."""
+    frequency = draw(log_uniform(1e-4, 1e4))
+    base = draw(st.sampled_from([0.0, -20.0]) | st.floats(-300, 300))
+    return Drive(
+        frequency=frequency,
+        sample_rate=draw(st.none() | log_uniform(8.001 * frequency, 300 * frequency)),
+        base=base,
+        present=draw(st.none() | st.just(base) | st.floats(-300, 300)),
+        limits=draw(st.none() | st.just((-1000.0, 1000.0))),
+        slew_rate=draw(st.none() | log_uniform(10 * frequency, 1e5 * frequency)),
+        shape=draw(st.sampled_from(["cosine", "triangle"])),
+        pace=draw(st.sampled_from(["frequency", "rate"])),
+    )
+
+
+def make_cycles(draw, drive, top, n):
+    peaks = [top, *draw(st.lists(st.floats(drive.base + 0.1, drive.base + 400), max_size=3))]
+    return raised_cosine(peaks, cycles=n, drive=drive), [v for p in peaks for v in [p, drive.base] * n]
+
+
+def make_tops(draw, drive, top, n):
+    m, base = draw(st.integers(0, 2)), drive.base
+    falling = [v for k in range(n, 0, -1) for v in (base + (top - base) * k / n, base)]
+    return descending_tops(top, steps=n, majors=m, drive=drive), [top, base] * m + falling
+
+
+def make_curves(draw, drive, top, n):
+    m, base = draw(st.integers(0, 2)), drive.base
+    lowest = draw(st.none() | st.floats(base - 100, top - 0.05))
+    a = base if lowest is None else lowest
+    curves = [v for k in range(1, n + 1) for v in (top + (a - top) * k / n, top)]
+    made = reversal_curves(top, lowest=lowest, count=n, majors=m, drive=drive)
+    return made, [*[top, min(a, base)] * m, top, *curves, base]
+
+
+def make_minor(draw, drive, top, n):
+    m, base = draw(st.integers(0, 2)), drive.base
+    low, high = base + 0.3 * (top - base), base + 0.8 * (top - base)
+    made = minor_loop(low, high, highest=top, cycles=n, majors=m, drive=drive)
+    return made, [*[top, base] * m, high, *[low, high] * n, base]
+
+
+def make_stairs(draw, drive, top, n):
+    hold, ramp = draw(log_uniform(0.01, 3)), draw(st.none() | log_uniform(0.001, 3))
+    ramp = None if ramp is None else ramp / drive.frequency
+    return staircase(top, steps=n, hold=hold / drive.frequency, ramp=ramp, drive=drive), [top, drive.base]
+
+
+def make_homing(draw, drive, top, n):
+    return homing(top, drive=drive), [top, drive.base]
+
+
+def make_turns(draw, drive, top, n):
+    turns = [drive.base + 0.1 + 10 * k * (-1) ** k for k in range(1, n + 2)]
+    return homing(turns=turns, drive=drive), turns
+
+
+MAKERS = (make_cycles, make_tops, make_curves, make_minor, make_stairs, make_homing, make_turns)
+
+
+@st.composite
+def played(draw):
+    """A drive, an excitation by it, and the turning points it should have from its start on."""
+    drive, make = draw(drives()), draw(st.sampled_from(MAKERS))
+    made, turns = make(draw, drive, draw(st.floats(drive.base + 0.1, drive.base + 400)), draw(st.integers(1, 6)))
+    return drive, made, [drive.start, *([] if make is make_turns else [drive.base]), *turns]
+
+
+def reversals_of(path):
+    """The path's ends and the voltages at which it turns."""
+    kept = path[:1]
+    for v in path[1:]:
+        if len(kept) > 1 and (v > kept[-1]) == (kept[-1] > kept[-2]):
+            kept[-1] = v
+        elif v != kept[-1]:
+            kept.append(v)
+    return kept
+
+
+class TestLaws:
+    @given(played())
+    def test_it_turns_where_it_should_and_nowhere_else(self, case):
+        _, made, path = case
+        np.testing.assert_allclose(made.turns, reversals_of(path), rtol=1e-13, atol=1e-13)
+        assert made.voltage[-1] == path[-1]
+        if made.name != "staircase":
+            # By the record's own search, which takes a voltage that pauses for one that turns.
+            found = turning_points(made.voltage, 0.0)
+            np.testing.assert_array_equal(made.voltage[found], made.turns[1:-1])
+
+    @given(played())
+    def test_limits_slew_rate_and_uniform_time_are_kept(self, case):
+        drive, made, _ = case
+        check_laws(drive, made)
+
+    @given(st.data())
+    @settings(max_examples=300)
+    def test_whatever_is_accepted_keeps_the_laws(self, data):
+        """Numbers of any size: refused with a sentence, or played within the laws."""
+        anything = st.floats() | log_uniform(1e-14, 1e14) | st.floats(-1e3, 1e3) | st.sampled_from([0.0, 1e6, 5e-324])
+        options = {
+            name: data.draw(anything)
+            for name in ("frequency", "sample_rate", "slew_rate", "base", "present")
+            if data.draw(st.booleans())
+        }
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(excitation, "_MOST_SAMPLES", 100_000)
+            try:
+                drive = Drive(**options)
+                result = homing(turns=[data.draw(anything), data.draw(anything)], drive=drive)
+            except RecordError as error:
+                assert any(word in str(error) for word in ("need", "; give voltages", "lower the sample rate"))
+                return
+        check_laws(drive, result)
+
+    @given(played())
+    def test_without_a_slew_rate_legs_take_their_time(self, case):
+        drive, made, path = case
+        assert not made.warnings or drive.slew_rate is not None
+        if made.warnings or made.name == "staircase" or drive.pace == "rate" or drive.start != drive.base:
+            return
+        legs = np.count_nonzero(np.diff(path))
+        assert made.duration == pytest.approx(legs * drive.half, abs=legs * 0.5 / drive.rate)
+
+    @given(played(), st.integers(1, 3))
+    def test_one_can_follow_another(self, case, steps):
+        drive, first, _ = case
+        end = float(first.voltage[-1])
+        onward = Drive(
+            frequency=drive.frequency, sample_rate=drive.rate, base=drive.base, present=end, slew_rate=drive.slew_rate
+        )
+        second = staircase(drive.base + 50, steps=steps, hold=0.1 / drive.frequency, drive=onward)
+        both = first.then(second)
+        assert len(both) == len(first) + len(second) - 1
+        np.testing.assert_array_equal(both.voltage[: len(first)], first.voltage)
+        np.testing.assert_array_equal(both.voltage[len(first) - 1 :], second.voltage)
+        check_laws(drive, both)
+        assert both.warnings == first.warnings + second.warnings
+
+    @given(played())
+    def test_a_leg_mirrored_is_the_leg_back(self, case):
+        """Up and down take the same voltages in turn."""
+        drive, _, _ = case
+        loop = homing(drive.base + 100, drive=Drive(drive.frequency, drive.sample_rate, drive.base, shape=drive.shape))
+        np.testing.assert_allclose(loop.voltage, loop.voltage[::-1], atol=1e-12)
+        assert len(loop) % 2 == 1
+        assert loop.voltage[len(loop) // 2] == drive.base + 100
+
+
+def check_laws(drive, excitation):
+    v = excitation.voltage
+    assert np.isfinite(v).all()
+    assert v[0] == drive.start
+    low, high = drive.limits or (-1e6, 1e6)
+    assert low <= v.min() <= v.max() <= high
+    assert excitation.sample_rate == drive.rate
+    np.testing.assert_array_equal(excitation.time, np.arange(len(v)) / drive.rate)
+    assert excitation.time[-1] == excitation.duration
+    if drive.slew_rate is not None:
+        assert np.abs(np.diff(v)).max() * drive.rate <= drive.slew_rate * (1 + 1e-9)
+
+
+class TestKinds:
+    def test_the_raised_cosine_is_the_papers(self):
+        """v = v0/2 - v0/2 cos(2 pi t / T0), 200 V at 0.01 Hz."""
+        made = raised_cosine(200.0, cycles=3)
+        assert len(made) == 1201
+        assert made.duration == 300.0
+        np.testing.assert_allclose(made.voltage, 100 - 100 * np.cos(2 * np.pi * 0.01 * made.time), atol=1e-12)
+        np.testing.assert_array_equal(made.voltage[:401:200], [0, 200, 0])
+        np.testing.assert_array_equal(made.voltage[401:801], made.voltage[1:401])
+
+    def test_peaks_follow_one_another_at_one_frequency(self):
+        made = raised_cosine([200.0, 61.7], cycles=2, drive=Drive(base=0.1, sample_rate=2.0))
+        assert made.turns.tolist() == [0.1, 200, 0.1, 200, 0.1, 61.7, 0.1, 61.7, 0.1]
+        np.testing.assert_array_equal(made.voltage[::100], made.turns)
+        assert made.name == "raised-cosine"
+
+    def test_straight_legs(self):
+        made = raised_cosine(100.0, drive=Drive(shape="triangle", sample_rate=0.1))
+        np.testing.assert_allclose(made.voltage, [0, 20, 40, 60, 80, 100, 80, 60, 40, 20, 0])
+        assert made.name == "triangle"
+
+    def test_descending_tops(self):
+        made = descending_tops(200.0, steps=4)
+        assert made.turns.tolist() == [0, 200, 0, 200, 0, 200, 0, 150, 0, 100, 0, 50, 0]
+        assert len(made) == 6 * 400 + 1
+        assert turns_of(descending_tops, 200.0, steps=1, majors=0) == [0, 200, 0]
+        lifted = descending_tops(130.0, steps=4, drive=Drive(base=30.0)).turns
+        np.testing.assert_allclose(lifted[5::2], [130, 105, 80, 55])
+
+    def test_reversal_curves(self):
+        fractions = reversal_curves(1.0).turns
+        curves = np.column_stack([np.arange(0.9, -0.05, -0.1), np.ones(10)]).ravel()
+        np.testing.assert_allclose(fractions, [0, 1, 0, 1, *curves, 0], atol=1e-15)
+        assert turns_of(reversal_curves, 100.0, lowest=60.0, count=2) == [0, 100, 0, 100, 80, 100, 60, 100, 0]
+
+    def test_major_cycles_reach_the_lowest_reversal(self):
+        """A reversal curve from below the major loop would start at a state that was not prepared."""
+        assert turns_of(reversal_curves, 100.0, lowest=-20.0, count=1) == [0, 100, -20, 100, -20, 100, 0]
+
+    def test_minor_loop_with_its_approach(self):
+        assert turns_of(minor_loop, 70.0, 130.0, highest=200.0) == [0, 200, 0, 200, 0, 130, 70, 130, 0]
+        assert turns_of(minor_loop, 70, 130, highest=200, cycles=2, majors=0) == [0, 130, 70, 130, 70, 130, 0]
+
+    def test_staircase_holds_every_level(self):
+        made = staircase(200.0, steps=4, hold=30.0)
+        levels = [0, 50, 100, 150, 200, 150, 100, 50, 0]
+        assert made.duration == 100 + 8 * 30
+        v = made.voltage
+        start = np.flatnonzero(np.diff(v, prepend=np.nan) != 0)
+        runs = np.diff([*start, len(v)])
+        np.testing.assert_array_equal(v[start][runs > 1], levels[1:])
+        # A hold of 30 s and the sample that reaches the level.
+        np.testing.assert_array_equal(runs[runs > 1], 121)
+        assert made.turns.tolist() == [0, 200, 0]
+
+    def test_staircase_with_quick_steps(self):
+        made = staircase(90.0, steps=3, hold=0.9, ramp=4.0, drive=Drive(sample_rate=1.0))
+        # Four seconds up, then one sample of hold, as 0.9 s are less than one.
+        np.testing.assert_array_equal(made.voltage[4::5], [30, 60, 90, 60, 30, 0])
+        np.testing.assert_array_equal(made.voltage[5::5], made.voltage[4::5])
+
+    def test_homing(self):
+        assert turns_of(homing, 200.0) == [0, 200, 0]
+        assert turns_of(homing, 200.0, drive=Drive(present=55.0)) == [55, 0, 200, 0]
+
+    def test_homing_through_turns_goes_there_straight(self):
+        drive = Drive(present=55.0)
+        assert turns_of(homing, turns=[200, 20, 150], drive=drive) == [55, 200, 20, 150]
+        assert turns_of(homing, turns=[55, 200, 20], drive=drive) == [55, 200, 20]
+
+    def test_a_partial_leg_takes_its_part_at_a_constant_rate(self):
+        made = descending_tops(200.0, steps=4, majors=0, drive=Drive(pace="rate"))
+        at = np.flatnonzero(np.isin(made.voltage, made.turns) & (made.voltage > 0))
+        np.testing.assert_array_equal(
+            at, [200, 200 * 2 + 150, 200 * 2 + 150 * 2 + 100, 200 * 2 + 150 * 2 + 100 * 2 + 50]
+        )
+
+    @every_kind
+    def test_it_can_be_played_by_a_plant_and_recorded(self, kind):
+        made = kind()
+        record = Record(made.time, made.voltage, 1e-7 * made.voltage)
+        assert len(record) == len(made)
+        assert record.gaps() == []
+        assert record.sample_time == 0.25
+
+
+class TestRamps:
+    @every_kind
+    def test_from_the_present_voltage(self, kind):
+        plain, ramped = kind(), kind(drive=Drive(present=-40.0))
+        assert ramped.voltage[0] == -40
+        if "turns" in kind.keywords:
+            return
+        begin = len(ramped) - len(plain)
+        np.testing.assert_array_equal(ramped.voltage[begin:], plain.voltage)
+        assert np.all(np.diff(ramped.voltage[: begin + 1]) > 0)
+        # As steep on average as the highest leg, of 200 V in 50 s.
+        assert begin == 40
+
+    @every_kind
+    def test_none_where_there_is_nowhere_to_go(self, kind):
+        np.testing.assert_array_equal(kind(drive=Drive(present=0.0)).voltage, kind().voltage)
+
+    def test_a_long_way_takes_half_a_cycle(self):
+        made = raised_cosine(10.0, drive=Drive(present=200.0))
+        assert made.turns.tolist() == [200, 0, 10, 0]
+        assert made.voltage[200] == 0
+
+    def test_it_keeps_the_slew_rate_without_a_word(self):
+        made = raised_cosine(10.0, drive=Drive(present=200.0, slew_rate=1.0))
+        assert made.warnings == ()
+        assert np.flatnonzero(made.voltage == 0)[0] == math.ceil(4 * 200 * math.pi / 2)
+
+
+class TestSlewRate:
+    def test_a_leg_that_meets_it_exactly_is_left_alone(self):
+        triangle = raised_cosine(200.0, drive=Drive(shape="triangle", slew_rate=4.0))
+        assert (triangle.warnings, triangle.duration) == ((), 100.0)
+        cosine = raised_cosine(200.0, drive=Drive(slew_rate=2 * math.pi))
+        assert (cosine.warnings, cosine.duration) == ((), 100.0)
+
+    def test_only_legs_that_are_too_steep_take_longer(self):
+        made = raised_cosine([200.0, 50.0], drive=Drive(shape="triangle", slew_rate=2.0))
+        assert made.duration == 300.0
+        assert made.warnings == (
+            "2 of 4 legs take longer to keep 2 V/s, up to 100 s for 50 s; the whole takes 300 s for 200 s",
+        )
+        assert np.abs(np.diff(made.voltage[:801])).max() == pytest.approx(0.5)
+
+    def test_holds_and_the_ramp_from_the_present_voltage_are_not_counted(self):
+        drive = Drive(present=50.0, slew_rate=1.0, shape="triangle", sample_rate=1.0)
+        made = staircase(100.0, steps=2, hold=10.0, ramp=25.0, drive=drive)
+        assert made.warnings == (
+            "4 of 4 legs take longer to keep 1 V/s, up to 50 s for 25 s; the whole takes 290 s for 190 s",
+        )
+
+    def test_a_cosine_is_steeper_than_its_mean(self):
+        made = raised_cosine(200.0, drive=Drive(slew_rate=4.0))
+        assert made.duration == pytest.approx(100 * math.pi / 2, abs=0.5)
+        assert np.abs(np.diff(made.voltage)).max() * made.sample_rate == pytest.approx(4.0, rel=5e-3)
+
+    def test_a_long_fine_leg_keeps_it_too(self):
+        """Steps of a microvolt, on which rounding counts."""
+        made = homing(turns=[999.9], drive=Drive(frequency=1e-4, sample_rate=200.0, slew_rate=0.3, base=999.0))
+        assert np.abs(np.diff(made.voltage)).max() * 200 <= 0.3 * (1 + 1e-9)
+
+    def test_steps_that_rounding_swallows_are_refused(self):
+        with pytest.raises(RecordError, match=r"slew_rate: got 1e-10 V/s .* lost in the rounding of 200 V; lower the"):
+            raised_cosine(200.0, drive=Drive(slew_rate=1e-10, sample_rate=1e6))
+
+
+class TestLimits:
+    @every_kind
+    def test_beyond_the_limits_nothing_is_clipped(self, kind):
+        with pytest.raises(RecordError, match=r"got (200|150) V, but the limits are -10 to 100 V; ask for"):
+            kind(drive=Drive(limits=(-10.0, 100.0)))
+        assert kind(drive=Drive(limits=(0.0, 200.0))).voltage.min() >= 0
+
+
+def rank(path, elements=10):
+    """Directions of the stiffnesses that a path over 0..1 tells beside a free spring and one constant; theory 6."""
+    rho = np.arange(1, elements + 1) / (2 * elements)
+    dense = np.concatenate([np.linspace(a, b, 200, endpoint=False) for a, b in pairwise(path)])
+    strained, _ = stops(rho, path[0] - rho, dense)
+    # All states are known after the first major cycle, theory 7.
+    start = np.flatnonzero(dense < 1e-12)[1]
+    strained, dense = strained[start:], dense[start:]
+    knots = np.linspace(0, 1, elements + 1)
+    spring = np.column_stack([np.interp(dense, knots, hat) for hat in np.eye(elements + 1)])
+    basis = np.linalg.svd(np.column_stack([spring, np.ones(dense.size)]), full_matrices=False)
+    free = basis[0][:, basis[1] > 1e-10 * basis[1][0]]
+    values = np.linalg.svd(strained - free @ (free.T @ strained), compute_uv=False)
+    return int(np.count_nonzero(values > 1e-9 * values[0]))
+
+
+@pytest.mark.parametrize(
+    ("made", "told"),
+    [
+        (raised_cosine(1.0, cycles=3), 5),
+        (raised_cosine([1.0, 0.3], cycles=2), 6),
+        (raised_cosine([1.0, 0.5], cycles=2), 7),
+        (raised_cosine([1.0, 0.7], cycles=2), 8),
+        (raised_cosine([1.0, 0.3, 0.5], cycles=2), 8),
+        (raised_cosine([1.0, 0.3, 0.5, 0.7], cycles=2), 9),
+        (raised_cosine([1.0, 1.0, 0.6, 0.35]), 9),
+        (minor_loop(0.35, 0.65, highest=1.0), 9),
+        (descending_tops(1.0), 9),
+        (reversal_curves(1.0), 9),
+    ],
+)
+def test_protocols_tell_as_many_directions_as_theory_says(made, told):
+    """The identifiability table, its turning points taken from the protocols as fractions of the range."""
+    assert rank(np.round(made.turns, 12)) == told
