@@ -55,7 +55,7 @@ class AbstractModel(ABC):
 class Outcome(Enum):
     """How an identification ended; the value is the sentence to show."""
 
-    IDENTIFIED = "Identified: the program was solved to optimality and every check passed."
+    IDENTIFIED = "Identified: the program was solved to optimality, and the records determine every stiffness."
     UNDETERMINED = (
         "Identified, but the records leave directions of the stiffnesses open: other motions than the recorded ones "
         "may be predicted wrongly. Add minor loops with other turning points."
@@ -151,6 +151,47 @@ class Trace:
         return self.measured - self.simulated
 
 
+class Verdict(Enum):
+    """Whether something that a model takes for granted holds; the value is the word to show."""
+
+    HOLDS = "holds"
+    FAILS = "does not hold"
+    UNKNOWN = "not known"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that a model takes for granted, looked for in the records.
+
+    Attributes
+    ----------
+    name : str
+        What is taken for granted: "Assumption I", "Anti-symmetry", ...
+    verdict : Verdict
+    value, floor : float or None
+        What was found, and what noise alone would give (the least that was allowed, for Assumption I); None where there
+        is no such number.
+    unit : str
+        Of both.
+    sentence : str
+        What was found and what it means.
+    """
+
+    name: str
+    verdict: Verdict
+    value: float | None
+    floor: float | None
+    unit: str
+    sentence: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {
+            "name": self.name, "verdict": self.verdict.name, "value": self.value, "floor": self.floor,
+            "unit": self.unit, "sentence": self.sentence,
+        }  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """What an identification found.
@@ -174,6 +215,8 @@ class Fit:
         Duality gap, relative to the sum of the absolute weighted voltages.
     options : Mapping
         What was asked for and what it became.
+    checks : tuple of Check
+        What the model takes for granted, and whether the records bear it out.
     """
 
     actuator: Any
@@ -185,6 +228,7 @@ class Fit:
     status: str = ""
     gap: float = float("nan")
     options: Mapping[str, Any] = field(default_factory=dict)
+    checks: tuple[Check, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """JSON values without the traces."""
@@ -193,6 +237,7 @@ class Fit:
             "sentence": self.outcome.value,
             "good": self.outcome.good,
             "errors": [error.as_dict() for error in self.errors],
+            "checks": [check.as_dict() for check in self.checks],
             "repairs": list(self.repairs),
             "remarks": list(self.remarks),
             "solver": {"status": self.status, "duality_gap": self.gap if isfinite(self.gap) else None},
