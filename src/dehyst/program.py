@@ -213,6 +213,10 @@ def _highs(
     cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], *, solver: str
 ) -> Program:
     """Minimise cost'x with bounds on x and limits on rows x (dense), on one thread."""
+    return _run(_passed(cost, bounds, rows, limits, solver), solver)
+
+
+def _passed(cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], solver: str) -> Any:
     import highspy
 
     m, n = rows.shape
@@ -230,6 +234,12 @@ def _highs(
                           ("primal_feasibility_tolerance", 1e-9), ("dual_feasibility_tolerance", 1e-9)):  # fmt: skip
         highs.setOptionValue(option, value)
     highs.passModel(lp)
+    return highs
+
+
+def _run(highs: Any, solver: str) -> Program:
+    import highspy
+
     highs.run()
     status = highs.getModelStatus()
     solution = highs.getSolution()
@@ -240,6 +250,19 @@ def _highs(
         status == highspy.HighsModelStatus.kOptimal,
         f"HiGHS {solver}: {highs.modelStatusToString(status)}",
     )
+
+
+def linear_programs(
+    costs: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
+) -> Iterator[Program]:
+    """Minimise each of many costs (p, n) over one polytope, each from the optimum of the one before; see below."""
+    highs = _passed(costs[0], bounds, rows, limits, "simplex")
+    every = np.arange(rows.shape[1], dtype=np.int32)
+    # From one optimum to the next the point stays feasible: the primal simplex goes on where the dual would start anew.
+    for k, cost in enumerate(costs):
+        highs.changeColsCost(every.size, every, cost)
+        highs.setOptionValue("simplex_strategy", 4 if k else 1)
+        yield _run(highs, "simplex")
 
 
 def linear_program(

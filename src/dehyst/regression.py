@@ -18,10 +18,6 @@ from dehyst.elements import parts_in_segments
 from dehyst.program import Norm, Solution, solve, triangle_of
 from dehyst.rows import Rows
 
-# Singular values below this share of the largest, over N squared, count as nothing known: those of directions that an
-# excitation tells fall with the square of N (0.013 at N = 10, 0.0007 at 40, tops descending in N steps).
-_TOLD = 0.1
-
 
 @dataclass(frozen=True, eq=False)
 class Regression:
@@ -69,14 +65,20 @@ class Regression:
         drifts = [np.where(self.rows.record == q, self.rows.drift, 0.0)[:, None] for q in self.drifting]
         return np.hstack([constants, *drifts])
 
-    def fit(self, norm: Norm, weights: Array | None = None) -> Coefficients:
-        """Solve the program."""
+    def fit(self, norm: Norm, weights: Array | None = None, held: tuple[Array, Array] | None = None) -> Coefficients:
+        """Solve the program; `held`: combinations (p, movable) of stiffnesses and their values [V], met besides."""
         y = self.axis
         spring, slip = self.parts_of_spring(y), self.rows.elongation[:, self.movable]
         floor = self.floor * spring.sum(axis=1)
-        answer = solve(
-            self.nuisances(), np.hstack([slip, spring]), self.rows.voltage - floor, weights=weights, norm=norm
-        )
+        free, bounded, target = self.nuisances(), np.hstack([slip, spring]), self.rows.voltage - floor
+        if held is not None:
+            combinations, values = held
+            free = np.vstack([free, np.zeros((values.size, free.shape[1]))])
+            bounded = np.vstack([bounded, np.hstack([combinations, np.zeros((values.size, spring.shape[1]))])])
+            target = np.concatenate([target, values])
+            own = np.ones(len(self.rows)) if weights is None else weights
+            weights = np.concatenate([own, np.full(values.size, own.max() * np.sqrt(own.size))])
+        answer = solve(free, bounded, target, weights=weights, norm=norm)
         stiffness = np.zeros(self.movable.size)
         stiffness[self.movable] = answer.nonnegative[: slip.shape[1]]
         slopes = answer.nonnegative[slip.shape[1] :] + self.floor
@@ -128,17 +130,13 @@ class Regression:
             solution=answer,
         )
 
-    def determined(self) -> tuple[int, int]:
-        """Directions of the stiffnesses that the rows tell, and their number (rank, the rest projected out)."""
-        slip = self.rows.elongation[:, self.movable]
-        if not slip.shape[1]:
-            return 0, 0
+    def projected(self, breakaway: Array) -> Array:
+        """Columns of the movable elements over their rho, all others projected out: a triangle (m, m) at most."""
         others = np.hstack([self.nuisances(), self.parts_of_spring(self.axis)])
-        both = np.hstack([others, slip])
-        both = both / np.maximum(np.abs(both).max(axis=0), np.finfo(float).tiny)
-        triangle = triangle_of(both)
-        values = np.linalg.svd(triangle[others.shape[1] :, others.shape[1] :], compute_uv=False)
-        return int(np.count_nonzero(values > _TOLD / slip.shape[1] ** 2 * values.max(initial=0.0))), int(slip.shape[1])
+        others = others / np.maximum(np.abs(others).max(axis=0), np.finfo(float).tiny)
+        slip = self.rows.elongation[:, self.movable] / breakaway[self.movable]
+        triangle = triangle_of(np.hstack([others, slip]))
+        return np.asarray(triangle[others.shape[1] :, others.shape[1] :])
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,15 @@ import numpy as np
 from dehyst._native import Array
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
+from dehyst.signals import turning_points
 
 _BINS = 64
 _SEARCH_ROWS = 4000
 _STEPS = 20
 # A repair is made only where it makes the RMS residual smaller by this much.
 _WORTH = 0.97
+# Loops of one height and rate tell a delay from hysteresis only at their turns: it has to explain much more there.
+_WORTH_OF_DELAY = 0.5
 # A sensor that was zeroed anew shows at once; a small gain is the model bending.
 _WORTH_OF_DATUM = 0.8
 
@@ -100,7 +103,17 @@ def find_delay(build: Callable[[float], Regression], longest: float, sample_time
         return _rms(build(float(delay)).thinned(_SEARCH_ROWS))
 
     best = _search(cost, 0.0, longest, 13, 0.01 * sample_time)
-    return best if abs(best) > 0.02 * sample_time and _worth(cost(best), cost(0.0), build(0.0)) else 0.0
+    none = build(0.0)
+    share = _WORTH_OF_DELAY if _one_height(none) else _WORTH
+    return best if abs(best) > 0.02 * sample_time and _worth(cost(best), cost(0.0), none, share) else 0.0
+
+
+def _one_height(regression: Regression) -> bool:
+    """Whether all legs of the voltage are of one height."""
+    v = regression.rows.voltage
+    turns = turning_points(v, 0.02 * float(np.ptp(v)))
+    legs = np.abs(np.diff(v[turns]))
+    return legs.size < 2 or bool(legs.min() > 0.9 * legs.max())
 
 
 def with_datums(regression: Regression, records: list[int], stroke: float) -> Regression:

@@ -6,6 +6,7 @@ every other cart stands still: it adds kappa y and a constant. Such a stretch is
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,7 +111,7 @@ def _grows(v: Array, tolerance: float) -> NDArray[np.bool_]:
 
 
 def collect(
-    pieces: list[tuple[int, Record, Array]], breakaway: Array, noise: list[float]
+    pieces: list[tuple[int, Record, Array]], breakaway: Array, noise: list[float], *, relaxed: Collection[int] = ()
 ) -> tuple[Rows, list[list[Epoch]]]:
     """Stack the samples that count.
 
@@ -121,6 +122,8 @@ def collect(
         rho [m].
     noise : list of float
         Sensor noise [m] of each piece.
+    relaxed : collection of int, optional
+        Records that start with no element strained: all their samples count, up to the first gap.
 
     Returns
     -------
@@ -130,10 +133,12 @@ def collect(
     parts: list[tuple[NDArray[Any], ...]] = []
     all_epochs: list[list[Epoch]] = []
     count = 0
+    rested = set(relaxed)
     for (number, piece, drift), sigma in zip(pieces, noise, strict=True):
         y = np.ascontiguousarray(piece.displacement)
         elongation, _ = stops(breakaway, np.full(breakaway.size, y[0]), y)
-        found = epochs(piece, sigma)
+        found = [Epoch(0, 0, len(y), np.inf, float(y[0]))] if number in rested else epochs(piece, sigma)
+        rested.discard(number)
         all_epochs.append(found)
         for epoch in found:
             span = slice(epoch.start, epoch.stop)

@@ -42,12 +42,56 @@ class Protocol:
     stroke: float
 
 
-def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:
-    """Simulate a record's last epoch, in which the range of the excitation no longer grows, and compare.
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A record beside a model: its samples that count, and what it cannot be told without.
 
-    The state at its start follows from the displacement measured before. What a record cannot be told without, its
-    constant, datum and drift, is found by least squares with the model held fixed.
+    Attributes
+    ----------
+    record : Prepared
+    pieces : list of (record number, Record, drift curve)
+        Voltages delayed.
+    epochs : list of list of Epoch
+        Of each piece.
+    regression : Regression
+        Its rows, with its datum and drift.
+    found : Coefficients
+        The model's, with this record's constants and drift [V].
+    base : float
+        Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
     """
+
+    record: Prepared
+    pieces: list[tuple[int, Record, Array]]
+    epochs: list[list[Epoch]]
+    regression: Regression
+    found: Coefficients
+    base: float
+
+    @property
+    def datum(self) -> float:
+        """Shift [m] to the model's axis."""
+        return float(self.regression.datum[0])
+
+    @property
+    def drift(self) -> float:
+        """Coefficient of the drift curve [V]."""
+        return self.found.drifts.get(0, 0.0)
+
+    def played(self, actuator: Actuator) -> list[tuple[int, Epoch, tuple[Array, ...]]]:
+        """Piece number, epoch, and what `_play` gives, of every epoch."""
+        offsets = [offset - self.base for _, offset in sorted(self.found.offsets.items())]
+        parts, first = [], 0
+        for number, ((_, piece, curve), own) in enumerate(zip(self.pieces, self.epochs, strict=True)):
+            for i, epoch in enumerate(own):
+                played = _play(actuator, piece, epoch, offsets[first + i], self.drift * curve, self.datum)
+                parts.append((number, epoch, played))
+            first += len(own)
+        return parts
+
+
+def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
+    """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
     pieces = record.delayed(0, protocol.delay)
     rho = actuator.slip.breakaway
     rows, epochs = collect(pieces, rho, [record.noise] * len(pieces))
@@ -59,22 +103,28 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
     if datum is None:
         datum = find_datum(regression, 0, protocol.stroke, given=model)
     regression = replace(regression, datum=np.array([datum]))
-    found = regression.nuisances_of(model)
-    parts, first = [], 0
-    for (_, piece, curve), own in zip(pieces, epochs, strict=True):
-        if own:
-            offset = found.offsets[first + len(own) - 1] - float(actuator.spring.voltage[0])
-            parts.append(_play(actuator, piece, own[-1], offset, found.drifts.get(0, 0.0) * curve, datum))
-        first += len(own)
-    time, voltage, measured, simulated, with_drift = (np.concatenate(column) for column in zip(*parts, strict=True))
+    base = float(actuator.spring.voltage[0])
+    return Comparison(record, pieces, epochs, regression, regression.nuisances_of(model), base)
+
+
+def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:
+    """Simulate a record's last epoch, in which the range of the excitation no longer grows, and compare.
+
+    The state at its start follows from the displacement measured before. What a record cannot be told without, its
+    constant, datum and drift, is found by least squares with the model held fixed.
+    """
+    compared = compare(actuator, record, protocol)
+    found, regression, datum = compared.found, compared.regression, compared.datum
+    last = [played for i, epoch, played in compared.played(actuator) if epoch is compared.epochs[i][-1]]
+    time, voltage, measured, simulated, with_drift = (np.concatenate(column) for column in zip(*last, strict=True))
     trace = Trace(record.name, protocol.role, time, voltage, measured, simulated)
-    slope = float(np.median(regression.slope(model)))
-    offset = float(np.median(list(found.offsets.values()))) - float(actuator.spring.voltage[0])
+    slope = float(np.median(regression.slope(found)))
+    offset = float(np.median(list(found.offsets.values()))) - compared.base
     return RecordErrors(
         record=record.name, role=protocol.role, samples=time.size, left_out=record.samples - time.size,
         largest=largest(trace.residual), rms=rms(trace.residual),
         largest_with_drift=largest(measured - with_drift), rms_with_drift=rms(measured - with_drift),
-        stroke=protocol.stroke, offset=offset, datum=datum, drift=-found.drifts.get(0, 0.0) / slope,
+        stroke=protocol.stroke, offset=offset, datum=datum, drift=-compared.drift / slope,
     ), trace  # fmt: skip
 
 

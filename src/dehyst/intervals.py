@@ -1,0 +1,176 @@
+"""How far numbers may be off because records are finite and noisy: intervals from resampled cycles.
+
+The model is taken for the truth. Its simulation of each record, plus residuals of cycles picked at random, each with a
+random sign, makes a new set of records; it is identified again by least squares. How the new coefficients scatter
+about the model's, and on which side, gives basic bootstrap intervals: ``2 theta - quantile``. Noise of the sensor runs
+through the stop operators as it does in the measurement, so that the bias that it causes is taken off too. Directions
+that the records leave open keep the model's values: no resampling can tell of them (see `dehyst.latitude`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import IdentifyError
+from dehyst._native import Array
+from dehyst.actuator import Actuator
+from dehyst.evidence import Evidence
+from dehyst.model import State
+from dehyst.program import one_thread
+from dehyst.record import Record
+from dehyst.regression import Coefficients
+from dehyst.verify import Comparison
+
+_MOST_ROWS = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """Models that resampled records gave, and the intervals that follow.
+
+    Attributes
+    ----------
+    actuator : Actuator
+        The model in question.
+    actuators : tuple of Actuator
+        One a resampled set of records.
+    level : float
+        Of the intervals, 0 to 1.
+    spread : float
+        By which deviations are widened, for the model's norm scatters more than least squares: 1 / (2 f(0) sd) for L1,
+        f(0) the density of the residuals at zero; else 1.
+    """
+
+    actuator: Actuator
+    actuators: tuple[Actuator, ...]
+    level: float
+    spread: float
+
+    @property
+    def stiffness(self) -> Array:
+        """Lowest and highest kappa_i, (2, N) [V/m]; never below 0."""
+        return np.maximum(self._basic(self.actuator.slip.stiffness, [a.slip.stiffness for a in self.actuators]), 0.0)
+
+    @property
+    def slopes(self) -> Array:
+        """Lowest and highest slope of the spring's segments, (2, M - 1) [V/m]."""
+        return self._basic(self.actuator.spring.slopes, [a.spring.slopes for a in self.actuators])
+
+    @property
+    def spring(self) -> Array:
+        """Lowest and highest voltage of the spring at its knots less that of the first, (2, M) [V]."""
+        return self._basic(_risen(self.actuator), [_risen(a) for a in self.actuators])
+
+    def prediction(self, voltage: ArrayLike, state: Callable[[Actuator], State]) -> Array:
+        """Lowest and highest displacement (2, n) [m] that a voltage (n,) [V] causes, `state` of each model at first."""
+        centre = self.actuator.simulate(voltage, state=state(self.actuator)).displacement
+        return self._basic(centre, [a.simulate(voltage, state=state(a)).displacement for a in self.actuators])
+
+    def _basic(self, centre: Array, resampled: list[Array]) -> Array:
+        deviation = np.array(resampled) - centre
+        middle = deviation.mean(axis=0)
+        tails = 0.5 * (1 - self.level), 0.5 * (1 + self.level)
+        low, high = middle + self.spread * np.quantile(deviation - middle, tails, axis=0)
+        return np.array([centre - high, centre - low])
+
+
+def resample(
+    evidence: Evidence,
+    *,
+    level: float = 0.9,
+    repeats: int = 100,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Intervals:
+    """Identify resampled records.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        The model and its records. Datums are held; constants, drifts and all coefficients are found anew.
+    level : float, optional
+        Of the intervals.
+    repeats : int, optional
+        Sets of records.
+    seed : int, optional
+    progress : callable, optional
+        Called with a few words now and then.
+
+    Raises
+    ------
+    IdentifyError
+        If the level is not between 0 and 1, or there are fewer than 20 repeats.
+    """
+    if not 0 < level < 1 or repeats < 20:
+        raise IdentifyError(f"got level {level} and {repeats} repeats, need a level between 0 and 1 and 20 repeats")
+    random = np.random.default_rng(seed)
+    worlds = [_World(one, evidence.actuator) for one in evidence.comparisons]
+    step = max(1, len(evidence.regression.rows) // _MOST_ROWS)
+    weights = evidence.weights[::step]
+    held = _open(evidence)
+    found: list[Actuator] = []
+    with one_thread():
+        for k in range(repeats):
+            if k % 10 == 0:
+                progress(f"identifying resampled cycles, {k} of {repeats}")
+            again = evidence.with_pieces([world.resampled(random) for world in worlds])
+            answer = replace(again, rows=again.rows.thinned(_MOST_ROWS)).fit("l2", weights, held)
+            if answer.solution.optimal:
+                found.append(evidence.actuator_of(answer))
+    if len(found) < 20:
+        raise IdentifyError(f"only {len(found)} of {repeats} resampled records could be identified; record more cycles")
+    return Intervals(evidence.actuator, tuple(found), level, _spread(evidence))
+
+
+class _World:
+    """One record as the model would have made it, and the residuals of its cycles."""
+
+    def __init__(self, compared: Comparison, actuator: Actuator) -> None:
+        self._pieces = [piece for _, piece, _ in compared.pieces]
+        self._parts = [(number, slice(epoch.start, epoch.stop), played[3] - compared.datum, played[2] - played[3])
+                       for number, epoch, played in compared.played(actuator)]  # fmt: skip
+        self._residual = np.concatenate([residual for *_, residual in self._parts])
+        lengths = [cycle.stop - cycle.start for cycle in compared.record.record.cycles()]
+        size = self._residual.size
+        self._block = min(int(np.median(lengths)) if lengths else size, max(size // 4, 1))
+
+    def resampled(self, random: np.random.Generator) -> list[Record]:
+        """The pieces with new displacements; cycles start at the same phase as those they are put for."""
+        new = [piece.displacement.copy() for piece in self._pieces]
+        whole = self._residual.size // self._block
+        for number, span, simulated, _ in self._parts:
+            count = -(-simulated.size // self._block)
+            starts = self._block * random.integers(0, whole, count)
+            blocks = [sign * self._residual[start : start + self._block]
+                      for start, sign in zip(starts, random.choice([-1.0, 1.0], count), strict=True)]  # fmt: skip
+            new[number][span] = simulated + np.concatenate(blocks)[: simulated.size]
+        return [replace(piece, displacement=y) for piece, y in zip(self._pieces, new, strict=True)]
+
+
+def _open(evidence: Evidence) -> tuple[Array, Array] | None:
+    """Combinations of the movable stiffnesses that the records do not tell, and the model's values of them [V]."""
+    told = evidence.directions
+    combinations = told.vectors[told.determined :] * told.breakaway[told.movable]
+    return (combinations, combinations @ evidence.actuator.slip.stiffness[told.movable]) if len(combinations) else None
+
+
+def _spread(evidence: Evidence) -> float:
+    """Standard error of a least absolute fit over that of a least-squares fit with these residuals."""
+    if evidence.actuator.provenance.get("norm") != "l1" or evidence.actuator.provenance.get("method") != "record":
+        return 1.0
+    model: Coefficients = evidence.model
+    residual = model.solution.residual * evidence.weights
+    deviation = float(residual.std())
+    if not deviation:
+        return 1.0
+    near = 0.3 * deviation
+    density = np.count_nonzero(np.abs(residual) < near) / (residual.size * 2 * near)
+    return float(1 / (2 * density * deviation)) if density else 1.0
+
+
+def _risen(actuator: Actuator) -> Array:
+    return np.asarray(actuator.spring.voltage - actuator.spring.voltage[0])
