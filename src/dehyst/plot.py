@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,17 +16,22 @@ import numpy as np
 from dehyst._errors import MissingExtraError
 from dehyst._native import Array
 from dehyst.elements import MaxwellSlip, Spring
+from dehyst.files import write_atomically
 from dehyst.model import Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # Measured and simulated from Okabe and Ito, the branches from Tol: told apart by any colour vision, and in grey.
 MEASURED, SIMULATED = "#0072B2", "#D55E00"
 RISING, FALLING = "#44AA99", "#332288"
-_INK, _PALE = "#333333", "#D9D9D9"
+INK, _PALE = "#333333", "#D9D9D9"
 _INCHES = 4.8
 _DPI = 170
+# Of journals: the width of a column and of a page [in], and the least resolution of a line drawing with greys.
+COLUMN, PAGE = 3.4, 7.0
+_JOURNAL_DPI = 600
 # More points than this become one image inside the figure: as vectors they would take 100 bytes each.
 _VECTOR_POINTS = 1500
 _VECTOR_VERTICES = 20_000
@@ -30,6 +39,8 @@ _VECTOR_VERTICES = 20_000
 MOST_BRANCH_POINTS = 20_000
 # A line leaves out vertices that do not move by this part of its range, a quarter of a printed pixel.
 _CELLS = 2000
+# What an SVG file says of its making, which would make each one different.
+_UNSAID = ("Creator", "Date", "Format", "Type")
 _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "font.size": 8.5,
@@ -43,11 +54,11 @@ _STYLE: dict[str, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.linewidth": 0.6,
-    "axes.edgecolor": _INK,
-    "axes.labelcolor": _INK,
-    "text.color": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
     "xtick.major.size": 3,
@@ -59,6 +70,74 @@ _STYLE: dict[str, Any] = {
     "axes.formatter.useoffset": False,
     "agg.path.chunksize": 20_000,
 }
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A finished figure: a whole SVG file, the part of it that may stand in a page, and a PNG file."""
+
+    svg: str
+    inline: str
+    png: bytes
+
+    def save(self, path: str | PathLike[str]) -> list[Path]:
+        """Write path.svg and path.png, each wholly or not at all; raises FileFormatError if that cannot be."""
+        target = Path(path)
+        written: list[tuple[Path, str | bytes]] = [
+            (target.with_name(f"{target.name}.svg"), self.svg),
+            (target.with_name(f"{target.name}.png"), self.png),
+        ]
+        for file, content in written:
+            write_atomically(file, content)
+        return [file for file, _ in written]
+
+
+def drawing(
+    name: str,
+    draw: Callable[..., None],
+    *,
+    size: tuple[float, float],
+    rows: int = 1,
+    columns: int = 1,
+    share: bool = False,
+    heights: tuple[float, ...] | None = None,
+) -> Drawing:
+    """Draw a figure for print in the house style.
+
+    Parameters
+    ----------
+    name : str
+        Makes the ids inside the SVG unique on a page.
+    draw : callable
+        Gets rows x columns axes, row by row.
+    size : (float, float)
+        Width and height [in]; widths of a journal are `COLUMN` and `PAGE`.
+    rows, columns : int
+    share : bool
+        Whether axes above one another share the abscissa, and those side by side the ordinate.
+    heights : tuple of float, optional
+        Relative heights of the rows.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    text, picture = io.StringIO(), io.BytesIO()
+    with _figure(name, size) as figure:
+        grid = None if heights is None else {"height_ratios": heights}
+        axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, sharex="col" if share else False,
+                               sharey="row" if share else False)  # fmt: skip
+        draw(*axes.ravel())
+        figure.align_ylabels()
+        figure.savefig(text, format="svg", metadata=dict.fromkeys(_UNSAID))
+        figure.savefig(picture, format="png", dpi=_JOURNAL_DPI, metadata={"Software": None})
+    return Drawing(text.getvalue(), _inline(text.getvalue()), picture.getvalue())
+
+
+def line(ax: Axes, x: Array, y: Array, **style: Any) -> None:
+    """Draw a line through many samples with the vertices that print can show."""
+    ax.plot(*_thinned(np.arange(x.size, dtype=np.float64), x, y), **style)
 
 
 def loop(trace: Trace, *, name: str) -> str:
@@ -83,7 +162,7 @@ def loop(trace: Trace, *, name: str) -> str:
         ax.set(xlabel="voltage (V)", ylabel=f"displacement ({unit})")
         ax.legend(loc="upper left")
 
-    return _svg(name, draw)
+    return inline(name, draw)
 
 
 def residual_in_time(trace: Trace, stroke: float, limit: float, *, name: str) -> str:
@@ -91,12 +170,12 @@ def residual_in_time(trace: Trace, stroke: float, limit: float, *, name: str) ->
 
     def draw(ax: Axes) -> None:
         percent = 100 * trace.residual / stroke
-        _points(ax, trace.time, percent, _INK, of=percent.size)
+        _points(ax, trace.time, percent, INK, of=percent.size)
         _mark_largest(ax, trace.time, percent)
         _residual_axes(ax, stroke, limit)
         ax.set_xlabel("time (s)")
 
-    return _svg(name, draw)
+    return inline(name, draw)
 
 
 def residual_in_displacement(trace: Trace, stroke: float, limit: float, *, name: str) -> str:
@@ -116,7 +195,7 @@ def residual_in_displacement(trace: Trace, stroke: float, limit: float, *, name:
             if handle is not None:
                 handle.set(alpha=1.0, markersize=6)
 
-    return _svg(name, draw)
+    return inline(name, draw)
 
 
 def slip_elements(slip: MaxwellSlip, *, name: str) -> str:
@@ -129,7 +208,7 @@ def slip_elements(slip: MaxwellSlip, *, name: str) -> str:
         lower.set_xlabel(f"breakaway elongation ({unit})")
         lower.set_xlim(0, 1.05 * float(slip.breakaway[-1]) * factor)
 
-    return _svg(name, draw, rows=2, height=4.4)
+    return inline(name, draw, rows=2, height=4.4)
 
 
 def parallel_spring(spring: Spring, *, name: str) -> str:
@@ -143,12 +222,12 @@ def parallel_spring(spring: Spring, *, name: str) -> str:
         lower.stairs(slopes, y, baseline=None, color=MEASURED, lw=1)
         least = int(np.argmin(slopes))
         lower.plot(y[least : least + 2], slopes[[least, least]], color=SIMULATED, lw=2.4, label="least slope")
-        lower.axhline(0, color=_INK, lw=0.6)
+        lower.axhline(0, color=INK, lw=0.6)
         lower.set_ylim(min(0.0, 1.1 * float(slopes.min())), 1.25 * max(float(slopes.max()), 0.0))
         lower.set(xlabel=f"displacement ({unit})", ylabel="slope (V/µm)")
         lower.legend(loc="upper right")
 
-    return _svg(name, draw, rows=2, height=4.4)
+    return inline(name, draw, rows=2, height=4.4)
 
 
 def length_unit(length: float) -> tuple[float, str]:
@@ -186,7 +265,7 @@ def _mark_largest(ax: Axes, x: Array, y: Array) -> None:
 
 
 def _residual_axes(ax: Axes, stroke: float, limit: float) -> None:
-    ax.axhline(0, color=_INK, lw=0.6)
+    ax.axhline(0, color=INK, lw=0.6)
     ax.set_ylim(-limit, limit)
     ax.set_ylabel("residual (% of stroke)")
     factor, unit = length_unit(limit / 100 * stroke)
@@ -219,25 +298,30 @@ def _thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
     return np.insert(x[keep], where, np.nan), np.insert(y[keep], where, np.nan)
 
 
-def _svg(name: str, draw: Callable[..., None], *, rows: int = 1, height: float = 3.3) -> str:
-    """Draw on `rows` axes, one above the other, in the house style whatever the user's settings are."""
+def inline(name: str, draw: Callable[..., None], *, rows: int = 1, height: float = 3.3) -> str:
+    """Draw on `rows` axes, one above the other: SVG text to stand inside a page."""
+    text = io.StringIO()
+    with _figure(name, (_INCHES, height)) as figure:
+        axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+        draw(*axes)
+        figure.align_ylabels()
+        figure.savefig(text, format="svg", dpi=_DPI, metadata=dict.fromkeys(_UNSAID))
+    return _inline(text.getvalue())
+
+
+@contextmanager
+def _figure(name: str, size: tuple[float, float]) -> Iterator[Figure]:
+    """An empty figure in the house style, whatever the user's settings are."""
     try:
         import matplotlib
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MissingExtraError.of("matplotlib", "report", "Drawing the report") from error
-    text = io.StringIO()
+        raise MissingExtraError.of("matplotlib", "report", "Drawing") from error
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         style: Any = {**_STYLE, "svg.hashsalt": name}
         matplotlib.rcParams.update(style)
-        figure = Figure(figsize=(_INCHES, height), layout="constrained")
-        axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
-        draw(*axes)
-        figure.align_ylabels()
-        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-        figure.savefig(text, format="svg", dpi=_DPI, metadata=nothing)
-    return _inline(text.getvalue())
+        yield Figure(figsize=size, layout="constrained")
 
 
 def _inline(svg: str) -> str:

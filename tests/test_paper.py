@@ -1,0 +1,292 @@
+"""The paper redone: run once, then everything that was written is read back."""
+
+import csv
+import json
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from dehyst import experiment, paper, paper_tables
+from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst.actuator import Actuator
+from dehyst.files import read_json, read_table
+from dehyst.paper_tables import MODELS
+
+pytestmark = pytest.mark.slow
+FIGURES = [f"fig{n:02d}" for n in range(3, 13)]
+VOID = {"meta", "br", "hr", "img", "link", "input"}
+
+
+@pytest.fixture(scope="module")
+def result():
+    return paper.run()
+
+
+@pytest.fixture(scope="module")
+def folder(result, tmp_path_factory):
+    target = tmp_path_factory.mktemp("paper") / "new" / "folder"
+    written = paper.write(result, target)
+    assert sorted(path.name for path in target.iterdir()) == sorted(path.name for path in written)
+    return target
+
+
+@pytest.fixture(scope="module")
+def numbers(folder):
+    return read_json(folder / "results.json")
+
+
+def value(numbers, which, key, column):
+    return next(row for row in numbers[which]["summary"] if row["key"] == key)[column]
+
+
+class Page(HTMLParser):
+    """Checks that every tag is closed in order; keeps tags, attributes and the cells of each table."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.attributes, self.text, self.rows = [], [], [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes.extend((tag, key, value) for key, value in attrs)
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append([])
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes.extend((tag, key, value) for key, value in attrs)
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
+        self.open.pop()
+
+    def handle_data(self, data):
+        if {"td", "th"} & set(self.open):
+            self.rows[-1][-1].append(data)
+        if not {"style", "script"} & set(self.open):
+            self.text.append(data)
+
+
+@pytest.fixture(scope="module")
+def page(folder):
+    return Page((folder / "index.html").read_text(encoding="utf-8"))
+
+
+def test_every_figure_is_there_in_three_formats(folder):
+    for name in FIGURES:
+        svg = ET.parse(folder / f"{name}.svg").getroot()
+        width, height = (float(svg.get(key).removesuffix("pt")) / 72 for key in ("width", "height"))
+        assert width == pytest.approx(3.4) or width == pytest.approx(7.0)
+        assert height < 6
+        png = (folder / f"{name}.png").read_bytes()
+        assert png[:8] == b"\x89PNG\r\n\x1a\n" and png[-8:-4] == b"IEND"
+        assert int.from_bytes(png[16:20], "big") == pytest.approx(600 * width, abs=1)
+        table = read_table(folder / f"{name}.csv")
+        assert len(table.columns) >= 2
+        for column in table.columns:
+            assert not column.fault and np.isfinite(column.data).all()
+
+
+def test_the_data_of_a_figure_is_what_was_measured(folder, result):
+    run = result.asymmetric.runs["relaxed"]
+    table = read_table(folder / "fig07.csv")
+    np.testing.assert_array_equal(table.column("voltage"), run.record.voltage)
+    np.testing.assert_allclose(table.column("displacement", "displacement_um"), run.record.displacement, rtol=1e-15)
+    simulated = table.column("displacement", "breakpoints_um")
+    again = result.asymmetric.trials["breakpoints"].actuator.simulate(run.record.voltage).displacement
+    np.testing.assert_allclose(simulated, again, atol=1e-18)
+
+
+def test_numbers_of_the_tables_are_those_of_the_results(folder, numbers):
+    with (folder / "summary.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == sum(len(numbers[which]["summary"]) for which in ("asymmetric", "symmetric"))
+    for row in rows:
+        for column, key in (("paper", "paper"), ("measured", "actuator"), *((key, key) for key in MODELS)):
+            expected = value(numbers, row["actuator"], row["quantity"], key)
+            assert row[column] == ("" if expected is None else repr(expected))
+    with (folder / "limits.csv").open(encoding="utf-8") as stream:
+        for row in csv.DictReader(stream):
+            expected = next(x for x in numbers[row["actuator"]]["limits"] if x["key"] == row["key"])
+            assert [float(row[key]) for key in ("major", "tracking")] == [expected["major"], expected["tracking"]]
+    table = {column.name: column.data.tolist() for column in read_table(folder / "table1.csv").columns}
+    assert table == numbers["asymmetric"]["table1"]
+
+
+def test_the_page_says_the_results(page, numbers):
+    rows = [["".join(cell[:1]) for cell in row] for row in page.rows]
+    for which, at in (("asymmetric", 0), ("symmetric", 1)):
+        for row in numbers[which]["summary"]:
+            shown = [cells for cells in rows if cells[:1] == [row["quantity"]]][at]
+            digits = 3 if row["unit"] == "µm" else 2
+            expected = [row[key] for key in ("actuator", *MODELS)]
+            said = ["–" if x is None else f"{x:.{digits}f} {row['unit']}".replace("-", "−") for x in expected]
+            assert shown[2:] == said
+            assert shown[1] == ("–" if row["paper"] is None else f"{row['paper']:g} {row['unit']}")
+    k = [f"{x:.0f}" for x in numbers["asymmetric"]["table1"]["k_N_per_m"]]
+    heads = next(i for i, cells in enumerate(rows) if cells[:1] == ["i"])
+    assert [cells[2] for cells in rows[heads + 1 : heads + 11]] == k
+
+
+def test_the_page_stands_alone_and_refers_to_nothing_missing(page, folder):
+    text = (folder / "index.html").read_text(encoding="utf-8")
+    assert page.tags.count("html") == page.tags.count("main") == page.tags.count("h1") == 1
+    assert page.tags.count("svg") == len(FIGURES) == page.tags.count("figcaption")
+    ids = [value for _, key, value in page.attributes if key == "id"]
+    assert len(ids) == len(set(ids))
+    used = set(re.findall(r"url\(#([^)]+)\)", text))
+    for tag, key, link in page.attributes:
+        if key in ("src", "href", "xlink:href", "srcset", "action"):
+            assert link.startswith("#") or (tag == "a" and (folder / link).is_file()), link
+            used |= {link[1:]} if link.startswith("#") else set()
+        elif not key.startswith("xmlns"):
+            assert "//" not in (link or "")
+    assert used and used <= set(ids)
+    assert not {"script", "link", "iframe", "object", "embed", "base", "img"} & set(page.tags)
+    assert "@import" not in text and not re.findall(r"url\((?!#)", text)
+    assert "default-src 'none'" in text
+    linked = {link for tag, key, link in page.attributes if tag == "a" and key == "href"}
+    assert linked == {path.name for path in folder.iterdir()} - {"index.html"}
+
+
+def test_the_page_names_every_discrepancy(page):
+    words = re.sub(r"\s+", " ", "".join(page.text))
+    for part in ("Where this differs from the paper, and why", "T/km = 30 nm/V", "strongly negative", "k₁₀",
+                 "10.1115/1.2192819", "directions of the stiffnesses", "Rayleigh"):  # fmt: skip
+        assert part in words
+    assert not re.search(r"\bnan\b|\{|\}|None", words)
+
+
+def test_the_virtual_actuator_is_what_the_paper_reports(numbers):
+    assert value(numbers, "asymmetric", "nominal", "actuator") == pytest.approx(13.63, abs=0.05)
+    assert value(numbers, "asymmetric", "range", "actuator") == pytest.approx(16.152, abs=0.005)
+    assert value(numbers, "asymmetric", "spacing", "breakpoints") == pytest.approx(1.615, abs=0.001)
+    assert numbers["asymmetric"]["floors_percent"]["symmetric_width"] > 0.2
+    assert numbers["symmetric"]["floors_percent"]["symmetric_width"] < 1e-3
+
+
+def test_the_papers_method_errs_by_its_first_segment(numbers):
+    for loop in ("major", "medium", "small"):
+        chord = numbers["symmetric"]["floors_percent"]["chords_10"]
+        assert value(numbers, "symmetric", loop, "breakpoints") == pytest.approx(chord, rel=0.03)
+
+
+def test_the_whole_record_is_as_good_as_was_asked_where_nothing_is_open_and_the_class_fits(numbers):
+    for loop, most in (("major", 0.2), ("medium", 0.3), ("small", 0.3), ("tracking", 0.4)):
+        assert value(numbers, "symmetric", loop, "record_tops") < most
+    for loop in ("medium", "small"):
+        assert value(numbers, "asymmetric", loop, "record_tops") < 0.3
+    assert value(numbers, "asymmetric", "major", "record_tops") > 0.2
+
+
+def test_no_model_is_better_than_its_class(numbers):
+    floor = numbers["asymmetric"]["floors_percent"]["symmetric_width"]
+    assert all(row["major"] > floor for row in numbers["asymmetric"]["limits"])
+
+
+def test_the_shift_is_that_of_equation_10(result):
+    for found in result.experiments.values():
+        shift = found.shift
+        # Two samples set the two zeros in both numbers: what is left is the mean of the noise of two records.
+        assert shift.loop == pytest.approx(shift.rest, abs=3e-10)
+        assert shift.deviation == pytest.approx(np.sqrt(2) * found.truth.noise, rel=0.05)
+    predicted = result.symmetric.trials["record_tops"].shift
+    assert predicted == pytest.approx(result.symmetric.shift.loop, rel=0.02)
+
+
+def test_the_rival_needs_a_relaxed_start(numbers):
+    for which in ("asymmetric", "symmetric"):
+        relaxed, energised = (value(numbers, which, "major", key) for key in ("goldfarb", "goldfarb_energised"))
+        assert energised > 3 * relaxed > 3 * value(numbers, which, "major", "breakpoints")
+
+
+def test_physical_constants_are_the_papers(result):
+    p = paper_tables.physical(result.asymmetric, "breakpoints")
+    keq = 8.82e4 * 1.4e6 / (8.82e4 + 1.4e6)
+    assert p.equivalent_stiffness == pytest.approx(keq, rel=1e-12)
+    model = result.asymmetric.trials["breakpoints"].actuator
+    np.testing.assert_allclose(p.stiffness, model.slip.stiffness * 0.042 * keq / 1.4e6, rtol=1e-12)
+    # Eq. 4 at the peak, in newtons: what the carts and the spring hold is T v0, but for the noise of the turning
+    # points: 2 nm where the loop rises by 40 nm/V at least.
+    assert p.friction.sum() + p.parallel[-1] == pytest.approx(0.042 * 200, abs=0.042 * 2 / 40)
+    assert p.nonlinear[-1] < -10
+
+
+def test_errors_start_at_the_first_peak_and_count_every_loop(result):
+    run = result.asymmetric.runs["relaxed"]
+    spans = [run.known(loop) for loop in experiment.PEAKS]
+    assert [run.record.voltage[span].max() for span in spans] == [200.0, 140.0, 70.0]
+    assert run.record.voltage[spans[0].start] == 200.0
+    assert spans[-1].stop == len(run.record)
+    trial = result.asymmetric.trials["record"]
+    worst = 100 * np.abs(trial.simulated[spans[1]] - run.true[spans[1]]).max() / 16.152e-6
+    assert trial.errors["medium"].true == pytest.approx(worst, rel=1e-12)
+
+
+def test_tracking_is_what_the_truth_does_with_the_voltage(result):
+    found = result.asymmetric
+    tracking = found.trials["record"].tracking
+    assert (tracking.voltage.min(), tracking.voltage.max()) >= (0.0, 0.0)
+    assert tracking.voltage.max() <= 200.0
+    truth = experiment.virtual_actuator()
+    homing = 100 - 100 * np.cos(2 * np.pi * np.arange(501) / 500)
+    truth.drive(homing, measured=False)
+    reached = truth.drive(tracking.voltage, measured=False) - found.runs["relaxed"].zero
+    np.testing.assert_allclose(reached, tracking.reached, atol=1e-15)
+    assert isinstance(found.trials["goldfarb"].actuator, Actuator)
+
+
+def test_the_same_seed_gives_the_same_numbers(monkeypatch, numbers):
+    monkeypatch.setattr(experiment, "PLANS", experiment.PLANS[:1])
+    again = experiment.run(experiment.virtual_actuator(), lambda _: None)
+    first = numbers["asymmetric"]["limits"][0]
+    assert again.trials["breakpoints"].errors["medium"].true == first["medium"]
+    assert again.trials["breakpoints"].tracking.largest == first["tracking"]
+
+
+def test_the_same_result_is_written_the_same(result, folder, tmp_path):
+    paper.write(result, tmp_path)
+    for path in folder.iterdir():
+        assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name
+
+
+def test_numbers_are_json(result):
+    assert json.loads(json.dumps(result.as_dict(), allow_nan=False)) == json.loads(json.dumps(result.as_dict()))
+
+
+def test_a_folder_that_cannot_be_made_is_refused(result, tmp_path):
+    (tmp_path / "file").write_text("taken")
+    with pytest.raises(FileFormatError, match=r"cannot be made a folder .*; give another one with -o"):
+        paper.write(result, tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "taken"
+
+
+def test_without_matplotlib_nothing_is_written(monkeypatch, result, tmp_path):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"dehyst\[report\]"):
+        paper.write(result, tmp_path / "new")
+    assert list((tmp_path / "new").iterdir()) == []
+
+
+def test_running_it_does_not_load_matplotlib():
+    code = "import sys, dehyst.paper; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_progress_is_told(monkeypatch):
+    monkeypatch.setattr(experiment, "PLANS", ())
+    said = []
+    experiment.run(experiment.virtual_actuator(), said.append)
+    assert said == ["recording loops, relaxed and pre-energised", "fitting Goldfarb and Celanovic's model"]
