@@ -82,13 +82,14 @@ TABLE = {
 
 
 @pytest.mark.parametrize("samples", [40, 100, 400])
-@pytest.mark.parametrize(("turns", "directions"), TABLE.items())
-def test_directions_that_an_excitation_determines(turns, directions, samples):
+@pytest.mark.parametrize(("turns", "determined"), TABLE.items())
+def test_directions_that_an_excitation_determines(turns, determined, samples):
     record = bench.loops(PLANT, turns, samples=samples)
     rows, _ = collect([(0, record, np.zeros(len(record)))], PLANT.slip.breakaway, [0.0])
     movable = np.arange(10) < 9
     regression = Regression(rows, PLANT.spring.displacement, 1.0, movable, np.zeros(1))
-    assert regression.determined() == (directions, 9)
+    values = np.linalg.svd(regression.projected(PLANT.slip.breakaway), compute_uv=False)
+    assert np.count_nonzero(values > 1e-3 * values[0]) == determined
 
 
 def test_the_major_loop_alone_is_undetermined_and_says_so():

@@ -11,7 +11,7 @@ from dehyst import plot, report
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst.actuator import Actuator
 from dehyst.elements import MaxwellSlip, Spring
-from dehyst.model import Fit, Outcome, RecordErrors, Trace
+from dehyst.model import Check, Fit, Outcome, RecordErrors, Trace, Verdict
 
 HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$ " + "long_" * 60
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -212,9 +212,22 @@ def test_size_is_bounded(samples, records, most):
     assert len(report.render(fit_of(*traces, model=model)).encode()) < most
 
 
-def test_assumption_from_the_numbers():
-    sentence = report.assumption(actuator().spring)
-    assert sentence == "Assumption I holds: least slope 0.714 V/µm at −105.0 to −98.00 µm."
+def test_checks_are_told_with_verdict_value_and_floor():
+    checks = (
+        Check("Assumption I", Verdict.HOLDS, 0.7142, 0.2, "V/um", "Least slope 0.714 V/um at -105 to -98 um."),
+        Check("Symmetry of the width", Verdict.FAILS, 2.345, 0.0567, "% of range", "Wider at 3 um than at 13 um."),
+        Check("Loop closure", Verdict.UNKNOWN, None, None, "% of range", f"No cycle {HOSTILE}"),
+    )
+    page = Page(report.render(Fit(None, Outcome.FAILED, checks=checks)))
+    assert "Assumptions" in page.words and "script" not in page.tags
+    for told in ("Assumption IholdsLeast slope 0.714 V/µm at -105 to -98 µm.0.714V/µm0.200V/µm",
+                 "Symmetry of the widthdoes not holdWider at 3 µm than at 13 µm.2.35% of range0.0567% of range",
+                 f"Loop closurenot knownNo cycle {HOSTILE.strip()}"):  # fmt: skip
+        assert told in page.words
+
+
+def test_a_fit_without_checks_has_no_section_of_them(text):
+    assert "<h2>Assumptions</h2>" not in text
 
 
 def test_branches_and_holds():

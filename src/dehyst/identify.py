@@ -14,8 +14,9 @@ from dehyst import breakpoints, repairs
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
-from dehyst.elements import MaxwellSlip, Spring
+from dehyst.assumptions import checks
 from dehyst.directions import directions
+from dehyst.elements import MaxwellSlip, Spring
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.program import Norm, one_thread
@@ -257,11 +258,11 @@ class _Job:
     def _outcome(self, rho: Array, regression: Regression, found: Coefficients) -> Outcome:
         pieces = [replace(piece, displacement=piece.displacement + regression.datum[q])
                   for q, item in enumerate(self.training) for piece in item.pieces]  # fmt: skip
-        determined, of = directions(pieces, rho, regression)
-        if determined < of:
+        told = directions(pieces, rho, regression)
+        if told.determined < told.of:
             self.remarks.append(
-                f"The records determine {determined} of {of} directions of the stiffnesses; minor loops with other "
-                "turning points determine more."
+                f"The records determine {told.determined} of {told.of} directions of the stiffnesses; minor loops with "
+                "other turning points determine more (dehyst insight says which)."
             )
         still = int(np.count_nonzero(~regression.movable))
         if still > 1 or not regression.movable.any():
@@ -276,8 +277,9 @@ class _Job:
             self.remarks.append(
                 f"The spring's slope lies on its floor at {places}{' and elsewhere' if low.size > 4 else ''}."
             )
-            return Outcome.FLOOR_ACTIVE
-        return Outcome.UNDETERMINED if determined < of else Outcome.IDENTIFIED
+        if told.determined < told.of:
+            return Outcome.UNDETERMINED
+        return Outcome.FLOOR_ACTIVE if low.size else Outcome.IDENTIFIED
 
     def _failed(self, status: str) -> Fit:
         return Fit(None, Outcome.FAILED, (), tuple(self.said), tuple(self.remarks), (), status, float("nan"),
@@ -286,7 +288,8 @@ class _Job:
     def _finish(self, actuator: Actuator, regression: Regression, outcome: Outcome, status: str, gap: float) -> Fit:
         traces: list[Trace] = []
         errors: list[RecordErrors] = []
-        for q, item in enumerate((*self.training, *self.held_out)):
+        records = (*self.training, *self.held_out)
+        for q, item in enumerate(records):
             trained = q < len(self.training)
             # The paper's methods put every record on one axis; a held-out record's datum is looked for.
             datum = float(regression.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
@@ -295,6 +298,9 @@ class _Job:
             error, trace = errors_of(actuator, item, protocol)
             errors.append(error)
             traces.append(trace)
+        imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
+        floor = regression.floor if self.settings.method == "record" or imposed else None
+        checked = checks(actuator, records, errors, floor=floor, imposed=imposed)
         if max(error.largest_percent for error in errors) > _USELESS_PERCENT:
             outcome = Outcome.VALIDATION_MISSED
         if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:
@@ -302,7 +308,7 @@ class _Job:
         self._judge_validation(errors)
         options = {**self._provenance(), "delay_s": self.delay, "stroke_m": self.stroke}
         return Fit(actuator, outcome, tuple(errors), (*self.said, *self._nuisances(errors)), tuple(self.remarks),
-                   tuple(traces), status, gap, options)  # fmt: skip
+                   tuple(traces), status, gap, options, checked)  # fmt: skip
 
     def _judge_validation(self, errors: list[RecordErrors]) -> None:
         """Remarks about held-out records that the model should not, or cannot, be expected to meet."""

@@ -56,6 +56,19 @@ pre{background:#f5f5f5;padding:.7rem .9rem;white-space:pre-wrap;overflow-wrap:an
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
+def document(title: str, parts: Iterable[str]) -> str:
+    """Set parts into a page that asks for nothing from outside."""
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light">\n'
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"
+        + "\n".join(part for part in parts if part)
+        + "\n</main>\n</body>\n</html>\n"
+    )
+
+
 def number(value: float, digits: int = 3) -> str:
     """Write `value` with so many significant digits, as plainly as its size allows."""
     if not math.isfinite(value):

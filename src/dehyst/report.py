@@ -15,10 +15,11 @@ import numpy as np
 from dehyst import plot
 from dehyst._native import Array
 from dehyst.actuator import Actuator
-from dehyst.elements import Spring
 from dehyst.files import write_atomically
-from dehyst.model import Fit, Outcome, RecordErrors, Trace
-from dehyst.page import MINUS, POLICY, STYLE, Row, figure, length, number, panel, table
+from dehyst.insight import Insight
+from dehyst.insight_page import sections
+from dehyst.model import Check, Fit, Outcome, RecordErrors, Trace
+from dehyst.page import MINUS, Row, document, figure, length, number, panel, table
 
 MOST_RECORDS = 6
 _LABELS = {"program": "Program", "method": "Method", "norm": "Norm", "elements": "Slip elements asked for",
@@ -26,7 +27,9 @@ _LABELS = {"program": "Program", "method": "Method", "norm": "Norm", "elements":
            "drift": "Drift of a record set aside"}  # fmt: skip
 
 
-def write_report(path: str | PathLike[str], fit: Fit, *, command: str | None = None) -> None:
+def write_report(
+    path: str | PathLike[str], fit: Fit, *, command: str | None = None, insight: Insight | None = None
+) -> None:
     """Write a report of `fit` to one HTML file that asks for nothing from outside.
 
     Parameters
@@ -36,6 +39,8 @@ def write_report(path: str | PathLike[str], fit: Fit, *, command: str | None = N
     fit : Fit
     command : str, optional
         The command line that made it, to be shown.
+    insight : Insight, optional
+        What the records can and cannot tell, to be shown too.
 
     Raises
     ------
@@ -44,10 +49,10 @@ def write_report(path: str | PathLike[str], fit: Fit, *, command: str | None = N
     FileFormatError
         If the file cannot be written.
     """
-    write_atomically(path, render(fit, command))
+    write_atomically(path, render(fit, command, insight))
 
 
-def render(fit: Fit, command: str | None = None) -> str:
+def render(fit: Fit, command: str | None = None, insight: Insight | None = None) -> str:
     """Return the text of the report; the same text for the same fit.
 
     Raises
@@ -62,32 +67,16 @@ def render(fit: Fit, command: str | None = None) -> str:
         _facts(fit, actuator),
         _outcome(fit.outcome),
         _errors(fit.errors),
+        _checks(fit.checks),
         _sentences("What was repaired or left out", fit.repairs, "Nothing was repaired or left out."),
         _sentences("What to know", fit.remarks, "No remarks."),
         _loops(fit),
         _residuals(fit),
         *([_model(actuator), _numbers(actuator)] if actuator else []),
+        *(sections(insight) if insight else []),
         _reproduce(fit, actuator, command),
     ]
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light">\n'
-        f"<title>{escape(name)}: identification</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(part for part in parts if part)
-        + "\n</main>\n</body>\n</html>\n"
-    )
-
-
-def assumption(spring: Spring) -> str:
-    """Whether Assumption I holds, from the numbers: the spring's least slope and where it is."""
-    least = int(np.argmin(spring.slopes))
-    slope = float(spring.slopes[least])
-    factor, unit = plot.length_unit(float(np.ptp(spring.displacement)))
-    low, high = (number(float(y) * factor, 4) for y in spring.displacement[least : least + 2])
-    word = "holds" if slope > 0 else "does not hold"
-    return f"Assumption I {word}: least slope {number(slope * 1e-6)} V/µm at {low} to {high} {unit}."
+    return document(f"{name}: identification", parts)
 
 
 def _facts(fit: Fit, actuator: Actuator | None) -> str:
@@ -109,7 +98,7 @@ def _outcome(outcome: Outcome) -> str:
         colour, word = "amber", "Usable, with care"
     else:
         colour, word = "red", "Not usable"
-    return f'<p class="outcome {colour}" role="status"><strong>{word}</strong> {_said(outcome.value)}</p>'
+    return f'<p class="outcome {colour}" role="status"><strong>{word}</strong> {_said(escape(outcome.value))}</p>'
 
 
 def _errors(errors: Sequence[RecordErrors]) -> str:
@@ -144,15 +133,35 @@ def _errors(errors: Sequence[RecordErrors]) -> str:
     )
 
 
+def _checks(checks: Sequence[Check]) -> str:
+    if not checks:
+        return ""
+    rows: list[Row] = [
+        (
+            *(check.name, check.verdict.value, _said(check.sentence)),
+            *(("–" if x is None else (number(x), _said(check.unit))) for x in (check.value, check.floor)),
+        )
+        for check in checks
+    ]
+    head = ("Taken for granted", "Verdict", "What was found", "Value", "Floor")
+    return (
+        "<h2>Assumptions</h2>\n"
+        '<p class="muted">What the model takes for granted, looked for in the records. Floor: what noise alone gives, '
+        "with 95 % probability no more; for Assumption I the least slope that was allowed. Less than 0.1 % of the "
+        f"range passes in any case.</p>\n{table(head, rows, texts=3)}"
+    )
+
+
 def _sentences(title: str, sentences: Sequence[str], none: str) -> str:
     if not sentences:
         return f'<h2>{title}</h2>\n<p class="muted">{none}</p>'
-    items = "\n".join(f"<li>{_said(sentence)}</li>" for sentence in sentences)
+    items = "\n".join(f"<li>{_said(escape(sentence))}</li>" for sentence in sentences)
     return f"<h2>{title}</h2>\n<ul>\n{items}\n</ul>"
 
 
 def _said(sentence: str) -> str:
-    return re.sub(r"(?<=\d )um\b", "µm", escape(sentence))
+    """The text with micrometres spelt as they are; not yet fit for HTML."""
+    return re.sub(r"(?<=\d |V/)um\b", "µm", sentence)
 
 
 def _shown(fit: Fit) -> list[tuple[Trace, float]]:
@@ -204,8 +213,8 @@ def _model(actuator: Actuator) -> str:
     slip = panel(("Slip elements", ""), plot.slip_elements(actuator.slip, name="slip"), "")
     spring = panel(("Parallel spring", ""), plot.parallel_spring(actuator.spring, name="spring"), "")
     caption = (
-        f"{assumption(actuator.spring)} Among the slip elements, lone large values between zeros (hollow "
-        "circles) hint that the records tell sums of stiffnesses better than single ones."
+        "Among the slip elements, lone large values between zeros (hollow circles) hint that the records tell sums of "
+        "stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
     )
     return figure("The model", caption, [slip, spring])
 

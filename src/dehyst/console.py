@@ -1,0 +1,327 @@
+"""What every command shares: options, reading, refusing, progress and printing."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from dehyst.actuator import Actuator
+    from dehyst.files import Table
+    from dehyst.insight import Insight
+    from dehyst.model import Fit, State
+    from dehyst.paper import Paper
+    from dehyst.record import Record
+
+PATH = click.Path(path_type=Path)
+
+
+class Commands(click.Group):
+    """Commands whose refusals are sentences on standard error and status 2, without a traceback."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run; turn dehyst's own exceptions into messages."""
+        from dehyst._errors import DehystError
+
+        try:
+            return super().invoke(ctx)
+        except DehystError as error:
+            click.echo(f"dehyst: {error}", err=True)
+            sys.exit(2)
+        except MemoryError:
+            click.echo("dehyst: not enough memory; resample the record or cut it", err=True)
+            sys.exit(2)
+
+
+class ManyToValidate(click.Command):
+    """A command whose --validate takes every name up to the next option."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Say --validate before each of its names, as click wants it."""
+        spread: list[str] = []
+        inside = False
+        for word in args:
+            if inside and not word.startswith("-") and spread[-1] != "--validate":
+                spread.append("--validate")
+            inside = word == "--validate" or (inside and not word.startswith("-"))
+            spread.append(word)
+        return super().parse_args(ctx, spread)
+
+
+def columns_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Options that say which column of a file is what."""
+    for name, text in (
+        ("--displacement", "Column of the displacement, e.g. displacement_um."),
+        ("--voltage", "Column of the voltage, e.g. drive_V."),
+        ("--time", "Column of the time, e.g. time_s."),
+    ):
+        command = click.option(name, metavar="NAME", help=f"{text} [default: found by its name]")(command)
+    return click.option("--sample-rate", type=float, metavar="HZ", help="Instead of a time column.")(command)
+
+
+def json_option(command: Callable[..., None]) -> Callable[..., None]:
+    """The switch to JSON."""
+    return click.option("--json", "as_json", is_flag=True, help="Print JSON for a program.")(command)
+
+
+def start_option(command: Callable[..., None]) -> Callable[..., None]:
+    """The option that says in what state a model starts."""
+    return click.option(
+        "--start", type=click.Choice(["top", "bottom", "relaxed"]), default="top", show_default=True,
+        help="State before the first sample: turned at the top or bottom of the identified range, or relaxed at 0 V.",
+    )(command)  # fmt: skip
+
+
+def read_records(paths: tuple[Path, ...], columns: dict[str, Any]) -> list[Record]:
+    """Read records from files."""
+    from dehyst.files import read
+
+    return [read(path, **columns) for path in paths]
+
+
+def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
+    """An output that is also an input would be lost: refuse before anything is read."""
+    from dehyst._errors import FileFormatError
+
+    taken = {path.resolve() for path in inputs}
+    named = [output.resolve() for output in outputs if output is not None]
+    if len(set(named)) < len(named):
+        raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own")
+    for output in outputs:
+        if output is not None and output.resolve() in taken:
+            raise FileFormatError(f"{output}: is an input of this command too; give another name for the output")
+        if output is not None and not output.resolve().parent.is_dir():
+            raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
+
+
+def time_of_table(table: Table, size: int, columns: dict[str, Any]) -> dict[str, Any]:
+    """The time column, if the file has one or a rate was given."""
+    from dehyst.files import time_of
+
+    if columns["time"] is None and columns["sample_rate"] is None and not table.has("time"):
+        return {}
+    return {"time_s": time_of(table, size, columns["time"], columns["sample_rate"])}
+
+
+def path_of(trajectory: Path, wanted: str | None) -> tuple[Any, dict[str, Any]]:
+    """Displacement of a trajectory file and, if it has one, its time column."""
+    from dehyst._errors import FileFormatError
+    from dehyst.files import read_table
+
+    table = read_table(trajectory)
+    try:
+        path = table.column("displacement", wanted)
+    except FileFormatError as error:
+        # --displacement is the records' column here.
+        raise FileFormatError(str(error).replace("--displacement", "--wanted")) from error
+    return path, time_of_table(table, path.size, {"time": None, "sample_rate": None})
+
+
+def start_state(actuator: Actuator, start: str) -> State:
+    """Return the state that the word of the option means."""
+    knots = actuator.spring.displacement
+    if start == "relaxed":
+        return actuator.relaxed()
+    return actuator.turned(float(knots[-1])) if start == "top" else actuator.turned(float(knots[0]), rising=False)
+
+
+def came_from(actuator: Actuator, start: str) -> str:
+    """What the first sample takes for granted."""
+    voltage = f"{actuator.voltage(start_state(actuator, start)):.4g} V"
+    return f"(from rest, relaxed, at {voltage})" if start == "relaxed" else f"(coming from the {start}, {voltage})"
+
+
+def state_dict(state: State) -> dict[str, Any]:
+    """Return a state as JSON values."""
+    return {"displacement_m": state.displacement, "carts_m": state.carts.tolist()}
+
+
+def lagging(displacement: Any, actuator: Actuator, time: dict[str, Any]) -> Any:
+    """The displacement as a sensor shows it, which lags by the actuator's delay."""
+    import numpy as np
+
+    from dehyst._errors import FileFormatError
+
+    if "time_s" not in time:
+        raise FileFormatError("--lag needs the time of each sample: a time column, or --sample-rate")
+    return np.interp(time["time_s"] - actuator.delay, time["time_s"], displacement)
+
+
+def before_and_after(actuator: Actuator, first: float, start: str, slew: float | None) -> list[str]:
+    """What the file cannot hold: the way to its first voltage, and the lag of the stage."""
+    said = []
+    present = actuator.voltage(start_state(actuator, start))
+    if slew is not None and abs(first - present) > 0.01 * abs(present):
+        said.append(
+            f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from that of the start, "
+            f"{present:.6g} V: ramp there within the slew rate before you play the file"
+        )
+    if actuator.delay:
+        said.append(f"the displacement was measured to lag by {actuator.delay * 1e3:.4g} ms: expect it that much later")
+    return said
+
+
+def count_outside(actuator: Actuator, voltage: Any) -> int:
+    """Count the voltages outside the identified range."""
+    return (
+        0 if actuator.limits is None else int(((voltage < actuator.limits[0]) | (voltage > actuator.limits[1])).sum())
+    )
+
+
+def range_words(actuator: Actuator) -> str:
+    """Write the identified range."""
+    low, high = actuator.limits or (0.0, 0.0)
+    return f"{low:.6g} to {high:.6g} V"
+
+
+def progress_line() -> Callable[[str], None]:
+    """One line on a terminal that is overwritten; nothing in a file or a pipe."""
+    if not sys.stderr.isatty():
+        return lambda _: None
+
+    def tell(words: str) -> None:
+        click.echo(f"\r\033[K{words}{' ...' if words else ''}", err=True, nl=False)
+
+    return tell
+
+
+def conclude(as_json: bool, result: dict[str, Any], line: str, warnings: Any) -> None:
+    """Print warnings, then the result as a line or as JSON."""
+    for warning in warnings:
+        click.echo(f"dehyst: {warning}", err=True)
+    click.echo(json.dumps(finite(result), indent=1) if as_json else line)
+
+
+def finite(value: Any) -> Any:
+    """The same with null for numbers that JSON has not."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not abs(value) <= sys.float_info.max else value
+
+
+def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
+    """Print what an identification found."""
+    click.echo(fit.outcome.value)
+    if fit.errors:
+        width = max(6, *(len(error.record) for error in fit.errors))
+        click.echo(
+            f"\n{'':<{width}}  {'':<10} {'':>8} {'':>8}  {'of the stroke':^18}  {'':^18}  {'with its drift':^18}"
+        )
+        click.echo(
+            f"{'record':<{width}}  {'role':<10} {'samples':>8} {'left out':>8}" + 3 * f"  {'largest':>9}{'RMS':>9}"
+        )
+    for error in fit.errors:
+        drift, rms = 100 * error.largest_with_drift / error.stroke, 100 * error.rms_with_drift / error.stroke
+        click.echo(
+            f"{error.record:<{width}}  {error.role:<10} {error.samples:>8} {error.left_out:>8}"
+            f"  {error.largest_percent:>7.3f} %{error.rms_percent:>7.3f} %"
+            f"  {error.largest * 1e9:>6.0f} nm{error.rms * 1e9:>6.0f} nm  {drift:>7.3f} %{rms:>7.3f} %"
+        )
+    for title, sentences in (("Repaired or left out", fit.repairs), ("To know", fit.remarks)):
+        if sentences:
+            click.echo(f"\n{title}:")
+            for sentence in sentences:
+                click.echo(f"  - {sentence}")
+    click.echo(f"\nSolver: {fit.status}, duality gap {fit.gap:.1g}")
+    for name, path in (("Model", output if fit.actuator is not None else None), ("Report", report)):
+        if path is not None:
+            click.echo(f"{name}: {path}")
+
+
+def print_insight(found: Insight, output: Path | None, report: Path | None) -> None:
+    """Print what records tell, in the order in which it matters."""
+    for warning in found.warnings():
+        click.echo(f"BEWARE: {warning}\n")
+    told = found.directions
+    click.echo(f"Known of the stiffnesses: {told.determined} of {told.of} directions")
+    for sentence in _first_few(told.sentences()):
+        click.echo(f"  - {sentence}")
+    values = " ".join(f"{value:.2g}" for value in told.values)
+    click.echo(f"  singular values, V a volt of breakaway voltage: {values}")
+    _print_stiffnesses(found)
+    _print_band(found)
+    if found.advice:
+        click.echo("\nTo record next, best first:")
+        for one in found.advice[:3]:
+            click.echo(f"  - {one.words}: {one.determined} of {one.of} in {one.seconds:.4g} s\n      {one.command}")
+    elif told.determined == told.of:
+        click.echo("\nTo record next: nothing; no loop tells more directions.")
+    click.echo("\nState, if nothing is known before:")
+    for known in found.knowledge:
+        seen, played = (_moment(t) for t in (known.by_displacement, known.by_voltage))
+        click.echo(
+            f"  - {known.record}: known {seen} to one who sees the displacement, {played} from the voltage alone"
+        )
+    if found.homing is not None:
+        turns = ", ".join(f"{v:.6g}" for v in found.homing.turns)
+        word = "certified" if found.homing.certified else "NOT certified"
+        click.echo(f"  - shortest homing: {turns} V ({word}: from any state to within {found.homing.width:.1g} m)")
+        for remark in found.homing.remarks:
+            click.echo(f"      {remark}")
+    for name, path in (("Band", output), ("Report", report)):
+        if path is not None:
+            click.echo(f"{name}: {path}")
+
+
+def _first_few(sentences: tuple[str, ...], most: int = 12) -> tuple[str, ...]:
+    return sentences if len(sentences) <= most else (*sentences[:most], f"and {len(sentences) - most} more (--json)")
+
+
+def _moment(seconds: float | None) -> str:
+    return "never" if seconds is None else f"after {seconds:.4g} s"
+
+
+def _print_stiffnesses(found: Insight) -> None:
+    if found.intervals is None or found.latitude is None:
+        return
+    slip, level = found.actuator.slip, 100 * found.intervals.level
+    click.echo(f"\n  i  breakaway  stiffness   {level:.0f} % by noise          what the records do not contradict")
+    click.echo("            um       V/um           V/um                 V/um")
+    rows = zip(slip.breakaway, slip.stiffness, found.intervals.stiffness.T, found.latitude.stiffness.T, strict=True)
+    for i, (rho, kappa, noise, free) in enumerate(rows, 1):
+        click.echo(f"{i:>3}{rho * 1e6:>11.4g}{kappa * 1e-6:>11.4g}   {noise[0] * 1e-6:>8.4g} to {noise[1] * 1e-6:<8.4g}"
+                   f"  {free[0] * 1e-6:>8.4g} to {free[1] * 1e-6:<8.4g}")  # fmt: skip
+
+
+def _print_band(found: Insight) -> None:
+    if found.band is None:
+        return
+    stroke = found.evidence.stroke
+    names = {"noise": "noise and finite records", "open": "models that the records do not contradict",
+             "misfit": "largest misfit on the records themselves", "all": "all together"}  # fmt: skip
+    click.echo("\nError to be expected on the trajectory, largest, in % of the range:")
+    for name, error in found.band.errors().items():
+        click.echo(f"  {names[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm")
+    for warning in found.band.warnings:
+        click.echo(f"  {warning}")
+
+
+def print_paper(found: Paper, output: Path) -> None:
+    """Print the paper's numbers beside ours, for the virtual actuator and for one whose loop has a symmetric width."""
+    from dehyst.paper_tables import summary
+
+    titles = {
+        "asymmetric": "Virtual E-280.10",
+        "symmetric": "The same without its asymmetric map: what is left is the method's, not the model class's",
+    }
+    for key, experiment in found.experiments.items():
+        click.echo(f"{titles[key]} (errors against the truth)")
+        click.echo(f"  {'':<42}{'paper':>9}{'ours, by':>12}{'ours, whole':>13}{'with more':>12}{'Goldfarb,':>12}")
+        click.echo(f"  {'':<42}{'':>9}{'its method':>12}{'record':>13}{'loops':>12}{'relaxed':>12}")
+        for row in summary(experiment):
+            cells = [row.models.get(name) for name in ("breakpoints", "record", "record_tops", "goldfarb")]
+            if row.actuator is not None:
+                cells = [row.actuator, None, None, None] if not row.models else cells
+            written = [("" if value is None else f"{value:.3f}") for value in (row.paper, *cells)]
+            unit = "um" if row.unit == "µm" else row.unit
+            click.echo(f"  {row.words + ', ' + unit:<42}" + "".join(
+                f"{text:>{width}}" for text, width in zip(written, (9, 12, 13, 12, 12), strict=True)))  # fmt: skip
+        click.echo("")
+    click.echo(f"Written to {output}/: open index.html")

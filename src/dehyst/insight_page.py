@@ -1,0 +1,160 @@
+"""What records tell of an actuator, as a section of the report or as a page of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from os import PathLike
+
+import numpy as np
+
+from dehyst import plot_insight
+from dehyst.files import write_atomically
+from dehyst.insight import Insight
+from dehyst.page import Row, document, figure, length, number, panel, table
+
+_MOST_SENTENCES = 24
+
+
+def write_insight(path: str | PathLike[str], found: Insight, *, command: str | None = None) -> None:
+    """Write a page of its own to one HTML file that asks for nothing from outside.
+
+    Parameters
+    ----------
+    path : path-like
+        Replaced if it exists; never left half written.
+    found : Insight
+    command : str, optional
+        The command line that made it, to be shown.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    FileFormatError
+        If the file cannot be written.
+    """
+    name = escape(found.actuator.name)
+    records = ", ".join(escape(one.record.name) for one in found.evidence.comparisons)
+    parts = [
+        f"<h1>{name}: how far to trust the model</h1>",
+        f'<p class="muted">Records: {records} · stroke {escape(length(found.evidence.stroke))}</p>',
+        *sections(found),
+        f"<h2>How to reproduce</h2>\n<pre>{escape(command)}</pre>" if command else "",
+    ]
+    write_atomically(path, document(f"{found.actuator.name}: insight", parts))
+
+
+def sections(found: Insight) -> list[str]:
+    """The page's sections, to stand in the report too."""
+    return [part for part in (_verdict(found), _told(found), _numbers(found), _band(found), _next(found), _state(found))
+            if part]  # fmt: skip
+
+
+def _verdict(found: Insight) -> str:
+    warnings = found.warnings()
+    if not warnings:
+        text = "The records tell every direction of the stiffnesses that loops can tell."
+        return f'<p class="outcome green"><strong>Determined</strong> {text}</p>'
+    return f'<p class="outcome amber"><strong>Beware</strong> {escape(" ".join(warnings))}</p>'
+
+
+def _told(found: Insight) -> str:
+    told = found.directions
+    sentences = told.sentences()
+    items = [escape(_subscripts(sentence)) for sentence in sentences[:_MOST_SENTENCES]]
+    if len(sentences) > _MOST_SENTENCES:
+        items.append(f"and {len(sentences) - _MOST_SENTENCES} more")
+    listed = "\n".join(f"<li>{item}</li>" for item in items)
+    caption = (
+        f"The turning points of the records tell {told.determined} of {told.of} directions of the stiffnesses, the "
+        "spring and each record's constant being free. A singular value is the RMS voltage by which one volt of "
+        "breakaway voltages in its direction shows, whatever the spring does; hollow ones are open."
+    )
+    drawn = panel(("Singular values", ""), plot_insight.singular_values(told, name="singular"), "")
+    body = f'<div class="panel"><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>'
+    return figure("What the records tell of the stiffnesses", caption, [drawn, body])
+
+
+def _subscripts(sentence: str) -> str:
+    """k_12 as k₁₂."""
+    digits = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+    words = sentence.split(" ")
+    return " ".join("k" + word[2:].translate(digits) if word.startswith("k_") else word for word in words)
+
+
+def _numbers(found: Insight) -> str:
+    if found.intervals is None or found.latitude is None:
+        return ""
+    stiffness = panel(("Stiffnesses", ""), plot_insight.stiffness_intervals(found, name="stiffnesses"), "")
+    spring = panel(("Parallel spring", ""), plot_insight.spring_intervals(found, name="spring-interval"), "")
+    slip = found.actuator.slip
+    rows: list[Row] = [
+        (str(i), number(rho * 1e6, 4), number(kappa * 1e-6, 4), _pair(noise * 1e-6), _pair(free * 1e-6))
+        for i, (rho, kappa, noise, free) in enumerate(
+            zip(slip.breakaway, slip.stiffness, found.intervals.stiffness.T, found.latitude.stiffness.T, strict=True), 1
+        )
+    ]
+    level = f"{100 * found.intervals.level:.0f} %"
+    head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "not contradicted")
+    caption = (
+        f"By noise: {level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles, their "
+        "bias taken off, so that an interval need not hold the model's own value. Not contradicted: the least and the "
+        "largest value among all models that meet the records nearly as well as this one. A stiffness may be uncertain "
+        "while a sum of neighbours is sharp; what counts for a motion is the band along its trajectory."
+    )
+    numbers = (
+        f"<details>\n<summary>The intervals' numbers</summary>\n<div>{table(head, rows, texts=0)}</div>\n</details>"
+    )
+    return figure("How sharp the numbers are", caption, [stiffness, spring]) + "\n" + numbers
+
+
+def _pair(ends: Sequence[float] | np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
+    return f"{number(float(ends[0]))} to {number(float(ends[1]))}"
+
+
+def _band(found: Insight) -> str:
+    if found.band is None:
+        return ""
+    stroke, errors = found.evidence.stroke, found.band.errors()
+    names = {"noise": "noise and finite records", "open": "models that the records do not contradict",
+             "misfit": "largest misfit on the records themselves", "all": "all together"}  # fmt: skip
+    rows: list[Row] = [
+        (names[key], f"{number(100 * error / stroke)} %", length(error)) for key, error in errors.items()
+    ]
+    said = "".join(f'<p class="muted">{escape(warning)}</p>\n' for warning in found.band.warnings)
+    drawn = panel(("Along the trajectory", ""), plot_insight.band(found.band, stroke, name="band"), "")
+    body = (
+        f'<div class="panel"><h3>Largest error to be expected</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
+    )
+    caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
+    return figure("The trajectory", caption, [drawn, body]) + f"\n{said}"
+
+
+def _next(found: Insight) -> str:
+    if not found.advice:
+        told = found.directions
+        if told.determined < told.of:
+            return ""
+        return '<h2>What to record next</h2>\n<p class="muted">Nothing: no loop tells more directions.</p>'
+    rows: list[Row] = [
+        ((one.words, one.command), f"{one.determined} of {one.of}", f"{number(one.weakest, 2)}", f"{one.seconds:.4g} s")
+        for one in found.advice[:6]
+    ]
+    head = ("Excitation", "Known with it", "Weakest (V/V)", "Time")
+    return f"<h2>What to record next</h2>\n{table(head, rows, texts=1)}"
+
+
+def _state(found: Insight) -> str:
+    def moment(seconds: float | None) -> str:
+        return "never" if seconds is None else f"{number(seconds)} s"
+
+    rows: list[Row] = [(one.record, moment(one.by_displacement), moment(one.by_voltage)) for one in found.knowledge]
+    head = ("Record", "to one who sees the displacement", "from the voltage alone")
+    parts = ["<h2>From when on the state is known</h2>", table(head, rows, texts=1)]
+    if found.homing is not None:
+        turns = ", ".join(number(v, 6) for v in found.homing.turns)
+        word = "certified: every state at rest ends in one" if found.homing.certified else "not certified"
+        remarks = " ".join(found.homing.remarks)
+        parts.append(f"<p>Shortest homing: {escape(turns)} V ({word}). {escape(remarks)}</p>")
+    return "\n".join(parts)

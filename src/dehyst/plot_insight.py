@@ -1,0 +1,106 @@
+"""Figures of what records tell: singular values, intervals of stiffnesses and spring, a trajectory's error band."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dehyst._native import Array
+from dehyst.directions import Directions
+from dehyst.insight import Band, Insight
+from dehyst.plot import FALLING, INK, MEASURED, SIMULATED, inline, length_unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_FREE = "#BBBBBB"
+# Singular values below this are rounding; drawn at the foot of the scale.
+_FOOT = 1e-5
+
+
+def singular_values(told: Directions, *, name: str) -> str:
+    """Singular value of each direction, filled if the records tell it, hollow if not."""
+
+    def draw(ax: Axes) -> None:
+        number, known = np.arange(1, told.values.size + 1), np.arange(told.values.size) < told.determined
+        shown = np.maximum(told.values, _FOOT)
+        for some, face, label in ((known, MEASURED, "known"), (~known, "white", "open")):
+            if some.any():
+                ax.plot(number[some], shown[some], ls="none", marker="o", ms=4.5, mfc=face, mec=MEASURED, label=label,
+                        clip_on=False)  # fmt: skip
+        ax.set(yscale="log", xlabel="direction", ylabel="singular value (V/V)")
+        ax.set_ylim(bottom=min(_FOOT, float(shown.min())))
+        ax.set_xlim(0.5, told.values.size + 0.5)
+        ax.legend(loc="lower left")
+
+    return inline(name, draw)
+
+
+def stiffness_intervals(found: Insight, *, name: str) -> str:
+    """Each stiffness with its interval by noise, and behind it what the records do not contradict."""
+    slip, noise, free = found.actuator.slip, found.intervals, found.latitude
+    factor, unit = length_unit(float(slip.breakaway[-1]))
+
+    def draw(ax: Axes) -> None:
+        rho = slip.breakaway * factor
+        if free is not None:
+            ax.vlines(rho, *free.stiffness * 1e-6, color=_FREE, lw=5, label="not contradicted")
+        if noise is not None:
+            low, high = noise.stiffness * 1e-6
+            ax.vlines(rho, low, high, color=SIMULATED, lw=1.6, label=f"{100 * noise.level:.0f} % by noise")
+        ax.plot(rho, slip.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model", clip_on=False)
+        ax.set(xlabel=f"breakaway elongation ({unit})", ylabel="stiffness (V/µm)")
+        ax.set_xlim(0, 1.05 * float(rho[-1]))
+        ax.set_ylim(bottom=0)
+        ax.legend(loc="upper right")
+
+    return inline(name, draw)
+
+
+def spring_intervals(found: Insight, *, name: str) -> str:
+    """How far the spring's voltage may be off at its knots, by noise and by what the records do not contradict."""
+    spring, noise, free = found.actuator.spring, found.intervals, found.latitude
+    factor, unit = length_unit(float(np.ptp(spring.displacement)))
+    centre = spring.voltage - spring.voltage[0]
+
+    def draw(ax: Axes) -> None:
+        y = spring.displacement * factor
+        if free is not None:
+            ax.fill_between(
+                y, free.spring[0] - centre, free.spring[1] - centre, color=_FREE, lw=0, label="not contradicted"
+            )
+        if noise is not None:
+            ax.fill_between(y, noise.spring[0] - centre, noise.spring[1] - centre, color=SIMULATED, alpha=0.6, lw=0,
+                            label=f"{100 * noise.level:.0f} % by noise")  # fmt: skip
+        ax.axhline(0, color=INK, lw=0.8)
+        ax.set(xlabel=f"displacement ({unit})", ylabel="spring voltage, off the model's (V)")
+        ax.legend(loc="upper left")
+
+    return inline(name, draw)
+
+
+def band(found: Band, stroke: float, *, name: str) -> str:
+    """The error to be expected along a trajectory, part by part, and the trajectory above."""
+    factor, unit = length_unit(float(np.ptp(found.displacement)))
+    sample = np.arange(found.displacement.size)
+
+    def percent(edge: Array) -> Array:
+        return np.asarray(100 * (edge - found.displacement) / stroke)
+
+    def draw(upper: Axes, lower: Axes) -> None:
+        upper.plot(sample, found.displacement * factor, color=MEASURED, lw=1)
+        upper.set_ylabel(f"displacement ({unit})")
+        lower.fill_between(sample, percent(found.lowest), percent(found.highest), color="#E5E5E5", lw=0, label="all")
+        lower.fill_between(sample, percent(found.open[0]), percent(found.open[1]), color="#AAAAAA", lw=0,
+                           label="not contradicted by the records")  # fmt: skip
+        lower.fill_between(
+            sample, percent(found.noise[0]), percent(found.noise[1]), color=SIMULATED, lw=0, label="noise"
+        )
+        lower.axhline(0, color=FALLING, lw=0.6)
+        low, high = lower.get_ylim()
+        lower.set_ylim(low, high + 0.35 * (high - low))
+        lower.set(xlabel="sample", ylabel="error (% of stroke)")
+        lower.legend(loc="upper left", ncols=3)
+
+    return inline(name, draw, rows=2, height=4.4)
