@@ -1,4 +1,4 @@
-"""Put the figures of `speed.json` and `accuracy.json` into the README, between its markers.
+"""Put the figures of `accuracy.json`, `paper.json` and `speed.json` into the README, between its markers.
 
 With --check nothing is written; the exit status tells whether the README holds them already.
 """
@@ -41,6 +41,20 @@ def accuracy(data: dict) -> list[str]:
     return rows
 
 
+def paper(data: dict) -> list[str]:
+    rows = ["", "| The paper's experiment on a virtual actuator, largest error in % of the range | paper "
+            "| its method, N = 10 | whole record, the same loops | whole record, descending tops added | Goldfarb and Celanovic, relaxed |",
+            "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
+    for key, what in (("asymmetric", ""), ("symmetric", ", a loop of symmetric width")):
+        for row in data[key]["summary"]:
+            if row["unit"] == "%" and row["key"] != "nominal":
+                cells = " | ".join(f"{row[name]:.2f}" for name in ("breakpoints", "record", "record_tops", "goldfarb"))
+                rows.append(f"| {row['quantity']}{what} | {row['paper']:.2f} | {cells} |")
+    nominal = next(row for row in data["asymmetric"]["summary"] if row["key"] == "nominal")
+    rows.append(f"| Nominal ratio, no model | {nominal['paper']:.2f} | {nominal['actuator']:.2f} | | | |")
+    return rows
+
+
 def speed(data: dict) -> list[str]:
     rows = ["", "| Time a sample, in units of `numpy.interp` on the same array | N = 10 | N = 100 | N = 1000 |",
             "| --- | --- | --- | --- |"]  # fmt: skip
@@ -53,8 +67,8 @@ def speed(data: dict) -> list[str]:
 
 
 def table() -> str:
-    figures = [json.loads((HERE / name).read_text()) for name in ("accuracy.json", "speed.json")]
-    return "\n".join([*accuracy(figures[0]), *speed(figures[1])]) + "\n"
+    figures = [json.loads((HERE / name).read_text()) for name in ("accuracy.json", "paper.json", "speed.json")]
+    return "\n".join([*accuracy(figures[0]), *paper(figures[1]), *speed(figures[2])]) + "\n"
 
 
 def main() -> int:

@@ -182,3 +182,78 @@ def test_validate_takes_every_name_up_to_the_next_option(folder, names):
     _, out, _ = run("identify", "loops.csv", "--validate", *names, "--norm", "l2", "--json", cwd=folder)
     roles = [(error["record"], error["role"]) for error in json.loads(out)["errors"]]
     assert roles == [("loops", "training"), ("other", "validation"), ("low", "validation")]
+
+
+KINDS = {
+    "raised-cosine": ["200", "100"], "descending-tops": ["200"], "reversal-curves": ["200"],
+    "minor-loop": ["-10", "50", "--highest", "100", "--base", "-20"], "staircase": ["200", "--hold", "5"],
+    "homing": ["200"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_excitation_is_written_within_its_limits(kind, tmp_path):
+    arguments = [*KINDS[kind], "--limits", "-20", "200", "--present", "5", "--slew", "20"]
+    status, out, err = run("excite", kind, *arguments, "-o", "v.csv", "--json", cwd=tmp_path)
+    assert status == 0, err
+    table, told = read_table(tmp_path / "v.csv"), json.loads(out)
+    time, voltage = table.column("time"), table.column("voltage")
+    assert told["samples"] == voltage.size
+    assert voltage[0] == 5
+    assert voltage.min() >= -20
+    assert voltage.max() <= 200
+    assert np.abs(np.diff(voltage)).max() <= 20 * np.diff(time).max() * (1 + 1e-9)
+
+
+def test_an_excitation_beyond_the_limits_is_refused(tmp_path):
+    status, _, err = run("excite", "raised-cosine", "200", "--limits", "0", "100", "-o", "v.csv", cwd=tmp_path)
+    assert status == 2
+    assert "200" in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_homing_of_a_model_is_certified(folder):
+    status, out, _ = run("excite", "homing", "--model", "model.json", "-o", "home.csv", cwd=folder)
+    assert status == 0
+    assert "certified to end in a known state" in out
+    status, _, err = run("excite", "homing", "-o", "home2.csv", cwd=folder)
+    assert status == 2
+    assert "either a highest voltage or --model" in err
+
+
+def test_insight_of_loops_that_tell_all_finds_nothing_to_beware_of(folder):
+    arguments = ["model.json", "loops.csv", "--trajectory", "path.csv", "-o", "band.csv", "--report", "i.html"]
+    status, out, err = run("insight", *arguments, "--repeats", "20", cwd=folder)
+    assert status == 0, err
+    assert "19 of 19 directions" in out
+    assert "certified" in out
+    band = read_table(folder / "band.csv")
+    names = ("lowest_um", "wanted_um", "highest_um")
+    lowest, wanted, highest = (band.column("displacement", name) for name in names)
+    assert np.all((lowest < wanted) & (wanted < highest))
+    assert "<svg" in (folder / "i.html").read_text()
+
+
+def test_the_newcomers_trap_is_caught(folder):
+    loops = read_table(folder / "loops.csv")
+    rows = np.column_stack([loops.column("time"), loops.column("voltage"), loops.column("displacement") * 1e6])[:1200]
+    np.savetxt(folder / "major.csv", rows, delimiter=",", header="time_s,voltage_V,displacement_um", comments="")
+    status, out, _ = run("identify", "major.csv", "-o", "major.json", cwd=folder)
+    assert status == 0
+    assert "leave directions of the stiffnesses open" in out
+    status, out, _ = run("insight", "major.json", "major.csv", "--trajectory", "path.csv", "--json", cwd=folder)
+    found = json.loads(out)
+    assert status == 1
+    assert found["directions"]["determined"] == 10
+    assert "k_1 + k_19 is known, k_1 - k_19 is not." in found["directions"]["sentences"]
+    assert found["trajectory"]["open_m"] > 3 * found["trajectory"]["misfit_m"]
+    assert found["advice"][0]["determined"] == 19
+
+
+def test_a_trajectory_without_displacement_names_the_right_option(folder):
+    status, _, err = run("insight", "model.json", "loops.csv", "--trajectory", "voltage-only.csv", cwd=folder)
+    assert status == 2
+    (folder / "voltage-only.csv").write_text("time_s,voltage_V\n0,1\n1,2\n")
+    status, _, err = run("insight", "model.json", "loops.csv", "--trajectory", "voltage-only.csv", cwd=folder)
+    assert status == 2
+    assert "--wanted" in err

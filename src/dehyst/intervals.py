@@ -3,14 +3,17 @@
 The model is taken for the truth. Its simulation of each record, plus residuals of cycles picked at random, each with a
 random sign, makes a new set of records; it is identified again by least squares. How the new coefficients scatter
 about the model's, and on which side, gives basic bootstrap intervals: ``2 theta - quantile``. Noise of the sensor runs
-through the stop operators as it does in the measurement, so that the bias that it causes is taken off too. Directions
-that the records leave open keep the model's values: no resampling can tell of them (see `dehyst.latitude`).
+through the stop operators as it does in the measurement, so that the bias that it causes is taken off too. Its extremes
+drag carts, and with them whole legs: what that makes of the legs' mean residuals comes again by itself, and is taken
+out of the residuals lest it count twice. Directions that the records leave open keep the model's values: no resampling
+can tell of them (see `dehyst.latitude`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,9 +26,12 @@ from dehyst.model import State
 from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.regression import Coefficients
+from dehyst.signals import turning_points
 from dehyst.verify import Comparison
 
 _MOST_ROWS = 20_000
+# Sets of records that show what noise alone makes of the legs' mean residuals.
+_TRIALS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,21 +115,65 @@ def resample(
         raise IdentifyError(f"got level {level} and {repeats} repeats, need a level between 0 and 1 and 20 repeats")
     random = np.random.default_rng(seed)
     worlds = [_World(one, evidence.actuator) for one in evidence.comparisons]
-    step = max(1, len(evidence.regression.rows) // _MOST_ROWS)
-    weights = evidence.weights[::step]
-    held = _open(evidence)
+    again = _Again(evidence)
     found: list[Actuator] = []
     with one_thread():
+        share = _unexplained(again, worlds, random)
         for k in range(repeats):
             if k % 10 == 0:
                 progress(f"identifying resampled cycles, {k} of {repeats}")
-            again = evidence.with_pieces([world.resampled(random) for world in worlds])
-            answer = replace(again, rows=again.rows.thinned(_MOST_ROWS)).fit("l2", weights, held)
+            answer = again.identified([world.resampled(random, share) for world in worlds])
             if answer.solution.optimal:
                 found.append(evidence.actuator_of(answer))
     if len(found) < 20:
         raise IdentifyError(f"only {len(found)} of {repeats} resampled records could be identified; record more cycles")
     return Intervals(evidence.actuator, tuple(found), level, _spread(evidence))
+
+
+class _Again:
+    """Identifies records that were resampled, by least squares."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self._evidence = evidence
+        rows = evidence.regression.rows
+        self._step = max(1, len(rows) // _MOST_ROWS)
+        self._weights = evidence.weights[:: self._step]
+        self._held = _open(evidence)
+        cut = np.flatnonzero(np.diff(rows.epoch)) + 1
+        self._starts = _legs(rows.voltage, cut)
+
+    def identified(self, pieces: list[list[Record]]) -> Coefficients:
+        again = self._evidence.with_pieces(pieces)
+        return replace(again, rows=again.rows.thinned(_MOST_ROWS)).fit("l2", self._weights, self._held)
+
+    def slow(self, found: Coefficients) -> float:
+        """Mean square of the legs' mean residuals [m2]."""
+        weighted = found.solution.residual[: self._weights.size] * self._weights
+        return float(np.mean(_leg_means(weighted, np.unique(self._starts // self._step)) ** 2))
+
+    def slow_of_model(self) -> float:
+        """The same of the model itself."""
+        weighted = self._evidence.model.solution.residual * self._evidence.weights
+        return float(np.mean(_leg_means(weighted, self._starts) ** 2))
+
+
+def _legs(voltage: Array, cut: Any) -> Any:
+    """First sample of each leg: the first, those after the cuts, and those where the voltage turns."""
+    return np.unique([0, *cut, *turning_points(voltage, 0.02 * float(np.ptp(voltage)))])
+
+
+def _leg_means(values: Array, starts: Any) -> Array:
+    """The mean of each leg at all of its samples (n,)."""
+    size = np.diff(np.append(starts, values.size))
+    return np.repeat(np.add.reduceat(values, starts) / size, size)
+
+
+def _unexplained(again: _Again, worlds: list[_World], random: np.random.Generator) -> float:
+    """The part of the legs' mean residuals, 0 to 1, that resampled noise does not make by itself."""
+    found = [again.identified([world.resampled(random, 0.0) for world in worlds]) for _ in range(_TRIALS)]
+    made = float(np.mean([again.slow(one) for one in found if one.solution.optimal] or [0.0]))
+    there = again.slow_of_model()
+    return float(np.sqrt(max(0.0, 1 - made / there))) if there else 0.0
 
 
 class _World:
@@ -134,18 +184,25 @@ class _World:
         self._parts = [(number, slice(epoch.start, epoch.stop), played[3] - compared.datum, played[2] - played[3])
                        for number, epoch, played in compared.played(actuator)]  # fmt: skip
         self._residual = np.concatenate([residual for *_, residual in self._parts])
+        voltage = np.concatenate([self._pieces[number].voltage[span] for number, span, *_ in self._parts])
+        edges = np.cumsum([residual.size for *_, residual in self._parts])[:-1]
+        self._slow = _leg_means(self._residual, _legs(voltage, edges))
         lengths = [cycle.stop - cycle.start for cycle in compared.record.record.cycles()]
         size = self._residual.size
         self._block = min(int(np.median(lengths)) if lengths else size, max(size // 4, 1))
 
-    def resampled(self, random: np.random.Generator) -> list[Record]:
-        """The pieces with new displacements; cycles start at the same phase as those they are put for."""
+    def resampled(self, random: np.random.Generator, share: float) -> list[Record]:
+        """The pieces with new displacements, a share of the legs' mean residuals left in.
+
+        Cycles start at the same phase as those they are put for.
+        """
+        residual = self._residual - (1 - share) * self._slow
         new = [piece.displacement.copy() for piece in self._pieces]
         whole = self._residual.size // self._block
         for number, span, simulated, _ in self._parts:
             count = -(-simulated.size // self._block)
             starts = self._block * random.integers(0, whole, count)
-            blocks = [sign * self._residual[start : start + self._block]
+            blocks = [sign * residual[start : start + self._block]
                       for start, sign in zip(starts, random.choice([-1.0, 1.0], count), strict=True)]  # fmt: skip
             new[number][span] = simulated + np.concatenate(blocks)[: simulated.size]
         return [replace(piece, displacement=y) for piece, y in zip(self._pieces, new, strict=True)]

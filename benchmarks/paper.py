@@ -1,0 +1,17 @@
+"""The paper's experiment on a virtual actuator, beside the paper's numbers. Writes `paper.json`."""
+
+import json
+from pathlib import Path
+
+from dehyst import paper
+
+
+def main() -> None:
+    found = paper.run(print).as_dict()
+    target = Path(__file__).with_name("paper.json")
+    target.write_text(json.dumps(found, indent=1) + "\n")
+    print(target.name)
+
+
+if __name__ == "__main__":
+    main()
