@@ -42,9 +42,13 @@ def accuracy(data: dict) -> list[str]:
 
 
 def paper(data: dict) -> list[str]:
-    rows = ["", "| The paper's experiment on a virtual actuator, largest error in % of the range | paper "
-            "| its method, N = 10 | whole record, the same loops | whole record, descending tops added | Goldfarb and Celanovic, relaxed |",
-            "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
+    rows = [
+        "",
+        "| The paper's experiment on a virtual actuator, largest error in % of the range | paper "
+        "| its method, N = 10 | whole record, the same loops | whole record, descending tops added "
+        "| Goldfarb and Celanovic, relaxed |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
     for key, what in (("asymmetric", ""), ("symmetric", ", a loop of symmetric width")):
         for row in data[key]["summary"]:
             if row["unit"] == "%" and row["key"] != "nominal":

@@ -49,12 +49,16 @@ class Intervals:
     spread : float
         By which deviations are widened, for the model's norm scatters more than least squares: 1 / (2 f(0) sd) for L1,
         f(0) the density of the residuals at zero; else 1.
+    few : float
+        By which deviations are widened because few cycles tell their own scatter badly: Student's quantile over the
+        normal one.
     """
 
     actuator: Actuator
     actuators: tuple[Actuator, ...]
     level: float
     spread: float
+    few: float = 1.0
 
     @property
     def stiffness(self) -> Array:
@@ -80,7 +84,7 @@ class Intervals:
         deviation = np.array(resampled) - centre
         middle = deviation.mean(axis=0)
         tails = 0.5 * (1 - self.level), 0.5 * (1 + self.level)
-        low, high = middle + self.spread * np.quantile(deviation - middle, tails, axis=0)
+        low, high = middle + self.spread * self.few * np.quantile(deviation - middle, tails, axis=0)
         return np.array([centre - high, centre - low])
 
 
@@ -127,7 +131,7 @@ def resample(
                 found.append(evidence.actuator_of(answer))
     if len(found) < 20:
         raise IdentifyError(f"only {len(found)} of {repeats} resampled records could be identified; record more cycles")
-    return Intervals(evidence.actuator, tuple(found), level, _spread(evidence))
+    return Intervals(evidence.actuator, tuple(found), level, _spread(evidence), _few(worlds, level))
 
 
 class _Again:
@@ -191,6 +195,11 @@ class _World:
         size = self._residual.size
         self._block = min(int(np.median(lengths)) if lengths else size, max(size // 4, 1))
 
+    @property
+    def cycles(self) -> int:
+        """Number of cycles to draw from."""
+        return self._residual.size // self._block
+
     def resampled(self, random: np.random.Generator, share: float) -> list[Record]:
         """The pieces with new displacements, a share of the legs' mean residuals left in.
 
@@ -198,14 +207,21 @@ class _World:
         """
         residual = self._residual - (1 - share) * self._slow
         new = [piece.displacement.copy() for piece in self._pieces]
-        whole = self._residual.size // self._block
         for number, span, simulated, _ in self._parts:
             count = -(-simulated.size // self._block)
-            starts = self._block * random.integers(0, whole, count)
+            starts = self._block * random.integers(0, self.cycles, count)
             blocks = [sign * residual[start : start + self._block]
                       for start, sign in zip(starts, random.choice([-1.0, 1.0], count), strict=True)]  # fmt: skip
             new[number][span] = simulated + np.concatenate(blocks)[: simulated.size]
         return [replace(piece, displacement=y) for piece, y in zip(self._pieces, new, strict=True)]
+
+
+def _few(worlds: list[_World], level: float) -> float:
+    """Student's quantile over the normal one, a degree of freedom less than there are cycles."""
+    from scipy.special import ndtri, stdtrit
+
+    upper = 0.5 * (1 + level)
+    return float(stdtrit(max(sum(world.cycles for world in worlds) - 1, 1), upper) / ndtri(upper))
 
 
 def _open(evidence: Evidence) -> tuple[Array, Array] | None:
