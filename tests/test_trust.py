@@ -1,8 +1,6 @@
 """What `insight` says holds: intervals cover, no truth is contradicted, advice closes, a trap is caught."""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import bench
 import numpy as np
@@ -16,7 +14,6 @@ from dehyst.directions import directions
 from dehyst.evidence import Evidence
 from dehyst.excite import Drive, raised_cosine
 from dehyst.insight import insight
-from dehyst.intervals import resample
 from dehyst.latitude import latitude
 from dehyst.regression import Regression
 from dehyst.rows import collect
@@ -92,30 +89,6 @@ def test_open_changes_do_not_show_on_the_record_but_elsewhere(turns):
     # What is known is orthogonal to all that may change.
     for combination in found.known:
         assert all(abs(combination @ change) < 1e-9 for change in found.open)
-
-
-@pytest.mark.slow
-def test_ninety_percent_intervals_hold_the_truth_about_ninety_times_in_a_hundred():
-    place = Path(__file__).resolve().parents[1] / "benchmarks" / "coverage.py"
-    spec = importlib.util.spec_from_file_location("coverage_benchmark", place)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    found = module.coverage(200)
-    for name in ("stiffness", "spring", "prediction"):
-        assert 0.85 <= found[name] <= 0.95, found
-
-
-def test_intervals_are_seeded_and_wider_for_a_higher_level():
-    record = bench.loops(PLANT, bench.DESCENDING_TOPS, noise=2e-9)
-    fit = dehyst.identify(record, elements=10, norm="l2", delay=0.0)
-    evidence = Evidence.of(fit.actuator, record)
-    one, two = (resample(evidence, repeats=20, seed=3) for _ in range(2))
-    assert np.array_equal(one.stiffness, two.stiffness)
-    wide = resample(evidence, repeats=20, seed=3, level=0.99)
-    assert np.all(np.ptp(wide.spring, axis=0) >= np.ptp(one.spring, axis=0))
-    assert one.spread == 1.0
-    with pytest.raises(dehyst.IdentifyError, match="need a level between 0 and 1 and 20 repeats"):
-        resample(evidence, level=1.0)
 
 
 @pytest.mark.parametrize("noise", [0.0, 2e-9])

@@ -23,7 +23,7 @@ from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.evidence import Evidence
 from dehyst.model import State
-from dehyst.program import one_thread
+from dehyst.program import Norm, one_thread
 from dehyst.record import Record
 from dehyst.regression import Coefficients
 from dehyst.signals import turning_points
@@ -32,6 +32,11 @@ from dehyst.verify import Comparison
 _MOST_ROWS = 20_000
 # Sets of records that show what noise alone makes of the legs' mean residuals.
 _TRIALS = 10
+# Sets of records that are identified by both norms, and their rows, to see how much more one scatters.
+_PAIRS = 30
+_FEWER_ROWS = 3000
+# A coefficient whose variance is less than this part of the largest is held by a bound.
+_MOVED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +52,8 @@ class Intervals:
     level : float
         Of the intervals, 0 to 1.
     spread : float
-        By which deviations are widened, for the model's norm scatters more than least squares: 1 / (2 f(0) sd) for L1,
-        f(0) the density of the residuals at zero; else 1.
+        By which deviations are widened, for the model's norm scatters more than least squares: measured where that
+        norm is L1, else 1.
     few : float
         By which deviations are widened because few cycles tell their own scatter badly: Student's quantile over the
         normal one.
@@ -123,6 +128,7 @@ def resample(
     found: list[Actuator] = []
     with one_thread():
         share = _unexplained(again, worlds, random)
+        spread = _spread(again, worlds, share, random)
         for k in range(repeats):
             if k % 10 == 0:
                 progress(f"identifying resampled cycles, {k} of {repeats}")
@@ -131,7 +137,7 @@ def resample(
                 found.append(evidence.actuator_of(answer))
     if len(found) < 20:
         raise IdentifyError(f"only {len(found)} of {repeats} resampled records could be identified; record more cycles")
-    return Intervals(evidence.actuator, tuple(found), level, _spread(evidence), _few(worlds, level))
+    return Intervals(evidence.actuator, tuple(found), level, spread, _few(worlds, level))
 
 
 class _Again:
@@ -141,18 +147,25 @@ class _Again:
         self._evidence = evidence
         rows = evidence.regression.rows
         self._step = max(1, len(rows) // _MOST_ROWS)
-        self._weights = evidence.weights[:: self._step]
         self._held = _open(evidence)
         cut = np.flatnonzero(np.diff(rows.epoch)) + 1
         self._starts = _legs(rows.voltage, cut)
 
-    def identified(self, pieces: list[list[Record]]) -> Coefficients:
+    @property
+    def by_absolutes(self) -> bool:
+        """Whether the model was identified by least absolute deviations."""
+        options = self._evidence.actuator.provenance
+        return options.get("norm") == "l1" and options.get("method") == "record"
+
+    def identified(self, pieces: list[list[Record]], norm: Norm = "l2", most: int = _MOST_ROWS) -> Coefficients:
         again = self._evidence.with_pieces(pieces)
-        return replace(again, rows=again.rows.thinned(_MOST_ROWS)).fit("l2", self._weights, self._held)
+        step = max(1, len(again.rows) // most)
+        return replace(again, rows=again.rows.thinned(most)).fit(norm, self._evidence.weights[::step], self._held)
 
     def slow(self, found: Coefficients) -> float:
         """Mean square of the legs' mean residuals [m2]."""
-        weighted = found.solution.residual[: self._weights.size] * self._weights
+        weights = self._evidence.weights[:: self._step]
+        weighted = found.solution.residual[: weights.size] * weights
         return float(np.mean(_leg_means(weighted, np.unique(self._starts // self._step)) ** 2))
 
     def slow_of_model(self) -> float:
@@ -231,18 +244,21 @@ def _open(evidence: Evidence) -> tuple[Array, Array] | None:
     return (combinations, combinations @ evidence.actuator.slip.stiffness[told.movable]) if len(combinations) else None
 
 
-def _spread(evidence: Evidence) -> float:
-    """Standard error of a least absolute fit over that of a least-squares fit with these residuals."""
-    if evidence.actuator.provenance.get("norm") != "l1" or evidence.actuator.provenance.get("method") != "record":
+def _spread(again: _Again, worlds: list[_World], share: float, random: np.random.Generator) -> float:
+    """How much more the model's own norm scatters than least squares, of the same resampled records; at least 1."""
+    if not again.by_absolutes:
         return 1.0
-    model: Coefficients = evidence.model
-    residual = model.solution.residual * evidence.weights
-    deviation = float(residual.std())
-    if not deviation:
+    both = []
+    for _ in range(_PAIRS):
+        pieces = [world.resampled(random, share) for world in worlds]
+        pair = [again.identified(pieces, norm, _FEWER_ROWS) for norm in ("l2", "l1")]
+        if all(one.solution.optimal for one in pair):
+            both.append([np.concatenate([one.stiffness, one.slopes]) for one in pair])
+    if len(both) < 2:
         return 1.0
-    near = 0.3 * deviation
-    density = np.count_nonzero(np.abs(residual) < near) / (residual.size * 2 * near)
-    return float(1 / (2 * density * deviation)) if density else 1.0
+    squares, absolutes = np.var(both, axis=0)
+    moved = squares > _MOVED * squares.max()
+    return float(np.sqrt(max(1.0, np.mean(absolutes[moved] / squares[moved])))) if moved.any() else 1.0
 
 
 def _risen(actuator: Actuator) -> Array:
