@@ -257,3 +257,55 @@ def test_a_trajectory_without_displacement_names_the_right_option(folder):
     status, _, err = run("insight", "model.json", "loops.csv", "--trajectory", "voltage-only.csv", cwd=folder)
     assert status == 2
     assert "--wanted" in err
+
+
+def scaled(folder, factor):
+    """The loops with displacements times a factor, as another actuator might show."""
+    table = read_table(folder / "loops.csv")
+    columns = [table.column("time"), table.column("voltage"), factor * 1e6 * table.column("displacement")]
+    name = f"times-{factor}.csv"
+    np.savetxt(folder / name, np.column_stack(columns), delimiter=",", header="time_s,voltage_V,displacement_um",
+               comments="")  # fmt: skip
+    return name
+
+
+@pytest.mark.parametrize("factor", [10, 0.1, 1.1])
+def test_insight_of_another_actuators_record_says_so_first(folder, factor):
+    status, out, _ = run("insight", "model.json", scaled(folder, factor), "--repeats", "0", cwd=folder)
+    assert status == 1
+    assert out.startswith("BEWARE: The model misses these records by up to")
+
+
+@pytest.mark.parametrize(("limits", "said"), [
+    ((0, 50), ["CLAMPED", "does not make the state known"]),
+    ((-100, 400), ["beyond those of the records"]),
+])  # fmt: skip
+def test_insight_beyond_reach_is_something_to_beware_of(folder, limits, said):
+    arguments = ["--limits", *map(str, limits), "--repeats", "20", "--trajectory", "path.csv", "--json"]
+    status, out, _ = run("insight", "model.json", "loops.csv", *arguments, cwd=folder)
+    assert status == 1
+    found = json.loads(out)
+    for words in said:
+        assert any(words in warning for warning in found["warnings"]), found["warnings"]
+    if "CLAMPED" in said:
+        assert found["trajectory"]["all_m"] >= found["trajectory"]["clamped_m"] > 1e-6
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["--level", "2", "--repeats", "0"], "level: got 2.0"),
+    (["--repeats", "5"], "repeats: got 5, need 20 at least"),
+    (["--repeats", "0", "--trajectory", "path.csv"], "repeats: got 0 and a trajectory"),
+    (["--wanted", "x"], "--wanted: got 'x' and no trajectory"),
+    (["--limits", "nan", "100"], "limits: got nan"),
+    (["-o", "band.csv"], "-o: got no trajectory"),
+])  # fmt: skip
+def test_impossible_options_of_insight_are_named(folder, arguments, said):
+    status, _, err = run("insight", "model.json", "loops.csv", *arguments, cwd=folder)
+    assert status == 2
+    assert said in err
+
+
+def test_a_folder_is_no_record(folder):
+    status, _, err = run("insight", "model.json", ".", cwd=folder)
+    assert status == 2
+    assert "is a folder" in err

@@ -192,7 +192,7 @@ def test_many_records_are_resampled_each_by_itself():
     ({"level": 1.0}, "got level 1.0 and 100 repeats"),
     ({"level": 90}, "got level 90 and 100 repeats"),
     ({"level": float("nan")}, "need a level between 0 and 1"),
-    ({"repeats": 19}, "got level 0.9 and 19 repeats, need a level between 0 and 1 and 20 repeats"),
+    ({"repeats": 19}, "got level 0.9 and 19 repeats, need a level between 0 and 1 and at least 20 repeats"),
 ])  # fmt: skip
 def test_refusals(options, said):
     with pytest.raises(IdentifyError, match=said):
@@ -203,3 +203,12 @@ def test_progress_is_told():
     said = []
     resample(evidence(), repeats=20, progress=said.append)
     assert said == ["identifying resampled cycles, 0 of 20", "identifying resampled cycles, 10 of 20"]
+
+
+def test_a_stiffness_at_its_bound_may_be_larger():
+    one = evidence(MAJOR)
+    found, bound = resample(one, repeats=40), one.actuator.slip.stiffness == 0
+    assert bound.any()
+    assert (found.stiffness[0, bound] == 0).all()
+    every = np.array([a.slip.stiffness[bound] for a in found.actuators])
+    assert (found.stiffness[1, bound] >= np.quantile(every, 0.95, axis=0)).all()

@@ -65,6 +65,12 @@ def test_open_directions_are_said_in_words():
     )  # fmt: skip
 
 
+def test_what_is_known_by_itself():
+    assert np.flatnonzero(told(MAJOR).alone).tolist() == [4]
+    assert np.flatnonzero(told(bench.DESCENDING_TOPS).alone).tolist() == list(range(9))
+    assert told((0, 1, 0, 1, 0), relaxed=True).alone.all()
+
+
 def hidden(change, turns):
     """What is left of the voltages of a change of stiffnesses when spring and constant have taken what they can [V]."""
     y = bench.path(turns)
@@ -162,5 +168,5 @@ def test_without_repeats_there_are_no_intervals():
     assert found.trustworthy
     assert found.warnings() == ()
     assert found.homing.certified
-    with pytest.raises(dehyst.ModelError, match="a trajectory and no repeats"):
+    with pytest.raises(dehyst.ModelError, match="got 0 and a trajectory"):
         insight(actuator, record, trajectory=[1e-6, 2e-6], repeats=0)

@@ -24,9 +24,6 @@ from dehyst.console import (
     json_option,
     lagging,
     path_of,
-    print_fit,
-    print_insight,
-    print_paper,
     progress_line,
     range_words,
     read_records,
@@ -36,6 +33,7 @@ from dehyst.console import (
     state_dict,
     time_of_table,
 )
+from dehyst.printing import print_fit, print_insight, print_paper
 from dehyst.version import __version__
 
 
@@ -235,14 +233,16 @@ def insight(
 
     if output is not None and trajectory is None:
         raise ModelError("-o: got no trajectory, need one to write its band; give --trajectory")
+    if wanted is not None and trajectory is None:
+        raise ModelError(f"--wanted: got '{wanted}' and no trajectory; give --trajectory, the file with this column")
     refuse_overwriting([model, *records, *([trajectory] if trajectory else [])], output, report)
     actuator = Actuator.load(model)
     tell = progress_line()
     path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted)
     found = run(actuator, read_records(records, columns), trajectory=path, limits=limits, seconds=seconds,
                 level=level, repeats=repeats, progress=tell)  # fmt: skip
-    if output is not None and found.band is not None and path is not None:
-        write_columns(output, {**time, "wanted_um": path * 1e6, **found.band.columns()})
+    if output is not None and found.band is not None:
+        write_columns(output, {**time, **found.band.columns()})
     if report is not None:
         from dehyst.insight_page import write_insight
 

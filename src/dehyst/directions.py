@@ -70,6 +70,13 @@ class Directions:
         """Changes of the stiffnesses, each (N,), that the records do not notice, of as few elements as can be."""
         return self._sparse(self.vectors[self.determined :], friction=False)
 
+    @property
+    def alone(self) -> NDArray[np.bool_]:
+        """(N,) elements whose stiffness the records tell by itself, no open change touching it."""
+        touched = np.zeros(self.movable.size, dtype=bool)
+        touched[self.movable] = np.linalg.norm(self.vectors[self.determined :], axis=0) > _SMALL
+        return self.movable & ~touched
+
     def sentences(self) -> tuple[str, ...]:
         """What is known and what is not, in words: ``k_3 + k_7 is known, k_3 - k_7 is not``."""
         if not self.of:

@@ -93,6 +93,8 @@ def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float |
 def read_table(path: PathLike) -> Table:
     """Read all numeric columns of a file whose kind follows from its suffix; raises as `read` does."""
     path = Path(path)
+    if path.is_dir():
+        raise FileFormatError(f"{path}: is a folder; give the files in it by name")
     load = LOADERS.get(path.suffix.lower())
     if load is None:
         raise FileFormatError(f"{path}: unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}")

@@ -298,6 +298,8 @@ class _Job:
             error, trace = errors_of(actuator, item, protocol)
             errors.append(error)
             traces.append(trace)
+        missed = max(error.largest for error in errors[: len(self.training)])
+        actuator = replace(actuator, provenance={**actuator.provenance, "largest_error_m": missed})
         imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
         floor = regression.floor if self.settings.method == "record" or imposed else None
         checked = checks(actuator, records, errors, floor=floor, imposed=imposed)

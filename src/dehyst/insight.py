@@ -11,77 +11,29 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, vector
-from dehyst.actuator import Actuator
+from dehyst.actuator import Actuator, interval
 from dehyst.advice import Suggestion, advise
+from dehyst.band import Band, homed
 from dehyst.bracket import Bracket, known_by_displacement
 from dehyst.compensator import Compensator
 from dehyst.directions import Directions
 from dehyst.elements import MaxwellSlip
 from dehyst.evidence import Evidence
 from dehyst.homing import Homing, shortest_homing
-from dehyst.intervals import Intervals, resample
+from dehyst.intervals import LEAST_REPEATS, Intervals, resample
 from dehyst.latitude import Latitude, latitude
 from dehyst.metrics import largest
-from dehyst.model import State
 from dehyst.record import Record
 
 Progress = Callable[[str], None]
 # An element that holds less of the voltage than this has nothing to be homed for.
 _SMALL = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class Band:
-    """Where the displacement of a trajectory may be, in metres on the model's axis.
-
-    Attributes
-    ----------
-    voltage, displacement : (n,) array
-        Played [V], and what the model does with it.
-    noise : (2, n) array
-        Lowest and highest prediction of models identified from resampled cycles.
-    open : (2, n) array
-        Lowest and highest prediction of models that the records do not contradict.
-    misfit : float
-        The largest error of the model on these records [m]: what no model of its class may be able to follow.
-    warnings : tuple of str
-        What was clamped or extrapolated.
-    """
-
-    voltage: Array
-    displacement: Array
-    noise: Array
-    open: Array
-    misfit: float
-    warnings: tuple[str, ...]
-
-    @property
-    def lowest(self) -> Array:
-        """(n,) lowest displacement to be expected [m]: the lower of both bands, less the misfit."""
-        return np.asarray(np.minimum(self.noise[0], self.open[0]) - self.misfit)
-
-    @property
-    def highest(self) -> Array:
-        """(n,) highest displacement to be expected [m]."""
-        return np.asarray(np.maximum(self.noise[1], self.open[1]) + self.misfit)
-
-    @property
-    def error(self) -> float:
-        """The largest error to be expected [m]."""
-        return max(largest(self.highest - self.displacement), largest(self.displacement - self.lowest))
-
-    def columns(self) -> dict[str, Array]:
-        """Columns for a file, in volts and micrometres."""
-        return {"voltage_V": self.voltage, "expected_um": self.displacement * 1e6, "lowest_um": self.lowest * 1e6,
-                "highest_um": self.highest * 1e6}  # fmt: skip
-
-    def errors(self) -> dict[str, float]:
-        """Largest errors [m] that noise, open directions and the model's misfit may cause, and all together."""
-
-        def off(band: Array) -> float:
-            return largest(np.maximum(band[1] - self.displacement, self.displacement - band[0]))
-
-        return {"noise": off(self.noise), "open": off(self.open), "misfit": self.misfit, "all": self.error}
+# A model that misses records by more than this part of their range [%] is no model of them.
+_MISSED = 5.0
+# Nor is one that misses them by more than this [%] and this many times as far as those it was identified from.
+_WORTH, _TIMES = 0.5, 3.0
+# Limits may be wider than the recorded voltages by this part, for a rounded number's sake.
+_WIDER = 0.01
 
 
 @dataclass(frozen=True)
@@ -121,6 +73,10 @@ class Insight:
         None if the model has no voltage limits.
     band : Band or None
         If a trajectory was given.
+    misfit : float
+        The largest error of the model on these records [m].
+    limits : (float, float) or None
+        Voltages allowed [V].
     """
 
     actuator: Actuator
@@ -132,6 +88,8 @@ class Insight:
     knowledge: tuple[Knowledge, ...]
     homing: Homing | None
     band: Band | None
+    misfit: float
+    limits: tuple[float, float] | None
 
     @property
     def stiffness(self) -> Array | None:
@@ -148,23 +106,55 @@ class Insight:
 
     def warnings(self) -> tuple[str, ...]:
         """What must be known before the model is used."""
-        said = []
+        said = (self._of_another(), self._open(), self._beyond())
+        return (*(one for one in said if one), *(() if self.band is None else self._band_warnings(self.band)))
+
+    def _of_another(self) -> str | None:
+        stroke, range_ = self.evidence.stroke, float(np.ptp(self.actuator.spring.displacement))
+        missed, own = 100 * self.misfit / stroke, self.actuator.provenance.get("largest_error_m", np.inf)
+        if missed <= _MISSED and not (missed > _WORTH and self.misfit > _TIMES * own):
+            return None
+        return (
+            f"The model misses these records by up to {missed:.3g} % of their range, {stroke * 1e6:.4g} um (its own is "
+            f"{range_ * 1e6:.4g} um): they are of another actuator, or in other units. Nothing below holds for them."
+        )
+
+    def _open(self) -> str | None:
+        if self.trustworthy:
+            return None
         told = self.directions
-        if not self.trustworthy:
-            next_ = f" Add {self.advice[0].words}." if self.advice else ""
+        next_ = f" Add {self.advice[0].words}." if self.advice else ""
+        return (
+            f"{told.of - told.determined} of {told.of} directions of the stiffnesses are open: motions that turn "
+            f"elsewhere than the records do may be predicted wrongly.{next_}"
+        )
+
+    def _beyond(self) -> str | None:
+        recorded = self.actuator.limits
+        if recorded is None or self.limits is None:
+            return None
+        over = max(recorded[0] - self.limits[0], self.limits[1] - recorded[1])
+        if over <= _WIDER * (recorded[1] - recorded[0]):
+            return None
+        return (
+            f"The limits, {self.limits[0]:.6g} to {self.limits[1]:.6g} V, go {over:.4g} V beyond those of the records, "
+            f"{recorded[0]:.6g} to {recorded[1]:.6g} V: what is said of voltages there is extrapolated."
+        )
+
+    def _band_warnings(self, band: Band) -> list[str]:
+        said = list(band.warnings)
+        parts = {name: 100 * error / self.evidence.stroke for name, error in band.errors().items()}
+        if parts["open"] > max(parts["misfit"], parts["noise"], 0.1) and not self.trustworthy:
             said.append(
-                f"{told.of - told.determined} of {told.of} directions of the stiffnesses are open: motions that turn "
-                f"elsewhere than the records do may be predicted wrongly.{next_}"
+                f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the range; the "
+                f"model misses its own records by {parts['misfit']:.2g} % only, which says nothing of it."
             )
-        if self.band is not None:
-            stroke = self.evidence.stroke
-            parts = {name: 100 * error / stroke for name, error in self.band.errors().items()}
-            if parts["open"] > max(parts["misfit"], parts["noise"], 0.1) and not self.trustworthy:
-                said.append(
-                    f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the range; the "
-                    f"model misses its own records by {parts['misfit']:.2g} % only, which says nothing of it."
-                )
-        return tuple(said)
+        if self.homing is not None and not self.homing.certified:
+            said.append(
+                "The trajectory is taken to start after a rise through all of the limits, which does not make the "
+                f"state known ({'; '.join(self.homing.remarks)}): what was done before may show in it."
+            )
+        return said
 
     def as_dict(self) -> dict[str, Any]:
         """JSON values; lengths in metres."""
@@ -172,6 +162,7 @@ class Insight:
         return {
             **self.evidence.as_dict(),
             "warnings": list(self.warnings()),
+            "misfit_m": self.misfit,
             "directions": {"determined": told.determined, "of": told.of,
                            "singular_values_V_per_V": told.values.tolist(),
                            "open": [change.tolist() for change in told.open],
@@ -195,8 +186,7 @@ class Insight:
                 "turns_V": list(self.homing.turns), "travel_V": self.homing.travel, "certified": self.homing.certified,
                 "width_m": self.homing.width, "remarks": list(self.homing.remarks)},
             "trajectory": None if self.band is None else {
-                **{f"{name}_m": error for name, error in self.band.errors().items()},
-                "warnings": list(self.band.warnings)},
+                f"{name}_m": error for name, error in self.band.errors().items()},
         }  # fmt: skip
 
 
@@ -241,43 +231,40 @@ def insight(
     ModelError
         If a trajectory is given without repeats, or is no path.
     """
-    if trajectory is not None and not repeats:
-        raise ModelError("got a trajectory and no repeats, need 20 repeats at least to say how wrong it may come out")
+    _check(trajectory is not None, repeats, level)
     progress("reading the records beside the model")
     evidence = Evidence.of(actuator, records)
-    allowed = actuator.limits if limits is None else limits
-    wanted = None if trajectory is None else vector(trajectory, "trajectory")
-    start = _homed(actuator, allowed)
+    allowed = actuator.limits if limits is None else interval(limits)
+    start = homed(actuator, allowed)
     command = None
+    wanted = None if trajectory is None else vector(trajectory, "trajectory")
     if wanted is not None:
         command = Compensator(actuator, allowed).trajectory(wanted, state=start)
-    free = intervals = None
+    misfit = _misfit(evidence)
+    free = intervals = band = None
     if repeats:
         intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
         progress("looking for models that the records do not contradict")
         free = latitude(evidence, None if command is None else command.displacement, start)
-    band = None
-    if command is not None and intervals is not None and free is not None:
-
-        def state(model: Actuator) -> State:
-            return _homed(model, allowed)
-
-        voltage = command.voltage
-        band = Band(voltage, command.displacement, intervals.prediction(voltage, state),
-                    free.prediction(voltage, state), _misfit(evidence), command.warnings)  # fmt: skip
+        if wanted is not None and command is not None:
+            band = Band.of(wanted, command, intervals, free, misfit=misfit, limits=allowed)
     progress("ranking excitations")
     advice = () if allowed is None else advise(evidence, limits=allowed, seconds=seconds)
     homing = None if allowed is None else shortest_homing(actuator, limits=allowed, present=allowed[0], stiff_only=True)
     known = tuple(_knowledge(evidence, number) for number in range(len(evidence.comparisons)))
-    return Insight(actuator, evidence, evidence.directions, intervals, free, advice, known, homing, band)
+    return Insight(actuator, evidence, evidence.directions, intervals, free, advice, known, homing, band, misfit,
+                   allowed)  # fmt: skip
 
 
-def _homed(actuator: Actuator, limits: tuple[float, float] | None) -> State:
-    """The state at the top of the limits, after a rise through all of them."""
-    ends = actuator.spring.displacement[[0, -1]]
-    if limits is None:
-        return actuator.turned(float(ends[1]))
-    return actuator.simulate(np.array(limits), state=actuator.turned(float(ends[0]), rising=False)).state
+def _check(trajectory: bool, repeats: int, level: float) -> None:
+    if repeats < 0 or 0 < repeats < LEAST_REPEATS:
+        raise ModelError(f"repeats: got {repeats}, need {LEAST_REPEATS} at least, or 0 to leave out the intervals")
+    if not 0 < level < 1:
+        raise ModelError(f"level: got {level}, need a number between 0 and 1, e.g. 0.9")
+    if trajectory and not repeats:
+        raise ModelError(
+            f"repeats: got 0 and a trajectory, need {LEAST_REPEATS} at least to say how wrong it may come out"
+        )
 
 
 def _misfit(evidence: Evidence) -> float:

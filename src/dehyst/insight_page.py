@@ -9,6 +9,7 @@ from os import PathLike
 import numpy as np
 
 from dehyst import plot_insight
+from dehyst.band import ERRORS
 from dehyst.files import write_atomically
 from dehyst.insight import Insight
 from dehyst.page import Row, document, figure, length, number, panel, table
@@ -56,7 +57,7 @@ def _verdict(found: Insight) -> str:
     if not warnings:
         text = "The records tell every direction of the stiffnesses that loops can tell."
         return f'<p class="outcome green"><strong>Determined</strong> {text}</p>'
-    return f'<p class="outcome amber"><strong>Beware</strong> {escape(" ".join(warnings))}</p>'
+    return f'<p class="outcome amber"><strong>Beware</strong> {"<br>".join(map(escape, warnings))}</p>'
 
 
 def _told(found: Insight) -> str:
@@ -90,23 +91,32 @@ def _numbers(found: Insight) -> str:
     spring = panel(("Parallel spring", ""), plot_insight.spring_intervals(found, name="spring-interval"), "")
     slip = found.actuator.slip
     rows: list[Row] = [
-        (str(i), number(rho * 1e6, 4), number(kappa * 1e-6, 4), _pair(noise * 1e-6), _pair(free * 1e-6))
-        for i, (rho, kappa, noise, free) in enumerate(
-            zip(slip.breakaway, slip.stiffness, found.intervals.stiffness.T, found.latitude.stiffness.T, strict=True), 1
-        )
+        (str(i), number(rho * 1e6, 4), number(kappa * 1e-6, 4), *_ranges(found, i - 1))
+        for i, (rho, kappa) in enumerate(zip(slip.breakaway, slip.stiffness, strict=True), 1)
     ]
     level = f"{100 * found.intervals.level:.0f} %"
     head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "not contradicted")
     caption = (
         f"By noise: {level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles, their "
-        "bias taken off, so that an interval need not hold the model's own value. Not contradicted: the least and the "
-        "largest value among all models that meet the records nearly as well as this one. A stiffness may be uncertain "
+        "bias taken off, so that an interval need not hold the model's own value; an open stiffness is not told by "
+        "itself, whatever the noise. Not contradicted: the least and the largest value among all models that meet the "
+        "records nearly as well as this one. A stiffness may be uncertain "
         "while a sum of neighbours is sharp; what counts for a motion is the band along its trajectory."
     )
     numbers = (
         f"<details>\n<summary>The intervals' numbers</summary>\n<div>{table(head, rows, texts=0)}</div>\n</details>"
     )
     return figure("How sharp the numbers are", caption, [stiffness, spring]) + "\n" + numbers
+
+
+def _ranges(found: Insight, i: int) -> tuple[str, str]:
+    """An element's interval by noise, and what the records do not contradict."""
+    assert found.intervals is not None
+    assert found.latitude is not None
+    if not found.directions.movable[i]:
+        return "", "never slides"
+    noise = _pair(found.intervals.stiffness[:, i] * 1e-6) if found.directions.alone[i] else "open"
+    return noise, _pair(found.latitude.stiffness[:, i] * 1e-6)
 
 
 def _pair(ends: Sequence[float] | np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
@@ -117,18 +127,17 @@ def _band(found: Insight) -> str:
     if found.band is None:
         return ""
     stroke, errors = found.evidence.stroke, found.band.errors()
-    names = {"noise": "noise and finite records", "open": "models that the records do not contradict",
-             "misfit": "largest misfit on the records themselves", "all": "all together"}  # fmt: skip
     rows: list[Row] = [
-        (names[key], f"{number(100 * error / stroke)} %", length(error)) for key, error in errors.items()
+        (ERRORS[key], f"{number(100 * error / stroke)} %", length(error))
+        for key, error in errors.items()
+        if error or key != "clamped"
     ]
-    said = "".join(f'<p class="muted">{escape(warning)}</p>\n' for warning in found.band.warnings)
     drawn = panel(("Along the trajectory", ""), plot_insight.band(found.band, stroke, name="band"), "")
     body = (
         f'<div class="panel"><h3>Largest error to be expected</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
     )
     caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
-    return figure("The trajectory", caption, [drawn, body]) + f"\n{said}"
+    return figure("The trajectory", caption, [drawn, body])
 
 
 def _next(found: Insight) -> str:

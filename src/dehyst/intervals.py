@@ -29,6 +29,8 @@ from dehyst.regression import Coefficients
 from dehyst.signals import turning_points
 from dehyst.verify import Comparison
 
+# Fewer models have no tails.
+LEAST_REPEATS = 20
 _MOST_ROWS = 20_000
 # Sets of records that show what noise alone makes of the legs' mean residuals.
 _TRIALS = 10
@@ -68,7 +70,12 @@ class Intervals:
     @property
     def stiffness(self) -> Array:
         """Lowest and highest kappa_i, (2, N) [V/m]; never below 0."""
-        return np.maximum(self._basic(self.actuator.slip.stiffness, [a.slip.stiffness for a in self.actuators]), 0.0)
+        centre, every = self.actuator.slip.stiffness, np.array([a.slip.stiffness for a in self.actuators])
+        ends = np.maximum(self._basic(centre, list(every)), 0.0)
+        # At the bound all deviations are upward, and turning them round would say that it cannot be anything else.
+        bound, factor = centre == 0, self.spread * self.few
+        ends[0, bound], ends[1, bound] = 0.0, factor * np.quantile(every[:, bound], 0.5 * (1 + self.level), axis=0)
+        return ends
 
     @property
     def slopes(self) -> Array:
@@ -120,8 +127,11 @@ def resample(
     IdentifyError
         If the level is not between 0 and 1, or there are fewer than 20 repeats.
     """
-    if not 0 < level < 1 or repeats < 20:
-        raise IdentifyError(f"got level {level} and {repeats} repeats, need a level between 0 and 1 and 20 repeats")
+    if not 0 < level < 1 or repeats < LEAST_REPEATS:
+        raise IdentifyError(
+            f"got level {level} and {repeats} repeats, "
+            f"need a level between 0 and 1 and at least {LEAST_REPEATS} repeats"
+        )
     random = np.random.default_rng(seed)
     worlds = [_World(one, evidence.actuator) for one in evidence.comparisons]
     again = _Again(evidence)
@@ -135,7 +145,7 @@ def resample(
             answer = again.identified([world.resampled(random, share) for world in worlds])
             if answer.solution.optimal:
                 found.append(evidence.actuator_of(answer))
-    if len(found) < 20:
+    if len(found) < LEAST_REPEATS:
         raise IdentifyError(f"only {len(found)} of {repeats} resampled records could be identified; record more cycles")
     return Intervals(evidence.actuator, tuple(found), level, spread, _few(worlds, level))
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dehyst._native import Array
+from dehyst.band import Band
 from dehyst.directions import Directions
-from dehyst.insight import Band, Insight
+from dehyst.insight import Insight
 from dehyst.plot import FALLING, INK, MEASURED, SIMULATED, inline, length_unit
 
 if TYPE_CHECKING:
@@ -39,16 +40,16 @@ def singular_values(told: Directions, *, name: str) -> str:
 
 def stiffness_intervals(found: Insight, *, name: str) -> str:
     """Each stiffness with its interval by noise, and behind it what the records do not contradict."""
-    slip, noise, free = found.actuator.slip, found.intervals, found.latitude
+    slip, noise, free, alone = found.actuator.slip, found.intervals, found.latitude, found.directions.alone
     factor, unit = length_unit(float(slip.breakaway[-1]))
 
     def draw(ax: Axes) -> None:
         rho = slip.breakaway * factor
         if free is not None:
             ax.vlines(rho, *free.stiffness * 1e-6, color=_FREE, lw=5, label="not contradicted")
-        if noise is not None:
-            low, high = noise.stiffness * 1e-6
-            ax.vlines(rho, low, high, color=SIMULATED, lw=1.6, label=f"{100 * noise.level:.0f} % by noise")
+        if noise is not None and alone.any():
+            low, high = noise.stiffness[:, alone] * 1e-6
+            ax.vlines(rho[alone], low, high, color=SIMULATED, lw=1.6, label=f"{100 * noise.level:.0f} % by noise")
         ax.plot(rho, slip.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model", clip_on=False)
         ax.set(xlabel=f"breakaway elongation ({unit})", ylabel="stiffness (V/µm)")
         ax.set_xlim(0, 1.05 * float(rho[-1]))
@@ -86,10 +87,10 @@ def band(found: Band, stroke: float, *, name: str) -> str:
     sample = np.arange(found.displacement.size)
 
     def percent(edge: Array) -> Array:
-        return np.asarray(100 * (edge - found.displacement) / stroke)
+        return np.asarray(100 * (edge - found.wanted) / stroke)
 
     def draw(upper: Axes, lower: Axes) -> None:
-        upper.plot(sample, found.displacement * factor, color=MEASURED, lw=1)
+        upper.plot(sample, found.wanted * factor, color=MEASURED, lw=1)
         upper.set_ylabel(f"displacement ({unit})")
         lower.fill_between(sample, percent(found.lowest), percent(found.highest), color="#E5E5E5", lw=0, label="all")
         lower.fill_between(sample, percent(found.open[0]), percent(found.open[1]), color="#AAAAAA", lw=0,

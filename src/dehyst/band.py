@@ -1,0 +1,103 @@
+"""Where the displacement of a trajectory may be when its compensating voltage is played."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dehyst._native import Array
+from dehyst.actuator import Actuator
+from dehyst.compensator import Command
+from dehyst.intervals import Intervals
+from dehyst.latitude import Latitude
+from dehyst.metrics import largest
+from dehyst.model import State
+
+# What each of `Band.errors` comes from.
+ERRORS = {
+    "noise": "noise and finite records",
+    "open": "models that the records do not contradict",
+    "misfit": "largest misfit on the records themselves",
+    "clamped": "voltages that are not allowed",
+    "all": "all together",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Where the displacement of a trajectory may be, in metres on the model's axis.
+
+    Attributes
+    ----------
+    wanted : (n,) array
+        The path to follow [m].
+    voltage, displacement : (n,) array
+        Played [V], within the limits, and what the model does with it: the wanted path, but where it was clamped.
+    noise : (2, n) array
+        Lowest and highest prediction of models identified from resampled cycles.
+    open : (2, n) array
+        Lowest and highest prediction of models that the records do not contradict.
+    misfit : float
+        The largest error of the model on these records [m]: what no model of its class may be able to follow.
+    warnings : tuple of str
+        What was clamped or extrapolated.
+    """
+
+    wanted: Array
+    voltage: Array
+    displacement: Array
+    noise: Array
+    open: Array
+    misfit: float
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, wanted: Array, command: Command, intervals: Intervals, free: Latitude, *, misfit: float,
+        limits: tuple[float, float] | None,
+    ) -> Band:  # fmt: skip
+        """Play a command on every model that might be the true one, each homed by a rise through the limits."""
+
+        def state(model: Actuator) -> State:
+            return homed(model, limits)
+
+        noise, free_ = intervals.prediction(command.voltage, state), free.prediction(command.voltage, state)
+        return cls(wanted, command.voltage, command.displacement, noise, free_, misfit, command.warnings)
+
+    @property
+    def lowest(self) -> Array:
+        """(n,) lowest displacement to be expected [m]: the lower of both bands, less the misfit."""
+        return np.asarray(np.minimum(self.noise[0], self.open[0]) - self.misfit)
+
+    @property
+    def highest(self) -> Array:
+        """(n,) highest displacement to be expected [m]."""
+        return np.asarray(np.maximum(self.noise[1], self.open[1]) + self.misfit)
+
+    @property
+    def error(self) -> float:
+        """The largest distance from the wanted path to be expected [m]."""
+        return max(largest(self.highest - self.wanted), largest(self.wanted - self.lowest))
+
+    def columns(self) -> dict[str, Array]:
+        """Columns for a file, in volts and micrometres."""
+        return {"wanted_um": self.wanted * 1e6, "voltage_V": self.voltage, "expected_um": self.displacement * 1e6,
+                "lowest_um": self.lowest * 1e6, "highest_um": self.highest * 1e6}  # fmt: skip
+
+    def errors(self) -> dict[str, float]:
+        """Largest errors [m] that noise, open directions, the misfit and clamping may cause, and all together."""
+
+        def off(band: Array) -> float:
+            return largest(np.maximum(band[1] - self.displacement, self.displacement - band[0]))
+
+        return {"noise": off(self.noise), "open": off(self.open), "misfit": self.misfit,
+                "clamped": largest(self.displacement - self.wanted), "all": self.error}  # fmt: skip
+
+
+def homed(actuator: Actuator, limits: tuple[float, float] | None) -> State:
+    """The state at the top of the limits, after a rise through all of them; at that of the spring without limits."""
+    ends = actuator.spring.displacement[[0, -1]]
+    if limits is None:
+        return actuator.turned(float(ends[1]))
+    return actuator.simulate(np.array(limits), state=actuator.turned(float(ends[0]), rising=False)).state

@@ -1,0 +1,145 @@
+"""What commands print: a fit, what records tell, the paper's experiment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from dehyst.insight import Insight
+    from dehyst.model import Fit
+    from dehyst.paper import Paper
+
+
+def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
+    """Print what an identification found."""
+    click.echo(fit.outcome.value)
+    if fit.errors:
+        width = max(6, *(len(error.record) for error in fit.errors))
+        click.echo(
+            f"\n{'':<{width}}  {'':<10} {'':>8} {'':>8}  {'of the stroke':^18}  {'':^18}  {'with its drift':^18}"
+        )
+        click.echo(
+            f"{'record':<{width}}  {'role':<10} {'samples':>8} {'left out':>8}" + 3 * f"  {'largest':>9}{'RMS':>9}"
+        )
+    for error in fit.errors:
+        drift, rms = 100 * error.largest_with_drift / error.stroke, 100 * error.rms_with_drift / error.stroke
+        click.echo(
+            f"{error.record:<{width}}  {error.role:<10} {error.samples:>8} {error.left_out:>8}"
+            f"  {error.largest_percent:>7.3f} %{error.rms_percent:>7.3f} %"
+            f"  {error.largest * 1e9:>6.0f} nm{error.rms * 1e9:>6.0f} nm  {drift:>7.3f} %{rms:>7.3f} %"
+        )
+    for title, sentences in (("Repaired or left out", fit.repairs), ("To know", fit.remarks)):
+        if sentences:
+            click.echo(f"\n{title}:")
+            for sentence in sentences:
+                click.echo(f"  - {sentence}")
+    click.echo(f"\nSolver: {fit.status}, duality gap {fit.gap:.1g}")
+    for name, path in (("Model", output if fit.actuator is not None else None), ("Report", report)):
+        if path is not None:
+            click.echo(f"{name}: {path}")
+
+
+def print_insight(found: Insight, output: Path | None, report: Path | None) -> None:
+    """Print what records tell, in the order in which it matters."""
+    for warning in found.warnings():
+        click.echo(f"BEWARE: {warning}\n")
+    told, missed = found.directions, 100 * found.misfit / found.evidence.stroke
+    click.echo(f"The model misses these records by {missed:.3g} % of their range at most.")
+    click.echo(f"Known of the stiffnesses: {told.determined} of {told.of} directions")
+    for sentence in _first_few(told.sentences()):
+        click.echo(f"  - {sentence}")
+    values = " ".join(f"{value:.2g}" for value in told.values)
+    click.echo(f"  singular values, V a volt of breakaway voltage: {values}")
+    _print_stiffnesses(found)
+    _print_band(found)
+    if found.advice:
+        click.echo("\nTo record next, best first:")
+        for one in found.advice[:3]:
+            click.echo(f"  - {one.words}: {one.determined} of {one.of} in {one.seconds:.4g} s\n      {one.command}")
+    elif told.determined == told.of:
+        click.echo("\nTo record next: nothing; no loop tells more directions.")
+    click.echo("\nState, if nothing is known before:")
+    for known in found.knowledge:
+        seen, played = (_moment(t) for t in (known.by_displacement, known.by_voltage))
+        click.echo(
+            f"  - {known.record}: known {seen} to one who sees the displacement, {played} from the voltage alone"
+        )
+    if found.homing is not None:
+        turns = ", ".join(f"{v:.6g}" for v in found.homing.turns)
+        word = "certified" if found.homing.certified else "NOT certified"
+        click.echo(f"  - shortest homing: {turns} V ({word}: from any state to within {found.homing.width:.1g} m)")
+        for remark in found.homing.remarks:
+            click.echo(f"      {remark}")
+    for name, path in (("Band", output), ("Report", report)):
+        if path is not None:
+            click.echo(f"{name}: {path}")
+
+
+def _first_few(sentences: tuple[str, ...], most: int = 12) -> tuple[str, ...]:
+    return sentences if len(sentences) <= most else (*sentences[:most], f"and {len(sentences) - most} more (--json)")
+
+
+def _moment(seconds: float | None) -> str:
+    return "never" if seconds is None else f"after {seconds:.4g} s"
+
+
+def _print_stiffnesses(found: Insight) -> None:
+    if found.intervals is None or found.latitude is None:
+        return
+    slip, level = found.actuator.slip, 100 * found.intervals.level
+    click.echo(f"\n  i  breakaway  stiffness   {level:.0f} % by noise          what the records do not contradict")
+    click.echo("            um       V/um           V/um                 V/um")
+    alone, movable = found.directions.alone, found.directions.movable
+    for i, (rho, kappa) in enumerate(zip(slip.breakaway * 1e6, slip.stiffness * 1e-6, strict=True)):
+        if not movable[i]:
+            click.echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   never slides: one with the spring")
+            continue
+        noise = _ends(found.intervals.stiffness[:, i]) if alone[i] else "open"
+        free = _ends(found.latitude.stiffness[:, i])
+        click.echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   {noise:<22}{free}")
+    click.echo("By noise: what noise biased is taken off, so that an interval need not hold the model's own value.")
+    if not alone[movable].all():
+        click.echo("Open: by itself not told by these records, whatever their noise; the last column says how far.")
+
+
+def _ends(pair: Any) -> str:
+    return f"{pair[0] * 1e-6:>8.4g} to {pair[1] * 1e-6:<8.4g}"
+
+
+def _print_band(found: Insight) -> None:
+    if found.band is None:
+        return
+    from dehyst.band import ERRORS
+
+    stroke = found.evidence.stroke
+    click.echo("\nError to be expected on the trajectory, largest, in % of the range:")
+    for name, error in found.band.errors().items():
+        if error or name != "clamped":
+            click.echo(f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm")
+
+
+def print_paper(found: Paper, output: Path) -> None:
+    """Print the paper's numbers beside ours, for the virtual actuator and for one whose loop has a symmetric width."""
+    from dehyst.paper_tables import summary
+
+    titles = {
+        "asymmetric": "Virtual E-280.10",
+        "symmetric": "The same without its asymmetric map: what is left is the method's, not the model class's",
+    }
+    for key, experiment in found.experiments.items():
+        click.echo(f"{titles[key]} (errors against the truth)")
+        click.echo(f"  {'':<42}{'paper':>9}{'ours, by':>12}{'ours, whole':>13}{'with more':>12}{'Goldfarb,':>12}")
+        click.echo(f"  {'':<42}{'':>9}{'its method':>12}{'record':>13}{'loops':>12}{'relaxed':>12}")
+        for row in summary(experiment):
+            cells = [row.models.get(name) for name in ("breakpoints", "record", "record_tops", "goldfarb")]
+            if row.actuator is not None:
+                cells = [row.actuator, None, None, None] if not row.models else cells
+            written = [("" if value is None else f"{value:.3f}") for value in (row.paper, *cells)]
+            unit = "um" if row.unit == "µm" else row.unit
+            click.echo(f"  {row.words + ', ' + unit:<42}" + "".join(
+                f"{text:>{width}}" for text, width in zip(written, (9, 12, 13, 12, 12), strict=True)))  # fmt: skip
+        click.echo("")
+    click.echo(f"Written to {output}/: open index.html")
