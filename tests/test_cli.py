@@ -308,4 +308,4 @@ def test_impossible_options_of_insight_are_named(folder, arguments, said):
 def test_a_folder_is_no_record(folder):
     status, _, err = run("insight", "model.json", ".", cwd=folder)
     assert status == 2
-    assert "is a folder" in err
+    assert "this is a folder" in err

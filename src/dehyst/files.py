@@ -94,7 +94,7 @@ def read_table(path: PathLike) -> Table:
     """Read all numeric columns of a file whose kind follows from its suffix; raises as `read` does."""
     path = Path(path)
     if path.is_dir():
-        raise FileFormatError(f"{path}: is a folder; give the files in it by name")
+        raise FileFormatError(f"{path}: this is a folder; give one of the files in it")
     load = LOADERS.get(path.suffix.lower())
     if load is None:
         raise FileFormatError(f"{path}: unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}")
