@@ -1,11 +1,15 @@
-"""The virtual actuator: hysteretic, seeded, and no instance of the model."""
+"""The virtual actuators: hysteretic, seeded, and no instances of the models."""
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from strategies import SEEDS
 
 import dehyst
 from dehyst import excite
-from dehyst.truths import PlayActuator
+from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator
 
 
 def test_the_major_loop_spans_the_stroke_and_closes():
@@ -38,3 +42,172 @@ def test_noise_is_seeded_and_of_the_stated_size():
 def test_a_map_that_falls_is_refused():
     with pytest.raises(dehyst.ModelError, match="the map must increase"):
         PlayActuator(asymmetry=2.0)
+
+
+KINDS = [PlayActuator, PreisachActuator, BoucWenActuator]
+TIMELESS = [PlayActuator, PreisachActuator]
+
+
+def slowly(truth, voltage, seconds=1.0):
+    """Displacement [m] without noise, a sample each `seconds`."""
+    return truth.drive(voltage, time=seconds * np.arange(1, len(voltage) + 1), measured=False)
+
+
+def legs(turns, samples=200):
+    """Voltage through turning points, straight."""
+    return np.concatenate([[turns[0]], *(np.linspace(a, b, samples + 1)[1:] for a, b in pairwise(turns))])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_major_loop_is_as_high_as_stated_and_as_wide_as_a_piezos(kind):
+    truth = kind()
+    y = slowly(truth, legs([0, 200] * 3 + [0]))
+    loop = y[800:]
+    up, down = loop[:201], loop[200:401][::-1]
+    assert loop.min() == pytest.approx(0, abs=1e-4 * truth.stroke)
+    assert loop.max() == pytest.approx(truth.stroke, rel=1e-4)
+    assert 0.13 < (down - up).max() / truth.stroke < 0.18
+    assert np.all(np.diff(up) > 0)
+    assert np.all(np.diff(down) > 0)
+    np.testing.assert_allclose(loop, y[400:801], rtol=0, atol=1e-4 * truth.stroke)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_drive_goes_on_where_the_last_one_ended(kind):
+    options = {"creep": 0.02} if kind is PlayActuator else {}
+    voltage = legs([0, 200, 30, 120, 0, 170], 37)
+    time = np.cumsum(np.random.default_rng(1).uniform(1e-4, 2e-3, voltage.size))
+    whole = kind(**options).drive(voltage, time=time)
+    parts = kind(**options)
+    cut = [parts.drive(voltage[a:b], time=time[a:b]) for a, b in pairwise([0, 2, 50, 51, voltage.size])]
+    np.testing.assert_allclose(np.concatenate(cut), whole, rtol=0, atol=1e-11 * parts.stroke)
+    parts.relax()
+    np.testing.assert_allclose(
+        slowly(parts, voltage), slowly(kind(**options), voltage), rtol=0, atol=1e-12 * parts.stroke
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_at_rest_it_rests(kind):
+    truth = kind(**({"creep": 0.02} if kind is PlayActuator else {}))
+    y = truth.drive(np.zeros(50), time=np.arange(50) * 1e-3, measured=False)
+    np.testing.assert_allclose(y, y[0], rtol=0, atol=1e-14)
+
+
+@settings(max_examples=20)
+@pytest.mark.parametrize("kind", TIMELESS)
+@given(SEEDS)
+def test_rate_independence(kind, seed):
+    turns = np.random.default_rng(seed).uniform(-20, 220, 12)
+    fine = kind().drive(legs(turns, 7), measured=False)
+    np.testing.assert_allclose(fine[::7], kind().drive(turns, measured=False), rtol=0, atol=1e-12 * 16e-6)
+
+
+@settings(max_examples=20)
+@pytest.mark.parametrize("kind", TIMELESS)
+@given(SEEDS)
+def test_wiping_out(kind, seed):
+    """A loop within the last one, closed again, leaves no trace."""
+    rng = np.random.default_rng(seed)
+    low, high = np.sort(rng.uniform(0, 200, 2))
+    within = rng.uniform(low, high, 9)
+    after = rng.uniform(0, 200, 15)
+    start = [250.0, low, high]
+    one = kind().drive([*start, *within, low, high, *after], measured=False)[-15:]
+    other = kind().drive([*start, *after], measured=False)[-15:]
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * 16e-6)
+
+
+def test_the_bouc_wen_equation_has_no_wiping_out_but_hardly_knows_a_rate_when_slow():
+    voltage = legs([0, 200, 0, 120, 40, 120, 0])
+    slow, slower = slowly(BoucWenActuator(), voltage), slowly(BoucWenActuator(), voltage, 100.0)
+    np.testing.assert_allclose(slow, slower, rtol=0, atol=2e-6 * 16e-6)
+
+
+def test_relays_switched_one_by_one_on_a_grid_say_the_same():
+    truth = PreisachActuator(noise=0)
+    rng = np.random.default_rng(4)
+    voltage = np.concatenate([[-90.0, 290.0, -90.0], rng.uniform(-90, 290, 60)])
+    y = truth.drive(voltage)
+    edges = np.linspace(-0.5, 1.5, 801)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    alpha, beta = np.meshgrid(middle, middle, indexing="ij")
+    d, m = alpha - beta, 0.5 * (alpha + beta)
+    share = np.where(d > 0, 1.0, np.where(d == 0, 0.5, 0.0))
+    density = share * (np.exp(-0.5 * (d / truth.ridge) ** 2 - 0.5 * ((m - truth.centre) / truth.spread) ** 2) + 0.25)
+    up, summed = np.zeros(d.shape, dtype=bool), []
+    for u in voltage / truth.highest:
+        up = (up | (alpha <= u)) & (beta < u)
+        summed.append(density[up].sum())
+    u = voltage / truth.highest
+    free = u + truth.bend * np.where(u * (1 - u) > 0, u * (u - 1), np.where(u > 0, u - 1, -u))
+    relays = (y / truth.stroke - truth.reversible * free) / (1 - truth.reversible)
+    span = density[(alpha < 1) & (beta > 0)].sum()
+    found = (np.array(summed) - summed[2]) / span
+    # A cell that the voltage cuts counts wholly or not at all: a row of 800 cells of 2.5e-3 in each direction.
+    np.testing.assert_allclose(relays[2:] - relays[2], found[2:], rtol=0, atol=0.015)
+
+
+@pytest.mark.parametrize("creep", [0.01, 0.03])
+def test_creep_adds_the_stated_share_of_a_step_in_each_decade(creep):
+    truth = PlayActuator(creep=creep, noise=0)
+    time = np.concatenate([np.arange(1, 11) * 1e-3, 0.01 + np.geomspace(1e-3, 600, 4000)])
+    y = truth.drive(np.where(time <= 0.01, 0.0, 150.0), time=time)
+    step = PlayActuator(noise=0).drive([0.0, 150.0])
+    decades = np.interp([0.2, 2.0, 20.0, 200.0], time - 0.011, y) / np.diff(step)
+    np.testing.assert_allclose(np.diff(decades), creep, rtol=0.06)
+
+
+def test_creep_in_a_ramp_is_exact_whatever_the_time_step():
+    coarse, fine = PlayActuator(creep=0.02, plays=1, width=0.5, asymmetry=0, bend=0, noise=0), PlayActuator(
+        creep=0.02, plays=1, width=0.5, asymmetry=0, bend=0, noise=0
+    )  # fmt: skip
+    # One play, threshold 50 V: it moves from 50 V on, so that y is straight on both legs.
+    turns, times = np.array([0.0, 50, 200, 100, 0]), np.array([1.0, 2, 7, 8, 30])
+    many = np.unique(np.concatenate([np.linspace(1, 30, 2901), times]))
+    y = fine.drive(np.interp(many, times, turns), time=many)
+    np.testing.assert_allclose(coarse.drive(turns, time=times)[-1], y[-1], rtol=1e-3)
+
+
+def response(frequency, *, rate=20e3, cycles=400, **options):
+    """Gain and phase lag [rad] at a frequency [Hz], after it has settled, with next to no hysteresis."""
+    truth = BoucWenActuator(slope=1e-9, asymmetry=0, bend=0, noise=0, **options)
+    time = np.arange(1, int(rate * cycles / frequency)) / rate
+    y = truth.drive(50 * np.sin(2 * np.pi * frequency * time), time=time)
+    last = time > time[-1] - 20 / frequency
+    carrier = np.column_stack([np.sin(2 * np.pi * frequency * time), np.cos(2 * np.pi * frequency * time)])[last]
+    inside, across = np.linalg.lstsq(carrier, y[last] / (50 / truth.highest * truth.stroke), rcond=None)[0]
+    return np.hypot(inside, across), -np.arctan2(across, inside)
+
+
+@pytest.mark.parametrize("frequency", [50.0, 200.0, 290.0, 300.0, 310.0, 600.0])
+def test_the_resonance_and_the_delay_are_where_stated(frequency):
+    """The gain and the phase of a linear resonator, its delay on top."""
+    gain, lag = response(frequency, damping=0.02, delay=3.3e-4)
+    ratio = frequency / 300
+    expected = np.exp(-2j * np.pi * frequency * 3.3e-4) / (1 - ratio**2 + 2j * 0.02 * ratio)
+    # The voltage between samples is straight: a sine of 33 samples a cycle is a little lower.
+    assert gain == pytest.approx(abs(expected), rel=2 * (np.pi * frequency / 20e3) ** 2 + 1e-4)
+    assert np.exp(-1j * lag) * abs(expected) == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: PlayActuator(creep=-0.1), "creep: got -0.1, need a share"),
+        (lambda: PlayActuator(noise=-1.0), "noise: got -1.0, need a standard deviation"),
+        (lambda: PreisachActuator(reversible=0.0), "reversible 0.0 and bend 0.15: need a share between 0 and 1"),
+        (lambda: PreisachActuator(ridge=0.0), "got ridge 0.0"),
+        (lambda: BoucWenActuator(asymmetry=2.0), "the map must increase"),
+        (lambda: BoucWenActuator(slope=1.0), "2 slope closing below 1"),
+        (lambda: BoucWenActuator(damping=0.0), "need hertz above 0"),
+        (lambda: BoucWenActuator().drive([0, 1]), "swings: it needs the time of each sample"),
+        (lambda: PlayActuator(creep=0.01).drive([0, 1]), "creeps: it needs the time of each sample"),
+        (lambda: BoucWenActuator().drive([0, 1], time=[0]), "time: got 1 samples, the voltage has 2"),
+        (lambda: BoucWenActuator().drive([0, 1], time=[0, 0]), "does not increase at sample 1"),
+        (lambda: BoucWenActuator().drive([0], time=[0]), "got one sample that does not go on"),
+    ],
+)
+def test_impossible_truths_and_times_are_refused(build, message):
+    with pytest.raises(dehyst.ModelError, match=message):
+        build()

@@ -1,0 +1,12 @@
+"""Virtual actuators that no model of this package is an instance of: for the demo, tests, benchmarks and emulators.
+
+They share no code with the models. Each has a `stroke` [m] at its `highest` voltage [V] on the major loop, and is
+driven by `drive(voltage, *, time=None, measured=True)`, which goes on from where the last one ended; `relax` forgets.
+"""
+
+from dehyst.truths.boucwen import BoucWenActuator
+from dehyst.truths.clock import Truth
+from dehyst.truths.plays import PlayActuator
+from dehyst.truths.preisach import PreisachActuator
+
+__all__ = ["BoucWenActuator", "PlayActuator", "PreisachActuator", "Truth"]
