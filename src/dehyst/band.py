@@ -100,4 +100,6 @@ def homed(actuator: Actuator, limits: tuple[float, float] | None) -> State:
     ends = actuator.spring.displacement[[0, -1]]
     if limits is None:
         return actuator.turned(float(ends[1]))
-    return actuator.simulate(np.array(limits), state=actuator.turned(float(ends[0]), rising=False)).state
+    below = actuator.turned(float(ends[0]), rising=False)
+    top: State = actuator.simulate(np.array(limits), state=below).state
+    return top
