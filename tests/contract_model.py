@@ -15,6 +15,7 @@ from dehyst.model import AbstractModel, Motion
 from dehyst.rivals.boucwen import BoucWen
 from dehyst.rivals.duhem import Duhem
 from dehyst.rivals.goldfarb import Goldfarb
+from dehyst.rivals.linear import Linear
 from dehyst.rivals.preisach import Preisach
 
 VOLTS = 100.0
@@ -65,6 +66,7 @@ MODELS = [
     Candidate("ten elements", lambda: actuator(10, np.linspace(0, 1e-5, 11), 90 * np.linspace(0, 1, 11) ** 1.3)),
     Candidate("thousand elements", lambda: actuator(1000, [0, 2e-6, 1e-5], [0, 10, 90])),
     Candidate("Goldfarb and Celanovic", goldfarb),
+    Candidate("linear ratio", lambda: Linear(1e-7, 1e-6)),
     Candidate("Preisach", preisach),
     Candidate("Bouc-Wen", boucwen, wipes_out=False),
     Candidate("Duhem", duhem, wipes_out=False),

@@ -14,6 +14,7 @@ from dehyst.record import Record
 from dehyst.rivals.boucwen import BoucWen
 from dehyst.rivals.duhem import Duhem
 from dehyst.rivals.goldfarb import Goldfarb
+from dehyst.rivals.linear import Linear
 from dehyst.rivals.preisach import Preisach
 
 Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
@@ -24,4 +25,5 @@ RIVALS: Mapping[str, Identification] = {
     "Preisach, reversal curves": Preisach.from_reversal_curves,
     "Bouc-Wen": BoucWen.fit,
     "Duhem": Duhem.fit,
+    "linear ratio": Linear.fit,
 }
