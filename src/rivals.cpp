@@ -1,4 +1,4 @@
-// The second extension module: steppers of rival models, for comparisons. Each part brings its own bindings.
+// The compiled parts of the rival models, each bound by a file of its own. No algorithm.
 #include <nanobind/nanobind.h>
 
 namespace nb = nanobind;
@@ -6,6 +6,7 @@ namespace nb = nanobind;
 void bind_fields(nb::module_ &m);
 
 NB_MODULE(_rivals, m) {
-    m.doc() = "Steppers of rival models; use them through dehyst.rivals.";
+    nb::set_leak_warnings(false);
+    m.doc() = "Steppers of rival models; use them through their doors, dehyst._native_*.";
     bind_fields(m);
 }

@@ -32,9 +32,9 @@ def boucwen(seed):
 
 def duhem(seed):
     rng = np.random.default_rng(seed)
-    rate, middle = 10 ** rng.uniform(-0.3, 1.3), np.array([0.0, 1.0, *rng.uniform(-0.2, 0.2, 2)])
+    rate, middle = 10 ** rng.uniform(-0.3, 1.3), np.array([0.0, 1.0, *rng.uniform(-0.1, 0.1, 2)])
     # A loop of about (1 - share) / rate, whose slopes stay positive.
-    share = rng.uniform(0.75, 0.95) * np.array([1.0, *(2 * middle[2:3]), *(3 * middle[3:])])
+    share = rng.uniform(0.8, 0.95) * np.array([1.0, *(2 * middle[2:3]), *(3 * middle[3:])])
     return Duhem((0.0, VOLTS), rate, STROKE * middle, STROKE * share)
 
 

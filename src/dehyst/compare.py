@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from numbers import Real
 from typing import Any
@@ -26,6 +26,8 @@ from dehyst.trials import Tracking, Trial, simulated, timed, trial
 OURS = "dehyst"
 _SAMPLES_TO_TIME = 20_000
 _RUNS_TO_TIME = 5
+# DehystError and NumPy's LinAlgError are among them.
+_FAILURES = (ValueError, ArithmeticError, RuntimeError)
 
 
 @dataclass(frozen=True)
@@ -218,44 +220,39 @@ class _Job:
         """Range of the widest training record's loops [m]."""
         return max(high - low for low, high in (item.span() for item in self.training))
 
+    def scores(self, model: AbstractModel) -> tuple[Score, ...]:
+        """One a record, training first."""
+        items = [(item, "training", 0.0) for item in self.training]
+        items += [(item, "validation", self.lead) for item in self.held_out]
+        return tuple(_score(model, item, role, lead, self.stroke) for item, role, lead in items)
+
 
 def _row(
     name: str, fit: Identification, job: _Job, trials: list[tuple[Trial, list[Record]]], tell: Callable[[str], None]
 ) -> Row:
     """Fit one model and take all its figures; a failure is a sentence."""
     tell(f"fitting {name}")
+    known: dict[int, AbstractModel] = {}
+    row, said = Row(name), []
     begin = time.perf_counter()
     try:
-        model = fit(job.records)
-        seconds = time.perf_counter() - begin
+        model = known[id(job.records)] = fit(job.records)
+        row = replace(row, seconds=time.perf_counter() - begin, parameters=parameters_of(model))
         tell(f"simulating {name}")
-        items = [(item, "training", 0.0) for item in job.training]
-        items += [(item, "validation", job.lead) for item in job.held_out]
-        scores = tuple(_score(model, item, role, lead, job.stroke) for item, role, lead in items)
         simulate, compensate = speeds(model, job.records[0].voltage)
-    except (ValueError, ArithmeticError, RuntimeError) as error:
-        return Row(name, _sentence(error))
-    known = {id(job.records): model}
-    tracking, said = _tracked(name, fit, trials, known, tell)
-    return Row(name, said, parameters_of(model), seconds, scores, tracking, simulate, compensate)
-
-
-def _tracked(
-    name: str,
-    fit: Identification,
-    trials: list[tuple[Trial, list[Record]]],
-    known: Mapping[int, AbstractModel],
-    tell: Callable[[str], None],
-) -> tuple[dict[str, Tracking], str]:
-    """Tracking by virtual actuator, and what failed; `known` are models by the identity of the records they fit."""
-    found, said = {}, []
+        row = replace(row, scores=job.scores(model), simulate=simulate, compensate=compensate)
+    except _FAILURES as error:
+        said.append(_sentence(error))
+    tracking = {}
     for one, records in trials:
+        if records is job.records and not known:
+            continue
         tell(f"tracking with {name} on {one.name}")
         try:
-            found[one.name] = one.track(known.get(id(records)) or fit(records))
-        except (ValueError, ArithmeticError, RuntimeError) as error:
+            tracking[one.name] = one.track(known.get(id(records)) or fit(records))
+        except _FAILURES as error:
             said.append(f"{one.name}: {_sentence(error)}")
-    return found, " ".join(said)
+    return replace(row, tracking=tracking, said=" ".join(said))
 
 
 def _sentence(error: Exception) -> str:

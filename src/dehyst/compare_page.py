@@ -6,7 +6,6 @@ from html import escape
 from os import PathLike
 
 from dehyst.compare import OURS, Comparison, Score
-from dehyst.compare import Row as Contender
 from dehyst.files import write_atomically
 from dehyst.page import Row, document, length, number, table
 from dehyst.trials import Tracking
@@ -42,42 +41,52 @@ def write_comparison(path: str | PathLike[str], found: Comparison, *, command: s
 
 def comparison_sections(found: Comparison) -> list[str]:
     """The page's sections, to stand in the report too."""
-    return [part for part in (_table(found), _each(found), _failures(found)) if part]
+    return [part for part in (_table(found), _each(found), _costs(found), _failures(found)) if part]
 
 
 def _table(found: Comparison) -> str:
     head: Row = [
         "Model",
-        ("Training", "largest, RMS"),
-        ("Held out", "one constant a record"),
-        ("Held out", "no constant"),
-        *((f"Tracking, {name}", "largest, RMS") for name in found.truths),
-        ("Fit", "s"),
-        ("Simulate", "ns a sample"),
-        ("Compensate", "ns a sample"),
-        "Parameters",
+        "Training",
+        "Held out",
+        "Held out, no constant",
+        *(f"Tracking, {name}" for name in found.truths),
     ]
-    rows = [_line(row, found.truths) for row in found.rows]
+    rows: list[Row] = [
+        [
+            (row.name, "this package" if row.name == OURS else ""),
+            _errors(row.worst("training")),
+            _errors(row.worst("validation")),
+            _without(row.worst("validation")),
+            *(_tracking(row.tracking.get(name)) for name in found.truths),
+        ]
+        for row in found.rows
+    ]
     return (
         "<h2>Models compared</h2>\n"
         '<p class="muted">Every model fitted to the same records. Measured minus simulated displacement of the record '
-        f"with the largest error, in % of the stroke ({escape(length(found.stroke))}); small: RMS. Tracking: wanted "
-        "minus reached displacement of a virtual actuator, to whose own records the model was fitted, along a random "
-        f"path of 40 reversals.</p>\n{table(head, rows, texts=1)}"
+        f"with the largest error, in % of the stroke ({escape(length(found.stroke))}): largest and, small, RMS. One "
+        "constant for each record is free, or none. Tracking: wanted minus reached displacement of a virtual actuator, "
+        "to whose own records the model was fitted, along a random path of 40 reversals.</p>\n"
+        f"{table(head, rows, texts=1)}"
     )
 
 
-def _line(row: Contender, truths: tuple[str, ...]) -> Row:
-    training, held_out = row.worst("training"), row.worst("validation")
-    return [
-        (row.name, "this package" if row.name == OURS else ""),
-        _errors(training),
-        _errors(held_out),
-        _NONE if held_out is None else _pair(held_out.largest_without, held_out.rms_without),
-        *(_tracking(row.tracking.get(name)) for name in truths),
-        *(_NONE if x is None else number(x) for x in (row.seconds, row.simulate, row.compensate)),
-        _NONE if row.parameters is None else str(row.parameters),
+def _costs(found: Comparison) -> str:
+    head = ("Model", "Fit (s)", "Simulate (ns a sample)", "Compensate (ns a sample)", "Coefficients")
+    rows: list[Row] = [
+        (
+            row.name,
+            *(_NONE if x is None else number(x) for x in (row.seconds, row.simulate, row.compensate)),
+            _NONE if row.parameters is None else str(row.parameters),
+        )
+        for row in found.rows
     ]
+    return f"<h2>What they cost</h2>\n{table(head, rows, texts=1)}"
+
+
+def _without(score: Score | None) -> str | tuple[str, str]:
+    return _NONE if score is None else _pair(score.largest_without, score.rms_without)
 
 
 def _pair(largest: float, rms: float) -> tuple[str, str]:

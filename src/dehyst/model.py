@@ -33,7 +33,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Voltage (n,) [V] and displacement (n,) [m] that belong together, and the model's state at the last sample."""
+    """Voltage (n,) [V] and displacement (n,) [m] that belong together, and the state at the last sample."""
 
     voltage: Array
     displacement: Array

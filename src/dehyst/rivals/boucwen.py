@@ -16,14 +16,14 @@ from numbers import Integral
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dehyst import _native_fields
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._native import Array, number, vector
 from dehyst.metrics import rms
 from dehyst.model import AbstractModel, Motion
 from dehyst.program import Solution, one_thread, solve
 from dehyst.record import Record
-from dehyst.rivals import _native
-from dehyst.rivals.training import Training, least_missing
+from dehyst.rivals.fitting import Training, least_missing
 
 _SEARCH_ROWS = 2000
 # Of alpha, of the part of v that a reversal hides at first, and of (beta + gamma) times the range of v.
@@ -138,7 +138,7 @@ class BoucWen(AbstractModel):
             raise ModelError(f"state: got {begin!r}, need a Lag whose hidden part is {most:g} V at most")
         low, high = self.limits
         numbers = np.array([self.alpha, self.beta, self.gamma, low, high - low, *self.cubic])
-        out, v, h = _native.bouc_wen(numbers, begin.voltage, begin.hidden, drive, what)
+        out, v, h = _native_fields.bouc_wen(numbers, begin.voltage, begin.hidden, drive, what)
         return out, Lag(v, h)
 
     @classmethod
@@ -213,7 +213,7 @@ class _Problem:
         past = np.array([high, low] * _MAJOR_LOOPS)
 
         def lag(v: Array) -> Array:
-            return _native.bouc_wen(numbers, low, -alpha / (beta + gamma), np.concatenate([past, v]), _LAG)[0][
+            return _native_fields.bouc_wen(numbers, low, -alpha / (beta + gamma), np.concatenate([past, v]), _LAG)[0][
                 past.size :
             ]
 

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
+from dehyst import _native_fields
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._native import Array, number, vector
 from dehyst.model import AbstractModel, Motion
 from dehyst.program import one_thread
 from dehyst.record import Record
-from dehyst.rivals import _native
-from dehyst.rivals.training import Training, least_missing
+from dehyst.rivals.fitting import Training, least_missing
 
 _SEARCH_ROWS = 3000
 _RATES = np.geomspace(0.2, 40.0, 25)
@@ -138,7 +138,9 @@ class Duhem(AbstractModel):
         if not isinstance(begin, Point):
             raise ModelError(f"state: got {type(begin).__name__}, need a Point that a motion of this model left")
         numbers, rise, fall = self._tables
-        out, v, y = _native.coleman_hodgdon(numbers, rise, fall, begin.voltage, begin.displacement, drive, inverse)
+        out, v, y = _native_fields.coleman_hodgdon(
+            numbers, rise, fall, begin.voltage, begin.displacement, drive, inverse
+        )
         return out, Point(v, y)
 
     @classmethod
@@ -232,7 +234,7 @@ def _solved(ready: Training, rate: float, degree: int, slope_floor: float) -> tu
     def column(f: Array, g: Array) -> Array:
         rise, fall = _branches(rate, f, g)
         begin = float(_major_loop(rate, rise, fall)[0][0])
-        return ready.played(lambda v: _native.coleman_hodgdon(numbers, rise, fall, low, begin, v, False)[0])
+        return ready.played(lambda v: _native_fields.coleman_hodgdon(numbers, rise, fall, low, begin, v, False)[0])
 
     columns = np.column_stack([column(f, g) for f, g in units])
     slopes = np.column_stack([_slopes(rate, f, g) for f, g in units])

@@ -15,7 +15,7 @@ from dehyst._errors import ModelError
 from dehyst._native import number, vector
 from dehyst.model import AbstractModel, Motion, State
 from dehyst.record import Record
-from dehyst.rivals.training import Training, least_missing
+from dehyst.rivals.fitting import Training, least_missing
 
 
 @dataclass(frozen=True)

@@ -17,15 +17,15 @@ from numbers import Integral
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dehyst import _native_fields
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._native import Array, number, vector
 from dehyst.metrics import rms
 from dehyst.model import AbstractModel, Motion
 from dehyst.program import one_thread, solve
 from dehyst.record import Record
-from dehyst.rivals import _native
+from dehyst.rivals.fitting import Training, least_missing
 from dehyst.rivals.reversal_curves import everett_table
-from dehyst.rivals.training import Training, least_missing
 
 _MOST_ROWS = 8000
 _MOST_CELLS = 80
@@ -148,7 +148,7 @@ class Preisach(AbstractModel):
         mine = isinstance(start, Staircase) and start.turns.ndim == 2 and len(start.turns) > 0
         if not mine or start.turns[0, 0] != self.limits[0]:
             raise ModelError(f"state: got {type(start).__name__}, need a Staircase that a motion of this model left")
-        out, turns, v, y = _native.preisach(
+        out, turns, v, y = _native_fields.preisach(
             self._numbers, self.everett.ravel(), len(self.everett) - 1, np.ascontiguousarray(start.turns).ravel(),
             start.voltage, start.displacement, drive, inverse,
         )  # fmt: skip
@@ -254,7 +254,7 @@ def _columns(ready: Training, n: int) -> Array:
     low, high = ready.limits
     parts = []
     for piece, rows in zip(ready.pieces, ready.kept, strict=True):
-        nodes = _native.preisach_weights(low, (high - low) / n, n, piece.voltage, rows).reshape(-1, n + 1, n + 1)
+        nodes = _native_fields.preisach_weights(low, (high - low) / n, n, piece.voltage, rows).reshape(-1, n + 1, n + 1)
         # A node's triangle holds every cell with alpha below and beta above it.
         held = np.cumsum(nodes[:, :0:-1], axis=1)[:, ::-1]
         parts.append(np.cumsum(held, axis=2)[:, :, :-1][:, *np.tril_indices(n)])
