@@ -4,6 +4,7 @@
 
 /* Newton's steps within a bracket that shrinks: 60 halve it to nothing even if every one of them is refused. */
 #define MOST_STEPS 120
+#define GRAIN 1e-16
 
 static double clipped(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
 
@@ -11,8 +12,8 @@ static double top_of(const preisach_plane *plane) { return plane->low + plane->c
 
 static int cell_of(const preisach_plane *plane, double u)
 {
-    const int i = (int)((u - plane->low) / plane->step);
-    return i < 0 ? 0 : i >= plane->cells ? plane->cells - 1 : i;
+    const double x = (u - plane->low) / plane->step;
+    return !(x > 0) ? 0 : x >= plane->cells ? plane->cells - 1 : (int)x;
 }
 
 static double share_of(const preisach_plane *plane, int i, double u)
@@ -172,7 +173,9 @@ void preisach_counts(const preisach_plane *plane, preisach_stairs *stairs, const
 /* The root of value(x) = goal in [low, high], value increasing; both are given by a function that tells the slope. */
 typedef double (*increasing)(const void *what, double x, double *slope);
 
-static double root_of(increasing value, const void *what, double goal, double low, double high, double start)
+/* A step shorter than the grain ends the search. */
+static double root_of(increasing value, const void *what, double goal, double low, double high, double start,
+                      double grain)
 {
     double x = clipped(start, low, high);
     int i;
@@ -190,7 +193,7 @@ static double root_of(increasing value, const void *what, double goal, double lo
             next = low + 0.5 * (high - low);
             if (next <= low || next >= high) return x;
         }
-        if (fabs(next - x) <= 1e-17 * fabs(x)) return next;
+        if (fabs(next - x) <= grain) return next;
         x = next;
     }
     return x;
@@ -219,7 +222,7 @@ double cubic_inverse(const cubic_map *map, double y)
     else if (y >= y1)
         t = 1 + (y - y1) / slope1;
     else
-        t = root_of(cubic_value, map, y, 0, 1, (y - y0) / (y1 - y0));
+        t = root_of(cubic_value, map, y, 0, 1, (y - y0) / (y1 - y0), GRAIN);
     return map->low + map->span * t;
 }
 
@@ -295,7 +298,10 @@ void boucwen_compensate(const boucwen *model, boucwen_state *state, const double
     for (t = 0; t < n; t++) {
         const double way = cubic_inverse(&model->map, y[t]) - (state->v - state->h), sign = way < 0 ? -1 : 1;
         const boucwen_branch branch = {model, sign * state->h};
-        const double most = 2 * fabs(way) / least, x = root_of(boucwen_moved, &branch, fabs(way), 0, most, fabs(way));
+        double x;
+        boucwen_moved(&branch, 0, &slope);
+        x = root_of(boucwen_moved, &branch, fabs(way), 0, 2 * fabs(way) / least, fabs(way) / slope,
+                    GRAIN * (fabs(branch.h) + fabs(way)));
         state->h = sign * carried(model, branch.h, x, &slope);
         state->v += sign * x;
         v[t] = state->v;
@@ -374,7 +380,9 @@ void duhem_compensate(const duhem *model, duhem_state *state, const double *y, d
             if (rises ? y[i] >= end : y[i] <= end) {
                 state->v = model->low + model->span * edge + (y[i] - end) / beyond;
             } else {
-                t = root_of(duhem_value, &branch, y[i], rises ? t0 : 0, rises ? 1 : t0, t0 + (y[i] - here) * (edge - t0) / (end - here));
+                duhem_value(&branch, t0, &slope);
+                t = root_of(duhem_value, &branch, y[i], rises ? t0 : 0, rises ? 1 : t0,
+                            t0 + (y[i] - here) / slope, GRAIN);
                 state->v = model->low + model->span * t;
             }
         } else {

@@ -165,6 +165,15 @@ def test_refusals():
         Preisach((0, 1), table).simulate([0.5], state=dehyst.State(0.0, []))
     with pytest.raises(ModelError, match="need a Staircase"):
         Preisach((0, 1), table).simulate([0.5], state=Staircase(0.5, 0.0, np.zeros((0, 2))))
+    for turns in (
+        [[0, 0], [0.4, 0], [0.6, 0]],
+        [[0, 0], [2, 0]],
+        [[0, 0], [np.nan, 0]],
+        [[0.1, 0]],
+        [[0, 0], [0.4, 0]],
+    ):
+        with pytest.raises(ModelError, match="need a Staircase that a motion of this model left"):
+            Preisach((0, 1), table).compensate([0.5], state=Staircase(0.5, 0.0, np.array(turns)))
     record = bench.loops(bench.plant(), bench.MAJOR)
     for options, said in (
         ({"cells": 1}, "cells: got 1"), ({"cells": 2.5}, "cells: got 2.5"), ({"smoothing": -1}, "smoothing: got -1"),

@@ -288,9 +288,9 @@ def _counted(item: Prepared, lead: float, delay: float = 0.0) -> list[tuple[Reco
 def parameters_of(model: AbstractModel) -> int | None:
     """Number of coefficients of a model: what it says, or elements and knots of an actuator."""
     inner = getattr(model, "actuator", model)
-    if isinstance(inner, Actuator):
+    count = getattr(inner, "parameters", None)
+    if count is None and isinstance(inner, Actuator):
         return len(inner.slip) + inner.spring.displacement.size
-    count = getattr(model, "parameters", None)
     return None if count is None else int(count)
 
 

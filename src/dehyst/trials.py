@@ -18,7 +18,7 @@ from dehyst.model import AbstractModel, Motion
 from dehyst.record import Record
 from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator, Truth
 
-_SAMPLES_A_FAST_CYCLE = 200
+_SAMPLES_A_FAST_CYCLE = 100
 _REVERSALS = 40
 # Turning points lie within these parts of the stroke, and a leg goes this far at least.
 _LOWEST, _HIGHEST, _SHORTEST = 0.02, 0.98, 0.08
@@ -70,14 +70,17 @@ class Trial:
     def track(self, model: AbstractModel, seed: int = 7) -> Tracking:
         """Compensate a random path of 40 reversals and play the voltage into the actuator, both homed first.
 
-        Homing, up to the highest voltage and back, makes the state known; a creeping actuator goes on creeping.
+        Homing, up to the highest voltage and back, makes the state known; a creeping actuator goes on creeping. A model
+        that knows a delay is asked for the path that much earlier.
         """
         truth = self.truth(1000 + seed)
         homing = raised_cosine(truth.highest, cycles=2, drive=self._drive(self.slow)).voltage
         wanted = truth.stroke * self.path(seed)
         time = np.arange(homing.size + wanted.size) / self._rate
         homed = simulated(model, homing, time[: homing.size]).state
-        voltage = model.compensate(wanted, state=homed, **timed(model, time[homing.size :])).voltage
+        when = time[homing.size :]
+        ahead = np.interp(when + float(getattr(model, "delay", 0.0)), when, wanted)
+        voltage = model.compensate(ahead, state=homed, **timed(model, when)).voltage
         reached = truth.drive(np.concatenate([homing, voltage]), time=time, measured=False)[homing.size :]
         error = wanted - reached
         beyond = max(float(voltage.max()) - truth.highest, -float(voltage.min()), 0.0)
@@ -122,7 +125,7 @@ TRIALS: Mapping[str, Trial] = {
     "play": Trial("play", lambda seed: PlayActuator(seed=seed), 0.01, 0.05, 20.0),
     "creep": Trial("creep", lambda seed: PlayActuator(seed=seed, creep=0.01), 0.01, 0.05, 20.0),
     "preisach": Trial("preisach", lambda seed: PreisachActuator(seed=seed), 0.01, 0.05, 20.0),
-    "boucwen": Trial("boucwen", lambda seed: BoucWenActuator(seed=seed), 4.0, 20.0, 0.05),
+    "boucwen": Trial("boucwen", lambda seed: BoucWenActuator(seed=seed), 6.0, 60.0, 0.05),
 }
 
 

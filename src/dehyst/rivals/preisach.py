@@ -145,8 +145,7 @@ class Preisach(AbstractModel):
 
     def _run(self, drive: Array, state: Staircase | None, *, inverse: bool) -> tuple[Array, Staircase]:
         start = self.state if state is None else state
-        mine = isinstance(start, Staircase) and start.turns.ndim == 2 and len(start.turns) > 0
-        if not mine or start.turns[0, 0] != self.limits[0]:
+        if not isinstance(start, Staircase) or not _nested(start, *self.limits):
             raise ModelError(f"state: got {type(start).__name__}, need a Staircase that a motion of this model left")
         out, turns, v, y = _native_fields.preisach(
             self._numbers, self.everett.ravel(), len(self.everett) - 1, np.ascontiguousarray(start.turns).ravel(),
@@ -236,6 +235,16 @@ class Preisach(AbstractModel):
             return replace(found, bottom=float(constants[ready.reference])), miss
 
         return least_missing(records, delay, solved)
+
+
+def _nested(start: Staircase, low: float, high: float) -> bool:
+    """Whether a staircase begins with the lowest voltage, and its minima rise towards its maxima, which fall."""
+    if start.turns.ndim != 2 or not np.isfinite(start.turns).all() or not len(start.turns):
+        return False
+    at = start.turns[:, 0]
+    last = min(max(start.voltage, low), high)
+    order = np.concatenate([at[::2], [last], at[1::2][::-1]])
+    return bool(at[0] == low and at.max() <= high and np.all(np.diff(order) >= 0))
 
 
 def _cells(cells: object) -> int:
