@@ -67,6 +67,39 @@ typedef struct dehyst_state {
     dehyst_real *cart; /* [N] */
 } dehyst_state;
 
+/* Graded elements: psi_i(y) - psi_i(b_i) in place of kappa_i s_i, the stiffness depends on where the cart sits. The
+ * psi_i bend at common knots and go on beyond them; the last rows and the values are made by dehyst_grades_tabulate. */
+typedef struct dehyst_grades {
+    int size;                 /* M segments; 0: the elements are plain */
+    const dehyst_real *knot;  /* [M + 1] */
+    const dehyst_real *value; /* [(N + 1) (M + 1)] psi_i at the knots, 0 at the first; then their sum */
+    const dehyst_real *slope; /* [(N + 1) M] kappa_im >= 0; then their sum */
+} dehyst_grades;
+
+/* The wider actuator: tau(v) = sum_i [psi_i(w) - psi_i(b_i)] + eta(w) + sum_j c_j d_j. Its slip elements, in `plain`,
+ * are those of the plain class, or lend the graded ones their size and breakaway elongations; the stiffnesses are then
+ * left alone. On every outermost branch the right-hand side must increase: then it does on every other. */
+typedef struct dehyst_wide {
+    dehyst_actuator plain;
+    dehyst_grades grades;
+    dehyst_curve drive;           /* tau; size 0: none */
+    dehyst_curve voltage;         /* its inverse: the same knots, axes exchanged */
+    int branches;                 /* J >= 0 of creep */
+    const dehyst_real *stiffness; /* [J] c_j [V/m], >= 0 */
+} dehyst_wide;
+
+/* What a step of time does, worked out by the caller: d_j <- decay_j d_j + gain_j (w_new - w_old), for w linear in
+ * time decay = exp(-dt/tau_j) and gain = (1 - decay) tau_j/dt, both 1 for a step without duration. */
+typedef struct dehyst_pace {
+    const dehyst_real *decay; /* [J] */
+    const dehyst_real *gain;  /* [J] */
+} dehyst_pace;
+
+typedef struct dehyst_wide_state {
+    dehyst_state memory; /* w and the carts */
+    dehyst_real *strain; /* [J] d_j [m] */
+} dehyst_wide_state;
+
 typedef struct dehyst_reversal {
     dehyst_real y;     /* where the motion turned */
     dehyst_real stops; /* sum_i kappa_i s_i there */
@@ -119,6 +152,30 @@ void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state,
                            const dehyst_real *y, dehyst_real *v, long n);
 void dehyst_simulate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work,
                          const dehyst_real *v, dehyst_real *y, long n);
+
+/* Room that a run of a wide actuator works in. Without reversals it stays on the carts. */
+typedef struct dehyst_room {
+    dehyst_stack stack;
+    dehyst_real *value; /* [spring knots] the spring stiffened by what moves in time */
+    dehyst_real *slope; /* [spring knots - 1] */
+    dehyst_real *held;  /* [N] with graded elements */
+    int *segment;       /* [N] with graded elements */
+} dehyst_room;
+
+/* The last row of slope, and value, from knots and the first n rows of slope; the sums may be zero in places. */
+dehyst_status dehyst_grades_tabulate(int n, int m, const dehyst_real *knot, dehyst_real *slope, dehyst_real *value);
+dehyst_status dehyst_wide_check(const dehyst_wide *wide, const dehyst_wide_state *state);
+/* Samples first to its result - 1, first >= 1, lie equal steps of time apart, but for what writing a time down leaves
+ * of them. A step that is not positive stands alone. */
+long dehyst_equal_steps(const dehyst_real *time, long first, long n);
+/* Voltage at the present state. */
+dehyst_real dehyst_wide_voltage(const dehyst_wide *wide, const dehyst_wide_state *state);
+/* n samples, all the same time after the one before. Input and output are different arrays. `more` [n] is added to
+ * tau(v); NULL: nothing. */
+void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
+                            dehyst_room *room, const dehyst_real *w, const dehyst_real *more, dehyst_real *v, long n);
+void dehyst_wide_simulate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state, dehyst_room *room,
+                          const dehyst_real *v, dehyst_real *w, long n);
 
 #ifdef __cplusplus
 }

@@ -14,6 +14,8 @@
 namespace nb = nanobind;
 
 using Input = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Grid = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Bounds = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Output = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
 using Matrix = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
 
@@ -132,6 +134,119 @@ struct Core {
     double spring_inverse(double v) const { return dehyst_curve_inverse(&actuator.spring, v); }
 };
 
+struct Wide {
+    Core base;
+    std::vector<double> grade_knot, grade_value, grade_slope, tau_voltage, tau_drive, tau_slope, tau_inverse, stiffness;
+    dehyst_wide wide;
+
+    Wide(Input rho, Input kappa, Input knot, Input value, Input grade_knot_, Input grades, Input tau_voltage_,
+         Input tau_drive_, Input stiffness_)
+        : base(rho, kappa, knot, value), grade_knot(copy(grade_knot_)), grade_slope(copy(grades)),
+          tau_voltage(copy(tau_voltage_)), tau_drive(copy(tau_drive_)), stiffness(copy(stiffness_)) {
+        const size_t n = base.rho.size(), m = grade_knot.empty() ? 0 : grade_knot.size() - 1;
+        if (grade_slope.size() != n * m || tau_voltage.size() != tau_drive.size()) demand(DEHYST_ERR_SIZE);
+        wide = {base.actuator, {0, nullptr, nullptr, nullptr}, {0, nullptr, nullptr, nullptr},
+                {0, nullptr, nullptr, nullptr}, int(stiffness.size()), stiffness.data()};
+        if (m > 0) {
+            grade_slope.resize((n + 1) * m), grade_value.resize((n + 1) * (m + 1));
+            demand(dehyst_grades_tabulate(int(n), int(m), grade_knot.data(), grade_slope.data(), grade_value.data()));
+            wide.grades = {int(m), grade_knot.data(), grade_value.data(), grade_slope.data()};
+        }
+        if (!tau_voltage.empty()) {
+            const int k = int(tau_voltage.size());
+            tau_slope.resize(k), tau_inverse.resize(k);
+            demand(dehyst_curve_tabulate(k, tau_voltage.data(), tau_drive.data(), tau_slope.data()));
+            demand(dehyst_curve_tabulate(k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()));
+            wide.drive = {k, tau_voltage.data(), tau_drive.data(), tau_slope.data()};
+            wide.voltage = {k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()};
+        }
+    }
+    Wide(const Wide &) = delete;
+
+    struct Memory {
+        std::vector<double> cart, strain;
+        dehyst_wide_state state;
+    };
+
+    std::unique_ptr<Memory> memory(double w, Input cart, Input strain) const {
+        auto own_memory = std::make_unique<Memory>();
+        own_memory->cart = copy(cart), own_memory->strain = copy(strain);
+        if (own_memory->cart.size() != base.rho.size() || own_memory->strain.size() != stiffness.size())
+            demand(DEHYST_ERR_SIZE);
+        own_memory->state = {{w, own_memory->cart.data()}, own_memory->strain.data()};
+        demand(dehyst_wide_check(&wide, &own_memory->state));
+        return own_memory;
+    }
+
+    struct Room {
+        std::vector<dehyst_reversal> reversals;
+        std::vector<double> value, slope, held;
+        std::vector<int> segment;
+        dehyst_room room;
+
+        Room(size_t elements, size_t knots, bool stack)
+            : reversals(stack ? DEHYST_STACK_CAPACITY(elements) : 0), value(knots), slope(knots), held(elements),
+              segment(elements) {
+            room = {{int(reversals.size()), 0, 1, 0, 0, stack ? reversals.data() : nullptr},
+                    value.data(), slope.data(), held.data(), segment.data()};
+        }
+        Room(const Room &) = delete;
+    };
+
+    // Runs of equal steps: samples bounds[r] to bounds[r + 1] move at the pace of row r.
+    size_t runs(size_t samples, Bounds bounds, Grid decay, Grid gain) const {
+        const size_t r = bounds.size() ? bounds.size() - 1 : 0, j = stiffness.size();
+        bool fit = bounds.size() > 0 && bounds(0) == 0 && bounds(r) == int64_t(samples) && decay.shape(0) == r &&
+                   gain.shape(0) == r && decay.shape(1) == j && gain.shape(1) == j;
+        for (size_t i = 0; fit && i < r; i++) fit = bounds(i) <= bounds(i + 1);
+        if (!fit) demand(DEHYST_ERR_SIZE);
+        return r;
+    }
+
+    std::tuple<Output, double, Output, Output> compensate(Input in, Bounds bounds, Grid decay, Grid gain, double w,
+                                                          Input cart, Input strain, bool stack) const {
+        auto own_memory = memory(w, cart, strain);
+        const size_t n = in.size(), count = runs(n, bounds, decay, gain), j = stiffness.size();
+        std::unique_ptr<double[]> out(new double[n + 1]);
+        const double *source = in.data();
+        {
+            nb::gil_scoped_release release;
+            Room own_room(base.rho.size(), base.knot.size(), stack);
+            for (size_t r = 0; r < count; r++) {
+                const dehyst_pace pace{decay.data() + r * j, gain.data() + r * j};
+                dehyst_wide_compensate(&wide, &pace, &own_memory->state, &own_room.room, source + bounds(r), nullptr,
+                                       out.get() + bounds(r), long(bounds(r + 1) - bounds(r)));
+            }
+        }
+        return {own<Output>(std::move(out), {n}), own_memory->state.memory.y, as_array(own_memory->cart),
+                as_array(own_memory->strain)};
+    }
+
+    std::tuple<Output, double, Output, Output> simulate(Input in, Bounds bounds, Grid decay, Grid gain, double w,
+                                                        Input cart, Input strain, bool stack) const {
+        auto own_memory = memory(w, cart, strain);
+        const size_t n = in.size(), count = runs(n, bounds, decay, gain), j = stiffness.size();
+        std::unique_ptr<double[]> out(new double[n + 1]);
+        const double *source = in.data();
+        {
+            nb::gil_scoped_release release;
+            Room own_room(base.rho.size(), base.knot.size(), stack);
+            for (size_t r = 0; r < count; r++) {
+                const dehyst_pace pace{decay.data() + r * j, gain.data() + r * j};
+                dehyst_wide_simulate(&wide, &pace, &own_memory->state, &own_room.room, source + bounds(r),
+                                     out.get() + bounds(r), long(bounds(r + 1) - bounds(r)));
+            }
+        }
+        return {own<Output>(std::move(out), {n}), own_memory->state.memory.y, as_array(own_memory->cart),
+                as_array(own_memory->strain)};
+    }
+
+    double voltage(double w, Input cart, Input strain) const {
+        auto own_memory = memory(w, cart, strain);
+        return dehyst_wide_voltage(&wide, &own_memory->state);
+    }
+};
+
 std::tuple<Matrix, Output> stops(Input rho, Input cart, Input y) {
     std::vector<double> own_rho = copy(rho), own_cart = copy(cart);
     const size_t n = y.size(), size = own_rho.size();
@@ -144,6 +259,23 @@ std::tuple<Matrix, Output> stops(Input rho, Input cart, Input y) {
         dehyst_slip_stops(&slip, own_cart.data(), source, out.get(), long(n));
     }
     return {own<Matrix>(std::move(out), {n, size}), as_array(own_cart)};
+}
+
+// Runs of equal steps; the first sample has none before it.
+std::tuple<nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>, Output> steps(Input time) {
+    std::vector<int64_t> bounds{0};
+    std::vector<double> durations;
+    const long n = long(time.size());
+    for (long first = 0, end; first < n; first = end) {
+        end = first == 0 ? 1 : dehyst_equal_steps(time.data(), first, n);
+        durations.push_back(first == 0 ? 0.0 : (time.data()[end - 1] - time.data()[first - 1]) / double(end - first));
+        bounds.push_back(end);
+    }
+    std::unique_ptr<int64_t[]> data(new int64_t[bounds.size()]);
+    std::copy(bounds.begin(), bounds.end(), data.get());
+    int64_t *raw = data.release();
+    nb::capsule owner(raw, [](void *p) noexcept { delete[] static_cast<int64_t *>(p); });
+    return {nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>(raw, {bounds.size()}, owner), as_array(durations)};
 }
 
 } // namespace
@@ -161,5 +293,11 @@ NB_MODULE(_core, m) {
         .def("voltage", &Core::voltage)
         .def("spring_at", &Core::spring_at)
         .def("spring_inverse", &Core::spring_inverse);
+    nb::class_<Wide>(m, "Wide")
+        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input>())
+        .def("compensate", &Wide::compensate)
+        .def("simulate", &Wide::simulate)
+        .def("voltage", &Wide::voltage);
     m.def("stops", &stops);
+    m.def("steps", &steps);
 }

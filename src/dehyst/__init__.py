@@ -15,12 +15,14 @@ from dehyst._errors import (
     ModelError,
     RecordError,
 )
-from dehyst.actuator import Actuator, Physical
+from dehyst.actuator import Actuator
 from dehyst.compensator import Command, Compensator
-from dehyst.elements import MaxwellSlip, Spring
+from dehyst.creep import Creep
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import read, write_record
 from dehyst.identify import identify
 from dehyst.model import Fit, Motion, Outcome, RecordErrors, State, Trace
+from dehyst.physical import Physical
 from dehyst.record import Record
 from dehyst.version import __version__
 
@@ -28,9 +30,11 @@ __all__ = [
     "Actuator",
     "Command",
     "Compensator",
+    "Creep",
     "DehystError",
     "FileFormatError",
     "Fit",
+    "GradedSlip",
     "IdentifyError",
     "MaxwellSlip",
     "MissingExtraError",
@@ -44,6 +48,7 @@ __all__ = [
     "Spring",
     "State",
     "Trace",
+    "Transformer",
     "__version__",
     "identify",
     "read",

@@ -1,7 +1,8 @@
-from numpy import float64
+from numpy import float64, int64
 from numpy.typing import NDArray
 
 Array = NDArray[float64]
+Bounds = NDArray[int64]
 
 class CoreError(ValueError): ...
 
@@ -14,4 +15,26 @@ class Core:
     def spring_at(self, y: float) -> float: ...
     def spring_inverse(self, v: float) -> float: ...
 
+class Wide:
+    def __init__(
+        self,
+        rho: Array,
+        kappa: Array,
+        knot: Array,
+        value: Array,
+        grade_knot: Array,
+        grades: Array,
+        tau_voltage: Array,
+        tau_drive: Array,
+        stiffness: Array,
+    ) -> None: ...
+    def compensate(
+        self, w: Array, bounds: Bounds, decay: Array, gain: Array, start: float, cart: Array, strain: Array, stack: bool
+    ) -> tuple[Array, float, Array, Array]: ...
+    def simulate(
+        self, v: Array, bounds: Bounds, decay: Array, gain: Array, start: float, cart: Array, strain: Array, stack: bool
+    ) -> tuple[Array, float, Array, Array]: ...
+    def voltage(self, w: float, cart: Array, strain: Array) -> float: ...
+
 def stops(rho: Array, cart: Array, y: Array) -> tuple[Array, Array]: ...
+def steps(time: Array) -> tuple[Bounds, Array]: ...

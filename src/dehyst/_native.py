@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,19 +24,33 @@ def vector(values: ArrayLike, what: str) -> Array:
     ModelError
         If it has another number of dimensions, is not numeric, or holds NaN or infinity.
     """
-    try:
-        given = np.asarray(values)
-        if given.dtype.kind not in "iuf" and given.size:
-            raise TypeError
-        array = np.array(given, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"{what}: got {type(values).__name__}, need an array of numbers") from error
+    array = _doubles(values, what)
     if array.ndim != 1:
         raise ModelError(f"{what}: got an array of shape {array.shape}, need one dimension")
     bad = np.flatnonzero(~np.isfinite(array))
     if bad.size:
         raise ModelError(f"{what}: {bad.size} of {array.size} values are not finite, the first at index {bad[0]}")
     return array
+
+
+def matrix(values: ArrayLike, what: str) -> Array:
+    """Return `values` as a contiguous two-dimensional array of finite doubles; raises as `vector` does."""
+    array = _doubles(values, what)
+    if array.ndim != 2:
+        raise ModelError(f"{what}: got an array of shape {array.shape}, need two dimensions")
+    if not np.isfinite(array).all():
+        raise ModelError(f"{what}: {np.count_nonzero(~np.isfinite(array))} of {array.size} values are not finite")
+    return array
+
+
+def _doubles(values: ArrayLike, what: str) -> Array:
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind not in "iuf" and given.size:
+            raise TypeError
+        return np.array(given, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{what}: got {type(values).__name__}, need an array of numbers") from error
 
 
 def number(value: object, what: str) -> float:
@@ -112,6 +126,85 @@ class Core:
         return out, float(position), moved
 
 
+class WideCore:
+    """A wider actuator's tables in C: graded elements, transformer, creep. Equations and names: `core/dehyst.h`.
+
+    Parameters
+    ----------
+    rho, kappa : (N,) array
+        As in `Core`; kappa is left alone if there are grades.
+    knots, values : (K,) array
+        The parallel spring.
+    grade_knots : (M + 1,) array
+        Knots [m] of the graded elements; empty: the elements are plain.
+    grades : (N M,) array
+        Their stiffnesses kappa_im [V/m], a row an element.
+    voltages, drives : (L,) array
+        The transformer tau; empty: none.
+    creep : (J,) array
+        Stiffnesses c_j [V/m] of the creep branches.
+
+    Raises
+    ------
+    ModelError
+        If the core refuses the numbers.
+    """
+
+    __slots__ = ("_core",)
+
+    def __init__(
+        self, rho: Array, kappa: Array, knots: Array, values: Array, grade_knots: Array, grades: Array,
+        voltages: Array, drives: Array, creep: Array,
+    ) -> None:  # fmt: skip
+        try:
+            self._core = _core.Wide(rho, kappa, knots, values, grade_knots, grades, voltages, drives, creep)
+        except _core.CoreError as error:
+            raise ModelError(f"impossible actuator: {error}") from error
+
+    def compensate(
+        self, w: Array, pace: Pace, start: float, carts: Array, strains: Array, *, stack: bool = True
+    ) -> tuple[Array, float, Array, Array]:
+        """Displacements [m] to voltages [V]; returns the displacement, carts and creep strains reached too."""
+        return self._run(self._core.compensate, w, pace, start, carts, strains, stack)
+
+    def simulate(
+        self, v: Array, pace: Pace, start: float, carts: Array, strains: Array, *, stack: bool = True
+    ) -> tuple[Array, float, Array, Array]:
+        """Voltages [V] to displacements [m]; returns the displacement, carts and creep strains reached too."""
+        return self._run(self._core.simulate, v, pace, start, carts, strains, stack)
+
+    def voltage(self, w: float, carts: Array, strains: Array) -> float:
+        """Voltage [V] in the state (w, carts, strains)."""
+        return float(checked(self._core.voltage, w, carts, strains))
+
+    def _run(
+        self,
+        function: Callable[..., Any],
+        x: Array,
+        pace: Pace,
+        start: float,
+        carts: Array,
+        strains: Array,
+        stack: bool,
+    ) -> tuple[Array, float, Array, Array]:
+        out, w, moved, crept = checked(function, x, pace.bounds, pace.decay, pace.gain, start, carts, strains, stack)
+        return out, float(w), moved, crept
+
+
+class Pace(NamedTuple):
+    """Samples bounds[r] to bounds[r + 1] are equal steps of time; row r tells what such a step does to creep.
+
+    Attributes
+    ----------
+    bounds : (R + 1,) int64 array
+    decay, gain : (R, J) array
+    """
+
+    bounds: NDArray[np.int64]
+    decay: Array
+    gain: Array
+
+
 def checked(function: Callable[..., Any], *arguments: object) -> Any:
     """Call the core; its refusal becomes a `ModelError`."""
     try:
@@ -124,3 +217,12 @@ def stops(rho: Array, carts: Array | Sequence[float], y: Array) -> tuple[Array, 
     """Elongations (n, N) of elements of breakaway `rho` driven by y (n,), from and to the cart positions."""
     matrix, moved = checked(_core.stops, rho, np.array(carts, dtype=np.float64), y)
     return matrix, moved
+
+
+def steps(time: Array) -> tuple[NDArray[np.int64], Array]:
+    """Cut samples into runs of equal steps of time: bounds (R + 1,) and the duration (R,) [s] of a step in each.
+
+    The first sample has no step before it: a run of its own, of no duration. A step that is not positive stands alone.
+    """
+    bounds, durations = _core.steps(time)
+    return bounds, durations

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dehyst._native import Array, stops
-from dehyst.actuator import Actuator
+from dehyst.actuator import Actuator, demand_plain
 from dehyst.metrics import largest, rms
 from dehyst.model import RecordErrors, State, Trace
 from dehyst.preparation import Prepared
@@ -92,6 +92,7 @@ class Comparison:
 
 def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
+    demand_plain(actuator, "a comparison with records")
     pieces = record.delayed(0, protocol.delay)
     rho = actuator.slip.breakaway
     rows, epochs = collect(pieces, rho, [record.noise] * len(pieces))

@@ -1,0 +1,247 @@
+#include "dehyst_parts.h"
+
+#include <stddef.h>
+
+/* Samples that are worked on together: few enough to stay in the nearest cache and on a small processor's stack. */
+#define BLOCK 64
+/* Branches of creep that are moved together: constant, so that a compiler keeps them in its vector registers. */
+#define LANES 8
+/* Runs shorter than this are not worth a stack of reversals. */
+#define SHORT 12
+
+dehyst_status dehyst_wide_check(const dehyst_wide *wide, const dehyst_wide_state *state)
+{
+    dehyst_status status = dehyst_state_check(&wide->plain, &state->memory);
+    int j;
+    if (status != DEHYST_OK) return status;
+    if (wide->branches < 0 || (wide->branches > 0 && (wide->stiffness == NULL || state->strain == NULL)))
+        return DEHYST_ERR_SIZE;
+    for (j = 0; j < wide->branches; j++) {
+        if (!is_finite(wide->stiffness[j]) || !is_finite(state->strain[j])) return DEHYST_ERR_FINITE;
+        if (wide->stiffness[j] < 0) return DEHYST_ERR_SIGN;
+    }
+    return DEHYST_OK;
+}
+
+long dehyst_equal_steps(const dehyst_real *time, long first, long n)
+{
+    const dehyst_real step = time[first] - time[first - 1], begin = magnitude(time[0]), end = magnitude(time[n - 1]);
+    const dehyst_real allowance = (dehyst_real)1e-9 * step + 4 * DEHYST_EPSILON * (begin > end ? begin : end);
+    long t = first + 1;
+    while (t < n && time[t] > time[t - 1] && magnitude(time[t] - time[t - 1] - step) <= allowance) t++;
+    return t;
+}
+
+dehyst_real dehyst_wide_voltage(const dehyst_wide *wide, const dehyst_wide_state *state)
+{
+    dehyst_real drive = wide->grades.size > 0 ? dehyst_grades_voltage(wide, &state->memory)
+                                              : dehyst_voltage(&wide->plain, &state->memory);
+    int j;
+    for (j = 0; j < wide->branches; j++) drive += wide->stiffness[j] * state->strain[j];
+    return wide->voltage.size > 0 ? dehyst_curve_at(&wide->voltage, drive) : drive;
+}
+
+/* Look up n values in place. */
+static void map(const dehyst_curve *curve, dehyst_real *a, long n)
+{
+    int j = curve->size / 2;
+    long t;
+    for (t = 0; t < n; t++) {
+        j = segment(curve, a[t], j);
+        a[t] = on_segment(curve, j, a[t]);
+    }
+}
+
+/* Move LANES branches through n steps of w and add what they hold. */
+static void creep_together(const dehyst_real *stiffness, const dehyst_real *decay, const dehyst_real *gain,
+                           dehyst_real *strain, const dehyst_real *move, dehyst_real *drive, int n)
+{
+    dehyst_real c[LANES], a[LANES], g[LANES], d[LANES], held[LANES];
+    int j, t;
+    for (j = 0; j < LANES; j++) {
+        c[j] = stiffness[j];
+        a[j] = decay[j];
+        g[j] = gain[j];
+        d[j] = strain[j];
+    }
+    for (t = 0; t < n; t++) {
+        const dehyst_real by = move[t];
+        for (j = 0; j < LANES; j++) d[j] = a[j] * d[j] + g[j] * by;
+        for (j = 0; j < LANES; j++) held[j] = c[j] * d[j];
+        drive[t] += ((held[0] + held[4]) + (held[2] + held[6])) + ((held[1] + held[5]) + (held[3] + held[7]));
+    }
+    for (j = 0; j < LANES; j++) strain[j] = d[j];
+}
+
+static void creep(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_real *strain, const dehyst_real *move,
+                  dehyst_real *drive, int n)
+{
+    int j = 0, t;
+    for (; j + LANES <= wide->branches; j += LANES)
+        creep_together(wide->stiffness + j, pace->decay + j, pace->gain + j, strain + j, move, drive, n);
+    for (; j < wide->branches; j++) {
+        const dehyst_real c = wide->stiffness[j], a = pace->decay[j], g = pace->gain[j];
+        dehyst_real d = strain[j];
+        for (t = 0; t < n; t++) {
+            d = a * d + g * move[t];
+            drive[t] += c * d;
+        }
+        strain[j] = d;
+    }
+}
+
+/* What the elements and the spring hold, over the path w. */
+static void hold(const dehyst_wide *wide, dehyst_state *memory, dehyst_room *room, const dehyst_real *w,
+                 dehyst_real *drive, long n)
+{
+    long t;
+    if (wide->grades.size > 0)
+        dehyst_grades_compensate(wide, memory, room->held, room->segment, w, drive, n);
+    else if (room->stack.reversal != NULL && n >= SHORT)
+        dehyst_compensate_run(&wide->plain, memory, &room->stack, w, drive, n);
+    else
+        for (t = 0; t < n; t++) drive[t] = dehyst_compensate_step(&wide->plain, memory, w[t]);
+}
+
+void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
+                            dehyst_room *room, const dehyst_real *w, const dehyst_real *more, dehyst_real *v, long n)
+{
+    dehyst_real move[BLOCK], present = state->memory.y;
+    long first, t;
+    hold(wide, &state->memory, room, w, v, n);
+    for (first = 0; first < n; first += BLOCK) {
+        const int count = n - first < BLOCK ? (int)(n - first) : BLOCK;
+        if (wide->branches > 0) {
+            for (t = 0; t < count; t++) {
+                const dehyst_real goal = is_finite(w[first + t]) ? w[first + t] : present;
+                move[t] = goal - present;
+                present = goal;
+            }
+            creep(wide, pace, state->strain, move, v + first, count);
+        }
+        if (more != NULL)
+            for (t = first; t < first + count; t++) v[t] += more[t];
+        if (wide->voltage.size > 0) map(&wide->voltage, v + first, count);
+    }
+}
+
+static outlook look_ahead(const dehyst_wide *wide, const dehyst_state *memory, dehyst_real w, dehyst_real direction)
+{
+    return wide->grades.size > 0 ? dehyst_grades_look_ahead(wide, memory, w, direction)
+                                 : dehyst_look_ahead(&wide->plain, memory, w, direction);
+}
+
+/* Move the carts to the w at which G(w) + stiffness (w - w_old) = drive, G what the elements and the spring hold. The
+ * likely direction is tried first, and is put right. */
+static dehyst_real solve(const dehyst_wide *wide, dehyst_state *memory, dehyst_real drive, dehyst_real stiffness,
+                         dehyst_real *likely)
+{
+    const int size = wide->plain.slip.size, grades = wide->grades.size > 0 ? wide->grades.size : 1;
+    const dehyst_real start = memory->y;
+    dehyst_real w = start, direction = *likely;
+    int changes = (size + 1) * grades + wide->plain.spring.size;
+    outlook ahead;
+    if (!is_finite(drive)) return start;
+    ahead = look_ahead(wide, memory, w, direction);
+    if (direction * (drive - ahead.v) < 0) {
+        *likely = direction = -direction;
+        ahead = look_ahead(wide, memory, w, direction);
+    }
+    while (changes-- > 0) {
+        dehyst_real goal = w + (drive - ahead.v - stiffness * (w - start)) / (ahead.slope + stiffness);
+        if (direction * (goal - ahead.event) <= 0) {
+            w = goal;
+            break;
+        }
+        w = ahead.event;
+        ahead = look_ahead(wide, memory, w, direction);
+    }
+    dehyst_slip_move(&wide->plain.slip, memory->cart, w);
+    memory->y = w;
+    return w;
+}
+
+/* Creep at the end of a step: what it holds already, and its stiffness against the step's motion. */
+static dehyst_real held_over(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_real *strain)
+{
+    dehyst_real even = 0, odd = 0;
+    int j;
+    for (j = 0; j + 1 < wide->branches; j += 2) {
+        even += wide->stiffness[j] * (pace->decay[j] * strain[j]);
+        odd += wide->stiffness[j + 1] * (pace->decay[j + 1] * strain[j + 1]);
+    }
+    if (j < wide->branches) even += wide->stiffness[j] * (pace->decay[j] * strain[j]);
+    return even + odd;
+}
+
+static dehyst_real creep_stiffness(const dehyst_wide *wide, const dehyst_pace *pace)
+{
+    dehyst_real sum = 0;
+    int j;
+    for (j = 0; j < wide->branches; j++) sum += wide->stiffness[j] * pace->gain[j];
+    return sum;
+}
+
+static void creep_on(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_real *strain, dehyst_real move)
+{
+    int j;
+    for (j = 0; j < wide->branches; j++) strain[j] = pace->decay[j] * strain[j] + pace->gain[j] * move;
+}
+
+/* On the stack, creep is a spring beside eta: G(w) + stiffness (w - knot_0) has reversals and branches like G. */
+static int simulate_on_stack(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
+                             dehyst_room *room, const dehyst_real *drive, dehyst_real *w, long n)
+{
+    const dehyst_curve *spring = &wide->plain.spring;
+    const dehyst_real stiffness = creep_stiffness(wide, pace), base = spring->knot[0];
+    dehyst_actuator stiff = wide->plain;
+    dehyst_walk walk;
+    int j;
+    long t;
+    for (j = 0; j < spring->size; j++) room->value[j] = spring->value[j] + stiffness * (spring->knot[j] - base);
+    for (j = 0; j + 1 < spring->size; j++) room->slope[j] = spring->slope[j] + stiffness;
+    stiff.spring.value = room->value;
+    stiff.spring.slope = room->slope;
+    if (dehyst_stack_encode(&stiff, &state->memory, &room->stack) != DEHYST_OK) return 0;
+    dehyst_walk_begin(&walk, &stiff, &room->stack);
+    for (t = 0; t < n; t++) {
+        const dehyst_real before = room->stack.y;
+        const dehyst_real known = held_over(wide, pace, state->strain) - stiffness * (before - base);
+        w[t] = dehyst_walk_to(&walk, drive[t] - known);
+        creep_on(wide, pace, state->strain, w[t] - before);
+    }
+    dehyst_stack_decode(&stiff, &room->stack, &state->memory);
+    return 1;
+}
+
+/* w holds tau(v) on entry. */
+static void simulate_in_time(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
+                             dehyst_room *room, dehyst_real *w, long n)
+{
+    const dehyst_real stiffness = creep_stiffness(wide, pace);
+    const int stack = room->stack.reversal != NULL && wide->grades.size == 0;
+    dehyst_real likely = 1;
+    long t;
+    for (t = 0; t < n; t++) {
+        const dehyst_real before = state->memory.y;
+        if (stack && n - t >= SHORT && t % BLOCK == 0 && simulate_on_stack(wide, pace, state, room, w + t, w + t, n - t))
+            return;
+        w[t] = solve(wide, &state->memory, w[t] - held_over(wide, pace, state->strain), stiffness, &likely);
+        creep_on(wide, pace, state->strain, w[t] - before);
+    }
+}
+
+void dehyst_wide_simulate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state, dehyst_room *room,
+                          const dehyst_real *v, dehyst_real *w, long n)
+{
+    dehyst_real likely = 1;
+    long t;
+    for (t = 0; t < n; t++) w[t] = v[t];
+    if (wide->drive.size > 0) map(&wide->drive, w, n);
+    if (wide->branches > 0)
+        simulate_in_time(wide, pace, state, room, w, n);
+    else if (wide->grades.size == 0 && room->stack.reversal != NULL)
+        dehyst_simulate_run(&wide->plain, &state->memory, &room->stack, w, w, n);
+    else
+        for (t = 0; t < n; t++) w[t] = solve(wide, &state->memory, w[t], 0, &likely);
+}
