@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from dehyst import Actuator, MaxwellSlip, ModelError, Record, Spring
+from dehyst import Actuator, MaxwellSlip, ModelError, Record, SmoothSlip, Spring
 from dehyst.model import AbstractModel, Motion
 from dehyst.rivals.goldfarb import Goldfarb
 
@@ -18,11 +18,12 @@ VOLTS = 100.0
 
 
 class Candidate(NamedTuple):
-    """A model and how far, as a fraction of the range, its inverse may be from exact."""
+    """A model, how far its inverse may be from exact as a fraction of the range, whether inner loops leave no trace."""
 
     name: str
     factory: Callable[[], AbstractModel]
     tolerance: float = 1e-12
+    wipes_out: bool = True
 
 
 def actuator(elements, knots, volts):
@@ -38,12 +39,19 @@ def goldfarb():
     return Goldfarb.fit(Record(u, VOLTS * (0.7 * u + 0.3 * np.sqrt(u)), 1e-5 * u))
 
 
+def smooth():
+    """Return ten elements beside three smooth ones."""
+    plain = actuator(10, np.linspace(0, 1e-5, 11), 60 * np.linspace(0, 1, 11) ** 1.3)
+    return Actuator(plain.slip, plain.spring, smooth=SmoothSlip([3e-7, 1e-6, 4e-6], [1, 0.5, 0.8], [5e6, 3e6, 2e6]))
+
+
 MODELS = [
     Candidate("spring alone", lambda: actuator(0, [0, 4e-6, 1e-5], [0, 60, 100])),
     Candidate("one element", lambda: actuator(1, [0, 1e-5], [0, 80])),
     Candidate("ten elements", lambda: actuator(10, np.linspace(0, 1e-5, 11), 90 * np.linspace(0, 1, 11) ** 1.3)),
     Candidate("thousand elements", lambda: actuator(1000, [0, 2e-6, 1e-5], [0, 10, 90])),
     Candidate("Goldfarb and Celanovic", goldfarb),
+    Candidate("smooth elements", smooth, wipes_out=False),
 ]
 
 
@@ -142,6 +150,8 @@ def test_rate_independence(model, candidate):
 
 def test_wiping_out(model, candidate):
     """A loop within the last one, closed again, leaves no trace in what follows."""
+    if not candidate.wipes_out:
+        pytest.skip("smooth elements do not come back to where an inner loop began")
     for run, drive, out in both_ways(model):
         low, high = drive.min(), drive.max()
         at = low + (high - low) * np.array([0, 1, 0.2, 0.9, 0.4, 0.7, 0.5, 0.9, 0.3, 0.2, 0.1, 0.6, 1])

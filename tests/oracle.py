@@ -16,6 +16,61 @@ def spring(y, knots, values):
     return float(np.interp(y, knots, values))
 
 
+def smooth_step(length, closing, q, step):
+    """Elongations of smooth elements after a step: all motion onward is motion along one curve r(u).
+
+    r(u) = length (1 - exp(-u / length)) for u > 0 and (1 - exp(-rate u)) / rate for u < 0, with
+    rate = (2 closing - 1) / length.
+    """
+    rate = np.maximum((2 * closing - 1) / length, 1e-30 / length)
+    sign = 1.0 if step > 0 else -1.0
+    r = np.clip(sign * q, -length, length)
+    with np.errstate(divide="ignore"):
+        u = np.where(r > 0, -length * np.log1p(-np.maximum(r, 0) / length), -np.log1p(-rate * np.minimum(r, 0)) / rate)
+    u = u + abs(step)
+    loaded = -length * np.expm1(-np.maximum(u, 0) / length)
+    return sign * np.where(u > 0, loaded, -np.expm1(-rate * np.minimum(u, 0)) / rate)
+
+
+class Smooth:
+    """A plain actuator with smooth elements, stepped one sample at a time and inverted by bisection."""
+
+    def __init__(self, actuator, state):
+        self.slip, self.curve, self.smooth = actuator.slip, actuator.spring, actuator.smooth
+        self.y, self.elongation, self.q = state.displacement, state.displacement - state.carts, state.smooth
+
+    def _reached(self, target):
+        step = target - self.y
+        elongation = np.clip(self.elongation + step, -self.slip.breakaway, self.slip.breakaway)
+        q = smooth_step(self.smooth.length, self.smooth.closing, self.q, step)
+        held = float(self.slip.stiffness @ elongation) + float(self.smooth.stiffness @ q)
+        return held + spring(target, self.curve.displacement, self.curve.voltage), elongation, q
+
+    def _move(self, target):
+        voltage, self.elongation, self.q = self._reached(target)
+        self.y = target
+        return voltage
+
+    def compensate(self, path):
+        """Voltages along displacements."""
+        return np.array([self._move(target) for target in path])
+
+    def simulate(self, voltages):
+        """Displacements along voltages."""
+        path, reach = [], np.ptp(self.curve.displacement)
+        for voltage in voltages:
+            low, high = self.y - reach, self.y + reach
+            while self._reached(low)[0] > voltage:
+                low -= reach
+            while self._reached(high)[0] < voltage:
+                high += reach
+            while (middle := 0.5 * (low + high)) not in (low, high):
+                low, high = (middle, high) if self._reached(middle)[0] < voltage else (low, middle)
+            self._move(high)
+            path.append(high)
+        return np.array(path)
+
+
 def compensate(rho, kappa, knots, values, start, carts, path):
     """Stop operators s <- clip(s + dy, -rho, rho), one sample at a time. Returns voltages, last y, carts."""
     elongation, y, voltages = start - np.asarray(carts, float), start, []

@@ -16,6 +16,7 @@ from dehyst.creep import Creep
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import read_json, write_json
 from dehyst.model import State
+from dehyst.smooth import SmoothSlip
 
 # Wide enough for every exponent, narrow enough that no difference overflows.
 numbers = st.floats(-1e300, 1e300)
@@ -105,9 +106,10 @@ def wide():
     return Actuator(
         GradedSlip(plain.slip.breakaway, [0.0, 4e-6, 1e-5], [[2e6, 2.5e6], [1e6, 0.3]]),
         plain.spring,
-        State(1e-6, [0.95e-6, 0.8e-6], [1e-8, 0.0, -2e-9]),
+        State(1e-6, [0.95e-6, 0.8e-6], [1e-8, 0.0, -2e-9], smooth=[1 / 3e6, -2e-6]),
         transformer=Transformer([0.0, 50.0, 100.0], [0.0, 1 / 3 + 51, 100.0]),
         creep=Creep([0.1, 1.0, 100.0], [1e5, 1 / 3, 0.0]),
+        smooth=SmoothSlip([1e-6, 2e-6], [1.0, 2 / 3], [1e6 / 3, 0.0]),
     )
 
 
@@ -115,7 +117,8 @@ def test_wider_parts_come_back_exactly(tmp_path):
     actuator = wide()
     back = through_a_file(actuator, tmp_path / "a.json")
     for part, fields in (("slip", ("breakaway", "knots", "stiffness")), ("transformer", ("voltage", "drive")),
-                         ("creep", ("time_constants", "stiffness")), ("state", ("carts", "creep"))):  # fmt: skip
+                         ("creep", ("time_constants", "stiffness")), ("smooth", ("length", "closing", "stiffness")),
+                         ("state", ("carts", "creep", "smooth"))):  # fmt: skip
         for name in fields:
             one, two = (getattr(getattr(a, part), name) for a in (actuator, back))
             assert one.shape == two.shape
@@ -126,7 +129,7 @@ def test_wider_parts_come_back_exactly(tmp_path):
 
 def test_a_file_of_version_1(tmp_path):
     data = made().as_dict()
-    del data["transformer"], data["creep"], data["state"]["creep_m"]
+    del data["transformer"], data["creep"], data["smooth"], data["state"]["creep_m"], data["state"]["smooth_m"]
     data["version"] = 1
     write_json(tmp_path / "a.json", data)
     back = Actuator.from_dict(read_json(tmp_path / "a.json"))
@@ -148,6 +151,11 @@ def test_a_file_of_version_1(tmp_path):
         ("creep.stiffness_V_per_m", [1.0, -1.0, 1.0], "creep stiffness 1 is -1 V/m"),
         ("creep.time_constants_s", [0.0, 1.0, 2.0], "creep time constants must be positive"),
         ("creep.time_constants_s", [1.0], "got 1 creep time constants and 3 stiffnesses"),
+        ("smooth.closing", [1.0, 0.4], "smooth elements: closing must be 1/2 to 1"),
+        ("smooth.length_m", [1e-6], "smooth elements: got 1 of length, 2 of closing, 2 of stiffness"),
+        ("smooth", [], r"model: smooth must be an object with keys \['closing', 'length_m', 'stiffness_V_per_m'\]"),
+        ("state.smooth_m", [1e-9], "state: got 1 smooth elongations, this actuator has 2 smooth elements"),
+        ("state.smooth_m", [2e-6, 0.0], "state: smooth element 0 is elongated by 2e-06 m, its length is 1e-06 m"),
         ("state.creep_m", [1.0], "state: got 1 creep strains, this actuator has 3 creep branches"),
     ],
 )
@@ -181,12 +189,12 @@ def test_keys_state_their_units(tmp_path):
     write_json(tmp_path / "a.json", made().as_dict())
     data = json.loads((tmp_path / "a.json").read_text(encoding="ascii"))
     assert list(data) == [
-        "format", "version", "name", "slip", "spring", "transformer", "creep", "state", "limits", "delay_s",
-        "provenance",
+        "format", "version", "name", "slip", "spring", "transformer", "creep", "smooth", "state", "limits",
+        "delay_s", "provenance",
     ]  # fmt: skip
     assert list(data["slip"]) == ["breakaway_m", "stiffness_V_per_m"]
     assert list(data["spring"]) == ["displacement_m", "voltage_V"]
-    assert list(data["state"]) == ["displacement_m", "carts_m", "creep_m"]
+    assert list(data["state"]) == ["displacement_m", "carts_m", "creep_m", "smooth_m"]
     assert list(data["limits"]) == ["voltage_V"]
 
 

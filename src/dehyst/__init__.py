@@ -24,6 +24,7 @@ from dehyst.identify import identify
 from dehyst.model import Fit, Motion, Outcome, RecordErrors, State, Trace
 from dehyst.physical import Physical
 from dehyst.record import Record
+from dehyst.smooth import SmoothSlip
 from dehyst.version import __version__
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "Record",
     "RecordError",
     "RecordErrors",
+    "SmoothSlip",
     "Spring",
     "State",
     "Trace",

@@ -18,6 +18,7 @@ from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer, frozen
 from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import AbstractModel, Motion, State
 from dehyst.physical import Physical, physical
+from dehyst.smooth import SmoothSlip
 
 _NONE = np.zeros(0)
 # What rounding may leave of a slope that is the difference of two.
@@ -43,8 +44,9 @@ class Actuator(AbstractModel):
     """A piezoelectric actuator (Eqs. 1-3, in terminal coordinates).
 
     Plain, it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, with s_i the elongation of slip element i and eta
-    the parallel spring. Wider (theory section 8), ``tau(v) = sum_i [psi_i(y) - psi_i(b_i)] + eta(y) + sum_j c_j d_j``,
-    with b_i the position of cart i and d_j the strain of creep branch j.
+    the parallel spring. Wider (theory section 8), ``tau(v) = sum_i [psi_i(y) - psi_i(b_i)] + eta(y) + sum_j c_j d_j +
+    sum_l k_l q_l``, with b_i the position of cart i, d_j the strain of creep branch j and q_l the elongation of smooth
+    element l.
 
     Parameters
     ----------
@@ -65,6 +67,8 @@ class Actuator(AbstractModel):
         tau; default: tau(v) = v.
     creep : Creep, optional
         Branches that move in time: with them `simulate` and `compensate` need `time`.
+    smooth : SmoothSlip, optional
+        Elements that let go gradually, beside the others.
 
     Raises
     ------
@@ -82,10 +86,12 @@ class Actuator(AbstractModel):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     transformer: Transformer | None = None
     creep: Creep | None = None
+    smooth: SmoothSlip | None = None
 
     def __post_init__(self) -> None:
         for part, kinds in (("slip", (MaxwellSlip, GradedSlip)), ("spring", (Spring,)),
-                            ("transformer", (Transformer, type(None))), ("creep", (Creep, type(None)))):  # fmt: skip
+                            ("transformer", (Transformer, type(None))), ("creep", (Creep, type(None))),
+                            ("smooth", (SmoothSlip, type(None)))):  # fmt: skip
             if not isinstance(getattr(self, part), kinds):
                 needed = " or ".join(kind.__name__ for kind in kinds if kind is not type(None))
                 raise ModelError(f"{part}: got {type(getattr(self, part)).__name__}, need a {needed}")
@@ -102,7 +108,8 @@ class Actuator(AbstractModel):
     @property
     def wide(self) -> bool:
         """Whether it has more than plain slip elements and a spring."""
-        return isinstance(self.slip, GradedSlip) or self.transformer is not None or self.creep is not None
+        more = (self.transformer, self.creep, self.smooth)
+        return isinstance(self.slip, GradedSlip) or any(part is not None for part in more)
 
     @property
     def needs_time(self) -> bool:
@@ -120,10 +127,12 @@ class Actuator(AbstractModel):
         slip, tau = self.slip, self.transformer
         grades = (slip.knots, slip.stiffness.ravel()) if isinstance(slip, GradedSlip) else (_NONE, _NONE)
         curve = (_NONE, _NONE) if tau is None else (tau.voltage, tau.drive)
-        creep = _NONE if self.creep is None else self.creep.stiffness
+        creep, s = _NONE if self.creep is None else self.creep.stiffness, self.smooth
+        smooth = (_NONE, _NONE, _NONE) if s is None else (s.length, s.closing, s.stiffness)
         return WideCore(
-            slip.breakaway, self._stiffness, self.spring.displacement, self.spring.voltage, *grades, *curve, creep
-        )
+            slip.breakaway, self._stiffness, self.spring.displacement, self.spring.voltage, *grades, *curve, creep,
+            *smooth,
+        )  # fmt: skip
 
     @property
     def _stiffness(self) -> Array:
@@ -145,7 +154,7 @@ class Actuator(AbstractModel):
             Where to start; default ``self.state``.
         stack : bool, optional
             Evaluate on the stack of reversals (default), or clip every element at every sample. Same answer. Graded
-            elements are always clipped.
+            elements, and a simulation with smooth ones, always clip.
 
         Returns
         -------
@@ -162,8 +171,8 @@ class Actuator(AbstractModel):
         if not self.wide:
             y, position, carts = self.core.simulate(v, start.displacement, start.carts, stack=stack)
             return Motion(voltage=v, displacement=y, state=State(position, carts))
-        y, w, carts, creep = self.wide_core.simulate(v, step, start.displacement, start.carts, start.creep, stack=stack)
-        return Motion(voltage=v, displacement=y, state=State(w, carts, creep))
+        y, w, carts, strains = self.wide_core.simulate(v, step, *_packed(start), stack=stack)
+        return Motion(voltage=v, displacement=y, state=self._unpacked(w, carts, strains))
 
     def compensate(
         self, displacement: ArrayLike, *, time: ArrayLike | None = None, state: State | None = None, stack: bool = True
@@ -193,10 +202,8 @@ class Actuator(AbstractModel):
         if not self.wide:
             v, position, carts = self.core.compensate(y, start.displacement, start.carts, stack=stack)
             return Motion(voltage=v, displacement=y, state=State(position, carts))
-        v, w, carts, creep = self.wide_core.compensate(
-            y, step, start.displacement, start.carts, start.creep, stack=stack
-        )
-        return Motion(voltage=v, displacement=y, state=State(w, carts, creep))
+        v, w, carts, strains = self.wide_core.compensate(y, step, *_packed(start), stack=stack)
+        return Motion(voltage=v, displacement=y, state=self._unpacked(w, carts, strains))
 
     def relaxed(self, voltage: float = 0.0) -> State:
         """The state in which no element is strained and the spring alone holds `voltage` [V]."""
@@ -207,17 +214,19 @@ class Actuator(AbstractModel):
     def turned(self, displacement: float, *, rising: bool = True) -> State:
         """The state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II).
 
-        Creep is at rest there, as if the motion had been slow.
+        Every smooth element has let go. Creep is at rest there, as if the motion had been slow.
         """
         y = number(displacement, "displacement")
-        return State(y, y - (1 if rising else -1) * self.slip.breakaway)
+        side = 1 if rising else -1
+        smooth = () if self.smooth is None else side * self.smooth.length
+        return State(y, y - side * self.slip.breakaway, smooth=smooth)
 
     def voltage(self, state: State | None = None) -> float:
         """Voltage [V] that holds the actuator in `state`; default ``self.state``."""
         start = self._start(state)
         if not self.wide:
             return self.core.voltage(start.displacement, start.carts)
-        return self.wide_core.voltage(start.displacement, start.carts, start.creep)
+        return self.wide_core.voltage(*_packed(start))
 
     def physical(
         self, *, transformer_ratio: float, mechanical_stiffness: float, electrical_stiffness: float
@@ -313,17 +322,44 @@ class Actuator(AbstractModel):
         return start if not excess.size or excess[worst] <= 0 else replace(start, carts=self._pulled(start))
 
     def _complete(self, state: State) -> State:
-        """Put in the creep strains, if they were left out."""
+        """Put in creep strains and smooth elongations, if they were left out."""
         branches = 0 if self.creep is None else len(self.creep)
         if state.creep.size not in (0, branches):
             raise ModelError(
                 f"state: got {state.creep.size} creep strains, this actuator has {branches} creep branches"
             )
-        return replace(state, creep=np.zeros(branches)) if state.creep.size < branches else state
+        if state.creep.size < branches:
+            state = replace(state, creep=np.zeros(branches))
+        return self._elongated(state)
+
+    def _elongated(self, state: State) -> State:
+        length = _NONE if self.smooth is None else self.smooth.length
+        if state.smooth.size not in (0, length.size):
+            raise ModelError(
+                f"state: got {state.smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
+            )
+        if state.smooth.size < length.size:
+            return replace(state, smooth=np.zeros(length.size))
+        excess = np.abs(state.smooth) - length
+        worst = int(np.argmax(excess / length)) if excess.size else 0
+        if excess.size and excess[worst] > 1e-9 * length[worst]:
+            raise ModelError(
+                f"state: smooth element {worst} is elongated by {state.smooth[worst]:.3g} m, its length is "
+                f"{length[worst]:.3g} m"
+            )
+        return replace(state, smooth=np.clip(state.smooth, -length, length)) if np.any(excess > 0) else state
+
+    def _unpacked(self, w: float, carts: Array, strains: Array) -> State:
+        branches = 0 if self.creep is None else len(self.creep)
+        return State(w, carts, strains[:branches], smooth=strains[branches:])
 
     def _pulled(self, state: State) -> Array:
         low, high = state.displacement - self.slip.breakaway, state.displacement + self.slip.breakaway
         return frozen(np.clip(state.carts, low, high))
+
+
+def _packed(state: State) -> tuple[float, Array, Array]:
+    return state.displacement, state.carts, np.concatenate([state.creep, state.smooth])
 
 
 def demand_plain(actuator: Actuator, what: str) -> Actuator:
@@ -332,12 +368,13 @@ def demand_plain(actuator: Actuator, what: str) -> Actuator:
     Raises
     ------
     ModelError
-        If it is none, or has graded elements, a transformer or creep, which `what` does not take into account.
+        If it is none, or has graded elements, a transformer, creep or smooth elements, which `what` does not take into
+        account.
     """
     if not isinstance(actuator, Actuator):
         raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
     more = {"graded elements": isinstance(actuator.slip, GradedSlip), "a transformer": actuator.transformer is not None,
-            "creep": actuator.creep is not None}  # fmt: skip
+            "creep": actuator.creep is not None, "smooth elements": actuator.smooth is not None}  # fmt: skip
     if actuator.wide:
         there = " and ".join(name for name, has in more.items() if has)
         raise ModelError(f"{what} takes plain slip elements and a spring only, this actuator has {there}; leave it out")

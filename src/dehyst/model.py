@@ -30,17 +30,23 @@ class State:
         Strain d_j of each creep branch [m]; empty: none is strained.
     motion : (0,) or (2,) array
         With dynamics, displacement [m] and velocity [m/s] of the mass; empty: at rest at `displacement`.
+    smooth : (L,) array
+        Elongation q_l of each smooth element [m]; empty: none is elongated.
     """
 
     displacement: float
     carts: Array
     creep: Array
     motion: Array
+    smooth: Array
 
-    def __init__(self, displacement: float, carts: ArrayLike, creep: ArrayLike = (), motion: ArrayLike = ()) -> None:
+    def __init__(
+        self, displacement: float, carts: ArrayLike, creep: ArrayLike = (), motion: ArrayLike = (),
+        smooth: ArrayLike = (),
+    ) -> None:  # fmt: skip
         object.__setattr__(self, "displacement", number(displacement, "state: displacement"))
         for name, values, what in (("carts", carts, "carts"), ("creep", creep, "creep strains"),
-                                   ("motion", motion, "motion")):  # fmt: skip
+                                   ("motion", motion, "motion"), ("smooth", smooth, "smooth elongations")):  # fmt: skip
             object.__setattr__(self, name, vector(values, what))
             getattr(self, name).flags.writeable = False
         if self.motion.size not in (0, 2):
@@ -49,7 +55,7 @@ class State:
     def shifted(self, by: float) -> State:
         """The same state on a displacement axis moved by `by` [m]."""
         motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
-        return State(self.displacement + by, self.carts + by, self.creep, motion)
+        return State(self.displacement + by, self.carts + by, self.creep, motion, self.smooth)
 
 
 @dataclass(frozen=True, eq=False)

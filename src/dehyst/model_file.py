@@ -12,6 +12,7 @@ from dehyst._native import Array, number
 from dehyst.creep import Creep
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.model import State
+from dehyst.smooth import SmoothSlip
 
 if TYPE_CHECKING:
     from dehyst.actuator import Actuator
@@ -19,12 +20,13 @@ if TYPE_CHECKING:
 FORMAT = "dehyst-actuator"
 VERSION = 2
 _PLAIN = {"format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance"}
-_KEYS = _PLAIN | {"transformer", "creep"}
+_KEYS = _PLAIN | {"transformer", "creep", "smooth"}
 
 
 def as_dict(actuator: Actuator) -> dict[str, Any]:
     """JSON values of an actuator in SI units; parts that it lacks are null."""
     slip, spring, transformer, creep = actuator.slip, actuator.spring, actuator.transformer, actuator.creep
+    smooth = actuator.smooth
     elements: dict[str, Any] = {"breakaway_m": slip.breakaway.tolist()}
     if isinstance(slip, GradedSlip):
         elements["knots_m"] = slip.knots.tolist()
@@ -39,10 +41,14 @@ def as_dict(actuator: Actuator) -> dict[str, Any]:
             "voltage_V": transformer.voltage.tolist(), "drive_V": transformer.drive.tolist()},
         "creep": None if creep is None else {
             "time_constants_s": creep.time_constants.tolist(), "stiffness_V_per_m": creep.stiffness.tolist()},
+        "smooth": None if smooth is None else {
+            "length_m": smooth.length.tolist(), "closing": smooth.closing.tolist(),
+            "stiffness_V_per_m": smooth.stiffness.tolist()},
         "state": {
             "displacement_m": actuator.state.displacement,
             "carts_m": actuator.state.carts.tolist(),
             "creep_m": actuator.state.creep.tolist(),
+            "smooth_m": actuator.state.smooth.tolist(),
         },
         "limits": None if actuator.limits is None else {"voltage_V": list(actuator.limits)},
         "delay_s": actuator.delay,
@@ -80,13 +86,17 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _wider(data: Mapping[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {"state": _state(data, {"creep_m"}), "transformer": None, "creep": None}
+    found: dict[str, Any] = {"state": _state(data, {"creep_m", "smooth_m"})}
+    found |= dict.fromkeys(("transformer", "creep", "smooth"))
     if data["transformer"] is not None:
         part = _part(data, "transformer", {"voltage_V", "drive_V"})
         found["transformer"] = Transformer(*_columns(part, "transformer", "voltage_V", "drive_V"))
     if data["creep"] is not None:
         part = _part(data, "creep", {"time_constants_s", "stiffness_V_per_m"})
         found["creep"] = Creep(*_columns(part, "creep", "time_constants_s", "stiffness_V_per_m"))
+    if data["smooth"] is not None:
+        part = _part(data, "smooth", {"length_m", "closing", "stiffness_V_per_m"})
+        found["smooth"] = SmoothSlip(*_columns(part, "smooth", "length_m", "closing", "stiffness_V_per_m"))
     return found
 
 
@@ -111,6 +121,7 @@ def _state(data: Mapping[str, Any], more: set[str]) -> State:
         number(state["displacement_m"], "state.displacement_m"),
         _numbers(state["carts_m"], "state.carts_m"),
         _numbers(state["creep_m"], "state.creep_m") if "creep_m" in more else (),
+        smooth=_numbers(state["smooth_m"], "state.smooth_m") if "smooth_m" in more else (),
     )
 
 
