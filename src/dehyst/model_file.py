@@ -10,6 +10,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._native import Array, number
 from dehyst.creep import Creep
+from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.model import State
 
@@ -19,12 +20,13 @@ if TYPE_CHECKING:
 FORMAT = "dehyst-actuator"
 VERSION = 2
 _PLAIN = {"format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance"}
-_KEYS = _PLAIN | {"transformer", "creep"}
+_KEYS = _PLAIN | {"transformer", "creep", "dynamics", "load_stiffness_N_per_m", "lag_s"}
 
 
 def as_dict(actuator: Actuator) -> dict[str, Any]:
     """JSON values of an actuator in SI units; parts that it lacks are null."""
     slip, spring, transformer, creep = actuator.slip, actuator.spring, actuator.transformer, actuator.creep
+    dynamics, state = actuator.dynamics, actuator.state
     elements: dict[str, Any] = {"breakaway_m": slip.breakaway.tolist()}
     if isinstance(slip, GradedSlip):
         elements["knots_m"] = slip.knots.tolist()
@@ -39,10 +41,17 @@ def as_dict(actuator: Actuator) -> dict[str, Any]:
             "voltage_V": transformer.voltage.tolist(), "drive_V": transformer.drive.tolist()},
         "creep": None if creep is None else {
             "time_constants_s": creep.time_constants.tolist(), "stiffness_V_per_m": creep.stiffness.tolist()},
+        "dynamics": None if dynamics is None else {
+            "frequency_rad_per_s": dynamics.frequency, "damping": dynamics.damping,
+            "series_V_per_m": dynamics.series},
+        "load_stiffness_N_per_m": actuator.load_stiffness,
+        "lag_s": actuator.lag,
         "state": {
-            "displacement_m": actuator.state.displacement,
-            "carts_m": actuator.state.carts.tolist(),
-            "creep_m": actuator.state.creep.tolist(),
+            "displacement_m": state.displacement,
+            "carts_m": state.carts.tolist(),
+            "creep_m": state.creep.tolist(),
+            "motion": None if not state.motion.size else {
+                "displacement_m": float(state.motion[0]), "velocity_m_per_s": float(state.motion[1])},
         },
         "limits": None if actuator.limits is None else {"voltage_V": list(actuator.limits)},
         "delay_s": actuator.delay,
@@ -80,13 +89,22 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _wider(data: Mapping[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {"state": _state(data, {"creep_m"}), "transformer": None, "creep": None}
+    stiffness = data["load_stiffness_N_per_m"]
+    found: dict[str, Any] = {
+        "state": _state(data, {"creep_m", "motion"}),
+        "lag": number(data["lag_s"], "lag_s"),
+        "load_stiffness": None if stiffness is None else number(stiffness, "load_stiffness_N_per_m"),
+    }
     if data["transformer"] is not None:
         part = _part(data, "transformer", {"voltage_V", "drive_V"})
         found["transformer"] = Transformer(*_columns(part, "transformer", "voltage_V", "drive_V"))
     if data["creep"] is not None:
         part = _part(data, "creep", {"time_constants_s", "stiffness_V_per_m"})
         found["creep"] = Creep(*_columns(part, "creep", "time_constants_s", "stiffness_V_per_m"))
+    if data["dynamics"] is not None:
+        keys = ("frequency_rad_per_s", "damping", "series_V_per_m")
+        part = _part(data, "dynamics", set(keys))
+        found["dynamics"] = Dynamics(*(number(part[key], f"dynamics.{key}") for key in keys))
     return found
 
 
@@ -107,11 +125,14 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
 
 def _state(data: Mapping[str, Any], more: set[str]) -> State:
     state = _part(data, "state", {"displacement_m", "carts_m"} | more)
-    return State(
-        number(state["displacement_m"], "state.displacement_m"),
-        _numbers(state["carts_m"], "state.carts_m"),
-        _numbers(state["creep_m"], "state.creep_m") if "creep_m" in more else (),
-    )
+    w, carts = number(state["displacement_m"], "state.displacement_m"), _numbers(state["carts_m"], "state.carts_m")
+    if not more:
+        return State(w, carts)
+    motion: tuple[float, ...] = ()
+    if state["motion"] is not None:
+        part = _part(state, "motion", {"displacement_m", "velocity_m_per_s"})
+        motion = tuple(number(part[key], f"motion.{key}") for key in ("displacement_m", "velocity_m_per_s"))
+    return State(w, carts, _numbers(state["creep_m"], "state.creep_m"), motion)
 
 
 def _demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
