@@ -18,6 +18,7 @@ from dehyst.assumptions import checks
 from dehyst.composition import parts
 from dehyst.directions import directions
 from dehyst.elements import MaxwellSlip, Spring
+from dehyst.inertia import Inertia
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.program import Norm, one_thread
@@ -164,8 +165,12 @@ class _Job:
         self.tell("estimating delay and datums")
         plain = self._with_datums(self._regression(self._thresholds(), self.delay))
         voltages = self._limits()
-        frame = Frame(self.training, self.delay, self.span, voltages, plain.floor, plain.datum)
+        inertia = Inertia(self.delay, 0.0, 0.0)
+        frame = Frame(self.training, inertia, self.span, voltages, plain.floor, plain.datum)
         if isinstance(structure, str):
+            self.tell("looking for inertia")
+            frame = frame.with_inertia()
+            self.delay = frame.inertia.delay
             structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
             self.remarks += remarks
         self.structure = structure
@@ -177,7 +182,7 @@ class _Job:
         reference = regression.rows.epoch[regression.rows.record == self.widest].max()
         actuator = Actuator(
             **parts(regression.grid, found, found.offsets[int(reference)]),
-            limits=voltages, delay=self.delay, name=self.training[self.widest].record.name,
+            dynamics=frame.inertia.dynamics, limits=voltages, delay=self.delay, name=self.training[self.widest].record.name,
             provenance=self._provenance(),
         )  # fmt: skip
         self.tell("simulating every record")

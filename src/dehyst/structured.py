@@ -11,6 +11,7 @@ import numpy as np
 
 from dehyst._native import Array
 from dehyst.composition import moved_along
+from dehyst.inertia import Inertia, find_inertia, undone
 from dehyst.preparation import Prepared
 from dehyst.record import Record
 from dehyst.repairs import cycle_time
@@ -32,6 +33,11 @@ _PART_OF_CYCLE, _WIDEST = 16, 12
 # What tells whether a record began at rest, and by how much that must lower the RMS residual.
 _CREEPING = Structure(elements=20, transformer=20, grades=4, creep=9)
 _WORTH_OF_START = 0.9
+# Inertia shows in cycles of fewer samples than this; masses [samples squared] that are tried before it is looked for.
+_SLOWEST = 1000.0
+_ROOTS = (0.7, 1.5, 3.0, 6.0)
+_WORTH_OF_MASS = 0.95
+_SWINGING = Structure(elements=20, grades=3, transformer=10, smooth=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +47,8 @@ class Frame:
     Attributes
     ----------
     training : sequence of Prepared
-    delay : float
-        [s].
+    inertia : Inertia
+        Delay, and how the displacement lags behind what hysteresis makes.
     span, voltages : (float, float)
         Lowest and highest displacement [m] of the widest loop, and voltage [V] of all records.
     floor : float
@@ -52,7 +58,7 @@ class Frame:
     """
 
     training: Sequence[Prepared]
-    delay: float
+    inertia: Inertia
     span: tuple[float, float]
     voltages: tuple[float, float]
     floor: float
@@ -71,12 +77,27 @@ class Frame:
 
     def _rows_of(self, structure: Structure, most: int) -> WideRegression:
         grid = structure.grid(self.span, self.voltages, self.times)
-        pieces = [(q, self.smoothed(piece), drift) for q, item in enumerate(self.training)
-                  for _, piece, drift in item.delayed(q, self.delay)]  # fmt: skip
+        pieces = [(q, self.smoothed(undone(piece, self.inertia.dynamics)), drift)
+                  for q, item in enumerate(self.training) for _, piece, drift in item.delayed(q, self.inertia.delay)]  # fmt: skip
         noise = [self.training[q].noise for q, _, _ in pieces]
         rows, _ = collect(pieces, grid.breakaway, noise,
                           moved=lambda number, piece: moved_along(grid, piece, self.training[number].lead))  # fmt: skip
         return WideRegression(rows.thinned(most), grid, self.floor, self.datum)
+
+    def with_inertia(self) -> Frame:
+        """The same with the delay, damping and mass that the records ask for, if they do."""
+        step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
+        if cycle > _SLOWEST * step or self.window > 1:
+            return self
+
+        def build(inertia: Inertia) -> WideRegression:
+            return replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2)
+
+        without = _rms(build(self.inertia))
+        masses = [replace(self.inertia, mass=(root * step) ** 2) for root in _ROOTS]
+        if min(_rms(build(one)) for one in masses) > _WORTH_OF_MASS * without:
+            return self
+        return replace(self, inertia=find_inertia(build, self.inertia.delay, step, cycle))
 
     @cached_property
     def window(self) -> int:

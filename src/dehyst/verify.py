@@ -10,6 +10,7 @@ import numpy as np
 from dehyst._native import Array, stops
 from dehyst.actuator import Actuator
 from dehyst.composition import coefficients_of, grid_of, moved_along
+from dehyst.inertia import derivatives, undone
 from dehyst.metrics import largest, rms
 from dehyst.model import RecordErrors, State, Trace
 from dehyst.preparation import Prepared
@@ -56,7 +57,9 @@ class Comparison:
     ----------
     record : Prepared
     pieces : list of (record number, Record, drift curve)
-        Voltages delayed.
+        Voltages delayed; with dynamics the displacements are those that hysteresis makes, before the resonance.
+    measured : list of Record
+        The same pieces with the displacements measured.
     epochs : list of list of Epoch
         Of each piece.
     regression : Regression
@@ -69,6 +72,7 @@ class Comparison:
 
     record: Prepared
     pieces: list[tuple[int, Record, Array]]
+    measured: list[Record]
     epochs: list[list[Epoch]]
     regression: Regression | WideRegression
     found: Coefficients | WideCoefficients
@@ -96,7 +100,7 @@ class Comparison:
         for number, ((_, piece, curve), own) in enumerate(zip(self.pieces, self.epochs, strict=True)):
             for i, epoch in enumerate(own):
                 played = _play(actuator, piece, epoch, offsets[first + i], self.drift * curve, self.datum, self.start,
-                               self.record.lead)
+                               self.record.lead, self.measured[number])
                 parts.append((number, epoch, played))
             first += len(own)
         return parts
@@ -104,14 +108,15 @@ class Comparison:
 
 def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
-    pieces = record.delayed(0, protocol.delay)
+    measured = record.delayed(0, protocol.delay)
+    pieces = [(q, undone(piece, actuator.dynamics), drift) for q, piece, drift in measured]
     regression, model, epochs = _beside(actuator, record, pieces, (0,) if protocol.drifting else ())
     datum = protocol.datum
     if datum is None:
         datum = find_datum(regression, 0, protocol.stroke, given=model)
     regression = replace(regression, datum=np.array([datum]))
     base = float(actuator.spring.voltage[0])
-    return Comparison(record, pieces, epochs, regression, regression.nuisances_of(model), base)
+    return Comparison(record, pieces, [piece for _, piece, _ in measured], epochs, regression, regression.nuisances_of(model), base)
 
 
 def _beside(
@@ -154,7 +159,7 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
 
 def _play(
     actuator: Actuator, piece: Record, epoch: Epoch, offset: float, drift: Array, datum: float, strain: Array,
-    lead: Record | None,
+    lead: Record | None, measured: Record,
 ) -> tuple[Array, ...]:
     """Time, voltage, measured, simulated, and simulated with the drift left in, over an epoch."""
     rho = actuator.slip.breakaway
@@ -163,7 +168,8 @@ def _play(
     carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
     carts = np.clip(carts, before[-1] - rho, before[-1] + rho)
     creep, smooth = _moved_to(actuator, piece, epoch.start, lead, strain)
-    state = State(float(before[-1]), carts, creep).shifted(datum)
+    motion = [] if actuator.dynamics is None else [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
+    state = State(float(before[-1]), carts, creep, motion, smooth).shifted(datum)
     span = slice(epoch.start, epoch.stop)
     time, tau = piece.time[span], actuator.transformer
     drive = (piece.voltage[span] if tau is None else tau(piece.voltage[span])) - offset
@@ -174,7 +180,7 @@ def _play(
 
     steady, drifting = simulated(drift[span]), simulated(float(drift[span].mean()))
     voltage = drive if tau is None else tau.inverse(drive)
-    return time, voltage, piece.displacement[span] + datum, steady, drifting
+    return time, voltage, measured.displacement[span] + datum, steady, drifting
 
 
 def _moved_to(
