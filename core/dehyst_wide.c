@@ -20,7 +20,7 @@ dehyst_status dehyst_wide_check(const dehyst_wide *wide, const dehyst_wide_state
         if (!is_finite(wide->stiffness[j]) || !is_finite(state->strain[j])) return DEHYST_ERR_FINITE;
         if (wide->stiffness[j] < 0) return DEHYST_ERR_SIGN;
     }
-    return DEHYST_OK;
+    return dehyst_smooth_check(&wide->smooth, state->elongation);
 }
 
 long dehyst_equal_steps(const dehyst_real *time, long first, long n)
@@ -38,6 +38,7 @@ dehyst_real dehyst_wide_voltage(const dehyst_wide *wide, const dehyst_wide_state
                                               : dehyst_voltage(&wide->plain, &state->memory);
     int j;
     for (j = 0; j < wide->branches; j++) drive += wide->stiffness[j] * state->strain[j];
+    drive += dehyst_smooth_held(&wide->smooth, state->elongation);
     return wide->voltage.size > 0 ? dehyst_curve_at(&wide->voltage, drive) : drive;
 }
 
@@ -109,6 +110,7 @@ void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, de
     dehyst_real move[BLOCK], present = state->memory.y;
     long first, t;
     hold(wide, &state->memory, room, w, v, n);
+    if (wide->smooth.size > 0) dehyst_smooth_compensate(&wide->smooth, state->elongation, present, w, v, n);
     for (first = 0; first < n; first += BLOCK) {
         const int count = n - first < BLOCK ? (int)(n - first) : BLOCK;
         if (wide->branches > 0) {
@@ -125,22 +127,18 @@ void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, de
     }
 }
 
-static outlook look_ahead(const dehyst_wide *wide, const dehyst_state *memory, dehyst_real w, dehyst_real direction)
-{
-    return wide->grades.size > 0 ? dehyst_grades_look_ahead(wide, memory, w, direction)
-                                 : dehyst_look_ahead(&wide->plain, memory, w, direction);
-}
-
 /* Move the carts to the w at which G(w) + stiffness (w - w_old) = drive, G what the elements and the spring hold. The
  * likely direction is tried first, and is put right. */
-static dehyst_real solve(const dehyst_wide *wide, dehyst_state *memory, dehyst_real drive, dehyst_real stiffness,
+static dehyst_real solve(const dehyst_wide *wide, dehyst_wide_state *state, dehyst_real drive, dehyst_real stiffness,
                          dehyst_real *likely)
 {
+    dehyst_state *memory = &state->memory;
     const int size = wide->plain.slip.size, grades = wide->grades.size > 0 ? wide->grades.size : 1;
     const dehyst_real start = memory->y;
     dehyst_real w = start, direction = *likely;
     int changes = (size + 1) * grades + wide->plain.spring.size;
     outlook ahead;
+    if (wide->smooth.size > 0) return dehyst_smooth_solve(wide, state, drive, stiffness, likely);
     if (!is_finite(drive)) return start;
     ahead = look_ahead(wide, memory, w, direction);
     if (direction * (drive - ahead.v) < 0) {
@@ -219,14 +217,14 @@ static void simulate_in_time(const dehyst_wide *wide, const dehyst_pace *pace, d
                              dehyst_room *room, dehyst_real *w, long n)
 {
     const dehyst_real stiffness = creep_stiffness(wide, pace);
-    const int stack = room->stack.reversal != NULL && wide->grades.size == 0;
+    const int stack = room->stack.reversal != NULL && wide->grades.size == 0 && wide->smooth.size == 0;
     dehyst_real likely = 1;
     long t;
     for (t = 0; t < n; t++) {
         const dehyst_real before = state->memory.y;
         if (stack && n - t >= SHORT && t % BLOCK == 0 && simulate_on_stack(wide, pace, state, room, w + t, w + t, n - t))
             return;
-        w[t] = solve(wide, &state->memory, w[t] - held_over(wide, pace, state->strain), stiffness, &likely);
+        w[t] = solve(wide, state, w[t] - held_over(wide, pace, state->strain), stiffness, &likely);
         creep_on(wide, pace, state->strain, w[t] - before);
     }
 }
@@ -240,8 +238,8 @@ void dehyst_wide_simulate(const dehyst_wide *wide, const dehyst_pace *pace, dehy
     if (wide->drive.size > 0) map(&wide->drive, w, n);
     if (wide->branches > 0)
         simulate_in_time(wide, pace, state, room, w, n);
-    else if (wide->grades.size == 0 && room->stack.reversal != NULL)
+    else if (wide->grades.size == 0 && wide->smooth.size == 0 && room->stack.reversal != NULL)
         dehyst_simulate_run(&wide->plain, &state->memory, &room->stack, w, w, n);
     else
-        for (t = 0; t < n; t++) w[t] = solve(wide, &state->memory, w[t], 0, &likely);
+        for (t = 0; t < n; t++) w[t] = solve(wide, state, w[t], 0, &likely);
 }
