@@ -33,7 +33,8 @@ typedef enum dehyst_status {
     DEHYST_ERR_FINITE = -2,      /* not a number, or infinite */
     DEHYST_ERR_ORDER = -3,       /* knots, spring voltages or breakaway elongations not strictly increasing */
     DEHYST_ERR_SIGN = -4,        /* a negative stiffness, or a breakaway elongation that is not positive */
-    DEHYST_ERR_STATE = -5,       /* a cart farther from y than its breakaway elongation */
+    DEHYST_ERR_STATE = -5,       /* a cart farther from y than its breakaway elongation, or a smooth element longer
+                                  * than its length */
     DEHYST_ERR_CAPACITY = -6,    /* fewer reversals than DEHYST_STACK_CAPACITY(N) */
     DEHYST_ERR_UNREACHABLE = -7  /* carts that no history from rest leaves: use the carts until they are wiped out */
 } dehyst_status;
@@ -76,9 +77,18 @@ typedef struct dehyst_grades {
     const dehyst_real *slope; /* [(N + 1) M] kappa_im >= 0; then their sum */
 } dehyst_grades;
 
-/* The wider actuator: tau(v) = sum_i [psi_i(w) - psi_i(b_i)] + eta(w) + sum_j c_j d_j + beta (w - y). Its slip elements, in `plain`,
- * are those of the plain class, or lend the graded ones their size and breakaway elongations; the stiffnesses are then
- * left alone. On every outermost branch the right-hand side must increase: then it does on every other. */
+/* Smooth elements: k_l q_l, dq = dy (1 - |q / length| (closing sgn(q dy) + 1 - closing)), |q_l| <= length_l, closing 1/2
+ * to 1 (Dahl; Bouc and Wen). `back` is made by dehyst_smooth_tabulate. */
+typedef struct dehyst_smooth {
+    int size;                     /* L; 0: none */
+    const dehyst_real *length;    /* [L] > 0 */
+    const dehyst_real *back;      /* [L] (2 closing - 1) / length */
+    const dehyst_real *stiffness; /* [L] k_l [V/m], >= 0 */
+} dehyst_smooth;
+
+/* The wider actuator: tau(v) = sum_i [psi_i(w) - psi_i(b_i)] + eta(w) + sum_j c_j d_j + sum_l k_l q_l + beta (w - y).
+ * Its slip elements, in `plain`, are those of the plain class, or lend the graded ones their size and breakaway
+ * elongations; the stiffnesses are then left alone. On every outermost branch the right-hand side must increase: then it does on every other. */
 typedef struct dehyst_wide {
     dehyst_actuator plain;
     dehyst_grades grades;
@@ -89,6 +99,7 @@ typedef struct dehyst_wide {
     int inertia;                  /* 0: y is w, and beta is left alone */
     dehyst_real series;           /* beta [V/m], >= 0 */
     dehyst_real share;            /* theta = beta / (K + beta), K a mean slope of eta */
+    dehyst_smooth smooth;
 } dehyst_wide;
 
 /* One step of y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q, exact for q = w - theta y + F_ext/kc linear in
@@ -106,10 +117,11 @@ typedef struct dehyst_pace {
 } dehyst_pace;
 
 typedef struct dehyst_wide_state {
-    dehyst_state memory; /* w and the carts */
-    dehyst_real *strain; /* [J] d_j [m] */
-    dehyst_real y, rate; /* with inertia, y and y'/omega [m] */
-    dehyst_real input;   /* q [m], made by the first step if that is one without duration */
+    dehyst_state memory;     /* w and the carts */
+    dehyst_real *strain;     /* [J] d_j [m] */
+    dehyst_real *elongation; /* [L] q_l [m] of smooth elements */
+    dehyst_real y, rate;     /* with inertia, y and y'/omega [m] */
+    dehyst_real input;       /* q [m], made by the first step if that is one without duration */
 } dehyst_wide_state;
 
 typedef struct dehyst_reversal {
@@ -176,6 +188,12 @@ typedef struct dehyst_room {
 
 /* The last row of slope, and value, from knots and the first n rows of slope; the sums may be zero in places. */
 dehyst_status dehyst_grades_tabulate(int n, int m, const dehyst_real *knot, dehyst_real *slope, dehyst_real *value);
+/* back [n] from lengths and closings. */
+dehyst_status dehyst_smooth_tabulate(int n, const dehyst_real *length, const dehyst_real *closing, dehyst_real *back);
+/* Elongations after a motion by `by`, exact for any; then along a path that begins at y: out [n L], a row a sample. */
+void dehyst_smooth_move(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real by);
+void dehyst_smooth_elongations(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
+                               const dehyst_real *path, dehyst_real *out, long n);
 dehyst_status dehyst_wide_check(const dehyst_wide *wide, const dehyst_wide_state *state);
 /* Samples first to its result - 1, first >= 1, lie equal steps of time apart, but for what writing a time down leaves
  * of them. A step that is not positive stands alone. */

@@ -20,6 +20,8 @@ dehyst_status dehyst_wide_check(const dehyst_wide *wide, const dehyst_wide_state
         if (!is_finite(wide->stiffness[j]) || !is_finite(state->strain[j])) return DEHYST_ERR_FINITE;
         if (wide->stiffness[j] < 0) return DEHYST_ERR_SIGN;
     }
+    if (dehyst_smooth_check(&wide->smooth, state->elongation) != DEHYST_OK)
+        return dehyst_smooth_check(&wide->smooth, state->elongation);
     if (!wide->inertia) return DEHYST_OK;
     if (!is_finite(wide->series) || !is_finite(wide->share)) return DEHYST_ERR_FINITE;
     if (!is_finite(state->y) || !is_finite(state->rate)) return DEHYST_ERR_FINITE;
@@ -41,6 +43,7 @@ dehyst_real dehyst_wide_voltage(const dehyst_wide *wide, const dehyst_wide_state
                                               : dehyst_voltage(&wide->plain, &state->memory);
     int j;
     for (j = 0; j < wide->branches; j++) drive += wide->stiffness[j] * state->strain[j];
+    drive += dehyst_smooth_held(&wide->smooth, state->elongation);
     if (wide->inertia) drive += wide->series * (state->memory.y - state->y);
     return wide->voltage.size > 0 ? dehyst_curve_at(&wide->voltage, drive) : drive;
 }
@@ -113,6 +116,7 @@ void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, de
     dehyst_real move[BLOCK], present = state->memory.y;
     long first, t;
     hold(wide, &state->memory, room, w, v, n);
+    if (wide->smooth.size > 0) dehyst_smooth_compensate(&wide->smooth, state->elongation, present, w, v, n);
     for (first = 0; first < n; first += BLOCK) {
         const int count = n - first < BLOCK ? (int)(n - first) : BLOCK;
         if (wide->branches > 0) {
@@ -129,22 +133,18 @@ void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, de
     }
 }
 
-static outlook look_ahead(const dehyst_wide *wide, const dehyst_state *memory, dehyst_real w, dehyst_real direction)
-{
-    return wide->grades.size > 0 ? dehyst_grades_look_ahead(wide, memory, w, direction)
-                                 : dehyst_look_ahead(&wide->plain, memory, w, direction);
-}
-
 /* Move the carts to the w at which G(w) + stiffness (w - w_old) = drive, G what the elements and the spring hold. The
  * likely direction is tried first, and is put right. */
-static dehyst_real solve(const dehyst_wide *wide, dehyst_state *memory, dehyst_real drive, dehyst_real stiffness,
+static dehyst_real solve(const dehyst_wide *wide, dehyst_wide_state *state, dehyst_real drive, dehyst_real stiffness,
                          dehyst_real *likely)
 {
+    dehyst_state *memory = &state->memory;
     const int size = wide->plain.slip.size, grades = wide->grades.size > 0 ? wide->grades.size : 1;
     const dehyst_real start = memory->y;
     dehyst_real w = start, direction = *likely;
     int changes = (size + 1) * grades + wide->plain.spring.size;
     outlook ahead;
+    if (wide->smooth.size > 0) return dehyst_smooth_solve(wide, state, drive, stiffness, likely);
     if (!is_finite(drive)) return start;
     ahead = look_ahead(wide, memory, w, direction);
     if (direction * (drive - ahead.v) < 0) {
@@ -260,7 +260,7 @@ static void simulate_in_time(const dehyst_wide *wide, const dehyst_pace *pace, d
                              dehyst_room *room, const dehyst_real *load, dehyst_real *y, long n)
 {
     balance step = balance_of(wide, pace);
-    const int stack = room->stack.reversal != NULL && wide->grades.size == 0;
+    const int stack = room->stack.reversal != NULL && wide->grades.size == 0 && wide->smooth.size == 0;
     dehyst_real likely = 1;
     long t;
     for (t = 0; t < n; t++) {
@@ -270,7 +270,7 @@ static void simulate_in_time(const dehyst_wide *wide, const dehyst_pace *pace, d
             simulate_on_stack(wide, pace, state, room, load != NULL ? load + t : NULL, y + t, n - t))
             return;
         begin_step(wide, pace, state, before, force, &step);
-        w = solve(wide, &state->memory, y[t] - step.known, step.stiffness, &likely);
+        w = solve(wide, state, y[t] - step.known, step.stiffness, &likely);
         y[t] = end_step(wide, pace, state, before, w, force, &step);
     }
 }
@@ -284,10 +284,10 @@ void dehyst_wide_simulate(const dehyst_wide *wide, const dehyst_pace *pace, dehy
     if (wide->drive.size > 0) map(&wide->drive, y, n);
     if (wide->branches > 0 || wide->inertia)
         simulate_in_time(wide, pace, state, room, load, y, n);
-    else if (wide->grades.size == 0 && room->stack.reversal != NULL)
+    else if (wide->grades.size == 0 && wide->smooth.size == 0 && room->stack.reversal != NULL)
         dehyst_simulate_run(&wide->plain, &state->memory, &room->stack, y, y, n);
     else
-        for (t = 0; t < n; t++) y[t] = solve(wide, &state->memory, y[t], 0, &likely);
+        for (t = 0; t < n; t++) y[t] = solve(wide, state, y[t], 0, &likely);
 }
 
 void dehyst_strains(int branches, const dehyst_pace *pace, dehyst_real *strain, dehyst_real before,

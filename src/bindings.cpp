@@ -33,7 +33,9 @@ const char *sentence(dehyst_status status) {
     case DEHYST_ERR_FINITE: return "a value that is not finite";
     case DEHYST_ERR_ORDER: return "knots, spring voltages and breakaway elongations must strictly increase";
     case DEHYST_ERR_SIGN: return "stiffnesses must be >= 0 and breakaway elongations > 0";
-    case DEHYST_ERR_STATE: return "a cart lies farther from the displacement than its breakaway elongation";
+    case DEHYST_ERR_STATE:
+        return "a cart lies farther from the displacement than its breakaway elongation, or a smooth element is longer "
+               "than its length";
     case DEHYST_ERR_CAPACITY: return "the stack of reversals is too short";
     case DEHYST_ERR_UNREACHABLE: return "no history from rest leaves carts like these";
     }
@@ -137,18 +139,23 @@ struct Core {
 struct Wide {
     Core base;
     std::vector<double> grade_knot, grade_value, grade_slope, tau_voltage, tau_drive, tau_slope, tau_inverse, stiffness;
+    std::vector<double> length, back, smooth;
     dehyst_wide wide;
 
     Wide(Input rho, Input kappa, Input knot, Input value, Input grade_knot_, Input grades, Input tau_voltage_,
-         Input tau_drive_, Input stiffness_, Input inertia)
+         Input tau_drive_, Input stiffness_, Input inertia, Input length_, Input closing, Input smooth_)
         : base(rho, kappa, knot, value), grade_knot(copy(grade_knot_)), grade_slope(copy(grades)),
-          tau_voltage(copy(tau_voltage_)), tau_drive(copy(tau_drive_)), stiffness(copy(stiffness_)) {
+          tau_voltage(copy(tau_voltage_)), tau_drive(copy(tau_drive_)), stiffness(copy(stiffness_)), length(copy(length_)),
+          back(length.size()), smooth(copy(smooth_)) {
         const size_t n = base.rho.size(), m = grade_knot.empty() ? 0 : grade_knot.size() - 1;
         if (grade_slope.size() != n * m || tau_voltage.size() != tau_drive.size()) demand(DEHYST_ERR_SIZE);
+        if (closing.size() != length.size() || smooth.size() != length.size()) demand(DEHYST_ERR_SIZE);
         wide = {base.actuator, {0, nullptr, nullptr, nullptr}, {0, nullptr, nullptr, nullptr},
-                {0, nullptr, nullptr, nullptr}, int(stiffness.size()), stiffness.data(), inertia.size() > 0, 0, 0};
+                {0, nullptr, nullptr, nullptr}, int(stiffness.size()), stiffness.data(), inertia.size() > 0, 0, 0,
+                {int(length.size()), length.data(), back.data(), smooth.data()}};
         if (inertia.size() != 0 && inertia.size() != 2) demand(DEHYST_ERR_SIZE);
         if (wide.inertia) wide.series = inertia(0), wide.share = inertia(1);
+        demand(dehyst_smooth_tabulate(int(length.size()), length.data(), closing.data(), back.data()));
         if (m > 0) {
             grade_slope.resize((n + 1) * m), grade_value.resize((n + 1) * (m + 1));
             demand(dehyst_grades_tabulate(int(n), int(m), grade_knot.data(), grade_slope.data(), grade_value.data()));
@@ -165,6 +172,7 @@ struct Wide {
     }
     Wide(const Wide &) = delete;
 
+    // In one array: the strains of creep, then the elongations of smooth elements.
     struct Memory {
         std::vector<double> cart, strain;
         dehyst_wide_state state;
@@ -173,10 +181,11 @@ struct Wide {
     std::unique_ptr<Memory> memory(double w, Input cart, Input strain, Input motion) const {
         auto own_memory = std::make_unique<Memory>();
         own_memory->cart = copy(cart), own_memory->strain = copy(strain);
-        if (own_memory->cart.size() != base.rho.size() || own_memory->strain.size() != stiffness.size() ||
+        if (own_memory->cart.size() != base.rho.size() || own_memory->strain.size() != stiffness.size() + length.size() ||
             motion.size() != (wide.inertia ? 2 : 0))
             demand(DEHYST_ERR_SIZE);
-        own_memory->state = {{w, own_memory->cart.data()}, own_memory->strain.data(), 0, 0, 0};
+        own_memory->state = {{w, own_memory->cart.data()}, own_memory->strain.data(),
+                             own_memory->strain.data() + stiffness.size(), 0, 0, 0};
         if (wide.inertia) own_memory->state.y = motion(0), own_memory->state.rate = motion(1);
         demand(dehyst_wide_check(&wide, &own_memory->state));
         return own_memory;
@@ -311,6 +320,21 @@ std::tuple<Matrix, Output> stops(Input rho, Input cart, Input y) {
     return {own<Matrix>(std::move(out), {n, size}), as_array(own_cart)};
 }
 
+Matrix smooth_elongations(Input length, Input closing, Input y) {
+    std::vector<double> back(length.size()), elongation(length.size());
+    const size_t n = y.size(), size = length.size();
+    if (closing.size() != size) demand(DEHYST_ERR_SIZE);
+    demand(dehyst_smooth_tabulate(int(size), length.data(), closing.data(), back.data()));
+    dehyst_smooth smooth{int(size), length.data(), back.data(), nullptr};
+    std::unique_ptr<double[]> out(new double[n * size + 1]);
+    const double *source = y.data();
+    {
+        nb::gil_scoped_release release;
+        dehyst_smooth_elongations(&smooth, elongation.data(), n ? source[0] : 0.0, source, out.get(), long(n));
+    }
+    return own<Matrix>(std::move(out), {n, size});
+}
+
 // Runs of equal steps; the first sample has none before it.
 std::tuple<nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>, Output> steps(Input time) {
     std::vector<int64_t> bounds{0};
@@ -344,11 +368,12 @@ NB_MODULE(_core, m) {
         .def("spring_at", &Core::spring_at)
         .def("spring_inverse", &Core::spring_inverse);
     nb::class_<Wide>(m, "Wide")
-        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input, Input>())
+        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input>())
         .def("compensate", &Wide::compensate)
         .def("simulate", &Wide::simulate)
         .def("voltage", &Wide::voltage);
     m.def("stops", &stops);
+    m.def("smooth_elongations", &smooth_elongations);
     m.def("steps", &steps);
     m.def("strains", &strains);
 }

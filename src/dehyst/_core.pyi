@@ -28,6 +28,9 @@ class Wide:
         tau_drive: Array,
         stiffness: Array,
         inertia: Array,
+        length: Array,
+        closing: Array,
+        smooth: Array,
     ) -> None: ...
     def compensate(
         self, w: Array, more: Array, bounds: Bounds, decay: Array, gain: Array, transition: Array,
@@ -40,6 +43,7 @@ class Wide:
     def voltage(self, w: float, cart: Array, strain: Array, motion: Array) -> float: ...
 
 def stops(rho: Array, cart: Array, y: Array) -> tuple[Array, Array]: ...
+def smooth_elongations(length: Array, closing: Array, y: Array) -> Array: ...
 def steps(time: Array) -> tuple[Bounds, Array]: ...
 def strains(
     path: Array, bounds: Bounds, decay: Array, gain: Array, before: float, strain: Array

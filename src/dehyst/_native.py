@@ -129,7 +129,7 @@ class Core:
 
 
 class WideCore:
-    """A wider actuator's tables in C: graded elements, transformer, creep, inertia. Names: `core/dehyst.h`.
+    """A wider actuator's tables in C: graded and smooth elements, transformer, creep, inertia. Names: `core/dehyst.h`.
 
     Parameters
     ----------
@@ -147,6 +147,8 @@ class WideCore:
         Stiffnesses c_j [V/m] of the creep branches.
     inertia : (2,) array
         beta [V/m] and theta; empty: none.
+    lengths, closings, smooth : (L,) array
+        Smooth elements and their stiffnesses k_l [V/m]. In `strains` (J + L) their elongations follow creep's.
 
     Raises
     ------
@@ -158,10 +160,11 @@ class WideCore:
 
     def __init__(
         self, rho: Array, kappa: Array, knots: Array, values: Array, grade_knots: Array, grades: Array,
-        voltages: Array, drives: Array, creep: Array, inertia: Array,
+        voltages: Array, drives: Array, creep: Array, inertia: Array, lengths: Array, closings: Array, smooth: Array,
     ) -> None:  # fmt: skip
         try:
-            self._core = _core.Wide(rho, kappa, knots, values, grade_knots, grades, voltages, drives, creep, inertia)
+            self._core = _core.Wide(rho, kappa, knots, values, grade_knots, grades, voltages, drives, creep, inertia,
+                                    lengths, closings, smooth)  # fmt: skip
         except _core.CoreError as error:
             raise ModelError(f"impossible actuator: {error}") from error
 
@@ -227,6 +230,12 @@ def stops(rho: Array, carts: Array | Sequence[float], y: Array) -> tuple[Array, 
     """Elongations (n, N) of elements of breakaway `rho` driven by y (n,), from and to the cart positions."""
     matrix, moved = checked(_core.stops, rho, np.array(carts, dtype=np.float64), y)
     return matrix, moved
+
+
+def smooth_elongations(length: Array, closing: Array, y: Array) -> Array:
+    """Elongations (n, L) of smooth elements driven by y (n,), from none at the first sample."""
+    matrix: Array = checked(_core.smooth_elongations, length, closing, y)
+    return matrix
 
 
 def steps(time: Array) -> tuple[NDArray[np.int64], Array]:

@@ -36,18 +36,16 @@ def parts(grid: Grid, found: WideCoefficients, first: float) -> dict[str, Any]:
         "spring": Spring.of_slopes(grid.knots, found.slopes, first),
         "transformer": Transformer(grid.drive, drive) if grid.drive.size else None,
         "creep": Creep(grid.time_constants[creep], found.moved[:branches][creep]) if creep.any() else None,
-        **(
-            {"smooth": SmoothSlip(grid.lengths[smooth], grid.closings[smooth], found.moved[branches:][smooth])}
-            if smooth.any()
-            else {}
-        ),
+        "smooth": SmoothSlip(grid.lengths[smooth], grid.closings[smooth], found.moved[branches:][smooth])
+        if smooth.any()
+        else None,
     }
 
 
 def grid_of(actuator: Actuator) -> Grid:
     """The grids on which an actuator's parts lie."""
     slip, knots, none = actuator.slip, actuator.spring.displacement, np.zeros(0)
-    smooth = getattr(actuator, "smooth", None)
+    smooth = actuator.smooth
     return Grid(
         slip.breakaway,
         slip.knots if isinstance(slip, GradedSlip) else knots[[0, -1]],
@@ -63,7 +61,7 @@ def coefficients_of(actuator: Actuator) -> WideCoefficients:
     """An actuator's numbers as coefficients, without constants."""
     tau, none = actuator.transformer, np.zeros(0)
     stiffness = actuator.slip.stiffness
-    moved = [none if part is None else part.stiffness for part in (actuator.creep, getattr(actuator, "smooth", None))]
+    moved = [none if part is None else part.stiffness for part in (actuator.creep, actuator.smooth)]
     return WideCoefficients(
         stiffness=stiffness if stiffness.ndim == 2 else stiffness[:, None],
         slopes=actuator.spring.slopes,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, vector
+from dehyst._native import Array, smooth_elongations, vector
 from dehyst.elements import frozen
 
 
@@ -47,8 +47,8 @@ class SmoothSlip:
             found[name] = vector(values, f"smooth elements: {name}")
             object.__setattr__(self, name, frozen(found[name]))
         if len({one.size for one in found.values()}) > 1:
-            sizes = ", ".join(f"{one.size} {name}s" for name, one in found.items())
-            raise ModelError(f"smooth elements: got {sizes}; need one of each an element")
+            sizes = ", ".join(f"{one.size} of {name}" for name, one in found.items())
+            raise ModelError(f"smooth elements: got {sizes}; need as many, one an element")
         if np.any(self.length <= 0) or np.any(self.stiffness < 0):
             raise ModelError("smooth elements: need lengths above 0 and stiffnesses of 0 or more")
         if np.any((self.closing < 0.5) | (self.closing > 1)):
@@ -59,21 +59,4 @@ class SmoothSlip:
 
     def elongations(self, displacement: ArrayLike) -> Array:
         """q_l (n, L) [m] along a displacement (n,) [m], from none at the first sample; exact for any steps."""
-        y = vector(displacement, "displacement")
-        q, out = np.zeros(len(self)), np.zeros((y.size, len(self)))
-        for t, step in enumerate(np.diff(y).tolist(), 1):
-            if step:
-                q = self._moved(q, step)
-            out[t] = q
-        return out
-
-    def _moved(self, q: Array, step: float) -> Array:
-        sign, way = (1.0, step) if step > 0 else (-1.0, -step)
-        rate, r = (2 * self.closing - 1) / self.length, sign * q
-        # Against its elongation an element comes back with growing slope: r' = 1 - rate r, until it is at rest.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            back = np.where(rate > 0, np.log1p(np.maximum(-rate * r, 0)) / rate, np.maximum(-r, 0))
-            coming = np.where(rate > 0, (1 - (1 - rate * r) * np.exp(-rate * way)) / rate, r + way)
-        onward = np.maximum(way - back, 0.0)
-        loaded = self.length + (np.maximum(r, 0) - self.length) * np.exp(-onward / self.length)
-        return sign * np.where((r < 0) & (back > way), coming, loaded)
+        return smooth_elongations(self.length, self.closing, vector(displacement, "displacement"))

@@ -51,6 +51,7 @@ class WideModel:
         """All parts in C."""
         slip, tau, dynamics = self.slip, self.transformer, self.dynamics
         graded = isinstance(slip, GradedSlip)
+        smooth = (NOTHING,) * 3
         return WideCore(
             slip.breakaway,
             np.zeros(len(slip)) if graded else slip.stiffness,
@@ -62,6 +63,7 @@ class WideModel:
             NOTHING if tau is None else tau.drive,
             NOTHING if self.creep is None else self.creep.stiffness,
             NOTHING if dynamics is None else np.array([dynamics.series, dynamics.share(self.spring)]),
+            *smooth,
         )
 
     def simulate(self, voltage: Array, course: Course, start: State, stack: bool) -> tuple[Array, State]:
