@@ -77,9 +77,8 @@ typedef struct dehyst_grades {
     const dehyst_real *slope; /* [(N + 1) M] kappa_im >= 0; then their sum */
 } dehyst_grades;
 
-/* Smooth elements (Dahl; Bouc and Wen) add sum_l k_l q_l to the right-hand side of the wider actuator:
- * dq = dw (1 - |q / length| (closing sgn(q dw) + 1 - closing)), closing 1/2 to 1, |q_l| <= length_l. `back` is made by
- * dehyst_smooth_tabulate. */
+/* Smooth elements: k_l q_l, dq = dy (1 - |q / length| (closing sgn(q dy) + 1 - closing)), |q_l| <= length_l, closing 1/2
+ * to 1 (Dahl; Bouc and Wen). `back` is made by dehyst_smooth_tabulate. */
 typedef struct dehyst_smooth {
     int size;                     /* L; 0: none */
     const dehyst_real *length;    /* [L] > 0 */
@@ -87,9 +86,10 @@ typedef struct dehyst_smooth {
     const dehyst_real *stiffness; /* [L] k_l [V/m], >= 0 */
 } dehyst_smooth;
 
-/* The wider actuator: tau(v) = sum_i [psi_i(w) - psi_i(b_i)] + eta(w) + sum_j c_j d_j. Its slip elements, in `plain`,
- * are those of the plain class, or lend the graded ones their size and breakaway elongations; the stiffnesses are then
- * left alone. On every outermost branch the right-hand side must increase: then it does on every other. */
+/* The wider actuator: tau(v) = sum_i [psi_i(w) - psi_i(b_i)] + eta(w) + sum_j c_j d_j + sum_l k_l q_l + beta (w - y).
+ * Its slip elements, in `plain`, are those of the plain class, or lend the graded ones their size and breakaway
+ * elongations; the stiffnesses are then left alone. On every outermost branch the right-hand side must increase: then
+ * it does on every other. */
 typedef struct dehyst_wide {
     dehyst_actuator plain;
     dehyst_grades grades;
@@ -97,20 +97,32 @@ typedef struct dehyst_wide {
     dehyst_curve voltage;         /* its inverse: the same knots, axes exchanged */
     int branches;                 /* J >= 0 of creep */
     const dehyst_real *stiffness; /* [J] c_j [V/m], >= 0 */
+    int inertia;                  /* 0: y is w, and beta is left alone */
+    dehyst_real series;           /* beta [V/m], >= 0 */
+    dehyst_real share;            /* theta = beta / (K + beta), K a mean slope of eta */
     dehyst_smooth smooth;
 } dehyst_wide;
+
+/* One step of y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q, exact for q = w - theta y + F_ext/kc linear in
+ * time: (y, y'/omega) <- phi (y, y'/omega) + before q_old + after q_new. Without duration phi is 1, the others 0. */
+typedef struct dehyst_transition {
+    dehyst_real phi[4], before[2], after[2];
+} dehyst_transition;
 
 /* What a step of time does, worked out by the caller: d_j <- decay_j d_j + gain_j (w_new - w_old), for w linear in
  * time decay = exp(-dt/tau_j) and gain = (1 - decay) tau_j/dt, both 1 for a step without duration. */
 typedef struct dehyst_pace {
     const dehyst_real *decay; /* [J] */
     const dehyst_real *gain;  /* [J] */
+    dehyst_transition transition;
 } dehyst_pace;
 
 typedef struct dehyst_wide_state {
     dehyst_state memory;     /* w and the carts */
     dehyst_real *strain;     /* [J] d_j [m] */
     dehyst_real *elongation; /* [L] q_l [m] of smooth elements */
+    dehyst_real y, rate;     /* with inertia, y and y'/omega [m] */
+    dehyst_real input;       /* q [m], made by the first step if that is one without duration */
 } dehyst_wide_state;
 
 typedef struct dehyst_reversal {
@@ -193,8 +205,13 @@ dehyst_real dehyst_wide_voltage(const dehyst_wide *wide, const dehyst_wide_state
  * tau(v); NULL: nothing. */
 void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
                             dehyst_room *room, const dehyst_real *w, const dehyst_real *more, dehyst_real *v, long n);
+/* Displacements y; those of w without inertia, when `load` is left alone: F_ext/kc [m], [n] or NULL. What w holds and
+ * what is left of eta's slopes and moves with it must together rise. */
 void dehyst_wide_simulate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state, dehyst_room *room,
-                          const dehyst_real *v, dehyst_real *w, long n);
+                          const dehyst_real *v, const dehyst_real *load, dehyst_real *y, long n);
+/* Strains [n J], a row a sample, along a path of w that starts from `before`. */
+void dehyst_strains(int branches, const dehyst_pace *pace, dehyst_real *strain, dehyst_real before,
+                    const dehyst_real *w, dehyst_real *out, long n);
 
 #ifdef __cplusplus
 }

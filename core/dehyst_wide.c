@@ -20,7 +20,11 @@ dehyst_status dehyst_wide_check(const dehyst_wide *wide, const dehyst_wide_state
         if (!is_finite(wide->stiffness[j]) || !is_finite(state->strain[j])) return DEHYST_ERR_FINITE;
         if (wide->stiffness[j] < 0) return DEHYST_ERR_SIGN;
     }
-    return dehyst_smooth_check(&wide->smooth, state->elongation);
+    status = dehyst_smooth_check(&wide->smooth, state->elongation);
+    if (status != DEHYST_OK || !wide->inertia) return status;
+    if (!is_finite(wide->series) || !is_finite(wide->share)) return DEHYST_ERR_FINITE;
+    if (!is_finite(state->y) || !is_finite(state->rate)) return DEHYST_ERR_FINITE;
+    return wide->series < 0 || wide->share < 0 || wide->share > 1 ? DEHYST_ERR_SIGN : DEHYST_OK;
 }
 
 long dehyst_equal_steps(const dehyst_real *time, long first, long n)
@@ -39,6 +43,7 @@ dehyst_real dehyst_wide_voltage(const dehyst_wide *wide, const dehyst_wide_state
     int j;
     for (j = 0; j < wide->branches; j++) drive += wide->stiffness[j] * state->strain[j];
     drive += dehyst_smooth_held(&wide->smooth, state->elongation);
+    if (wide->inertia) drive += wide->series * (state->memory.y - state->y);
     return wide->voltage.size > 0 ? dehyst_curve_at(&wide->voltage, drive) : drive;
 }
 
@@ -159,7 +164,7 @@ static dehyst_real solve(const dehyst_wide *wide, dehyst_wide_state *state, dehy
     return w;
 }
 
-/* Creep at the end of a step: what it holds already, and its stiffness against the step's motion. */
+/* What creep would hold at the end of a step without motion. */
 static dehyst_real held_over(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_real *strain)
 {
     dehyst_real even = 0, odd = 0;
@@ -172,74 +177,129 @@ static dehyst_real held_over(const dehyst_wide *wide, const dehyst_pace *pace, c
     return even + odd;
 }
 
-static dehyst_real creep_stiffness(const dehyst_wide *wide, const dehyst_pace *pace)
+/* What a step does, seen from its end: R(w) + known + stiffness (w - w_old) = tau(v), R what the elements and the spring
+ * hold, and y = free + lever w. */
+typedef struct balance {
+    dehyst_real stiffness, lever, known, free;
+} balance;
+
+static balance balance_of(const dehyst_wide *wide, const dehyst_pace *pace)
 {
-    dehyst_real sum = 0;
+    balance found = {0, 0, 0, 0};
     int j;
-    for (j = 0; j < wide->branches; j++) sum += wide->stiffness[j] * pace->gain[j];
-    return sum;
+    for (j = 0; j < wide->branches; j++) found.stiffness += wide->stiffness[j] * pace->gain[j];
+    if (wide->inertia) {
+        found.lever = pace->transition.after[0] / (1 + wide->share * pace->transition.after[0]);
+        found.stiffness += wide->series * (1 - found.lever);
+    }
+    return found;
 }
 
-static void creep_on(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_real *strain, dehyst_real move)
+static void begin_step(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_wide_state *state, dehyst_real w,
+                       dehyst_real load, balance *step)
 {
-    int j;
-    for (j = 0; j < wide->branches; j++) strain[j] = pace->decay[j] * strain[j] + pace->gain[j] * move;
+    const dehyst_transition *to = &pace->transition;
+    step->known = held_over(wide, pace, state->strain);
+    if (wide->inertia) {
+        step->free = (to->phi[0] * state->y + to->phi[1] * state->rate + to->before[0] * state->input + to->after[0] * load) /
+                     (1 + wide->share * to->after[0]);
+        step->known += wide->series * ((1 - step->lever) * w - step->free);
+    }
 }
 
-/* On the stack, creep is a spring beside eta: G(w) + stiffness (w - knot_0) has reversals and branches like G. */
+/* Returns the displacement that is seen. */
+static dehyst_real end_step(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
+                            dehyst_real before, dehyst_real w, dehyst_real load, const balance *step)
+{
+    const dehyst_transition *to = &pace->transition;
+    dehyst_real y, input;
+    int j;
+    for (j = 0; j < wide->branches; j++)
+        state->strain[j] = pace->decay[j] * state->strain[j] + pace->gain[j] * (w - before);
+    if (!wide->inertia) return w;
+    y = step->free + step->lever * w;
+    input = w - wide->share * y + load;
+    state->rate = to->phi[2] * state->y + to->phi[3] * state->rate + to->before[1] * state->input + to->after[1] * input;
+    state->input = input;
+    state->y = y;
+    return y;
+}
+
+/* On the stack, what moves in time is a spring beside eta: R(w) + stiffness (w - knot_0) has reversals and branches like
+ * R. y holds tau(v) on entry. */
 static int simulate_on_stack(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
-                             dehyst_room *room, const dehyst_real *drive, dehyst_real *w, long n)
+                             dehyst_room *room, const dehyst_real *load, dehyst_real *y, long n)
 {
     const dehyst_curve *spring = &wide->plain.spring;
-    const dehyst_real stiffness = creep_stiffness(wide, pace), base = spring->knot[0];
+    const dehyst_real base = spring->knot[0];
+    balance step = balance_of(wide, pace);
     dehyst_actuator stiff = wide->plain;
     dehyst_walk walk;
     int j;
     long t;
-    for (j = 0; j < spring->size; j++) room->value[j] = spring->value[j] + stiffness * (spring->knot[j] - base);
-    for (j = 0; j + 1 < spring->size; j++) room->slope[j] = spring->slope[j] + stiffness;
+    for (j = 0; j < spring->size; j++) room->value[j] = spring->value[j] + step.stiffness * (spring->knot[j] - base);
+    for (j = 0; j + 1 < spring->size; j++) room->slope[j] = spring->slope[j] + step.stiffness;
     stiff.spring.value = room->value;
     stiff.spring.slope = room->slope;
     if (dehyst_stack_encode(&stiff, &state->memory, &room->stack) != DEHYST_OK) return 0;
     dehyst_walk_begin(&walk, &stiff, &room->stack);
     for (t = 0; t < n; t++) {
-        const dehyst_real before = room->stack.y;
-        const dehyst_real known = held_over(wide, pace, state->strain) - stiffness * (before - base);
-        w[t] = dehyst_walk_to(&walk, drive[t] - known);
-        creep_on(wide, pace, state->strain, w[t] - before);
+        const dehyst_real before = room->stack.y, force = load != NULL ? load[t] : 0;
+        dehyst_real w;
+        begin_step(wide, pace, state, before, force, &step);
+        w = dehyst_walk_to(&walk, y[t] - step.known + step.stiffness * (before - base));
+        y[t] = end_step(wide, pace, state, before, w, force, &step);
     }
     dehyst_stack_decode(&stiff, &room->stack, &state->memory);
     return 1;
 }
 
-/* w holds tau(v) on entry. */
+/* y holds tau(v) on entry. */
 static void simulate_in_time(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
-                             dehyst_room *room, dehyst_real *w, long n)
+                             dehyst_room *room, const dehyst_real *load, dehyst_real *y, long n)
 {
-    const dehyst_real stiffness = creep_stiffness(wide, pace);
+    balance step = balance_of(wide, pace);
     const int stack = room->stack.reversal != NULL && wide->grades.size == 0 && wide->smooth.size == 0;
     dehyst_real likely = 1;
     long t;
     for (t = 0; t < n; t++) {
-        const dehyst_real before = state->memory.y;
-        if (stack && n - t >= SHORT && t % BLOCK == 0 && simulate_on_stack(wide, pace, state, room, w + t, w + t, n - t))
+        const dehyst_real before = state->memory.y, force = load != NULL ? load[t] : 0;
+        dehyst_real w;
+        if (stack && n - t >= SHORT && t % BLOCK == 0 &&
+            simulate_on_stack(wide, pace, state, room, load != NULL ? load + t : NULL, y + t, n - t))
             return;
-        w[t] = solve(wide, state, w[t] - held_over(wide, pace, state->strain), stiffness, &likely);
-        creep_on(wide, pace, state->strain, w[t] - before);
+        begin_step(wide, pace, state, before, force, &step);
+        w = solve(wide, state, y[t] - step.known, step.stiffness, &likely);
+        y[t] = end_step(wide, pace, state, before, w, force, &step);
     }
 }
 
 void dehyst_wide_simulate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state, dehyst_room *room,
-                          const dehyst_real *v, dehyst_real *w, long n)
+                          const dehyst_real *v, const dehyst_real *load, dehyst_real *y, long n)
 {
     dehyst_real likely = 1;
     long t;
-    for (t = 0; t < n; t++) w[t] = v[t];
-    if (wide->drive.size > 0) map(&wide->drive, w, n);
-    if (wide->branches > 0)
-        simulate_in_time(wide, pace, state, room, w, n);
+    for (t = 0; t < n; t++) y[t] = v[t];
+    if (wide->drive.size > 0) map(&wide->drive, y, n);
+    if (wide->branches > 0 || wide->inertia)
+        simulate_in_time(wide, pace, state, room, load, y, n);
     else if (wide->grades.size == 0 && wide->smooth.size == 0 && room->stack.reversal != NULL)
-        dehyst_simulate_run(&wide->plain, &state->memory, &room->stack, w, w, n);
+        dehyst_simulate_run(&wide->plain, &state->memory, &room->stack, y, y, n);
     else
-        for (t = 0; t < n; t++) w[t] = solve(wide, state, w[t], 0, &likely);
+        for (t = 0; t < n; t++) y[t] = solve(wide, state, y[t], 0, &likely);
+}
+
+void dehyst_strains(int branches, const dehyst_pace *pace, dehyst_real *strain, dehyst_real before,
+                    const dehyst_real *w, dehyst_real *out, long n)
+{
+    long t;
+    int j;
+    for (t = 0; t < n; t++) {
+        const dehyst_real move = is_finite(w[t]) ? w[t] - before : 0;
+        before += move;
+        for (j = 0; j < branches; j++) {
+            strain[j] = pace->decay[j] * strain[j] + pace->gain[j] * move;
+            *out++ = strain[j];
+        }
+    }
 }

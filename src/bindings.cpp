@@ -143,7 +143,7 @@ struct Wide {
     dehyst_wide wide;
 
     Wide(Input rho, Input kappa, Input knot, Input value, Input grade_knot_, Input grades, Input tau_voltage_,
-         Input tau_drive_, Input stiffness_, Input length_, Input closing, Input smooth_)
+         Input tau_drive_, Input stiffness_, Input inertia, Input length_, Input closing, Input smooth_)
         : base(rho, kappa, knot, value), grade_knot(copy(grade_knot_)), grade_slope(copy(grades)),
           tau_voltage(copy(tau_voltage_)), tau_drive(copy(tau_drive_)), stiffness(copy(stiffness_)), length(copy(length_)),
           back(length.size()), smooth(copy(smooth_)) {
@@ -151,8 +151,10 @@ struct Wide {
         if (grade_slope.size() != n * m || tau_voltage.size() != tau_drive.size()) demand(DEHYST_ERR_SIZE);
         if (closing.size() != length.size() || smooth.size() != length.size()) demand(DEHYST_ERR_SIZE);
         wide = {base.actuator, {0, nullptr, nullptr, nullptr}, {0, nullptr, nullptr, nullptr},
-                {0, nullptr, nullptr, nullptr}, int(stiffness.size()), stiffness.data(),
+                {0, nullptr, nullptr, nullptr}, int(stiffness.size()), stiffness.data(), inertia.size() > 0, 0, 0,
                 {int(length.size()), length.data(), back.data(), smooth.data()}};
+        if (inertia.size() != 0 && inertia.size() != 2) demand(DEHYST_ERR_SIZE);
+        if (wide.inertia) wide.series = inertia(0), wide.share = inertia(1);
         demand(dehyst_smooth_tabulate(int(length.size()), length.data(), closing.data(), back.data()));
         if (m > 0) {
             grade_slope.resize((n + 1) * m), grade_value.resize((n + 1) * (m + 1));
@@ -176,13 +178,15 @@ struct Wide {
         dehyst_wide_state state;
     };
 
-    std::unique_ptr<Memory> memory(double w, Input cart, Input strain) const {
+    std::unique_ptr<Memory> memory(double w, Input cart, Input strain, Input motion) const {
         auto own_memory = std::make_unique<Memory>();
         own_memory->cart = copy(cart), own_memory->strain = copy(strain);
-        if (own_memory->cart.size() != base.rho.size() || own_memory->strain.size() != stiffness.size() + length.size())
+        if (own_memory->cart.size() != base.rho.size() || own_memory->strain.size() != stiffness.size() + length.size() ||
+            motion.size() != (wide.inertia ? 2 : 0))
             demand(DEHYST_ERR_SIZE);
         own_memory->state = {{w, own_memory->cart.data()}, own_memory->strain.data(),
-                             own_memory->strain.data() + stiffness.size()};
+                             own_memory->strain.data() + stiffness.size(), 0, 0, 0};
+        if (wide.inertia) own_memory->state.y = motion(0), own_memory->state.rate = motion(1);
         demand(dehyst_wide_check(&wide, &own_memory->state));
         return own_memory;
     }
@@ -203,58 +207,104 @@ struct Wide {
     };
 
     // Runs of equal steps: samples bounds[r] to bounds[r + 1] move at the pace of row r.
-    size_t runs(size_t samples, Bounds bounds, Grid decay, Grid gain) const {
-        const size_t r = bounds.size() ? bounds.size() - 1 : 0, j = stiffness.size();
-        bool fit = bounds.size() > 0 && bounds(0) == 0 && bounds(r) == int64_t(samples) && decay.shape(0) == r &&
-                   gain.shape(0) == r && decay.shape(1) == j && gain.shape(1) == j;
-        for (size_t i = 0; fit && i < r; i++) fit = bounds(i) <= bounds(i + 1);
-        if (!fit) demand(DEHYST_ERR_SIZE);
-        return r;
+    struct Paces {
+        Bounds bounds;
+        Grid decay, gain, transition;
+
+        size_t size(size_t samples, size_t branches, bool inertia) const {
+            const size_t r = bounds.size() ? bounds.size() - 1 : 0;
+            bool fit = bounds.size() > 0 && bounds(0) == 0 && bounds(r) == int64_t(samples) && decay.shape(0) == r &&
+                       gain.shape(0) == r && transition.shape(0) == r && decay.shape(1) == branches &&
+                       gain.shape(1) == branches && transition.shape(1) == (inertia ? 8 : 0);
+            for (size_t i = 0; fit && i < r; i++) fit = bounds(i) <= bounds(i + 1);
+            if (!fit) demand(DEHYST_ERR_SIZE);
+            return r;
+        }
+        dehyst_pace at(size_t r) const {
+            dehyst_pace pace{decay.data() + r * decay.shape(1), gain.data() + r * gain.shape(1), {}};
+            if (const double *row = transition.data() + 8 * r; transition.shape(1) == 8)
+                pace.transition = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
+            return pace;
+        }
+        long first(size_t r) const { return long(bounds(r)); }
+        long length(size_t r) const { return long(bounds(r + 1) - bounds(r)); }
+    };
+
+    using Reached = std::tuple<Output, double, Output, Output, Output>;
+
+    Reached reached(std::unique_ptr<double[]> out, size_t n, const Memory &after) const {
+        const std::vector<double> motion{after.state.y, after.state.rate};
+        return {own<Output>(std::move(out), {n}), after.state.memory.y, as_array(after.cart), as_array(after.strain),
+                as_array(wide.inertia ? motion : std::vector<double>())};
     }
 
-    std::tuple<Output, double, Output, Output> compensate(Input in, Bounds bounds, Grid decay, Grid gain, double w,
-                                                          Input cart, Input strain, bool stack) const {
-        auto own_memory = memory(w, cart, strain);
-        const size_t n = in.size(), count = runs(n, bounds, decay, gain), j = stiffness.size();
+    Reached compensate(Input in, Input more, Bounds bounds, Grid decay, Grid gain, Grid transition, double w, Input cart,
+                       Input strain, Input motion, bool stack) const {
+        auto own_memory = memory(w, cart, strain, motion);
+        const Paces paces{bounds, decay, gain, transition};
+        const size_t n = in.size(), count = paces.size(n, stiffness.size(), wide.inertia);
+        if (more.size() != 0 && more.size() != n) demand(DEHYST_ERR_SIZE);
         std::unique_ptr<double[]> out(new double[n + 1]);
-        const double *source = in.data();
+        const double *source = in.data(), *added = more.size() ? more.data() : nullptr;
         {
             nb::gil_scoped_release release;
             Room own_room(base.rho.size(), base.knot.size(), stack);
             for (size_t r = 0; r < count; r++) {
-                const dehyst_pace pace{decay.data() + r * j, gain.data() + r * j};
-                dehyst_wide_compensate(&wide, &pace, &own_memory->state, &own_room.room, source + bounds(r), nullptr,
-                                       out.get() + bounds(r), long(bounds(r + 1) - bounds(r)));
+                const dehyst_pace pace = paces.at(r);
+                const long first = paces.first(r);
+                dehyst_wide_compensate(&wide, &pace, &own_memory->state, &own_room.room, source + first,
+                                       added ? added + first : nullptr, out.get() + first, paces.length(r));
             }
         }
-        return {own<Output>(std::move(out), {n}), own_memory->state.memory.y, as_array(own_memory->cart),
-                as_array(own_memory->strain)};
+        return reached(std::move(out), n, *own_memory);
     }
 
-    std::tuple<Output, double, Output, Output> simulate(Input in, Bounds bounds, Grid decay, Grid gain, double w,
-                                                        Input cart, Input strain, bool stack) const {
-        auto own_memory = memory(w, cart, strain);
-        const size_t n = in.size(), count = runs(n, bounds, decay, gain), j = stiffness.size();
+    Reached simulate(Input in, Input load, Bounds bounds, Grid decay, Grid gain, Grid transition, double w, Input cart,
+                     Input strain, Input motion, bool stack) const {
+        auto own_memory = memory(w, cart, strain, motion);
+        const Paces paces{bounds, decay, gain, transition};
+        const size_t n = in.size(), count = paces.size(n, stiffness.size(), wide.inertia);
+        if (load.size() != 0 && load.size() != n) demand(DEHYST_ERR_SIZE);
         std::unique_ptr<double[]> out(new double[n + 1]);
-        const double *source = in.data();
+        const double *source = in.data(), *force = load.size() ? load.data() : nullptr;
         {
             nb::gil_scoped_release release;
             Room own_room(base.rho.size(), base.knot.size(), stack);
             for (size_t r = 0; r < count; r++) {
-                const dehyst_pace pace{decay.data() + r * j, gain.data() + r * j};
-                dehyst_wide_simulate(&wide, &pace, &own_memory->state, &own_room.room, source + bounds(r),
-                                     out.get() + bounds(r), long(bounds(r + 1) - bounds(r)));
+                const dehyst_pace pace = paces.at(r);
+                const long first = paces.first(r);
+                dehyst_wide_simulate(&wide, &pace, &own_memory->state, &own_room.room, source + first,
+                                     force ? force + first : nullptr, out.get() + first, paces.length(r));
             }
         }
-        return {own<Output>(std::move(out), {n}), own_memory->state.memory.y, as_array(own_memory->cart),
-                as_array(own_memory->strain)};
+        return reached(std::move(out), n, *own_memory);
     }
 
-    double voltage(double w, Input cart, Input strain) const {
-        auto own_memory = memory(w, cart, strain);
+    double voltage(double w, Input cart, Input strain, Input motion) const {
+        auto own_memory = memory(w, cart, strain, motion);
         return dehyst_wide_voltage(&wide, &own_memory->state);
     }
 };
+
+std::tuple<Matrix, Output> strains(Input path, Bounds bounds, Grid decay, Grid gain, double before, Input strain) {
+    std::vector<double> d = copy(strain);
+    const size_t n = path.size(), j = d.size();
+    const std::vector<double> none;
+    const Wide::Paces paces{bounds, decay, gain, Grid(none.data(), {decay.shape(0), 0})};
+    const size_t count = paces.size(n, j, false);
+    std::unique_ptr<double[]> out(new double[n * j + 1]);
+    const double *source = path.data();
+    {
+        nb::gil_scoped_release release;
+        for (size_t r = 0; r < count; r++) {
+            const dehyst_pace pace = paces.at(r);
+            const long first = paces.first(r);
+            dehyst_strains(int(j), &pace, d.data(), first ? source[first - 1] : before, source + first,
+                           out.get() + first * j, paces.length(r));
+        }
+    }
+    return {own<Matrix>(std::move(out), {n, j}), as_array(d)};
+}
 
 std::tuple<Matrix, Output> stops(Input rho, Input cart, Input y) {
     std::vector<double> own_rho = copy(rho), own_cart = copy(cart);
@@ -318,11 +368,12 @@ NB_MODULE(_core, m) {
         .def("spring_at", &Core::spring_at)
         .def("spring_inverse", &Core::spring_inverse);
     nb::class_<Wide>(m, "Wide")
-        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input>())
+        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input>())
         .def("compensate", &Wide::compensate)
         .def("simulate", &Wide::simulate)
         .def("voltage", &Wide::voltage);
     m.def("stops", &stops);
     m.def("smooth_elongations", &smooth_elongations);
     m.def("steps", &steps);
+    m.def("strains", &strains);
 }

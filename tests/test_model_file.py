@@ -129,7 +129,9 @@ def test_wider_parts_come_back_exactly(tmp_path):
 
 def test_a_file_of_version_1(tmp_path):
     data = made().as_dict()
-    del data["transformer"], data["creep"], data["smooth"], data["state"]["creep_m"], data["state"]["smooth_m"]
+    for key in ("transformer", "creep", "smooth", "dynamics", "load_stiffness_N_per_m", "lag_s"):
+        del data[key]
+    del data["state"]["creep_m"], data["state"]["smooth_m"], data["state"]["motion"]
     data["version"] = 1
     write_json(tmp_path / "a.json", data)
     back = Actuator.from_dict(read_json(tmp_path / "a.json"))
@@ -189,12 +191,12 @@ def test_keys_state_their_units(tmp_path):
     write_json(tmp_path / "a.json", made().as_dict())
     data = json.loads((tmp_path / "a.json").read_text(encoding="ascii"))
     assert list(data) == [
-        "format", "version", "name", "slip", "spring", "transformer", "creep", "smooth", "state", "limits",
-        "delay_s", "provenance",
+        "format", "version", "name", "slip", "spring", "transformer", "creep", "smooth", "dynamics",
+        "load_stiffness_N_per_m", "lag_s", "state", "limits", "delay_s", "provenance",
     ]  # fmt: skip
     assert list(data["slip"]) == ["breakaway_m", "stiffness_V_per_m"]
     assert list(data["spring"]) == ["displacement_m", "voltage_V"]
-    assert list(data["state"]) == ["displacement_m", "carts_m", "creep_m", "smooth_m"]
+    assert list(data["state"]) == ["displacement_m", "carts_m", "creep_m", "smooth_m", "motion"]
     assert list(data["limits"]) == ["voltage_V"]
 
 
@@ -226,7 +228,7 @@ def test_a_missing_key(tmp_path, key):
     refused(
         tmp_path,
         data,
-        rf"model: missing keys \['{key}'\], unknown keys \[\]; need exactly \['creep', 'delay_s', 'format'",
+        rf"model: missing keys \['{key}'\], unknown keys \[\]; need exactly \['creep', 'delay_s', 'dynamics', 'format'",
     )
 
 

@@ -22,6 +22,7 @@ from dehyst import (
     State,
     Transformer,
 )
+from dehyst._native import Held, Pace
 from dehyst.actuator import demand_plain
 from dehyst.bracket import Bracket
 
@@ -318,17 +319,17 @@ def test_the_equation_holds_to_its_rounding(seed):
 
 
 def test_a_sample_that_is_not_a_number_moves_nothing():
-    core = ACTUATOR.wide_core
-    start = ACTUATOR.state
-    from dehyst.creep import pace
+    core, held = ACTUATOR.model.core, ACTUATOR.model.held(ACTUATOR.state)
 
-    state = start.displacement, start.carts, start.smooth
+    def pace(samples):
+        return Pace(np.array([0, samples]), *np.empty((3, 1, 0)))
+
     for run, drive in ((core.compensate, [9e-6, np.nan, 7e-6]), (core.simulate, [90.0, np.inf, 60.0])):
-        out, w, carts, q = run(np.array(drive), pace(None, None, 3), *state)
-        good = run(np.array(drive)[[0, 2]], pace(None, None, 2), *state)
+        out, reached = run(np.array(drive), pace(3), held)
+        good, there = run(np.array(drive)[[0, 2]], pace(2), held)
         assert out[0] == out[1]
-        close(out[[0, 2]], good[0], 1e-12 * abs(out[0]))
-        for one, two in zip((w, carts, q), good[1:], strict=True):
+        close(out[[0, 2]], good, 1e-12 * abs(out[0]))
+        for one, two in zip(reached, there, strict=True):
             close(one, two, 1e-20)
 
 
@@ -382,8 +383,9 @@ def test_a_compensator_clamps_with_them():
          "state: smooth element 1 is elongated by -3.1e-06 m, its length is 3e-06 m"),
         (lambda: demand_plain(ACTUATOR, "a band"), "a band takes plain .*, this actuator has smooth elements; leave"),
         (lambda: Bracket.at_rest(ACTUATOR), "this actuator has smooth elements"),
-        (lambda: ACTUATOR.wide_core.voltage(0.0, np.zeros(2), np.zeros(1)), "arrays of different lengths"),
-        (lambda: ACTUATOR.wide_core.voltage(0.0, np.zeros(2), np.ones(2)), "farther .*, or a smooth element"),
+        (lambda: ACTUATOR.model.core.voltage(Held(0.0, np.zeros(2), np.zeros(1), NONE)), "arrays of different lengths"),
+        (lambda: ACTUATOR.model.core.voltage(Held(0.0, np.zeros(2), np.ones(2), NONE)),
+         "farther .*, or a smooth element"),
     ],
 )  # fmt: skip
 def test_refusals(make, message):

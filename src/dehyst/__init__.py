@@ -18,6 +18,7 @@ from dehyst._errors import (
 from dehyst.actuator import Actuator
 from dehyst.compensator import Command, Compensator
 from dehyst.creep import Creep
+from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import read, write_record
 from dehyst.identify import identify
@@ -33,6 +34,7 @@ __all__ = [
     "Compensator",
     "Creep",
     "DehystError",
+    "Dynamics",
     "FileFormatError",
     "Fit",
     "GradedSlip",

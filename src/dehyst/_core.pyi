@@ -27,18 +27,24 @@ class Wide:
         tau_voltage: Array,
         tau_drive: Array,
         stiffness: Array,
+        inertia: Array,
         length: Array,
         closing: Array,
         smooth: Array,
     ) -> None: ...
     def compensate(
-        self, w: Array, bounds: Bounds, decay: Array, gain: Array, start: float, cart: Array, strain: Array, stack: bool
-    ) -> tuple[Array, float, Array, Array]: ...
+        self, w: Array, more: Array, bounds: Bounds, decay: Array, gain: Array, transition: Array,
+        start: float, cart: Array, strain: Array, motion: Array, stack: bool,
+    ) -> tuple[Array, float, Array, Array, Array]: ...  # fmt: skip
     def simulate(
-        self, v: Array, bounds: Bounds, decay: Array, gain: Array, start: float, cart: Array, strain: Array, stack: bool
-    ) -> tuple[Array, float, Array, Array]: ...
-    def voltage(self, w: float, cart: Array, strain: Array) -> float: ...
+        self, v: Array, load: Array, bounds: Bounds, decay: Array, gain: Array, transition: Array,
+        start: float, cart: Array, strain: Array, motion: Array, stack: bool,
+    ) -> tuple[Array, float, Array, Array, Array]: ...  # fmt: skip
+    def voltage(self, w: float, cart: Array, strain: Array, motion: Array) -> float: ...
 
 def stops(rho: Array, cart: Array, y: Array) -> tuple[Array, Array]: ...
 def smooth_elongations(length: Array, closing: Array, y: Array) -> Array: ...
 def steps(time: Array) -> tuple[Bounds, Array]: ...
+def strains(
+    path: Array, bounds: Bounds, decay: Array, gain: Array, before: float, strain: Array
+) -> tuple[Array, Array]: ...

@@ -14,6 +14,8 @@ from dehyst import _core
 from dehyst._errors import ModelError
 
 Array = NDArray[np.float64]
+NOTHING: Array = np.zeros(0)
+NOTHING.flags.writeable = False
 
 
 def vector(values: ArrayLike, what: str) -> Array:
@@ -127,7 +129,7 @@ class Core:
 
 
 class WideCore:
-    """A wider actuator's tables in C: graded and smooth elements, transformer, creep. Names: `core/dehyst.h`.
+    """A wider actuator's tables in C: graded and smooth elements, transformer, creep, inertia. Names: `core/dehyst.h`.
 
     Parameters
     ----------
@@ -143,6 +145,8 @@ class WideCore:
         The transformer tau; empty: none.
     creep : (J,) array
         Stiffnesses c_j [V/m] of the creep branches.
+    inertia : (2,) array
+        beta [V/m] and theta; empty: none.
     lengths, closings, smooth : (L,) array
         Smooth elements and their stiffnesses k_l [V/m]. In `strains` (J + L) their elongations follow creep's.
 
@@ -156,57 +160,62 @@ class WideCore:
 
     def __init__(
         self, rho: Array, kappa: Array, knots: Array, values: Array, grade_knots: Array, grades: Array,
-        voltages: Array, drives: Array, creep: Array, lengths: Array, closings: Array, smooth: Array,
+        voltages: Array, drives: Array, creep: Array, inertia: Array, lengths: Array, closings: Array, smooth: Array,
     ) -> None:  # fmt: skip
         try:
-            self._core = _core.Wide(
-                rho, kappa, knots, values, grade_knots, grades, voltages, drives, creep, lengths, closings, smooth
-            )
+            self._core = _core.Wide(rho, kappa, knots, values, grade_knots, grades, voltages, drives, creep, inertia,
+                                    lengths, closings, smooth)  # fmt: skip
         except _core.CoreError as error:
             raise ModelError(f"impossible actuator: {error}") from error
 
     def compensate(
-        self, w: Array, pace: Pace, start: float, carts: Array, strains: Array, *, stack: bool = True
-    ) -> tuple[Array, float, Array, Array]:
-        """Displacements [m] to voltages [V]; returns the displacement, carts and creep strains reached too."""
-        return self._run(self._core.compensate, w, pace, start, carts, strains, stack)
+        self, w: Array, pace: Pace, start: Held, *, more: Array = NOTHING, stack: bool = True
+    ) -> tuple[Array, Held]:
+        """Displacements [m] to voltages [V], `more` [V] added to tau(v); returns the state reached too."""
+        return self._run(self._core.compensate, w, more, pace, start, stack)
 
     def simulate(
-        self, v: Array, pace: Pace, start: float, carts: Array, strains: Array, *, stack: bool = True
-    ) -> tuple[Array, float, Array, Array]:
-        """Voltages [V] to displacements [m]; returns the displacement, carts and creep strains reached too."""
-        return self._run(self._core.simulate, v, pace, start, carts, strains, stack)
+        self, v: Array, pace: Pace, start: Held, *, load: Array = NOTHING, stack: bool = True
+    ) -> tuple[Array, Held]:
+        """Voltages [V] to displacements [m], under a load F_ext/kc [m]; returns the state reached too."""
+        return self._run(self._core.simulate, v, load, pace, start, stack)
 
-    def voltage(self, w: float, carts: Array, strains: Array) -> float:
-        """Voltage [V] in the state (w, carts, strains)."""
-        return float(checked(self._core.voltage, w, carts, strains))
+    def voltage(self, start: Held) -> float:
+        """Voltage [V] in a state."""
+        return float(checked(self._core.voltage, *start))
 
     def _run(
-        self,
-        function: Callable[..., Any],
-        x: Array,
-        pace: Pace,
-        start: float,
-        carts: Array,
-        strains: Array,
-        stack: bool,
-    ) -> tuple[Array, float, Array, Array]:
-        out, w, moved, crept = checked(function, x, pace.bounds, pace.decay, pace.gain, start, carts, strains, stack)
-        return out, float(w), moved, crept
+        self, function: Callable[..., Any], x: Array, more: Array, pace: Pace, start: Held, stack: bool
+    ) -> tuple[Array, Held]:
+        out, w, *rest = checked(function, x, more, *pace, *start, stack)
+        return out, Held(float(w), *rest)
+
+
+class Held(NamedTuple):
+    """A state in numbers: w [m], carts (N,), what moves (J + L,) and, with inertia, y and y'/omega (2,) [m]."""
+
+    w: float
+    carts: Array
+    strains: Array
+    motion: Array
 
 
 class Pace(NamedTuple):
-    """Samples bounds[r] to bounds[r + 1] are equal steps of time; row r tells what such a step does to creep.
+    """Samples bounds[r] to bounds[r + 1] are equal steps of time; row r tells what such a step does.
 
     Attributes
     ----------
     bounds : (R + 1,) int64 array
     decay, gain : (R, J) array
+        To creep.
+    transition : (R, 8) or (R, 0) array
+        To a mass: phi, before and after of `dehyst_transition`.
     """
 
     bounds: NDArray[np.int64]
     decay: Array
     gain: Array
+    transition: Array
 
 
 def checked(function: Callable[..., Any], *arguments: object) -> Any:
@@ -236,3 +245,9 @@ def steps(time: Array) -> tuple[NDArray[np.int64], Array]:
     """
     bounds, durations = _core.steps(time)
     return bounds, durations
+
+
+def strains(path: Array, bounds: NDArray[np.int64], decay: Array, gain: Array, start: Array) -> Array:
+    """Strains (n, J) of creep branches along a path (n,) that begins where they are strained by `start` (J,)."""
+    matrix, _ = checked(_core.strains, path, bounds, decay, gain, float(path[0]) if path.size else 0.0, start)
+    return np.asarray(matrix)

@@ -12,17 +12,15 @@ from numpy.typing import ArrayLike
 
 from dehyst import model_file
 from dehyst._errors import ModelError
-from dehyst._native import Array, Core, WideCore, number, vector
-from dehyst.creep import Creep, pace
+from dehyst._native import NOTHING, Array, Core, number, vector
+from dehyst.creep import Creep, clock
+from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer, frozen
 from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import AbstractModel, Motion, State
 from dehyst.physical import Physical, physical
 from dehyst.smooth import SmoothSlip
-
-_NONE = np.zeros(0)
-# What rounding may leave of a slope that is the difference of two.
-_LEAST = 1e-9
+from dehyst.wide import Course, WideModel, least_slope
 
 
 def interval(limits: Sequence[float]) -> tuple[float, float]:
@@ -46,7 +44,7 @@ class Actuator(AbstractModel):
     Plain, it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, with s_i the elongation of slip element i and eta
     the parallel spring. Wider (theory section 8), ``tau(v) = sum_i [psi_i(y) - psi_i(b_i)] + eta(y) + sum_j c_j d_j +
     sum_l k_l q_l``, with b_i the position of cart i, d_j the strain of creep branch j and q_l the elongation of smooth
-    element l.
+    element l. With dynamics or a load (section 9) w takes the place of y there.
 
     Parameters
     ----------
@@ -67,6 +65,13 @@ class Actuator(AbstractModel):
         tau; default: tau(v) = v.
     creep : Creep, optional
         Branches that move in time: with them `simulate` and `compensate` need `time`.
+    dynamics : Dynamics, optional
+        Inertia and damping; they need `time` too.
+    lag : float, optional
+        Time constant [s] of the amplifier: the voltage that acts follows the one given, ``given = v + lag v'``.
+    load_stiffness : float, optional
+        kc [N/m], how stiff the actuator is against a load. With dynamics that at constant charge, km + ke; without
+        them the one that the load meets, whatever the driver holds constant.
     smooth : SmoothSlip, optional
         Elements that let go gradually, beside the others.
 
@@ -86,20 +91,24 @@ class Actuator(AbstractModel):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     transformer: Transformer | None = None
     creep: Creep | None = None
+    dynamics: Dynamics | None = None
+    lag: float = 0.0
+    load_stiffness: float | None = None
     smooth: SmoothSlip | None = None
 
     def __post_init__(self) -> None:
         for part, kinds in (("slip", (MaxwellSlip, GradedSlip)), ("spring", (Spring,)),
                             ("transformer", (Transformer, type(None))), ("creep", (Creep, type(None))),
-                            ("smooth", (SmoothSlip, type(None)))):  # fmt: skip
+                            ("dynamics", (Dynamics, type(None))), ("smooth", (SmoothSlip, type(None)))):  # fmt: skip
             if not isinstance(getattr(self, part), kinds):
                 needed = " or ".join(kind.__name__ for kind in kinds if kind is not type(None))
                 raise ModelError(f"{part}: got {type(getattr(self, part)).__name__}, need a {needed}")
-        _demand_rising(self.slip, self.spring)
+        self._demand_numbers()
+        least_slope(self.slip, self.spring)
         if self.state is None:
             object.__setattr__(self, "state", self.turned(float(self.spring.displacement[-1])))
         self._start(self.state)
-        _ = self.wide_core if self.wide else self.core  # which refuse what the parts cannot see
+        _ = self.model.core if self.wide else self.core  # which refuse what the parts cannot see
         if self.limits is not None:
             object.__setattr__(self, "limits", interval(self.limits))
         if number(self.delay, "delay") < 0:
@@ -108,48 +117,55 @@ class Actuator(AbstractModel):
     @property
     def wide(self) -> bool:
         """Whether it has more than plain slip elements and a spring."""
-        more = (self.transformer, self.creep, self.smooth)
-        return isinstance(self.slip, GradedSlip) or any(part is not None for part in more)
+        return bool(_wider_parts(self))
 
     @property
     def needs_time(self) -> bool:
         """Whether `simulate` and `compensate` must be told the time of each sample."""
-        return self.creep is not None
+        return self.model.needs_time
 
     @cached_property
     def core(self) -> Core:
         """The plain elements and the spring in C; of graded elements the spring alone."""
-        return Core(self.slip.breakaway, self._stiffness, self.spring.displacement, self.spring.voltage)
+        kappa = self.slip.stiffness if isinstance(self.slip, MaxwellSlip) else np.zeros(len(self.slip))
+        return Core(self.slip.breakaway, kappa, self.spring.displacement, self.spring.voltage)
 
     @cached_property
-    def wide_core(self) -> WideCore:
-        """All parts in C."""
-        slip, tau = self.slip, self.transformer
-        grades = (slip.knots, slip.stiffness.ravel()) if isinstance(slip, GradedSlip) else (_NONE, _NONE)
-        curve = (_NONE, _NONE) if tau is None else (tau.voltage, tau.drive)
-        creep, s = _NONE if self.creep is None else self.creep.stiffness, self.smooth
-        smooth = (_NONE, _NONE, _NONE) if s is None else (s.length, s.closing, s.stiffness)
-        return WideCore(
-            slip.breakaway, self._stiffness, self.spring.displacement, self.spring.voltage, *grades, *curve, creep,
-            *smooth,
-        )  # fmt: skip
-
-    @property
-    def _stiffness(self) -> Array:
-        return self.slip.stiffness if isinstance(self.slip, MaxwellSlip) else np.zeros(len(self.slip))
+    def model(self) -> WideModel:
+        """All parts and their equations."""
+        return WideModel(
+            self.slip,
+            self.spring,
+            self.transformer,
+            self.creep,
+            self.smooth,
+            self.dynamics,
+            self.lag,
+            self.load_stiffness,
+        )
 
     def simulate(
-        self, voltage: ArrayLike, *, time: ArrayLike | None = None, state: State | None = None, stack: bool = True
+        self,
+        voltage: ArrayLike,
+        *,
+        time: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+        state: State | None = None,
+        stack: bool = True,
     ) -> Motion:
-        """Displacement that a voltage causes; exact, for any steps between samples.
+        """Displacement that a voltage causes; exact, for any steps between samples, but for inertia.
 
         Parameters
         ----------
         voltage : (n,) array_like
             Voltages [V], each reached monotonically from the one before.
         time : (n,) array_like, optional
-            [s], strictly increasing; needed with creep. Steps may be uneven, equal ones are fastest. The first sample
-            has no step before it: to carry on from a state, begin with the sample at which it was reached.
+            [s], strictly increasing; needed with creep, dynamics or a lag. Steps may be uneven, equal ones are fastest.
+            The first sample has no step before it: to carry on from a state, begin with the sample at which it was
+            reached. Within a step, w is taken to be linear in time; with dynamics the error falls with the step
+            squared.
+        load : (n,) array_like, optional
+            External force [N]; needs `load_stiffness`. Without dynamics it shifts the displacement by F/kc.
         state : State, optional
             Where to start; default ``self.state``.
         stack : bool, optional
@@ -167,15 +183,23 @@ class Actuator(AbstractModel):
             If the voltage is not finite, the time is missing or does not fit, or the state does not fit this actuator.
         """
         v, start = vector(voltage, "voltage"), self._start(state)
-        step = pace(self.creep, time, v.size)
-        if not self.wide:
-            y, position, carts = self.core.simulate(v, start.displacement, start.carts, stack=stack)
-            return Motion(voltage=v, displacement=y, state=State(position, carts))
-        y, w, carts, strains = self.wide_core.simulate(v, step, *_packed(start), stack=stack)
-        return Motion(voltage=v, displacement=y, state=self._unpacked(w, carts, strains))
+        if self.wide:
+            y, reached = self.model.simulate(v, Course(time, load), start, stack)
+            return Motion(voltage=v, displacement=y, state=reached)
+        self._demand_no_load(time, load, v.size)
+        y, position, carts = self.core.simulate(v, start.displacement, start.carts, stack=stack)
+        return Motion(voltage=v, displacement=y, state=State(position, carts))
 
     def compensate(
-        self, displacement: ArrayLike, *, time: ArrayLike | None = None, state: State | None = None, stack: bool = True
+        self,
+        displacement: ArrayLike,
+        *,
+        time: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+        state: State | None = None,
+        stack: bool = True,
     ) -> Motion:
         """Voltage that makes the actuator follow a displacement (Eqs. 11-12, with x(0) put in).
 
@@ -183,13 +207,17 @@ class Actuator(AbstractModel):
         ----------
         displacement : (n,) array_like
             Wanted displacements [m], on the axis of the record that the actuator was identified from.
-        time, state, stack
+        time, load, state, stack
             As in `simulate`; with creep the path is taken to be straight between samples.
+        velocity, acceleration : (n,) array_like, optional
+            Of the path [m/s, m/s^2], where dynamics need them; default: those of its cubic spline.
 
         Returns
         -------
         Motion
-            With `voltage` (n,) [V], not limited (see `dehyst.Compensator`), and the `state` reached.
+            With `voltage` (n,) [V], not limited (see `dehyst.Compensator`), and the `state` reached. With dynamics the
+            voltage is the exact feedforward ``w = y + 2 zeta/omega y' + y''/omega^2 - F_ext/kc``: the path must be
+            smooth, and the motion of `state` should be that of its first sample.
 
         Raises
         ------
@@ -198,12 +226,12 @@ class Actuator(AbstractModel):
             actuator.
         """
         y, start = vector(displacement, "displacement"), self._start(state)
-        step = pace(self.creep, time, y.size)
-        if not self.wide:
-            v, position, carts = self.core.compensate(y, start.displacement, start.carts, stack=stack)
-            return Motion(voltage=v, displacement=y, state=State(position, carts))
-        v, w, carts, strains = self.wide_core.compensate(y, step, *_packed(start), stack=stack)
-        return Motion(voltage=v, displacement=y, state=self._unpacked(w, carts, strains))
+        if self.wide:
+            v, reached = self.model.compensate(y, Course(time, load, velocity, acceleration), start, stack)
+            return Motion(voltage=v, displacement=y, state=reached)
+        self._demand_no_load(time, load, y.size)
+        v, position, carts = self.core.compensate(y, start.displacement, start.carts, stack=stack)
+        return Motion(voltage=v, displacement=y, state=State(position, carts))
 
     def relaxed(self, voltage: float = 0.0) -> State:
         """The state in which no element is strained and the spring alone holds `voltage` [V]."""
@@ -226,7 +254,7 @@ class Actuator(AbstractModel):
         start = self._start(state)
         if not self.wide:
             return self.core.voltage(start.displacement, start.carts)
-        return self.wide_core.voltage(*_packed(start))
+        return self.model.core.voltage(self.model.held(start))
 
     def physical(
         self, *, transformer_ratio: float, mechanical_stiffness: float, electrical_stiffness: float
@@ -321,19 +349,34 @@ class Actuator(AbstractModel):
             )
         return start if not excess.size or excess[worst] <= 0 else replace(start, carts=self._pulled(start))
 
+    def _demand_numbers(self) -> None:
+        if number(self.lag, "lag") < 0:
+            raise ModelError(f"lag: got {self.lag}, need 0 s or more")
+        if self.load_stiffness is not None and number(self.load_stiffness, "load_stiffness") <= 0:
+            raise ModelError(f"load_stiffness: got {self.load_stiffness}, need a positive number of N/m")
+
+    def _demand_no_load(self, time: ArrayLike | None, load: ArrayLike | None, samples: int) -> None:
+        if load is not None:
+            raise ModelError("load: this actuator does not know how far a force moves it; give load_stiffness= [N/m]")
+        if time is not None:
+            clock(time, samples)
+
     def _complete(self, state: State) -> State:
-        """Put in creep strains and smooth elongations, if they were left out."""
-        branches = 0 if self.creep is None else len(self.creep)
+        """Put in creep strains, smooth elongations and motion, if they were left out."""
+        branches, moving = 0 if self.creep is None else len(self.creep), 0 if self.dynamics is None else 2
         if state.creep.size not in (0, branches):
             raise ModelError(
                 f"state: got {state.creep.size} creep strains, this actuator has {branches} creep branches"
             )
+        if state.motion.size > moving:
+            raise ModelError("state: got a motion, this actuator has no dynamics")
         if state.creep.size < branches:
             state = replace(state, creep=np.zeros(branches))
-        return self._elongated(state)
+        state = self._elongated(state)
+        return replace(state, motion=np.array([state.displacement, 0.0])) if state.motion.size < moving else state
 
     def _elongated(self, state: State) -> State:
-        length = _NONE if self.smooth is None else self.smooth.length
+        length = NOTHING if self.smooth is None else self.smooth.length
         if state.smooth.size not in (0, length.size):
             raise ModelError(
                 f"state: got {state.smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
@@ -349,17 +392,9 @@ class Actuator(AbstractModel):
             )
         return replace(state, smooth=np.clip(state.smooth, -length, length)) if np.any(excess > 0) else state
 
-    def _unpacked(self, w: float, carts: Array, strains: Array) -> State:
-        branches = 0 if self.creep is None else len(self.creep)
-        return State(w, carts, strains[:branches], smooth=strains[branches:])
-
     def _pulled(self, state: State) -> Array:
         low, high = state.displacement - self.slip.breakaway, state.displacement + self.slip.breakaway
         return frozen(np.clip(state.carts, low, high))
-
-
-def _packed(state: State) -> tuple[float, Array, Array]:
-    return state.displacement, state.carts, np.concatenate([state.creep, state.smooth])
 
 
 def demand_plain(actuator: Actuator, what: str) -> Actuator:
@@ -368,38 +403,29 @@ def demand_plain(actuator: Actuator, what: str) -> Actuator:
     Raises
     ------
     ModelError
-        If it is none, or has graded elements, a transformer, creep or smooth elements, which `what` does not take into
-        account.
+        If it is none, or has other parts, which `what` does not take into account.
     """
     if not isinstance(actuator, Actuator):
         raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
-    more = {"graded elements": isinstance(actuator.slip, GradedSlip), "a transformer": actuator.transformer is not None,
-            "creep": actuator.creep is not None, "smooth elements": actuator.smooth is not None}  # fmt: skip
     if actuator.wide:
-        there = " and ".join(name for name, has in more.items() if has)
+        there = " and ".join(_wider_parts(actuator))
         raise ModelError(f"{what} takes plain slip elements and a spring only, this actuator has {there}; leave it out")
     return actuator
+
+
+def _wider_parts(actuator: Actuator) -> list[str]:
+    parts = {
+        "graded elements": isinstance(actuator.slip, GradedSlip),
+        "a transformer": actuator.transformer is not None,
+        "creep": actuator.creep is not None,
+        "smooth elements": actuator.smooth is not None,
+        "dynamics": actuator.dynamics is not None,
+        "a lag": actuator.lag != 0,
+        "a load stiffness": actuator.load_stiffness is not None,
+    }
+    return [name for name, has in parts.items() if has]
 
 
 def _demand(holds: bool, why: str) -> None:
     if not holds:
         raise ModelError(f"no physical units: {why}")
-
-
-def _demand_rising(slip: MaxwellSlip | GradedSlip, spring: Spring) -> None:
-    """Refuse graded elements with which an outermost branch falls. If neither does, no branch of any state does."""
-    if isinstance(slip, MaxwellSlip) or not len(slip):
-        return
-    for side, rho in (("rising", slip.breakaway), ("falling", -slip.breakaway)):
-        bends = np.concatenate([spring.displacement[1:-1], slip.knots[1:-1], (slip.knots[1:-1, None] + rho).ravel()])
-        bends = np.unique(bends) if bends.size else np.zeros(1)
-        at = np.concatenate([[bends[0] - 1], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1]])
-        own = spring.slopes[np.searchsorted(spring.displacement[1:-1], at, side="right")]
-        gains, losses = slip.slopes_at(at[:, None]).sum(axis=1), slip.slopes_at(at[:, None] - rho).sum(axis=1)
-        slope = own + gains - losses
-        worst = int(np.argmin(slope - _LEAST * (own + gains)))
-        if slope[worst] <= _LEAST * (own[worst] + gains[worst]):
-            raise ModelError(
-                f"with these graded elements the voltage does not rise with the displacement on the {side} outermost "
-                f"branch near {at[worst]:.6g} m: its slope there is {slope[worst]:.3g} V/m. Identify with a slope floor"
-            )

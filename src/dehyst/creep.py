@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, Pace, steps, vector
+from dehyst._native import Array, steps, strains, vector
 from dehyst.elements import frozen
 
 
@@ -66,13 +66,7 @@ class Creep:
         """
         y = vector(displacement, "displacement")
         bounds, durations = clock(time, y.size)
-        decay, gain = self.tables(durations)
-        row = np.repeat(np.arange(durations.size), np.diff(bounds))
-        moves, strain, out = np.diff(y, prepend=y[:1]), np.zeros(len(self)), np.empty((y.size, len(self)))
-        for t, (r, move) in enumerate(zip(row, moves, strict=True)):
-            strain = decay[r] * strain + gain[r] * move
-            out[t] = strain
-        return out
+        return strains(y, bounds, *self.tables(durations), np.zeros(len(self)))
 
 
 def clock(time: ArrayLike, samples: int) -> tuple[NDArray[np.int64], Array]:
@@ -88,19 +82,3 @@ def clock(time: ArrayLike, samples: int) -> tuple[NDArray[np.int64], Array]:
     if t.size != samples or np.any(durations[1:] <= 0):
         raise ModelError(f"time: got {t.size} values for {samples} samples, need as many, strictly increasing")
     return bounds, durations
-
-
-def pace(creep: Creep | None, time: ArrayLike | None, samples: int) -> Pace:
-    """What each run of equal steps does to creep; without time one run.
-
-    Raises
-    ------
-    ModelError
-        If the time does not fit, or creep has none.
-    """
-    if time is None and creep is not None:
-        raise ModelError("this actuator creeps, so that the answer depends on time; give time= [s], one a sample")
-    bounds, durations = (np.array([0, samples]), np.zeros(1)) if time is None else clock(time, samples)
-    if creep is None:
-        return Pace(np.array([0, samples]), np.empty((1, 0)), np.empty((1, 0)))
-    return Pace(bounds, *creep.tables(durations))

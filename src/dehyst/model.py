@@ -244,6 +244,8 @@ class Fit:
         What was asked for and what it became.
     checks : tuple of Check
         What the model takes for granted, and whether the records bear it out.
+    trials : tuple of dehyst.selection.Trial
+        Structures that were tried, if one was looked for.
     """
 
     actuator: Any
@@ -256,6 +258,7 @@ class Fit:
     gap: float = float("nan")
     options: Mapping[str, Any] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
+    trials: tuple[Any, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """JSON values without the traces."""
@@ -269,4 +272,5 @@ class Fit:
             "remarks": list(self.remarks),
             "solver": {"status": self.status, "duality_gap": self.gap if isfinite(self.gap) else None},
             "options": dict(self.options),
+            "trials": [trial.as_dict() for trial in self.trials],
         }

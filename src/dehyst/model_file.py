@@ -10,6 +10,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._native import Array, number
 from dehyst.creep import Creep
+from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.model import State
 from dehyst.smooth import SmoothSlip
@@ -20,13 +21,13 @@ if TYPE_CHECKING:
 FORMAT = "dehyst-actuator"
 VERSION = 2
 _PLAIN = {"format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance"}
-_KEYS = _PLAIN | {"transformer", "creep", "smooth"}
+_KEYS = _PLAIN | {"transformer", "creep", "smooth", "dynamics", "load_stiffness_N_per_m", "lag_s"}
 
 
 def as_dict(actuator: Actuator) -> dict[str, Any]:
     """JSON values of an actuator in SI units; parts that it lacks are null."""
     slip, spring, transformer, creep = actuator.slip, actuator.spring, actuator.transformer, actuator.creep
-    smooth = actuator.smooth
+    smooth, dynamics, state = actuator.smooth, actuator.dynamics, actuator.state
     elements: dict[str, Any] = {"breakaway_m": slip.breakaway.tolist()}
     if isinstance(slip, GradedSlip):
         elements["knots_m"] = slip.knots.tolist()
@@ -44,11 +45,18 @@ def as_dict(actuator: Actuator) -> dict[str, Any]:
         "smooth": None if smooth is None else {
             "length_m": smooth.length.tolist(), "closing": smooth.closing.tolist(),
             "stiffness_V_per_m": smooth.stiffness.tolist()},
+        "dynamics": None if dynamics is None else {
+            "frequency_rad_per_s": dynamics.frequency, "damping": dynamics.damping,
+            "series_V_per_m": dynamics.series},
+        "load_stiffness_N_per_m": actuator.load_stiffness,
+        "lag_s": actuator.lag,
         "state": {
-            "displacement_m": actuator.state.displacement,
-            "carts_m": actuator.state.carts.tolist(),
-            "creep_m": actuator.state.creep.tolist(),
-            "smooth_m": actuator.state.smooth.tolist(),
+            "displacement_m": state.displacement,
+            "carts_m": state.carts.tolist(),
+            "creep_m": state.creep.tolist(),
+            "smooth_m": state.smooth.tolist(),
+            "motion": None if not state.motion.size else {
+                "displacement_m": float(state.motion[0]), "velocity_m_per_s": float(state.motion[1])},
         },
         "limits": None if actuator.limits is None else {"voltage_V": list(actuator.limits)},
         "delay_s": actuator.delay,
@@ -86,8 +94,12 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _wider(data: Mapping[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {"state": _state(data, {"creep_m", "smooth_m"})}
-    found |= dict.fromkeys(("transformer", "creep", "smooth"))
+    stiffness = data["load_stiffness_N_per_m"]
+    found: dict[str, Any] = {
+        "state": _state(data, {"creep_m", "smooth_m", "motion"}),
+        "lag": number(data["lag_s"], "lag_s"),
+        "load_stiffness": None if stiffness is None else number(stiffness, "load_stiffness_N_per_m"),
+    }
     if data["transformer"] is not None:
         part = _part(data, "transformer", {"voltage_V", "drive_V"})
         found["transformer"] = Transformer(*_columns(part, "transformer", "voltage_V", "drive_V"))
@@ -97,6 +109,10 @@ def _wider(data: Mapping[str, Any]) -> dict[str, Any]:
     if data["smooth"] is not None:
         part = _part(data, "smooth", {"length_m", "closing", "stiffness_V_per_m"})
         found["smooth"] = SmoothSlip(*_columns(part, "smooth", "length_m", "closing", "stiffness_V_per_m"))
+    if data["dynamics"] is not None:
+        keys = ("frequency_rad_per_s", "damping", "series_V_per_m")
+        part = _part(data, "dynamics", set(keys))
+        found["dynamics"] = Dynamics(*(number(part[key], f"dynamics.{key}") for key in keys))
     return found
 
 
@@ -117,12 +133,15 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
 
 def _state(data: Mapping[str, Any], more: set[str]) -> State:
     state = _part(data, "state", {"displacement_m", "carts_m"} | more)
-    return State(
-        number(state["displacement_m"], "state.displacement_m"),
-        _numbers(state["carts_m"], "state.carts_m"),
-        _numbers(state["creep_m"], "state.creep_m") if "creep_m" in more else (),
-        smooth=_numbers(state["smooth_m"], "state.smooth_m") if "smooth_m" in more else (),
-    )
+    w, carts = number(state["displacement_m"], "state.displacement_m"), _numbers(state["carts_m"], "state.carts_m")
+    if not more:
+        return State(w, carts)
+    motion: tuple[float, ...] = ()
+    if state["motion"] is not None:
+        part = _part(state, "motion", {"displacement_m", "velocity_m_per_s"})
+        motion = tuple(number(part[key], f"motion.{key}") for key in ("displacement_m", "velocity_m_per_s"))
+    creep, smooth = _columns(state, "state", "creep_m", "smooth_m")
+    return State(w, carts, creep, motion, smooth)
 
 
 def _demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
