@@ -32,7 +32,7 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class WideModel:
-    """The parts of an `Actuator` and their equations: tau(v) = R(w) + creep + smooth + beta (w - y), see `core/dehyst.h`."""
+    """The parts of an `Actuator`: tau(v) = R(w) + creep + smooth elements + beta (w - y), see `core/dehyst.h`."""
 
     slip: MaxwellSlip | GradedSlip
     spring: Spring
