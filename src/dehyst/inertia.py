@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -59,11 +60,15 @@ def derivatives(piece: Record) -> tuple[Array, Array]:
     """Velocity [m/s] and acceleration [m/s2] (n,) of the measured displacement."""
     from scipy.signal import savgol_filter
 
-    first, second = (savgol_filter(piece.displacement, _WINDOW, _ORDER, deriv=k, delta=piece.sample_time) for k in (1, 2))
+    first, second = (
+        savgol_filter(piece.displacement, _WINDOW, _ORDER, deriv=k, delta=piece.sample_time) for k in (1, 2)
+    )
     return first, second
 
 
-def find_inertia(build: Callable[[Inertia], WideRegression], delay: float, sample_time: float, fastest: float) -> Inertia:
+def find_inertia(
+    build: Callable[[Inertia], WideRegression], delay: float, sample_time: float, fastest: float
+) -> Inertia:
     """Least RMS residual over delay, damping and mass; no mass unless that is worth it.
 
     Parameters
@@ -91,8 +96,9 @@ def find_inertia(build: Callable[[Inertia], WideRegression], delay: float, sampl
 
     simplex = np.array([[delay / scale, 0.1, 0.5], [delay / scale, 0.1, 1.5], [0.5 * delay / scale, 0.3, 1.0],
                         [delay / scale + 0.3, 0.0, 0.8]])  # fmt: skip
-    found = minimize(lambda x: _rms(build(of(x))), simplex[0], method="Nelder-Mead",
-                     options={"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0})  # fmt: skip
+    options: Any = {"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0}
+    least: Any = minimize
+    found = least(lambda x: _rms(build(of(x))), simplex[0], method="Nelder-Mead", options=options)
     return of(found.x) if found.fun < _WORTH * cost else best
 
 

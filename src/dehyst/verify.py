@@ -99,8 +99,17 @@ class Comparison:
         parts, first = [], 0
         for number, ((_, piece, curve), own) in enumerate(zip(self.pieces, self.epochs, strict=True)):
             for i, epoch in enumerate(own):
-                played = _play(actuator, piece, epoch, offsets[first + i], self.drift * curve, self.datum, self.start,
-                               self.record.lead, self.measured[number])
+                played = _play(
+                    actuator,
+                    piece,
+                    epoch,
+                    offsets[first + i],
+                    self.drift * curve,
+                    self.datum,
+                    self.start,
+                    self.record.lead,
+                    self.measured[number],
+                )
                 parts.append((number, epoch, played))
             first += len(own)
         return parts
@@ -116,7 +125,9 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Compari
         datum = find_datum(regression, 0, protocol.stroke, given=model)
     regression = replace(regression, datum=np.array([datum]))
     base = float(actuator.spring.voltage[0])
-    return Comparison(record, pieces, [piece for _, piece, _ in measured], epochs, regression, regression.nuisances_of(model), base)
+    return Comparison(
+        record, pieces, [piece for _, piece, _ in measured], epochs, regression, regression.nuisances_of(model), base
+    )
 
 
 def _beside(
@@ -147,7 +158,7 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
     last = [played for i, epoch, played in compared.played(actuator) if epoch is compared.epochs[i][-1]]
     time, voltage, measured, simulated, with_drift = (np.concatenate(column) for column in zip(*last, strict=True))
     trace = Trace(record.name, protocol.role, time, voltage, measured, simulated)
-    slope = float(np.median(regression.slope(found)))
+    slope = float(np.median(regression.slope(found)))  # type: ignore[arg-type]
     offset = float(np.median(list(found.offsets.values()))) - compared.base
     return RecordErrors(
         record=record.name, role=protocol.role, samples=time.size, left_out=record.samples - time.size,
@@ -158,8 +169,15 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
 
 
 def _play(
-    actuator: Actuator, piece: Record, epoch: Epoch, offset: float, drift: Array, datum: float, strain: Array,
-    lead: Record | None, measured: Record,
+    actuator: Actuator,
+    piece: Record,
+    epoch: Epoch,
+    offset: float,
+    drift: Array,
+    datum: float,
+    strain: Array,
+    lead: Record | None,
+    measured: Record,
 ) -> tuple[Array, ...]:
     """Time, voltage, measured, simulated, and simulated with the drift left in, over an epoch."""
     rho = actuator.slip.breakaway
@@ -168,7 +186,9 @@ def _play(
     carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
     carts = np.clip(carts, before[-1] - rho, before[-1] + rho)
     creep, smooth = _moved_to(actuator, piece, epoch.start, lead, strain)
-    motion = [] if actuator.dynamics is None else [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
+    motion = (
+        [] if actuator.dynamics is None else [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
+    )
     state = State(float(before[-1]), carts, creep, motion, smooth).shifted(datum)
     span = slice(epoch.start, epoch.stop)
     time, tau = piece.time[span], actuator.transformer
