@@ -15,9 +15,9 @@ int main(void)
 }
 C
 # shellcheck disable=SC2086
-${CC:-gcc} $flags -I. dehyst.c dehyst_stack.c "$work/main.c" -o "$work/check"
+${CC:-gcc} $flags -I. dehyst.c dehyst_stack.c dehyst_grades.c dehyst_wide.c dehyst_smooth.c "$work/main.c" -o "$work/check"
 "$work/check"
-${CC:-gcc} -std=c99 -O2 -ffreestanding -ffp-contract=off -I. -fno-pic -nostdlib -r dehyst.c dehyst_stack.c -o "$work/core.o"
+${CC:-gcc} -std=c99 -O2 -ffreestanding -ffp-contract=off -I. -fno-pic -nostdlib -r dehyst.c dehyst_stack.c dehyst_grades.c dehyst_wide.c dehyst_smooth.c -o "$work/core.o"
 needed=$(nm -u "$work/core.o" | grep -vE ' (memcpy|memset|memmove)$' || true)
 [ -z "$needed" ] || { echo "the core needs from outside: $needed"; exit 1; }
 for rival in rivals_*.c; do

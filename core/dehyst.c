@@ -119,12 +119,7 @@ dehyst_real dehyst_compensate_step(const dehyst_actuator *actuator, dehyst_state
     return dehyst_voltage(actuator, state);
 }
 
-/* What a motion in one direction meets at y: voltage, slope, and the place of the next change of slope. */
-typedef struct outlook {
-    dehyst_real v, slope, event;
-} outlook;
-
-static outlook look_ahead(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real y,
+outlook dehyst_look_ahead(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real y,
                           dehyst_real direction)
 {
     const dehyst_slip *slip = &actuator->slip;
@@ -156,10 +151,10 @@ dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, dehyst_state *
     int changes = actuator->slip.size + actuator->spring.size;
     outlook ahead;
     if (!is_finite(v)) return y;
-    ahead = look_ahead(actuator, state, y, direction);
+    ahead = dehyst_look_ahead(actuator, state, y, direction);
     if (v < ahead.v) {
         direction = -1;
-        ahead = look_ahead(actuator, state, y, direction);
+        ahead = dehyst_look_ahead(actuator, state, y, direction);
     }
     while (changes-- > 0) {
         dehyst_real goal = y + (v - ahead.v) / ahead.slope;
@@ -168,7 +163,7 @@ dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, dehyst_state *
             break;
         }
         y = ahead.event;
-        ahead = look_ahead(actuator, state, y, direction);
+        ahead = dehyst_look_ahead(actuator, state, y, direction);
     }
     dehyst_slip_move(&actuator->slip, state->cart, y);
     state->y = y;

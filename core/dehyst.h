@@ -33,7 +33,8 @@ typedef enum dehyst_status {
     DEHYST_ERR_FINITE = -2,      /* not a number, or infinite */
     DEHYST_ERR_ORDER = -3,       /* knots, spring voltages or breakaway elongations not strictly increasing */
     DEHYST_ERR_SIGN = -4,        /* a negative stiffness, or a breakaway elongation that is not positive */
-    DEHYST_ERR_STATE = -5,       /* a cart farther from y than its breakaway elongation */
+    DEHYST_ERR_STATE = -5,       /* a cart farther from y than its breakaway elongation, or a smooth element longer
+                                  * than its length */
     DEHYST_ERR_CAPACITY = -6,    /* fewer reversals than DEHYST_STACK_CAPACITY(N) */
     DEHYST_ERR_UNREACHABLE = -7  /* carts that no history from rest leaves: use the carts until they are wiped out */
 } dehyst_status;
@@ -66,6 +67,63 @@ typedef struct dehyst_state {
     dehyst_real y;
     dehyst_real *cart; /* [N] */
 } dehyst_state;
+
+/* Graded elements: psi_i(y) - psi_i(b_i) in place of kappa_i s_i, the stiffness depends on where the cart sits. The
+ * psi_i bend at common knots and go on beyond them; the last rows and the values are made by dehyst_grades_tabulate. */
+typedef struct dehyst_grades {
+    int size;                 /* M segments; 0: the elements are plain */
+    const dehyst_real *knot;  /* [M + 1] */
+    const dehyst_real *value; /* [(N + 1) (M + 1)] psi_i at the knots, 0 at the first; then their sum */
+    const dehyst_real *slope; /* [(N + 1) M] kappa_im >= 0; then their sum */
+} dehyst_grades;
+
+/* Smooth elements: k_l q_l, dq = dy (1 - |q / length| (closing sgn(q dy) + 1 - closing)), |q_l| <= length_l, closing 1/2
+ * to 1 (Dahl; Bouc and Wen). `back` is made by dehyst_smooth_tabulate. */
+typedef struct dehyst_smooth {
+    int size;                     /* L; 0: none */
+    const dehyst_real *length;    /* [L] > 0 */
+    const dehyst_real *back;      /* [L] (2 closing - 1) / length */
+    const dehyst_real *stiffness; /* [L] k_l [V/m], >= 0 */
+} dehyst_smooth;
+
+/* The wider actuator: tau(v) = sum_i [psi_i(w) - psi_i(b_i)] + eta(w) + sum_j c_j d_j + sum_l k_l q_l + beta (w - y).
+ * Its slip elements, in `plain`, are those of the plain class, or lend the graded ones their size and breakaway
+ * elongations; the stiffnesses are then left alone. On every outermost branch the right-hand side must increase: then
+ * it does on every other. */
+typedef struct dehyst_wide {
+    dehyst_actuator plain;
+    dehyst_grades grades;
+    dehyst_curve drive;           /* tau; size 0: none */
+    dehyst_curve voltage;         /* its inverse: the same knots, axes exchanged */
+    int branches;                 /* J >= 0 of creep */
+    const dehyst_real *stiffness; /* [J] c_j [V/m], >= 0 */
+    int inertia;                  /* 0: y is w, and beta is left alone */
+    dehyst_real series;           /* beta [V/m], >= 0 */
+    dehyst_real share;            /* theta = beta / (K + beta), K a mean slope of eta */
+    dehyst_smooth smooth;
+} dehyst_wide;
+
+/* One step of y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q, exact for q = w - theta y + F_ext/kc linear in
+ * time: (y, y'/omega) <- phi (y, y'/omega) + before q_old + after q_new. Without duration phi is 1, the others 0. */
+typedef struct dehyst_transition {
+    dehyst_real phi[4], before[2], after[2];
+} dehyst_transition;
+
+/* What a step of time does, worked out by the caller: d_j <- decay_j d_j + gain_j (w_new - w_old), for w linear in
+ * time decay = exp(-dt/tau_j) and gain = (1 - decay) tau_j/dt, both 1 for a step without duration. */
+typedef struct dehyst_pace {
+    const dehyst_real *decay; /* [J] */
+    const dehyst_real *gain;  /* [J] */
+    dehyst_transition transition;
+} dehyst_pace;
+
+typedef struct dehyst_wide_state {
+    dehyst_state memory;     /* w and the carts */
+    dehyst_real *strain;     /* [J] d_j [m] */
+    dehyst_real *elongation; /* [L] q_l [m] of smooth elements */
+    dehyst_real y, rate;     /* with inertia, y and y'/omega [m] */
+    dehyst_real input;       /* q [m], made by the first step if that is one without duration */
+} dehyst_wide_state;
 
 typedef struct dehyst_reversal {
     dehyst_real y;     /* where the motion turned */
@@ -119,6 +177,41 @@ void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state,
                            const dehyst_real *y, dehyst_real *v, long n);
 void dehyst_simulate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work,
                          const dehyst_real *v, dehyst_real *y, long n);
+
+/* Room that a run of a wide actuator works in. Without reversals it stays on the carts. */
+typedef struct dehyst_room {
+    dehyst_stack stack;
+    dehyst_real *value; /* [spring knots] the spring stiffened by what moves in time */
+    dehyst_real *slope; /* [spring knots - 1] */
+    dehyst_real *held;  /* [N] with graded elements */
+    int *segment;       /* [N] with graded elements */
+} dehyst_room;
+
+/* The last row of slope, and value, from knots and the first n rows of slope; the sums may be zero in places. */
+dehyst_status dehyst_grades_tabulate(int n, int m, const dehyst_real *knot, dehyst_real *slope, dehyst_real *value);
+/* back [n] from lengths and closings. */
+dehyst_status dehyst_smooth_tabulate(int n, const dehyst_real *length, const dehyst_real *closing, dehyst_real *back);
+/* Elongations after a motion by `by`, exact for any; then along a path that begins at y: out [n L], a row a sample. */
+void dehyst_smooth_move(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real by);
+void dehyst_smooth_elongations(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
+                               const dehyst_real *path, dehyst_real *out, long n);
+dehyst_status dehyst_wide_check(const dehyst_wide *wide, const dehyst_wide_state *state);
+/* Samples first to its result - 1, first >= 1, lie equal steps of time apart, but for what writing a time down leaves
+ * of them. A step that is not positive stands alone. */
+long dehyst_equal_steps(const dehyst_real *time, long first, long n);
+/* Voltage at the present state. */
+dehyst_real dehyst_wide_voltage(const dehyst_wide *wide, const dehyst_wide_state *state);
+/* n samples, all the same time after the one before. Input and output are different arrays. `more` [n] is added to
+ * tau(v); NULL: nothing. */
+void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
+                            dehyst_room *room, const dehyst_real *w, const dehyst_real *more, dehyst_real *v, long n);
+/* Displacements y; those of w without inertia, when `load` is left alone: F_ext/kc [m], [n] or NULL. What w holds and
+ * what is left of eta's slopes and moves with it must together rise. */
+void dehyst_wide_simulate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state, dehyst_room *room,
+                          const dehyst_real *v, const dehyst_real *load, dehyst_real *y, long n);
+/* Strains [n J], a row a sample, along a path of w that starts from `before`. */
+void dehyst_strains(int branches, const dehyst_pace *pace, dehyst_real *strain, dehyst_real before,
+                    const dehyst_real *w, dehyst_real *out, long n);
 
 #ifdef __cplusplus
 }

@@ -1,4 +1,4 @@
-/* What the two evaluators share: private to the core. */
+/* What the evaluators share: private to the core. */
 #ifndef DEHYST_PARTS_H
 #define DEHYST_PARTS_H
 
@@ -40,5 +40,57 @@ static inline dehyst_real on_segment(const dehyst_curve *curve, int j, dehyst_re
 {
     return curve->value[j] + curve->slope[j] * (x - curve->knot[j]);
 }
+
+/* What a motion in one direction meets at y: voltage, slope, and the place of the next change of slope. */
+typedef struct outlook {
+    dehyst_real v, slope, event;
+} outlook;
+
+outlook dehyst_look_ahead(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real y,
+                          dehyst_real direction);
+dehyst_real dehyst_grades_voltage(const dehyst_wide *wide, const dehyst_state *state);
+void dehyst_grades_compensate(const dehyst_wide *wide, dehyst_state *state, dehyst_real *held, int *where,
+                              const dehyst_real *y, dehyst_real *v, long n);
+outlook dehyst_grades_look_ahead(const dehyst_wide *wide, const dehyst_state *state, dehyst_real y,
+                                 dehyst_real direction);
+
+/* In a direction from w, of the plain or the graded elements and the spring. */
+static inline outlook look_ahead(const dehyst_wide *wide, const dehyst_state *memory, dehyst_real w,
+                                 dehyst_real direction)
+{
+    return wide->grades.size > 0 ? dehyst_grades_look_ahead(wide, memory, w, direction)
+                                 : dehyst_look_ahead(&wide->plain, memory, w, direction);
+}
+
+/* 1 - exp(-x) for x >= 0, ln(1 + a) for 0 <= a <= 1: without a mathematics library. */
+dehyst_real dehyst_decay(dehyst_real x);
+dehyst_real dehyst_log1p(dehyst_real a);
+dehyst_status dehyst_smooth_check(const dehyst_smooth *smooth, const dehyst_real *elongation);
+dehyst_real dehyst_smooth_held(const dehyst_smooth *smooth, const dehyst_real *elongation);
+/* Add what smooth elements hold along a path that begins at y. */
+void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
+                              const dehyst_real *path, dehyst_real *v, long n);
+/* Move everything but creep to the w at which G(w) + sum_l k_l q_l + stiffness (w - w_old) = drive. */
+dehyst_real dehyst_smooth_solve(const dehyst_wide *wide, dehyst_wide_state *state, dehyst_real drive,
+                                dehyst_real stiffness, dehyst_real *likely);
+
+/* A straight piece of the present branch: y = start + (v - v_start) / slope until v reaches v_end. */
+typedef struct piece {
+    dehyst_real start, v_start, inverse_slope, v_end;
+    int cell, j;
+    int ends_at_knot; /* the next piece lies in the next segment of the spring; else in the next cell */
+} piece;
+
+/* A simulation on the stack whose voltages are not known ahead. */
+typedef struct dehyst_walk {
+    const dehyst_actuator *actuator;
+    dehyst_stack *stack;
+    piece *now, *ahead;
+    int on_piece;
+    piece pieces[2];
+} dehyst_walk;
+
+void dehyst_walk_begin(dehyst_walk *walk, const dehyst_actuator *actuator, dehyst_stack *stack);
+dehyst_real dehyst_walk_to(dehyst_walk *walk, dehyst_real v);
 
 #endif

@@ -156,13 +156,6 @@ void dehyst_stack_compensate(const dehyst_actuator *actuator, dehyst_stack *stac
     stack->v = voltage;
 }
 
-/* A straight piece of the present branch: y = start + (v - v_start) / slope until v reaches v_end. */
-typedef struct piece {
-    dehyst_real start, v_start, inverse_slope, v_end;
-    int cell, j;
-    int ends_at_knot; /* the next piece lies in the next segment of the spring; else in the next cell */
-} piece;
-
 static dehyst_real branch_stops(const dehyst_slip *slip, const dehyst_stack *stack, dehyst_real y, int hint)
 {
     const dehyst_reversal *from = stack->reversal + stack->depth - 1;
@@ -255,41 +248,62 @@ static void look_beyond(const dehyst_actuator *actuator, const dehyst_stack *sta
         piece_in(actuator, stack, now->cell + !now->ends_at_knot, now->j + forward * now->ends_at_knot, ahead);
 }
 
+void dehyst_walk_begin(dehyst_walk *walk, const dehyst_actuator *actuator, dehyst_stack *stack)
+{
+    static const piece nowhere = {0, 0, 0, 0, 0, 0, 0};
+    walk->actuator = actuator;
+    walk->stack = stack;
+    walk->pieces[0] = walk->pieces[1] = nowhere;
+    walk->now = walk->pieces;
+    walk->ahead = walk->pieces + 1;
+    walk->on_piece = 0;
+}
+
+/* Put the walk on the piece that holds v, from the stack's present place. */
+static void find_way(dehyst_walk *walk, dehyst_real v)
+{
+    const dehyst_actuator *actuator = walk->actuator;
+    dehyst_stack *stack = walk->stack;
+    piece *now = walk->now;
+    const dehyst_reversal *to;
+    dehyst_real direction = stack->direction;
+    if (direction * (v - stack->v) < 0) {
+        turn(&actuator->slip, stack, branch_stops(&actuator->slip, stack, stack->y, now->cell));
+        direction = stack->direction;
+        walk->on_piece = 0;
+    }
+    while ((to = joint(stack)) != NULL && direction * (v - to->v) >= 0) {
+        stack->y = to->y;
+        stack->depth -= 2;
+        walk->on_piece = 0;
+    }
+    if (walk->on_piece && direction * (v - now->v_end) >= 0 && direction * (v - walk->ahead->v_end) < 0) {
+        walk->now = walk->ahead;
+        walk->ahead = now;
+    } else {
+        find_piece(actuator, stack, v, now);
+    }
+    look_beyond(actuator, stack, walk->now, walk->ahead);
+    walk->on_piece = 1;
+}
+
 void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y,
                            long n)
 {
-    piece pieces[2] = {{0, 0, 0, 0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0}}, *now = pieces, *ahead = pieces + 1;
-    dehyst_real direction = stack->direction, voltage = stack->v, present = stack->y;
-    int on_piece = 0;
+    dehyst_walk walk;
+    dehyst_real voltage = stack->v, present = stack->y;
     long t = 0;
+    dehyst_walk_begin(&walk, actuator, stack);
     while (t < n) {
         dehyst_real goal = v[t];
-        const dehyst_reversal *to;
         if (!is_finite(goal)) goal = voltage;
         stack->y = present;
         stack->v = voltage;
-        if (direction * (goal - voltage) < 0) {
-            turn(&actuator->slip, stack, branch_stops(&actuator->slip, stack, present, now->cell));
-            direction = stack->direction;
-            on_piece = 0;
-        }
-        while ((to = joint(stack)) != NULL && direction * (goal - to->v) >= 0) {
-            stack->y = to->y;
-            stack->depth -= 2;
-            on_piece = 0;
-        }
-        if (on_piece && direction * (goal - now->v_end) >= 0 && direction * (goal - ahead->v_end) < 0) {
-            piece *passed = now;
-            now = ahead;
-            ahead = passed;
-        } else {
-            find_piece(actuator, stack, goal, now);
-        }
-        look_beyond(actuator, stack, now, ahead);
-        on_piece = 1;
+        find_way(&walk, goal);
         {
-            const dehyst_real start = now->start, v_start = now->v_start, inverse_slope = now->inverse_slope;
-            const dehyst_real v_end = now->v_end;
+            const dehyst_real start = walk.now->start, v_start = walk.now->v_start;
+            const dehyst_real inverse_slope = walk.now->inverse_slope, v_end = walk.now->v_end;
+            const dehyst_real direction = stack->direction;
             do {
                 present = start + (goal - v_start) * inverse_slope;
                 voltage = goal;
@@ -301,6 +315,18 @@ void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack,
     }
     stack->y = present;
     stack->v = voltage;
+}
+
+dehyst_real dehyst_walk_to(dehyst_walk *walk, dehyst_real v)
+{
+    dehyst_stack *stack = walk->stack;
+    const dehyst_real direction = stack->direction;
+    if (!is_finite(v)) return stack->y;
+    if (!walk->on_piece || !(direction * (v - stack->v) >= 0 && direction * (v - walk->now->v_end) < 0))
+        find_way(walk, v);
+    stack->y = walk->now->start + (v - walk->now->v_start) * walk->now->inverse_slope;
+    stack->v = v;
+    return stack->y;
 }
 
 typedef dehyst_real step_function(const dehyst_actuator *, dehyst_state *, dehyst_real);

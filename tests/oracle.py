@@ -16,6 +16,61 @@ def spring(y, knots, values):
     return float(np.interp(y, knots, values))
 
 
+def smooth_step(length, closing, q, step):
+    """Elongations of smooth elements after a step: all motion onward is motion along one curve r(u).
+
+    r(u) = length (1 - exp(-u / length)) for u > 0 and (1 - exp(-rate u)) / rate for u < 0, with
+    rate = (2 closing - 1) / length.
+    """
+    rate = np.maximum((2 * closing - 1) / length, 1e-30 / length)
+    sign = 1.0 if step > 0 else -1.0
+    r = np.clip(sign * q, -length, length)
+    with np.errstate(divide="ignore"):
+        u = np.where(r > 0, -length * np.log1p(-np.maximum(r, 0) / length), -np.log1p(-rate * np.minimum(r, 0)) / rate)
+    u = u + abs(step)
+    loaded = -length * np.expm1(-np.maximum(u, 0) / length)
+    return sign * np.where(u > 0, loaded, -np.expm1(-rate * np.minimum(u, 0)) / rate)
+
+
+class Smooth:
+    """A plain actuator with smooth elements, stepped one sample at a time and inverted by bisection."""
+
+    def __init__(self, actuator, state):
+        self.slip, self.curve, self.smooth = actuator.slip, actuator.spring, actuator.smooth
+        self.y, self.elongation, self.q = state.displacement, state.displacement - state.carts, state.smooth
+
+    def _reached(self, target):
+        step = target - self.y
+        elongation = np.clip(self.elongation + step, -self.slip.breakaway, self.slip.breakaway)
+        q = smooth_step(self.smooth.length, self.smooth.closing, self.q, step)
+        held = float(self.slip.stiffness @ elongation) + float(self.smooth.stiffness @ q)
+        return held + spring(target, self.curve.displacement, self.curve.voltage), elongation, q
+
+    def _move(self, target):
+        voltage, self.elongation, self.q = self._reached(target)
+        self.y = target
+        return voltage
+
+    def compensate(self, path):
+        """Voltages along displacements."""
+        return np.array([self._move(target) for target in path])
+
+    def simulate(self, voltages):
+        """Displacements along voltages."""
+        path, reach = [], np.ptp(self.curve.displacement)
+        for voltage in voltages:
+            low, high = self.y - reach, self.y + reach
+            while self._reached(low)[0] > voltage:
+                low -= reach
+            while self._reached(high)[0] < voltage:
+                high += reach
+            while (middle := 0.5 * (low + high)) not in (low, high):
+                low, high = (middle, high) if self._reached(middle)[0] < voltage else (low, middle)
+            self._move(high)
+            path.append(high)
+        return np.array(path)
+
+
 def compensate(rho, kappa, knots, values, start, carts, path):
     """Stop operators s <- clip(s + dy, -rho, rho), one sample at a time. Returns voltages, last y, carts."""
     elongation, y, voltages = start - np.asarray(carts, float), start, []
@@ -49,3 +104,70 @@ def simulate(rho, kappa, knots, values, start, carts, voltages):
         y = high
         path.append(y)
     return np.array(path), y, y - elongation
+
+
+def line(x, knots, values):
+    """Any piecewise-linear curve, continued linearly, at one place."""
+    j = min(max(int(np.searchsorted(knots, x)) - 1, 0), len(knots) - 2)
+    return values[j] + (x - knots[j]) * (values[j + 1] - values[j]) / (knots[j + 1] - knots[j])
+
+
+class Wide:
+    """Graded elements, transformer and creep, one sample at a time; a plain element is one that has one grade.
+
+    Creep is told by its low-passes z_j, d_j = y - z_j; a displacement is found by bisection.
+    """
+
+    def __init__(self, actuator, state):
+        slip = actuator.slip
+        self.rho, self.spring, self.tau = slip.breakaway, actuator.spring, actuator.transformer
+        self.knots = getattr(slip, "knots", np.array([0.0, 1.0]))
+        self.grades = slip.stiffness.reshape(len(slip), self.knots.size - 1)
+        creep = actuator.creep
+        self.times, self.c = (creep.time_constants, creep.stiffness) if creep else (np.zeros(0), np.zeros(0))
+        self.y, self.carts = state.displacement, np.array(state.carts)
+        self.z = self.y - (np.array(state.creep) if state.creep.size else np.zeros(self.c.size))
+
+    def psi(self, i, z):
+        rises = self.grades[i] * np.diff(self.knots)
+        return line(z, self.knots, np.concatenate([[0.0], np.cumsum(rises)]))
+
+    def low_passes(self, y, dt):
+        """Each z' = (y - z) / tau, y rising evenly from the present one within dt."""
+        if dt == 0:
+            return self.z
+        part = -np.expm1(-dt / self.times)
+        return self.z + (self.y - self.z) * part + (y - self.y) / dt * (dt - self.times * part)
+
+    def drive(self, y, dt):
+        held = line(y, self.spring.displacement, self.spring.voltage)
+        for i, cart in enumerate(np.clip(self.carts, y - self.rho, y + self.rho)):
+            held += self.psi(i, y) - self.psi(i, cart)
+        return held + float(self.c @ (y - self.low_passes(y, dt)))
+
+    def commit(self, y, dt):
+        self.z = self.low_passes(y, dt)
+        self.carts, self.y = np.clip(self.carts, y - self.rho, y + self.rho), y
+
+    def compensate(self, path, time):
+        voltages = []
+        for y, dt in zip(path, np.diff(time, prepend=time[:1]), strict=True):
+            drive = self.drive(y, dt)
+            voltages.append(drive if self.tau is None else line(drive, self.tau.drive, self.tau.voltage))
+            self.commit(y, dt)
+        return np.array(voltages)
+
+    def simulate(self, voltages, time):
+        path, reach = [], float(np.ptp(self.spring.displacement))
+        for v, dt in zip(voltages, np.diff(time, prepend=time[:1]), strict=True):
+            drive = v if self.tau is None else line(v, self.tau.voltage, self.tau.drive)
+            low, high = self.y - reach, self.y + reach
+            while self.drive(low, dt) > drive:
+                low -= reach
+            while self.drive(high, dt) < drive:
+                high += reach
+            while low < (middle := 0.5 * (low + high)) < high:
+                low, high = (middle, high) if self.drive(middle, dt) < drive else (low, middle)
+            self.commit(high, dt)
+            path.append(high)
+        return np.array(path)

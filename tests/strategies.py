@@ -7,7 +7,7 @@ and lets an example shrink to few elements, few knots and a short path of a name
 import numpy as np
 from hypothesis import strategies as st
 
-from dehyst import Actuator, MaxwellSlip, Spring, State
+from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Spring, State, Transformer
 
 SEEDS = st.integers(0, 2**32 - 1)
 STATE_KINDS = ("relaxed", "turned up", "turned down", "reached", "arbitrary", "extreme")
@@ -144,3 +144,55 @@ def voltages_like(actuator, state, path, seed):
         return np.zeros(0)
     v = actuator.compensate(path, state=state).voltage
     return v + np.random.default_rng([seed, 3]).normal(scale=0.05 * volts_of(actuator)) * (1 + 0 * v)
+
+
+def make_wider(actuator, seed, *, graded, transformer, creep):
+    """Return the actuator with parts of the wider class; graded elements leave every branch 20 % of its slope."""
+    rng = np.random.default_rng([seed, 4])
+    slip, spring = actuator.slip, actuator.spring
+    span, volts, parts = span_of(actuator), float(np.ptp(spring.voltage)), {}
+    if graded:
+        n, m = len(slip), int(rng.integers(1, 9))
+        knots = spring.displacement[0] + span * np.sort(rng.uniform(-0.2, 1.2, m + 1))
+        more = 0.8 * spring.slopes.min() / max(n, 1) * rng.uniform(0, 1, (n, m))
+        slip = GradedSlip(slip.breakaway, knots, more + rng.choice([0.0, 1.0]) * slip.stiffness[:, None])
+    if transformer:
+        steps = rng.uniform(0.3, 1.0, int(rng.integers(1, 12)))
+        at = spring.voltage[0] + volts * np.append(0, np.cumsum(steps)) / steps.sum()
+        rises = np.diff(at) * np.exp(rng.uniform(-0.7, 0.7, steps.size))
+        parts["transformer"] = Transformer(at, at[0] + np.append(0, np.cumsum(rises)))
+    if creep:
+        j = int(rng.integers(1, 20))
+        parts["creep"] = Creep(10 ** rng.uniform(-3, 3, j), rng.exponential(volts / span / j, j))
+    return Actuator(slip, spring, **parts)
+
+
+def make_time(seed, n):
+    """Return n times [s]: even steps, uneven ones, or runs of even ones."""
+    rng = np.random.default_rng([seed, 5])
+    steps = 10 ** rng.uniform(-3, 1) * np.ones(n)
+    kind = rng.integers(3)
+    if kind == 1:
+        steps *= rng.uniform(0.1, 10, n)
+    if kind == 2:
+        steps *= np.repeat(rng.uniform(0.1, 10, n), rng.integers(1, 60, n))[:n]
+    # Whole multiples of 2^-30 s: their differences are exact, so that even steps are even.
+    return np.round((rng.uniform(-10, 10) + np.cumsum(np.ceil(steps * 2.0**30) / 2.0**30)) * 2.0**30) / 2.0**30
+
+
+@st.composite
+def wider_motions(draw, parts=None, max_elements=20, states=STATE_KINDS, max_samples=120):
+    """Draw an actuator of the wider class, a state of it, time [s] and a path [m]."""
+    plain = draw(actuators(0, max_elements))
+    seed, flags = draw(SEEDS), draw(st.tuples(st.booleans(), st.booleans(), st.booleans()))
+    named = dict(zip(("graded", "transformer", "creep"), flags, strict=True)) | (parts or {})
+    actuator = make_wider(plain, seed, **named)
+    state = make_state(plain, seed, draw(st.sampled_from(states)))
+    if actuator.creep is not None:
+        rng = np.random.default_rng([seed, 6])
+        strains = 0.1 * span_of(plain) * rng.normal(size=len(actuator.creep)) * rng.choice([0, 1])
+        state = State(state.displacement, state.carts, strains)
+    path = make_path(
+        plain, state.displacement, seed, draw(st.sampled_from(PATH_KINDS)), draw(st.integers(0, max_samples))
+    )
+    return actuator, state, make_time(seed, len(path)), path

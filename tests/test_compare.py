@@ -127,7 +127,7 @@ def test_every_rival_has_an_entry_that_takes_records():
 
 
 def test_speeds_are_nanoseconds():
-    simulate, compensate = speeds(PLANT, np.linspace(0, 100, 50))
+    simulate, compensate = speeds(PLANT, Record(np.arange(50) / 10, np.linspace(0, 100, 50), np.linspace(0, 1e-5, 50)))
     assert 0.5 < simulate < 1e4
     assert 0.5 < compensate < 1e4
 

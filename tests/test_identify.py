@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst import IdentifyError, Outcome, Record, RecordError, program
+from dehyst import IdentifyError, Outcome, Record, RecordError, highs
 from dehyst.program import NORMS
 from dehyst.regression import Regression
 from dehyst.rows import collect
@@ -205,12 +205,12 @@ def test_nonsense_that_is_a_loop_is_called_inaccurate():
 
 def break_solver(monkeypatch):
     """Let HiGHS say that it was stopped before it found the optimum."""
-    solved = program._highs
+    solved = highs.minimum
 
     def stopped(*arguments, **options):
         return replace(solved(*arguments, **options), optimal=False, status="HiGHS: time limit")
 
-    monkeypatch.setattr(program, "_highs", stopped)
+    monkeypatch.setattr(highs, "minimum", stopped)
 
 
 def test_a_fit_is_json_without_nan(monkeypatch):

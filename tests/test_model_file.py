@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 
 from dehyst._errors import DehystError, FileFormatError, ModelError
 from dehyst.actuator import Actuator
-from dehyst.elements import MaxwellSlip, Spring
+from dehyst.creep import Creep
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import read_json, write_json
 from dehyst.model import State
+from dehyst.smooth import SmoothSlip
 
 # Wide enough for every exponent, narrow enough that no difference overflows.
 numbers = st.floats(-1e300, 1e300)
@@ -99,6 +101,73 @@ def made():
     )
 
 
+def wide():
+    plain = made()
+    return Actuator(
+        GradedSlip(plain.slip.breakaway, [0.0, 4e-6, 1e-5], [[2e6, 2.5e6], [1e6, 0.3]]),
+        plain.spring,
+        State(1e-6, [0.95e-6, 0.8e-6], [1e-8, 0.0, -2e-9], smooth=[1 / 3e6, -2e-6]),
+        transformer=Transformer([0.0, 50.0, 100.0], [0.0, 1 / 3 + 51, 100.0]),
+        creep=Creep([0.1, 1.0, 100.0], [1e5, 1 / 3, 0.0]),
+        smooth=SmoothSlip([1e-6, 2e-6], [1.0, 2 / 3], [1e6 / 3, 0.0]),
+    )
+
+
+def test_wider_parts_come_back_exactly(tmp_path):
+    actuator = wide()
+    back = through_a_file(actuator, tmp_path / "a.json")
+    for part, fields in (("slip", ("breakaway", "knots", "stiffness")), ("transformer", ("voltage", "drive")),
+                         ("creep", ("time_constants", "stiffness")), ("smooth", ("length", "closing", "stiffness")),
+                         ("state", ("carts", "creep", "smooth"))):  # fmt: skip
+        for name in fields:
+            one, two = (getattr(getattr(a, part), name) for a in (actuator, back))
+            assert one.shape == two.shape
+            assert one.tobytes() == two.tobytes()
+    write_json(tmp_path / "b.json", back.as_dict())
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+
+
+def test_a_file_of_version_1(tmp_path):
+    data = made().as_dict()
+    for key in ("transformer", "creep", "smooth", "dynamics", "load_stiffness_N_per_m", "lag_s"):
+        del data[key]
+    del data["state"]["creep_m"], data["state"]["smooth_m"], data["state"]["motion"]
+    data["version"] = 1
+    write_json(tmp_path / "a.json", data)
+    back = Actuator.from_dict(read_json(tmp_path / "a.json"))
+    assert back.as_dict() == made().as_dict()
+    refused(tmp_path, {**data, "creep": None}, r"model: missing keys \[\], unknown keys \['creep'\]")
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "message"),
+    [
+        ("slip.stiffness_V_per_m", [[1.0, 2.0]], "slip.stiffness_V_per_m: need a list of 2 lists of numbers"),
+        ("slip.stiffness_V_per_m", [[1.0], [2.0]], r"got rows of \[1, 1\] numbers, need 2 in each"),
+        ("slip.stiffness_V_per_m", [[1.0, 1.0], [2.0, -1.0]], "stiffness 1, 1 is -1 V/m"),
+        ("slip.stiffness_V_per_m", [[1e9, 1.0], [2.0, 1.0]], "does not rise with the displacement on the rising"),
+        ("slip.knots_m", [0.0, 0.0, 1.0], "grade knots must strictly increase"),
+        ("transformer.drive_V", [0.0, 2.0, 1.0], "transformer drives must strictly increase"),
+        ("transformer.drive_V", [0.0, 2.0], "got 3 transformer knots and 2 drives"),
+        ("transformer", 1.0, r"model: transformer must be an object with keys \['drive_V', 'voltage_V'\], got float"),
+        ("creep.stiffness_V_per_m", [1.0, -1.0, 1.0], "creep stiffness 1 is -1 V/m"),
+        ("creep.time_constants_s", [0.0, 1.0, 2.0], "creep time constants must be positive"),
+        ("creep.time_constants_s", [1.0], "got 1 creep time constants and 3 stiffnesses"),
+        ("smooth.closing", [1.0, 0.4], "smooth elements: closing must be 1/2 to 1"),
+        ("smooth.length_m", [1e-6], "smooth elements: got 1 of length, 2 of closing, 2 of stiffness"),
+        ("smooth", [], r"model: smooth must be an object with keys \['closing', 'length_m', 'stiffness_V_per_m'\]"),
+        ("state.smooth_m", [1e-9], "state: got 1 smooth elongations, this actuator has 2 smooth elements"),
+        ("state.smooth_m", [2e-6, 0.0], "state: smooth element 0 is elongated by 2e-06 m, its length is 1e-06 m"),
+        ("state.creep_m", [1.0], "state: got 1 creep strains, this actuator has 3 creep branches"),
+    ],
+)
+def test_refuses_wider_parts(tmp_path, where, value, message):
+    data = wide().as_dict()
+    *parents, last = where.split(".")
+    reduce(lambda part, key: part[key], parents, data)[last] = value
+    refused(tmp_path, data, message)
+
+
 def test_runs_the_same_afterwards(tmp_path):
     actuator = made()
     back = through_a_file(actuator, tmp_path / "a.json")
@@ -122,11 +191,12 @@ def test_keys_state_their_units(tmp_path):
     write_json(tmp_path / "a.json", made().as_dict())
     data = json.loads((tmp_path / "a.json").read_text(encoding="ascii"))
     assert list(data) == [
-        "format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance",
+        "format", "version", "name", "slip", "spring", "transformer", "creep", "smooth", "dynamics",
+        "load_stiffness_N_per_m", "lag_s", "state", "limits", "delay_s", "provenance",
     ]  # fmt: skip
     assert list(data["slip"]) == ["breakaway_m", "stiffness_V_per_m"]
     assert list(data["spring"]) == ["displacement_m", "voltage_V"]
-    assert list(data["state"]) == ["displacement_m", "carts_m"]
+    assert list(data["state"]) == ["displacement_m", "carts_m", "creep_m", "smooth_m", "motion"]
     assert list(data["limits"]) == ["voltage_V"]
 
 
@@ -155,7 +225,11 @@ PLACES = [f"{part}.{key}" for part, inner in made().as_dict().items() if part no
 def test_a_missing_key(tmp_path, key):
     data = made().as_dict()
     del data[key]
-    refused(tmp_path, data, rf"model: missing keys \['{key}'\], unknown keys \[\]; need exactly \['delay_s', 'format'")
+    refused(
+        tmp_path,
+        data,
+        rf"model: missing keys \['{key}'\], unknown keys \[\]; need exactly \['creep', 'delay_s', 'dynamics', 'format'",
+    )
 
 
 @pytest.mark.parametrize("place", PLACES)
@@ -183,21 +257,21 @@ def test_a_misspelt_key_is_named_twice(tmp_path):
     refused(tmp_path, data, r"model: missing keys \['delay_s'\], unknown keys \['delay'\]")
 
 
-@pytest.mark.parametrize("version", [0, 2, 1.5, "1", None, [1]])
+@pytest.mark.parametrize("version", [0, 3, 1.5, "1", None, [1]])
 def test_another_version(tmp_path, version):
-    refused(tmp_path, changed("version", version), r"got format 'dehyst-actuator' version .*, need .* version 1")
+    refused(tmp_path, changed("version", version), r"got format 'dehyst-actuator' version .*, need .* version 1 or 2")
 
 
 @pytest.mark.parametrize("name", ["dehyst-fit", "", None, 1])
 def test_another_format(tmp_path, name):
-    refused(tmp_path, changed("format", name), r"got format .* version 1, need 'dehyst-actuator' version 1")
+    refused(tmp_path, changed("format", name), r"got format .* version 2, need 'dehyst-actuator' version 1 or 2")
 
 
 @pytest.mark.parametrize("key", ["format", "version"])
 def test_a_missing_format_or_version(tmp_path, key):
     data = made().as_dict()
     del data[key]
-    refused(tmp_path, data, rf"got .*{key} None.*, need 'dehyst-actuator' version 1")
+    refused(tmp_path, data, rf"got .*{key} None.*, need 'dehyst-actuator' version 1 or 2")
 
 
 @pytest.mark.parametrize("place", [*PLACES, "delay_s"])

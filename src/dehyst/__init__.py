@@ -15,22 +15,29 @@ from dehyst._errors import (
     ModelError,
     RecordError,
 )
-from dehyst.actuator import Actuator, Physical
+from dehyst.actuator import Actuator
 from dehyst.compensator import Command, Compensator
-from dehyst.elements import MaxwellSlip, Spring
+from dehyst.creep import Creep
+from dehyst.dynamics import Dynamics
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import read, write_record
 from dehyst.identify import identify
 from dehyst.model import Fit, Motion, Outcome, RecordErrors, State, Trace
+from dehyst.physical import Physical
 from dehyst.record import Record
+from dehyst.smooth import SmoothSlip
 from dehyst.version import __version__
 
 __all__ = [
     "Actuator",
     "Command",
     "Compensator",
+    "Creep",
     "DehystError",
+    "Dynamics",
     "FileFormatError",
     "Fit",
+    "GradedSlip",
     "IdentifyError",
     "MaxwellSlip",
     "MissingExtraError",
@@ -41,9 +48,11 @@ __all__ = [
     "Record",
     "RecordError",
     "RecordErrors",
+    "SmoothSlip",
     "Spring",
     "State",
     "Trace",
+    "Transformer",
     "__version__",
     "identify",
     "read",

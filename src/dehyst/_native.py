@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,8 @@ from dehyst import _core
 from dehyst._errors import ModelError
 
 Array = NDArray[np.float64]
+NOTHING: Array = np.zeros(0)
+NOTHING.flags.writeable = False
 
 
 def vector(values: ArrayLike, what: str) -> Array:
@@ -24,19 +26,33 @@ def vector(values: ArrayLike, what: str) -> Array:
     ModelError
         If it has another number of dimensions, is not numeric, or holds NaN or infinity.
     """
-    try:
-        given = np.asarray(values)
-        if given.dtype.kind not in "iuf" and given.size:
-            raise TypeError
-        array = np.array(given, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"{what}: got {type(values).__name__}, need an array of numbers") from error
+    array = _doubles(values, what)
     if array.ndim != 1:
         raise ModelError(f"{what}: got an array of shape {array.shape}, need one dimension")
     bad = np.flatnonzero(~np.isfinite(array))
     if bad.size:
         raise ModelError(f"{what}: {bad.size} of {array.size} values are not finite, the first at index {bad[0]}")
     return array
+
+
+def matrix(values: ArrayLike, what: str) -> Array:
+    """Return `values` as a contiguous two-dimensional array of finite doubles; raises as `vector` does."""
+    array = _doubles(values, what)
+    if array.ndim != 2:
+        raise ModelError(f"{what}: got an array of shape {array.shape}, need two dimensions")
+    if not np.isfinite(array).all():
+        raise ModelError(f"{what}: {np.count_nonzero(~np.isfinite(array))} of {array.size} values are not finite")
+    return array
+
+
+def _doubles(values: ArrayLike, what: str) -> Array:
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind not in "iuf" and given.size:
+            raise TypeError
+        return np.array(given, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{what}: got {type(values).__name__}, need an array of numbers") from error
 
 
 def number(value: object, what: str) -> float:
@@ -112,6 +128,96 @@ class Core:
         return out, float(position), moved
 
 
+class WideCore:
+    """A wider actuator's tables in C: graded and smooth elements, transformer, creep, inertia. Names: `core/dehyst.h`.
+
+    Parameters
+    ----------
+    rho, kappa : (N,) array
+        As in `Core`; kappa is left alone if there are grades.
+    knots, values : (K,) array
+        The parallel spring.
+    grade_knots : (M + 1,) array
+        Knots [m] of the graded elements; empty: the elements are plain.
+    grades : (N M,) array
+        Their stiffnesses kappa_im [V/m], a row an element.
+    voltages, drives : (L,) array
+        The transformer tau; empty: none.
+    creep : (J,) array
+        Stiffnesses c_j [V/m] of the creep branches.
+    inertia : (2,) array
+        beta [V/m] and theta; empty: none.
+    lengths, closings, smooth : (L,) array
+        Smooth elements and their stiffnesses k_l [V/m]. In `strains` (J + L) their elongations follow creep's.
+
+    Raises
+    ------
+    ModelError
+        If the core refuses the numbers.
+    """
+
+    __slots__ = ("_core",)
+
+    def __init__(
+        self, rho: Array, kappa: Array, knots: Array, values: Array, grade_knots: Array, grades: Array,
+        voltages: Array, drives: Array, creep: Array, inertia: Array, lengths: Array, closings: Array, smooth: Array,
+    ) -> None:  # fmt: skip
+        try:
+            self._core = _core.Wide(rho, kappa, knots, values, grade_knots, grades, voltages, drives, creep, inertia,
+                                    lengths, closings, smooth)  # fmt: skip
+        except _core.CoreError as error:
+            raise ModelError(f"impossible actuator: {error}") from error
+
+    def compensate(
+        self, w: Array, pace: Pace, start: Held, *, more: Array = NOTHING, stack: bool = True
+    ) -> tuple[Array, Held]:
+        """Displacements [m] to voltages [V], `more` [V] added to tau(v); returns the state reached too."""
+        return self._run(self._core.compensate, w, more, pace, start, stack)
+
+    def simulate(
+        self, v: Array, pace: Pace, start: Held, *, load: Array = NOTHING, stack: bool = True
+    ) -> tuple[Array, Held]:
+        """Voltages [V] to displacements [m], under a load F_ext/kc [m]; returns the state reached too."""
+        return self._run(self._core.simulate, v, load, pace, start, stack)
+
+    def voltage(self, start: Held) -> float:
+        """Voltage [V] in a state."""
+        return float(checked(self._core.voltage, *start))
+
+    def _run(
+        self, function: Callable[..., Any], x: Array, more: Array, pace: Pace, start: Held, stack: bool
+    ) -> tuple[Array, Held]:
+        out, w, *rest = checked(function, x, more, *pace, *start, stack)
+        return out, Held(float(w), *rest)
+
+
+class Held(NamedTuple):
+    """A state in numbers: w [m], carts (N,), what moves (J + L,) and, with inertia, y and y'/omega (2,) [m]."""
+
+    w: float
+    carts: Array
+    strains: Array
+    motion: Array
+
+
+class Pace(NamedTuple):
+    """Samples bounds[r] to bounds[r + 1] are equal steps of time; row r tells what such a step does.
+
+    Attributes
+    ----------
+    bounds : (R + 1,) int64 array
+    decay, gain : (R, J) array
+        To creep.
+    transition : (R, 8) or (R, 0) array
+        To a mass: phi, before and after of `dehyst_transition`.
+    """
+
+    bounds: NDArray[np.int64]
+    decay: Array
+    gain: Array
+    transition: Array
+
+
 def checked(function: Callable[..., Any], *arguments: object) -> Any:
     """Call the core; its refusal becomes a `ModelError`."""
     try:
@@ -124,3 +230,24 @@ def stops(rho: Array, carts: Array | Sequence[float], y: Array) -> tuple[Array, 
     """Elongations (n, N) of elements of breakaway `rho` driven by y (n,), from and to the cart positions."""
     matrix, moved = checked(_core.stops, rho, np.array(carts, dtype=np.float64), y)
     return matrix, moved
+
+
+def smooth_elongations(length: Array, closing: Array, y: Array) -> Array:
+    """Elongations (n, L) of smooth elements driven by y (n,), from none at the first sample."""
+    matrix: Array = checked(_core.smooth_elongations, length, closing, y)
+    return matrix
+
+
+def steps(time: Array) -> tuple[NDArray[np.int64], Array]:
+    """Cut samples into runs of equal steps of time: bounds (R + 1,) and the duration (R,) [s] of a step in each.
+
+    The first sample has no step before it: a run of its own, of no duration. A step that is not positive stands alone.
+    """
+    bounds, durations = _core.steps(time)
+    return bounds, durations
+
+
+def strains(path: Array, bounds: NDArray[np.int64], decay: Array, gain: Array, start: Array) -> Array:
+    """Strains (n, J) of creep branches along a path (n,) that begins where they are strained by `start` (J,)."""
+    matrix, _ = checked(_core.strains, path, bounds, decay, gain, float(path[0]) if path.size else 0.0, start)
+    return np.asarray(matrix)

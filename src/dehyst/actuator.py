@@ -10,43 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dehyst import model_file
 from dehyst._errors import ModelError
-from dehyst._native import Array, Core, number, vector
-from dehyst.elements import MaxwellSlip, Spring, frozen
+from dehyst._native import NOTHING, Array, Core, number, vector
+from dehyst.creep import Creep, clock
+from dehyst.dynamics import Dynamics
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer, frozen
 from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import AbstractModel, Motion, State
-
-FORMAT = "dehyst-actuator"
-VERSION = 1
-_KEYS = {"format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance"}
-
-
-@dataclass(frozen=True)
-class Physical:
-    """The paper's symbols (Table 1), from the terminals' numbers and a nominal T, km and ke.
-
-    Attributes
-    ----------
-    stiffness, friction, breakaway : (N,) array
-        k_i [N/m], f_i [N] and r_i = f_i / k_i [m of x].
-    deformation, nonlinear, parallel : (M,) array
-        x [m] at the spring's knots; the nonlinear spring's force g(x) and h(x) = keq x + g(x) [N].
-    """
-
-    transformer_ratio: float
-    mechanical_stiffness: float
-    electrical_stiffness: float
-    stiffness: Array
-    friction: Array
-    breakaway: Array
-    deformation: Array
-    nonlinear: Array
-    parallel: Array
-
-    @property
-    def equivalent_stiffness(self) -> float:
-        """Keq = ke km / (ke + km) [N/m]."""
-        return _in_series(self.electrical_stiffness, self.mechanical_stiffness)
+from dehyst.physical import Physical, physical
+from dehyst.smooth import SmoothSlip
+from dehyst.wide import Course, WideModel, least_slope
 
 
 def interval(limits: Sequence[float]) -> tuple[float, float]:
@@ -63,19 +37,18 @@ def interval(limits: Sequence[float]) -> tuple[float, float]:
     return ends[0], ends[1]
 
 
-def _in_series(a: float, b: float) -> float:
-    return a * b / (a + b)
-
-
 @dataclass(frozen=True, eq=False)
 class Actuator(AbstractModel):
-    """A piezoelectric actuator with rate-independent hysteresis (Eqs. 1-3, in terminal coordinates).
+    """A piezoelectric actuator (Eqs. 1-3, in terminal coordinates).
 
-    ``v = sum_i kappa_i s_i + eta(y)``, with s_i the elongation of slip element i and eta the parallel spring.
+    Plain, it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, with s_i the elongation of slip element i and eta
+    the parallel spring. Wider (theory section 8), ``tau(v) = sum_i [psi_i(y) - psi_i(b_i)] + eta(y) + sum_j c_j d_j +
+    sum_l k_l q_l``, with b_i the position of cart i, d_j the strain of creep branch j and q_l the elongation of smooth
+    element l. With dynamics or a load (section 9) w takes the place of y there.
 
     Parameters
     ----------
-    slip, spring : MaxwellSlip, Spring
+    slip, spring : MaxwellSlip or GradedSlip, Spring
         The hysteresis and the curve without memory.
     state : State, optional
         Where a simulation or compensation starts if it is not told; default: every cart as far back as it goes from
@@ -84,54 +57,120 @@ class Actuator(AbstractModel):
         Voltages [V] that the actuator may be given; default: no limits.
     delay : float, optional
         Seconds by which the measured displacement lagged the voltage. Kept for comparisons with measurements; the
-        model itself has no time.
+        model itself does not use it.
     name : str, optional
     provenance : Mapping, optional
         Where the numbers come from; JSON values only.
+    transformer : Transformer, optional
+        tau; default: tau(v) = v.
+    creep : Creep, optional
+        Branches that move in time: with them `simulate` and `compensate` need `time`.
+    dynamics : Dynamics, optional
+        Inertia and damping; they need `time` too.
+    lag : float, optional
+        Time constant [s] of the amplifier: the voltage that acts follows the one given, ``given = v + lag v'``.
+    load_stiffness : float, optional
+        kc [N/m], how stiff the actuator is against a load. With dynamics that at constant charge, km + ke; without
+        them the one that the load meets, whatever the driver holds constant.
+    smooth : SmoothSlip, optional
+        Elements that let go gradually, beside the others.
 
     Raises
     ------
     ModelError
-        If the state does not fit the elements, or the limits are no interval.
+        If the state does not fit the elements, the limits are no interval, or graded elements leave a branch on which
+        the voltage does not rise with the displacement.
     """
 
-    slip: MaxwellSlip
+    slip: MaxwellSlip | GradedSlip
     spring: Spring
     state: State = None  # type: ignore[assignment]
     limits: tuple[float, float] | None = None
     delay: float = 0.0
     name: str = "actuator"
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    transformer: Transformer | None = None
+    creep: Creep | None = None
+    dynamics: Dynamics | None = None
+    lag: float = 0.0
+    load_stiffness: float | None = None
+    smooth: SmoothSlip | None = None
 
     def __post_init__(self) -> None:
-        for part, kind in (("slip", MaxwellSlip), ("spring", Spring)):
-            if not isinstance(getattr(self, part), kind):
-                raise ModelError(f"{part}: got {type(getattr(self, part)).__name__}, need a {kind.__name__}")
+        for part, kinds in (("slip", (MaxwellSlip, GradedSlip)), ("spring", (Spring,)),
+                            ("transformer", (Transformer, type(None))), ("creep", (Creep, type(None))),
+                            ("dynamics", (Dynamics, type(None))), ("smooth", (SmoothSlip, type(None)))):  # fmt: skip
+            if not isinstance(getattr(self, part), kinds):
+                needed = " or ".join(kind.__name__ for kind in kinds if kind is not type(None))
+                raise ModelError(f"{part}: got {type(getattr(self, part)).__name__}, need a {needed}")
+        self._demand_numbers()
+        least_slope(self.slip, self.spring)
         if self.state is None:
             object.__setattr__(self, "state", self.turned(float(self.spring.displacement[-1])))
         self._start(self.state)
-        _ = self.core  # which refuses what the parts cannot see
+        _ = self.model.core if self.wide else self.core  # which refuse what the parts cannot see
         if self.limits is not None:
             object.__setattr__(self, "limits", interval(self.limits))
         if number(self.delay, "delay") < 0:
             raise ModelError(f"delay: got {self.delay}, need 0 or more: a displacement does not lead its voltage")
 
+    @property
+    def wide(self) -> bool:
+        """Whether it has more than plain slip elements and a spring."""
+        return bool(_wider_parts(self))
+
+    @property
+    def needs_time(self) -> bool:
+        """Whether `simulate` and `compensate` must be told the time of each sample."""
+        return self.model.needs_time
+
     @cached_property
     def core(self) -> Core:
-        """The same numbers in C."""
-        return Core(self.slip.breakaway, self.slip.stiffness, self.spring.displacement, self.spring.voltage)
+        """The plain elements and the spring in C; of graded elements the spring alone."""
+        kappa = self.slip.stiffness if isinstance(self.slip, MaxwellSlip) else np.zeros(len(self.slip))
+        return Core(self.slip.breakaway, kappa, self.spring.displacement, self.spring.voltage)
 
-    def simulate(self, voltage: ArrayLike, *, state: State | None = None, stack: bool = True) -> Motion:
-        """Displacement that a voltage causes; exact, for any steps between samples.
+    @cached_property
+    def model(self) -> WideModel:
+        """All parts and their equations."""
+        return WideModel(
+            self.slip,
+            self.spring,
+            self.transformer,
+            self.creep,
+            self.smooth,
+            self.dynamics,
+            self.lag,
+            self.load_stiffness,
+        )
+
+    def simulate(
+        self,
+        voltage: ArrayLike,
+        *,
+        time: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+        state: State | None = None,
+        stack: bool = True,
+    ) -> Motion:
+        """Displacement that a voltage causes; exact, for any steps between samples, but for inertia.
 
         Parameters
         ----------
         voltage : (n,) array_like
             Voltages [V], each reached monotonically from the one before.
+        time : (n,) array_like, optional
+            [s], strictly increasing; needed with creep, dynamics or a lag. Steps may be uneven, equal ones are fastest.
+            The first sample has no step before it: to carry on from a state, begin with the sample at which it was
+            reached. Within a step, w is taken to be linear in time; with dynamics the error falls with the step
+            squared.
+        load : (n,) array_like, optional
+            External force [N]; needs `load_stiffness`. Without dynamics it shifts the displacement by F/kc.
         state : State, optional
             Where to start; default ``self.state``.
         stack : bool, optional
-            Evaluate on the stack of reversals (default), or clip every element at every sample. Same answer.
+            Evaluate on the stack of reversals (default), or clip every element at every sample. Same answer. Graded
+            elements, and a simulation with smooth ones, always clip.
 
         Returns
         -------
@@ -141,50 +180,81 @@ class Actuator(AbstractModel):
         Raises
         ------
         ModelError
-            If the voltage is not finite or the state does not fit this actuator.
+            If the voltage is not finite, the time is missing or does not fit, or the state does not fit this actuator.
         """
         v, start = vector(voltage, "voltage"), self._start(state)
+        if self.wide:
+            y, reached = self.model.simulate(v, Course(time, load), start, stack)
+            return Motion(voltage=v, displacement=y, state=reached)
+        self._demand_no_load(time, load, v.size)
         y, position, carts = self.core.simulate(v, start.displacement, start.carts, stack=stack)
         return Motion(voltage=v, displacement=y, state=State(position, carts))
 
-    def compensate(self, displacement: ArrayLike, *, state: State | None = None, stack: bool = True) -> Motion:
+    def compensate(
+        self,
+        displacement: ArrayLike,
+        *,
+        time: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+        state: State | None = None,
+        stack: bool = True,
+    ) -> Motion:
         """Voltage that makes the actuator follow a displacement (Eqs. 11-12, with x(0) put in).
 
         Parameters
         ----------
         displacement : (n,) array_like
             Wanted displacements [m], on the axis of the record that the actuator was identified from.
-        state, stack
-            As in `simulate`.
+        time, load, state, stack
+            As in `simulate`; with creep the path is taken to be straight between samples.
+        velocity, acceleration : (n,) array_like, optional
+            Of the path [m/s, m/s^2], where dynamics need them; default: those of its cubic spline.
 
         Returns
         -------
         Motion
-            With `voltage` (n,) [V], not limited (see `dehyst.Compensator`), and the `state` reached.
+            With `voltage` (n,) [V], not limited (see `dehyst.Compensator`), and the `state` reached. With dynamics the
+            voltage is the exact feedforward ``w = y + 2 zeta/omega y' + y''/omega^2 - F_ext/kc``: the path must be
+            smooth, and the motion of `state` should be that of its first sample.
 
         Raises
         ------
         ModelError
-            If the displacement is not finite or the state does not fit this actuator.
+            If the displacement is not finite, the time is missing or does not fit, or the state does not fit this
+            actuator.
         """
         y, start = vector(displacement, "displacement"), self._start(state)
+        if self.wide:
+            v, reached = self.model.compensate(y, Course(time, load, velocity, acceleration), start, stack)
+            return Motion(voltage=v, displacement=y, state=reached)
+        self._demand_no_load(time, load, y.size)
         v, position, carts = self.core.compensate(y, start.displacement, start.carts, stack=stack)
         return Motion(voltage=v, displacement=y, state=State(position, carts))
 
     def relaxed(self, voltage: float = 0.0) -> State:
         """The state in which no element is strained and the spring alone holds `voltage` [V]."""
-        y = self.core.spring_inverse(number(voltage, "voltage"))
+        v = number(voltage, "voltage")
+        y = self.core.spring_inverse(v if self.transformer is None else float(self.transformer(v)))
         return State(y, np.full(len(self.slip), y))
 
     def turned(self, displacement: float, *, rising: bool = True) -> State:
-        """The state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II)."""
+        """The state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II).
+
+        Every smooth element has let go. Creep is at rest there, as if the motion had been slow.
+        """
         y = number(displacement, "displacement")
-        return State(y, y - (1 if rising else -1) * self.slip.breakaway)
+        side = 1 if rising else -1
+        smooth = () if self.smooth is None else side * self.smooth.length
+        return State(y, y - side * self.slip.breakaway, smooth=smooth)
 
     def voltage(self, state: State | None = None) -> float:
         """Voltage [V] that holds the actuator in `state`; default ``self.state``."""
         start = self._start(state)
-        return self.core.voltage(start.displacement, start.carts)
+        if not self.wide:
+            return self.core.voltage(start.displacement, start.carts)
+        return self.model.core.voltage(self.model.held(start))
 
     def physical(
         self, *, transformer_ratio: float, mechanical_stiffness: float, electrical_stiffness: float
@@ -206,38 +276,20 @@ class Actuator(AbstractModel):
         ModelError
             If one of them is not a positive number.
         """
-        given = {"transformer_ratio": transformer_ratio, "mechanical_stiffness": mechanical_stiffness,
-                 "electrical_stiffness": electrical_stiffness}  # fmt: skip
-        for name, value in given.items():
-            if number(value, name) <= 0:
-                raise ModelError(f"{name}: got {value}, need a positive number")
-        equivalent = _in_series(electrical_stiffness, mechanical_stiffness)
-        c = equivalent / mechanical_stiffness
-        x = (self.spring.displacement - self.core.spring_inverse(0.0)) / c
-        h = transformer_ratio * self.spring.voltage
-        return Physical(
-            **given,
-            stiffness=self.slip.stiffness * transformer_ratio * c,
-            friction=self.slip.friction * transformer_ratio,
-            breakaway=self.slip.breakaway / c,
-            deformation=x,
-            nonlinear=h - equivalent * x,
-            parallel=h,
+        _demand(isinstance(self.slip, MaxwellSlip), "graded elements have no single stiffness k_i")
+        _demand(self.transformer is None, "with a transformer curve T v is no force, and T x no charge")
+        return physical(
+            self.slip,  # type: ignore[arg-type]
+            self.spring,
+            at_rest=self.core.spring_inverse(0.0),
+            transformer_ratio=transformer_ratio,
+            mechanical_stiffness=mechanical_stiffness,
+            electrical_stiffness=electrical_stiffness,
         )
 
     def as_dict(self) -> dict[str, Any]:
         """JSON values in SI units; `from_dict` reads them back without loss."""
-        return {
-            "format": FORMAT,
-            "version": VERSION,
-            "name": self.name,
-            "slip": {"breakaway_m": self.slip.breakaway.tolist(), "stiffness_V_per_m": self.slip.stiffness.tolist()},
-            "spring": {"displacement_m": self.spring.displacement.tolist(), "voltage_V": self.spring.voltage.tolist()},
-            "state": {"displacement_m": self.state.displacement, "carts_m": self.state.carts.tolist()},
-            "limits": None if self.limits is None else {"voltage_V": list(self.limits)},
-            "delay_s": self.delay,
-            "provenance": dict(self.provenance),
-        }
+        return model_file.as_dict(self)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Actuator:
@@ -248,33 +300,7 @@ class Actuator(AbstractModel):
         ModelError
             If the format or version is another one, a key is unknown or missing, or a number is impossible.
         """
-        version = data.get("version")
-        if data.get("format") != FORMAT or type(version) is not int or version != VERSION:
-            raise ModelError(
-                f"got format {data.get('format')!r} version {data.get('version')!r}, need {FORMAT!r} version {VERSION}"
-            )
-        _demand_keys(data, _KEYS, "model")
-        slip = _part(data, "slip", {"breakaway_m", "stiffness_V_per_m"})
-        spring = _part(data, "spring", {"displacement_m", "voltage_V"})
-        state = _part(data, "state", {"displacement_m", "carts_m"})
-        limits = None if data["limits"] is None else _part(data, "limits", {"voltage_V"})["voltage_V"]
-        if not isinstance(data["name"], str) or not isinstance(data["provenance"], Mapping):
-            raise ModelError("model: name must be text and provenance an object")
-        return cls(
-            MaxwellSlip(
-                _numbers(slip["breakaway_m"], "slip.breakaway_m"),
-                _numbers(slip["stiffness_V_per_m"], "slip.stiffness_V_per_m"),
-            ),
-            Spring(
-                _numbers(spring["displacement_m"], "spring.displacement_m"),
-                _numbers(spring["voltage_V"], "spring.voltage_V"),
-            ),
-            State(number(state["displacement_m"], "state.displacement_m"), _numbers(state["carts_m"], "state.carts_m")),
-            limits=None if limits is None else _pair(limits),
-            delay=number(data["delay_s"], "delay_s"),
-            name=data["name"],
-            provenance=data["provenance"],
-        )
+        return cls(**model_file.parts(data))
 
     def save(self, path: PathLike) -> None:
         """Write the model file (JSON), wholly or not at all.
@@ -313,6 +339,7 @@ class Actuator(AbstractModel):
             raise ModelError(f"state: got {type(start).__name__}, need a State, such as the one a Motion hands back")
         if start.carts.size != len(self.slip):
             raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
+        start = self._complete(start)
         excess = np.abs(start.displacement - start.carts) - self.slip.breakaway
         worst = int(np.argmax(excess)) if excess.size else 0
         if excess.size and excess[worst] > 1e-9 * (self.slip.breakaway[worst] + abs(start.displacement)):
@@ -320,34 +347,85 @@ class Actuator(AbstractModel):
                 f"state: cart {worst} is {excess[worst]:.3g} m farther from the displacement than its breakaway "
                 f"elongation {self.slip.breakaway[worst]:.3g} m"
             )
-        return start if not excess.size or excess[worst] <= 0 else State(start.displacement, self._pulled(start))
+        return start if not excess.size or excess[worst] <= 0 else replace(start, carts=self._pulled(start))
+
+    def _demand_numbers(self) -> None:
+        if number(self.lag, "lag") < 0:
+            raise ModelError(f"lag: got {self.lag}, need 0 s or more")
+        if self.load_stiffness is not None and number(self.load_stiffness, "load_stiffness") <= 0:
+            raise ModelError(f"load_stiffness: got {self.load_stiffness}, need a positive number of N/m")
+
+    def _demand_no_load(self, time: ArrayLike | None, load: ArrayLike | None, samples: int) -> None:
+        if load is not None:
+            raise ModelError("load: this actuator does not know how far a force moves it; give load_stiffness= [N/m]")
+        if time is not None:
+            clock(time, samples)
+
+    def _complete(self, state: State) -> State:
+        """Put in creep strains, smooth elongations and motion, if they were left out."""
+        branches, moving = 0 if self.creep is None else len(self.creep), 0 if self.dynamics is None else 2
+        if state.creep.size not in (0, branches):
+            raise ModelError(
+                f"state: got {state.creep.size} creep strains, this actuator has {branches} creep branches"
+            )
+        if state.motion.size > moving:
+            raise ModelError("state: got a motion, this actuator has no dynamics")
+        if state.creep.size < branches:
+            state = replace(state, creep=np.zeros(branches))
+        state = self._elongated(state)
+        return replace(state, motion=np.array([state.displacement, 0.0])) if state.motion.size < moving else state
+
+    def _elongated(self, state: State) -> State:
+        length = NOTHING if self.smooth is None else self.smooth.length
+        if state.smooth.size not in (0, length.size):
+            raise ModelError(
+                f"state: got {state.smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
+            )
+        if state.smooth.size < length.size:
+            return replace(state, smooth=np.zeros(length.size))
+        excess = np.abs(state.smooth) - length
+        worst = int(np.argmax(excess / length)) if excess.size else 0
+        if excess.size and excess[worst] > 1e-9 * length[worst]:
+            raise ModelError(
+                f"state: smooth element {worst} is elongated by {state.smooth[worst]:.3g} m, its length is "
+                f"{length[worst]:.3g} m"
+            )
+        return replace(state, smooth=np.clip(state.smooth, -length, length)) if np.any(excess > 0) else state
 
     def _pulled(self, state: State) -> Array:
         low, high = state.displacement - self.slip.breakaway, state.displacement + self.slip.breakaway
         return frozen(np.clip(state.carts, low, high))
 
 
-def _demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
-    missing, unknown = sorted(needed - set(data)), sorted(set(data) - needed)
-    if missing or unknown:
-        raise ModelError(f"{where}: missing keys {missing}, unknown keys {unknown}; need exactly {sorted(needed)}")
+def demand_plain(actuator: Actuator, what: str) -> Actuator:
+    """Return the actuator if it is plain: slip elements of constant stiffness and a spring.
+
+    Raises
+    ------
+    ModelError
+        If it is none, or has other parts, which `what` does not take into account.
+    """
+    if not isinstance(actuator, Actuator):
+        raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
+    if actuator.wide:
+        there = " and ".join(_wider_parts(actuator))
+        raise ModelError(f"{what} takes plain slip elements and a spring only, this actuator has {there}; leave it out")
+    return actuator
 
 
-def _part(data: Mapping[str, Any], key: str, needed: set[str]) -> Mapping[str, Any]:
-    part = data[key]
-    if not isinstance(part, Mapping):
-        raise ModelError(f"model: {key} must be an object with keys {sorted(needed)}, got {type(part).__name__}")
-    _demand_keys(part, needed, key)
-    return part
+def _wider_parts(actuator: Actuator) -> list[str]:
+    parts = {
+        "graded elements": isinstance(actuator.slip, GradedSlip),
+        "a transformer": actuator.transformer is not None,
+        "creep": actuator.creep is not None,
+        "smooth elements": actuator.smooth is not None,
+        "dynamics": actuator.dynamics is not None,
+        "a lag": actuator.lag != 0,
+        "a load stiffness": actuator.load_stiffness is not None,
+    }
+    return [name for name, has in parts.items() if has]
 
 
-def _numbers(values: Any, where: str) -> Array:
-    if not isinstance(values, list):
-        raise ModelError(f"{where}: got {type(values).__name__}, need a list of numbers")
-    return np.array([number(value, f"{where}[{i}]") for i, value in enumerate(values)], dtype=np.float64)
-
-
-def _pair(values: Any) -> tuple[float, float]:
-    if not isinstance(values, list) or len(values) != 2:
-        raise ModelError(f"limits.voltage_V: got {values!r}, need two numbers")
-    return number(values[0], "limits.voltage_V"), number(values[1], "limits.voltage_V")
+def _demand(holds: bool, why: str) -> None:
+    if not holds:
+        raise ModelError(f"no physical units: {why}")

@@ -11,7 +11,7 @@ import numpy as np
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.branches import Family, families
-from dehyst.elements import MaxwellSlip, Spring
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring
 from dehyst.model import Check, RecordErrors, Verdict
 from dehyst.preparation import Prepared
 from dehyst.record import white_noise
@@ -87,10 +87,10 @@ def _assumption_1(spring: Spring, floor: float | None, imposed: bool) -> Check:
     return Check("Assumption I", verdict, float(slopes[least]), least_allowed, "V/um", said)
 
 
-def _assumption_2(slip: MaxwellSlip, training: Sequence[Prepared]) -> Check:
+def _assumption_2(slip: MaxwellSlip | GradedSlip, training: Sequence[Prepared]) -> Check:
     """Count the elements that have slid before the samples that count; those about to slide at the extremes slid."""
     name, unit = "Assumption II", "% of elements"
-    needed = 2 * slip.breakaway[slip.stiffness > 0]
+    needed = 2 * slip.breakaway[slip.friction > 0]
     if not needed.size:
         return Check(name, Verdict.HOLDS, None, None, unit, "No element has stiffness: there is none that must slide.")
     found = []

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, number, stops, vector
-from dehyst.actuator import Actuator
+from dehyst.actuator import Actuator, demand_plain
 from dehyst.elements import MaxwellSlip
 from dehyst.model import State
 
@@ -246,10 +246,8 @@ def least_range(actuator: Actuator, lowest: float, highest: float) -> float:
 
 
 def checked_actuator(actuator: Actuator) -> Actuator:
-    """Refuse what is no Actuator."""
-    if not isinstance(actuator, Actuator):
-        raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
-    return actuator
+    """Refuse what is no plain Actuator: with other parts the order of the carts is not known to hold."""
+    return demand_plain(actuator, "a bracket of the state")
 
 
 def _positive(tolerance: float | None, default: float) -> float:

@@ -127,8 +127,12 @@ class Comparison:
 
 
 def contenders() -> dict[str, Identification]:
-    """Ours, then every rival: name -> identification of records."""
-    return {OURS: lambda records: identify(records).actuator, **RIVALS}
+    """Ours, of the structure that the records support and of the paper's, then every rival: name -> identification."""
+    return {
+        OURS: lambda records: identify(records, structure="auto").actuator,
+        f"{OURS}, paper's": lambda records: identify(records, structure="paper").actuator,
+        **RIVALS,
+    }
 
 
 def compare(
@@ -239,7 +243,7 @@ def _row(
         model = known[id(job.records)] = fit(job.records)
         row = replace(row, seconds=time.perf_counter() - begin, parameters=parameters_of(model))
         tell(f"simulating {name}")
-        simulate, compensate = speeds(model, job.records[0].voltage)
+        simulate, compensate = speeds(model, job.records[0])
         row = replace(row, scores=job.scores(model), simulate=simulate, compensate=compensate)
     except _FAILURES as error:
         said.append(_sentence(error))
@@ -288,16 +292,20 @@ def _counted(item: Prepared, lead: float, delay: float = 0.0) -> list[tuple[Reco
 def parameters_of(model: AbstractModel) -> int | None:
     """Number of coefficients of a model: what it says, or elements and knots of an actuator."""
     inner = getattr(model, "actuator", model)
+    if isinstance(inner, Actuator):
+        tables = [inner.slip.stiffness, inner.spring.voltage]
+        tables += [part.stiffness for part in (inner.creep, inner.smooth) if part is not None]
+        rest = 0 if inner.transformer is None else inner.transformer.drive.size - 2
+        rest += 0 if inner.dynamics is None else 3
+        return sum(table.size for table in tables) + rest + bool(inner.lag)
     count = getattr(inner, "parameters", None)
-    if count is None and isinstance(inner, Actuator):
-        return len(inner.slip) + inner.spring.displacement.size
     return None if count is None else int(count)
 
 
-def speeds(model: AbstractModel, voltage: Array) -> tuple[float, float]:
-    """Nanoseconds a sample to simulate and to compensate, the best of five runs over a long path."""
-    long = np.resize(voltage, max(voltage.size, _SAMPLES_TO_TIME))
-    options = timed(model, np.arange(long.size, dtype=np.float64))
+def speeds(model: AbstractModel, record: Record) -> tuple[float, float]:
+    """Nanoseconds a sample to simulate and to compensate, the best of five runs over a record said again and again."""
+    long = np.resize(record.voltage, max(len(record), _SAMPLES_TO_TIME))
+    options = timed(model, record.sample_time * np.arange(long.size, dtype=np.float64))
     path = model.simulate(long, **options).displacement
     both = _nanoseconds(model.simulate, long, options), _nanoseconds(model.compensate, path, options)
     if not all(map(isfinite, both)):

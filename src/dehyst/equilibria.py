@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst import program
 from dehyst._errors import ModelError
 from dehyst._native import Array, number, vector
-from dehyst.actuator import Actuator
+from dehyst.actuator import Actuator, demand_plain
 from dehyst.model import State
 
 Mask = NDArray[np.bool_]
@@ -205,9 +205,10 @@ def size_of(actuator: Actuator) -> float:
 
 
 def demand_actuator(actuator: object) -> None:
-    """Refuse what is no Actuator."""
+    """Refuse what is no plain Actuator."""
     if not isinstance(actuator, Actuator):
         raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator, such as the one of a Fit")
+    demand_plain(actuator, "the set of equilibria")
 
 
 def demand_state(actuator: Actuator, state: object) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,17 +15,23 @@ from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.assumptions import checks
+from dehyst.composition import parts
 from dehyst.directions import directions
 from dehyst.elements import MaxwellSlip, Spring
+from dehyst.inertia import Inertia
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.program import Norm, one_thread
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.rows import collect
+from dehyst.selection import Trial
 from dehyst.settings import Direction, Method, Settings
+from dehyst.structure import Structure
+from dehyst.structured import Frame
 from dehyst.verify import Protocol, errors_of
 from dehyst.version import __version__
+from dehyst.wide_regression import WideRegression
 
 Progress = Callable[[str], None]
 # A model that misses its own training records by more of the range than this is of no use.
@@ -49,6 +55,7 @@ def identify(
     shared_datum: bool = False,
     drift: bool = True,
     branch: Direction = "descending",
+    structure: Structure | Literal["auto", "paper"] = "paper",
     throw: bool = True,
     progress: Progress | None = None,
 ) -> Fit:
@@ -82,6 +89,9 @@ def identify(
         Whether a record may creep by a logarithm of the time since its start, which is then set aside.
     branch : {"descending", "ascending"}, optional
         "antisymmetric" only.
+    structure : {"auto", "paper"} or Structure, optional
+        How much model: the paper's class, or a wider one that is given, or the one that cycles held out in turn ask for
+        (more elements, a transformer, graded elements, creep, smooth elements). "record" only.
     throw : bool, optional
         Raise if the solver finds no optimum (default), or return a Fit with `Outcome.FAILED`.
     progress : callable, optional
@@ -106,7 +116,10 @@ def identify(
     tell("checking the records")
     with one_thread():
         job = _Job(settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell)
-        fit = job.by_records() if method == "record" else job.by_breakpoints()
+        if structure != "paper":
+            fit = job.by_structure(structure)
+        else:
+            fit = job.by_records() if method == "record" else job.by_breakpoints()
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
     return fit
@@ -122,6 +135,8 @@ class _Job:
     tell: Progress
     said: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    structure: Structure | None = None
+    trials: tuple[Trial, ...] = ()
 
     def __post_init__(self) -> None:
         self.said += [sentence for item in (*self.training, *self.held_out) for sentence in item.sentences]
@@ -144,6 +159,34 @@ class _Job:
         self.tell("simulating every record")
         outcome = self._outcome(rho, regression, found)
         return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
+
+    def by_structure(self, structure: Structure | Literal["auto"]) -> Fit:
+        """A wider class, given or chosen."""
+        self.tell("estimating delay and datums")
+        plain = self._with_datums(self._regression(self._thresholds(), self.delay))
+        voltages = self._limits()
+        inertia = Inertia(self.delay, 0.0, 0.0)
+        frame = Frame(self.training, inertia, self.span, voltages, plain.floor, plain.datum)
+        if isinstance(structure, str):
+            self.tell("looking for inertia")
+            frame = frame.with_inertia()
+            self.delay = frame.inertia.delay
+            structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
+            self.remarks += remarks
+        self.structure = structure
+        self.tell(f"solving the program for {structure.words}")
+        regression = frame.regression(structure)
+        found = regression.fit_weighted(self.settings.norm)
+        if not found.solution.optimal:
+            return self._failed(found.solution.status)
+        reference = regression.rows.epoch[regression.rows.record == self.widest].max()
+        actuator = Actuator(
+            **parts(regression.grid, found, found.offsets[int(reference)]),
+            dynamics=frame.inertia.dynamics, limits=voltages, delay=self.delay, name=self.training[self.widest].record.name,
+            provenance=self._provenance(),
+        )  # fmt: skip
+        self.tell("simulating every record")
+        return self._finish(actuator, regression, Outcome.IDENTIFIED, found.solution.status, found.solution.gap)
 
     def by_breakpoints(self) -> Fit:
         """The paper's own method, or Remark 2's closed form."""
@@ -251,6 +294,7 @@ class _Job:
         return {
             "program": f"dehyst {__version__}",
             **self.settings.as_dict(),
+            **({} if self.structure is None else {"structure": self.structure.as_dict()}),
             "records": [item.source() for item in self.training],
             "validation": [item.source() for item in self.held_out],
         }
@@ -285,7 +329,9 @@ class _Job:
         return Fit(None, Outcome.FAILED, (), tuple(self.said), tuple(self.remarks), (), status, float("nan"),
                    self._provenance())  # fmt: skip
 
-    def _finish(self, actuator: Actuator, regression: Regression, outcome: Outcome, status: str, gap: float) -> Fit:
+    def _finish(
+        self, actuator: Actuator, regression: Regression | WideRegression, outcome: Outcome, status: str, gap: float
+    ) -> Fit:
         traces: list[Trace] = []
         errors: list[RecordErrors] = []
         records = (*self.training, *self.held_out)
@@ -302,7 +348,7 @@ class _Job:
         actuator = replace(actuator, provenance={**actuator.provenance, "largest_error_m": missed})
         imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
         floor = regression.floor if self.settings.method == "record" or imposed else None
-        checked = checks(actuator, records, errors, floor=floor, imposed=imposed)
+        checked = () if actuator.wide else checks(actuator, records, errors, floor=floor, imposed=imposed)
         if max(error.largest_percent for error in errors) > _USELESS_PERCENT:
             outcome = Outcome.VALIDATION_MISSED
         if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:
@@ -310,7 +356,7 @@ class _Job:
         self._judge_validation(errors)
         options = {**self._provenance(), "delay_s": self.delay, "stroke_m": self.stroke}
         return Fit(actuator, outcome, tuple(errors), (*self.said, *self._nuisances(errors)), tuple(self.remarks),
-                   tuple(traces), status, gap, options, checked)  # fmt: skip
+                   tuple(traces), status, gap, options, checked, self.trials)  # fmt: skip
 
     def _judge_validation(self, errors: list[RecordErrors]) -> None:
         """Remarks about held-out records that the model should not, or cannot, be expected to meet."""

@@ -9,26 +9,53 @@ from enum import Enum
 from math import isfinite
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from dehyst._errors import ModelError
 from dehyst._native import Array, number, vector
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What an actuator remembers: its displacement [m] and the position [m] of each cart, shape (N,)."""
+    """What an actuator remembers.
+
+    Attributes
+    ----------
+    displacement : float
+        [m]; with dynamics or a load, w: where the electrical side stands.
+    carts : (N,) array
+        Position of each cart [m].
+    creep : (J,) array
+        Strain d_j of each creep branch [m]; empty: none is strained.
+    motion : (0,) or (2,) array
+        With dynamics, displacement [m] and velocity [m/s] of the mass; empty: at rest at `displacement`.
+    smooth : (L,) array
+        Elongation q_l of each smooth element [m]; empty: none is elongated.
+    """
 
     displacement: float
     carts: Array
+    creep: Array
+    motion: Array
+    smooth: Array
 
-    def __init__(self, displacement: float, carts: ArrayLike) -> None:
+    def __init__(
+        self, displacement: float, carts: ArrayLike, creep: ArrayLike = (), motion: ArrayLike = (),
+        smooth: ArrayLike = (),
+    ) -> None:  # fmt: skip
         object.__setattr__(self, "displacement", number(displacement, "state: displacement"))
-        object.__setattr__(self, "carts", vector(carts, "carts").copy())
-        self.carts.flags.writeable = False
+        for name, values, what in (("carts", carts, "carts"), ("creep", creep, "creep strains"),
+                                   ("motion", motion, "motion"), ("smooth", smooth, "smooth elongations")):  # fmt: skip
+            object.__setattr__(self, name, vector(values, what))
+            getattr(self, name).flags.writeable = False
+        if self.motion.size not in (0, 2):
+            raise ModelError(f"state: got a motion of {self.motion.size} numbers, need displacement and velocity")
 
     def shifted(self, by: float) -> State:
         """The same state on a displacement axis moved by `by` [m]."""
-        return State(self.displacement + by, self.carts + by)
+        motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
+        return State(self.displacement + by, self.carts + by, self.creep, motion, self.smooth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +71,12 @@ class AbstractModel(ABC):
     """A model of hysteresis: voltage to displacement, and back."""
 
     @abstractmethod
-    def simulate(self, voltage: ArrayLike, *, state: Any = None) -> Motion:
-        """Displacement that a voltage causes, from `state`."""
+    def simulate(self, voltage: ArrayLike, *, time: ArrayLike | None = None, state: Any = None) -> Motion:
+        """Displacement that a voltage causes, from `state`; `time` (n,) [s] for models that know of it."""
 
     @abstractmethod
-    def compensate(self, displacement: ArrayLike, *, state: Any = None) -> Motion:
-        """Voltage that makes the model follow a displacement, from `state`."""
+    def compensate(self, displacement: ArrayLike, *, time: ArrayLike | None = None, state: Any = None) -> Motion:
+        """Voltage that makes the model follow a displacement, from `state`; `time` as in `simulate`."""
 
 
 class Outcome(Enum):
@@ -217,6 +244,8 @@ class Fit:
         What was asked for and what it became.
     checks : tuple of Check
         What the model takes for granted, and whether the records bear it out.
+    trials : tuple of dehyst.selection.Trial
+        Structures that were tried, if one was looked for.
     """
 
     actuator: Any
@@ -229,6 +258,7 @@ class Fit:
     gap: float = float("nan")
     options: Mapping[str, Any] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
+    trials: tuple[Any, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """JSON values without the traces."""
@@ -242,4 +272,5 @@ class Fit:
             "remarks": list(self.remarks),
             "solver": {"status": self.status, "duality_gap": self.gap if isfinite(self.gap) else None},
             "options": dict(self.options),
+            "trials": [trial.as_dict() for trial in self.trials],
         }

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from dehyst._native import Array
-from dehyst.actuator import Physical
 from dehyst.experiment import CYCLES, DRIVE, PEAKS, PLANS, PRE_ENERGISED, Experiment, Plan, Trial
 from dehyst.floors import chord_error, parabola_chord_error, symmetric_width_floor
+from dehyst.physical import Physical
 from dehyst.truths import PlayActuator
 
 # Sec. 4.2: T [N/V], km and ke [N/m].

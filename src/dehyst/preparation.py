@@ -23,6 +23,8 @@ class Prepared:
     ----------
     record : Record
         Without its start-up transient.
+    lead : Record or None
+        The transient: creep remembers it.
     pieces : tuple of Record
         The same between gaps.
     name : str
@@ -39,6 +41,7 @@ class Prepared:
     """
 
     record: Record
+    lead: Record | None
     pieces: tuple[Record, ...]
     name: str
     samples: int
@@ -93,7 +96,8 @@ def prepare(record: Record) -> Prepared:
             "transient or a rise from an unknown state; left out."
         )
     pieces, gaps = repairs.split_at_gaps(kept)
-    return Prepared(kept, tuple(pieces), record.name, len(record), float(record.time[0]), record.noise,
+    lead = record.slice(0, dropped) if dropped > 1 else None
+    return Prepared(kept, lead, tuple(pieces), record.name, len(record), float(record.time[0]), record.noise,
                     len(record.cycles()) >= 3, (*sentences, *gaps))  # fmt: skip
 
 

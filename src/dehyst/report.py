@@ -17,6 +17,7 @@ from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.compare import Comparison
 from dehyst.compare_page import comparison_sections
+from dehyst.elements import GradedSlip, MaxwellSlip
 from dehyst.files import write_atomically
 from dehyst.insight import Insight
 from dehyst.insight_page import sections
@@ -222,13 +223,19 @@ def _residuals(fit: Fit) -> str:
 
 
 def _model(actuator: Actuator) -> str:
-    slip = panel(("Slip elements", ""), plot.slip_elements(actuator.slip, name="slip"), "")
+    slip = panel(("Slip elements", ""), plot.slip_elements(_plain(actuator), name="slip"), "")
     spring = panel(("Parallel spring", ""), plot.parallel_spring(actuator.spring, name="spring"), "")
     caption = (
         "Among the slip elements, lone large values between zeros (hollow circles) hint that the records tell sums of "
         "stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
     )
+    if isinstance(actuator.slip, GradedSlip):
+        caption += " These elements are graded: each is shown as stiff as the most that it can hold makes it."
     return figure("The model", caption, [slip, spring])
+
+
+def _plain(actuator: Actuator) -> MaxwellSlip:
+    return actuator.slip if isinstance(actuator.slip, MaxwellSlip) else actuator.slip.stiffest()
 
 
 def _whose(trace: Trace) -> tuple[str, str]:
@@ -236,7 +243,7 @@ def _whose(trace: Trace) -> tuple[str, str]:
 
 
 def _numbers(actuator: Actuator) -> str:
-    slip, spring = actuator.slip, actuator.spring
+    slip, spring = _plain(actuator), actuator.spring
     each = [str(i) for i in range(1, len(slip) + 1)]
     columns = (slip.breakaway * 1e6, slip.stiffness * 1e-6, slip.friction)
     elements = zip(each, *map(_column, columns), strict=True)

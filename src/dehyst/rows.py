@@ -6,7 +6,7 @@ every other cart stands still: it adds kappa y and a constant. Such a stretch is
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,6 +53,8 @@ class Rows:
     displacement, voltage, drift : (n,) array
         y [m], v [V] and the record's creep curve (log of time since its start, mean zero).
     record, epoch : (n,) int array
+    moved : (n, E) array
+        What other parts do along the path, creep strains and the like [m]; E is 0 if none were asked for.
     """
 
     elongation: Array
@@ -62,14 +64,21 @@ class Rows:
     drift: Array
     record: NDArray[np.intp]
     epoch: NDArray[np.intp]
+    moved: Array
 
     def __len__(self) -> int:
         return len(self.voltage)
 
     def thinned(self, most: int) -> Rows:
         """About `most` of the rows, evenly."""
-        step = max(1, len(self) // most)
-        return Rows(*(getattr(self, name)[::step] for name in self.__dataclass_fields__))
+        return self._taken(slice(None, None, max(1, len(self) // most)))
+
+    def chosen(self, which: NDArray[np.bool_]) -> Rows:
+        """Some of the rows."""
+        return self._taken(which)
+
+    def _taken(self, which: Any) -> Rows:
+        return Rows(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
 def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
@@ -111,7 +120,12 @@ def _grows(v: Array, tolerance: float) -> NDArray[np.bool_]:
 
 
 def collect(
-    pieces: list[tuple[int, Record, Array]], breakaway: Array, noise: list[float], *, relaxed: Collection[int] = ()
+    pieces: list[tuple[int, Record, Array]],
+    breakaway: Array,
+    noise: list[float],
+    *,
+    relaxed: Collection[int] = (),
+    moved: Callable[[int, Record], Array] = lambda _, record: np.zeros((len(record), 0)),
 ) -> tuple[Rows, list[list[Epoch]]]:
     """Stack the samples that count.
 
@@ -124,6 +138,8 @@ def collect(
         Sensor noise [m] of each piece.
     relaxed : collection of int, optional
         Records that start with no element strained: all their samples count, up to the first gap.
+    moved : callable, optional
+        Record number and piece -> (n, E): what else moves along its path.
 
     Returns
     -------
@@ -137,6 +153,7 @@ def collect(
     for (number, piece, drift), sigma in zip(pieces, noise, strict=True):
         y = np.ascontiguousarray(piece.displacement)
         elongation, _ = stops(breakaway, np.full(breakaway.size, y[0]), y)
+        others = moved(number, piece)
         found = [Epoch(0, 0, len(y), np.inf, float(y[0]))] if number in rested else epochs(piece, sigma)
         rested.discard(number)
         all_epochs.append(found)
@@ -148,10 +165,11 @@ def collect(
             stuck = ~known | (np.abs(elongation[span]) < breakaway * (1 - 1e-9))
             size = s.shape[0]
             parts.append((s, stuck, y[span], piece.voltage[span], drift[span],
-                          np.full(size, number), np.full(size, count)))  # fmt: skip
+                          np.full(size, number), np.full(size, count), others[span]))  # fmt: skip
             count += 1
     if not parts:
         empty = np.zeros(0)
         none = np.zeros((0, breakaway.size))
-        return Rows(none, none > 0, empty, empty, empty, empty.astype(int), empty.astype(int)), all_epochs
+        numbers = empty.astype(int)
+        return Rows(none, none > 0, empty, empty, empty, numbers, numbers, none[:, :0]), all_epochs
     return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True))), all_epochs

@@ -12,6 +12,7 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._native import Array
+from dehyst.actuator import Actuator
 from dehyst.excite import Drive, Excitation, descending_tops, raised_cosine, staircase
 from dehyst.metrics import largest, percent, rms
 from dehyst.model import AbstractModel, Motion
@@ -77,18 +78,26 @@ class Trial:
         homing = raised_cosine(truth.highest, cycles=2, drive=self._drive(self.slow)).voltage
         wanted = truth.stroke * self.path(seed)
         time = np.arange(homing.size + wanted.size) / self._rate
-        homed = simulated(model, homing, time[: homing.size]).state
-        when = time[homing.size :]
-        ahead = np.interp(when + float(getattr(model, "delay", 0.0)), when, wanted)
-        voltage = model.compensate(ahead, state=homed, **timed(model, when)).voltage
+        voltage = self._sent(model, homing, wanted, time)
         reached = truth.drive(np.concatenate([homing, voltage]), time=time, measured=False)[homing.size :]
         error = wanted - reached
         beyond = max(float(voltage.max()) - truth.highest, -float(voltage.min()), 0.0)
         missed = percent(largest(error), truth.stroke), percent(rms(error), truth.stroke)
         return Tracking(*missed, percent(beyond, truth.highest))
 
+    def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array) -> Array:
+        """Voltage for the path after homing; the model is asked for both in one piece, lest there be a jump."""
+        homed = simulated(model, homing, time[: homing.size]).displacement
+        when = time[homing.size :]
+        ahead = np.interp(when + float(getattr(model, "delay", 0.0)), when, wanted)
+        # From where the model thinks that it was left, over the time of a fast leg.
+        n = min(_SAMPLES_A_FAST_CYCLE // 2, wanted.size)
+        ahead[:n] += (homed[-1] - ahead[0]) * (0.5 + 0.5 * np.cos(np.pi * np.arange(n) / n))
+        asked, start = np.concatenate([homed, ahead]), beginning(model, homing)
+        return model.compensate(asked, state=start, **timed(model, time)).voltage[homing.size :]
+
     def path(self, seed: int = 7) -> Array:
-        """A path of 40 reversals from 0, as parts of the stroke: half a cosine for each leg."""
+        """A path of 40 reversals from 0, as parts of the stroke: at rest and not accelerated at each turn."""
         rng = np.random.default_rng(seed)
         turns = [0.0]
         while len(turns) < _REVERSALS + 2:
@@ -102,7 +111,8 @@ class Trial:
         for a, b in pairwise(turns):
             seconds = 0.5 / float(np.exp(rng.uniform(np.log(self.slow), np.log(self.fast))))
             n = max(8, round(seconds * self._rate))
-            legs.append(a + (b - a) * (0.5 - 0.5 * np.cos(np.pi * np.arange(1, n + 1) / n)))
+            u = np.arange(1, n + 1) / n
+            legs.append(a + (b - a) * u**3 * (10 - 15 * u + 6 * u**2))
         return np.concatenate(legs)
 
     @property
@@ -147,6 +157,18 @@ def timed(model: AbstractModel, time: Array) -> dict[str, Any]:
     return {"time": time} if "time" in inspect.signature(model.simulate).parameters else {}
 
 
+def beginning(model: AbstractModel, voltage: Array) -> Any:
+    """Where a model starts before a voltage (n,): its own default, or of an actuator the end of its loop nearest by.
+
+    A start far away would set a mass swinging.
+    """
+    if not isinstance(model, Actuator) or not voltage.size:
+        return None
+    low, high = (float(end) for end in model.spring.displacement[[0, -1]])
+    ends = [model.turned(high), model.turned(low, rising=False)]
+    return min(ends, key=lambda state: abs(model.voltage(state) - float(voltage[0])))
+
+
 def simulated(model: AbstractModel, voltage: Array, time: Array) -> Motion:
-    """The motion that a voltage causes from where the model starts."""
-    return model.simulate(voltage, **timed(model, time))
+    """The motion that a voltage causes from its `beginning`."""
+    return model.simulate(voltage, state=beginning(model, voltage), **timed(model, time))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from dehyst._native import Array, stops
 from dehyst.actuator import Actuator
+from dehyst.composition import coefficients_of, grid_of, moved_along
+from dehyst.inertia import derivatives, undone
 from dehyst.metrics import largest, rms
 from dehyst.model import RecordErrors, State, Trace
 from dehyst.preparation import Prepared
@@ -15,6 +18,10 @@ from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.repairs import find_datum
 from dehyst.rows import Epoch, collect
+from dehyst.wide_regression import WideCoefficients, WideRegression
+
+# Least slope of a branch, of the mean one: a weight must not grow without bound.
+_LEAST = 0.05
 
 
 @dataclass(frozen=True)
@@ -50,7 +57,9 @@ class Comparison:
     ----------
     record : Prepared
     pieces : list of (record number, Record, drift curve)
-        Voltages delayed.
+        Voltages delayed; with dynamics the displacements are those that hysteresis makes, before the resonance.
+    measured : list of Record
+        The same pieces with the displacements measured.
     epochs : list of list of Epoch
         Of each piece.
     regression : Regression
@@ -63,9 +72,10 @@ class Comparison:
 
     record: Prepared
     pieces: list[tuple[int, Record, Array]]
+    measured: list[Record]
     epochs: list[list[Epoch]]
-    regression: Regression
-    found: Coefficients
+    regression: Regression | WideRegression
+    found: Coefficients | WideCoefficients
     base: float
 
     @property
@@ -78,13 +88,28 @@ class Comparison:
         """Coefficient of the drift curve [V]."""
         return self.found.drifts.get(0, 0.0)
 
+    @property
+    def start(self) -> Array:
+        """What creep branches held as the record began (J,) [V]."""
+        return self.found.starts.get(0, np.zeros(0)) if isinstance(self.found, WideCoefficients) else np.zeros(0)
+
     def played(self, actuator: Actuator) -> list[tuple[int, Epoch, tuple[Array, ...]]]:
         """Piece number, epoch, and what `_play` gives, of every epoch."""
         offsets = [offset - self.base for _, offset in sorted(self.found.offsets.items())]
         parts, first = [], 0
         for number, ((_, piece, curve), own) in enumerate(zip(self.pieces, self.epochs, strict=True)):
             for i, epoch in enumerate(own):
-                played = _play(actuator, piece, epoch, offsets[first + i], self.drift * curve, self.datum)
+                played = _play(
+                    actuator,
+                    piece,
+                    epoch,
+                    offsets[first + i],
+                    self.drift * curve,
+                    self.datum,
+                    self.start,
+                    self.record.lead,
+                    self.measured[number],
+                )
                 parts.append((number, epoch, played))
             first += len(own)
         return parts
@@ -92,19 +117,34 @@ class Comparison:
 
 def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
-    pieces = record.delayed(0, protocol.delay)
-    rho = actuator.slip.breakaway
-    rows, epochs = collect(pieces, rho, [record.noise] * len(pieces))
-    model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
-    drifting = (0,) if protocol.drifting else ()
-    every = np.ones(rho.size, dtype=bool)
-    regression = Regression(rows, actuator.spring.displacement, 0.0, every, np.zeros(1), drifting)
+    measured = record.delayed(0, protocol.delay)
+    pieces = [(q, undone(piece, actuator.dynamics), drift) for q, piece, drift in measured]
+    regression, model, epochs = _beside(actuator, record, pieces, (0,) if protocol.drifting else ())
     datum = protocol.datum
     if datum is None:
         datum = find_datum(regression, 0, protocol.stroke, given=model)
     regression = replace(regression, datum=np.array([datum]))
     base = float(actuator.spring.voltage[0])
-    return Comparison(record, pieces, epochs, regression, regression.nuisances_of(model), base)
+    return Comparison(
+        record, pieces, [piece for _, piece, _ in measured], epochs, regression, regression.nuisances_of(model), base
+    )
+
+
+def _beside(
+    actuator: Actuator, record: Prepared, pieces: list[tuple[int, Record, Array]], drifting: tuple[int, ...]
+) -> tuple[Any, Any, list[list[Epoch]]]:
+    """The rows of a record, an actuator's coefficients on them, and the epochs of each piece."""
+    rho, sigma = actuator.slip.breakaway, [record.noise] * len(pieces)
+    if not actuator.wide:
+        rows, epochs = collect(pieces, rho, sigma)
+        every = np.ones(rho.size, dtype=bool)
+        regression = Regression(rows, actuator.spring.displacement, 0.0, every, np.zeros(1), drifting)
+        model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
+        return regression, model, epochs
+    grid = grid_of(actuator)
+    rows, epochs = collect(pieces, rho, sigma, moved=lambda _, piece: moved_along(grid, piece, record.lead))
+    floor = _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
+    return WideRegression(rows, grid, floor, np.zeros(1), drifting, (0,)), coefficients_of(actuator), epochs
 
 
 def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:
@@ -118,7 +158,7 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
     last = [played for i, epoch, played in compared.played(actuator) if epoch is compared.epochs[i][-1]]
     time, voltage, measured, simulated, with_drift = (np.concatenate(column) for column in zip(*last, strict=True))
     trace = Trace(record.name, protocol.role, time, voltage, measured, simulated)
-    slope = float(np.median(regression.slope(found)))
+    slope = float(np.median(regression.slope(found)))  # type: ignore[arg-type]
     offset = float(np.median(list(found.offsets.values()))) - compared.base
     return RecordErrors(
         record=record.name, role=protocol.role, samples=time.size, left_out=record.samples - time.size,
@@ -129,7 +169,15 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
 
 
 def _play(
-    actuator: Actuator, piece: Record, epoch: Epoch, offset: float, drift: Array, datum: float
+    actuator: Actuator,
+    piece: Record,
+    epoch: Epoch,
+    offset: float,
+    drift: Array,
+    datum: float,
+    strain: Array,
+    lead: Record | None,
+    measured: Record,
 ) -> tuple[Array, ...]:
     """Time, voltage, measured, simulated, and simulated with the drift left in, over an epoch."""
     rho = actuator.slip.breakaway
@@ -137,9 +185,32 @@ def _play(
     _, carts = stops(rho, np.full(rho.size, before[0]), np.ascontiguousarray(before))
     carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
     carts = np.clip(carts, before[-1] - rho, before[-1] + rho)
-    state = State(float(before[-1]), carts).shifted(datum)
+    creep, smooth = _moved_to(actuator, piece, epoch.start, lead, strain)
+    motion = (
+        [] if actuator.dynamics is None else [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
+    )
+    state = State(float(before[-1]), carts, creep, motion, smooth).shifted(datum)
     span = slice(epoch.start, epoch.stop)
-    voltage = piece.voltage[span] - offset
-    steady = actuator.simulate(voltage - drift[span], state=state).displacement
-    drifting = actuator.simulate(voltage - float(drift[span].mean()), state=state).displacement
-    return piece.time[span], voltage, piece.displacement[span] + datum, steady, drifting
+    time, tau = piece.time[span], actuator.transformer
+    drive = (piece.voltage[span] if tau is None else tau(piece.voltage[span])) - offset
+
+    def simulated(less: Array | float) -> Array:
+        voltage = drive - less if tau is None else tau.inverse(drive - less)
+        return actuator.simulate(voltage, time=time, state=state).displacement
+
+    steady, drifting = simulated(drift[span]), simulated(float(drift[span].mean()))
+    voltage = drive if tau is None else tau.inverse(drive)
+    return time, voltage, measured.displacement[span] + datum, steady, drifting
+
+
+def _moved_to(
+    actuator: Actuator, piece: Record, sample: int, lead: Record | None, strain: Array
+) -> tuple[Array, Array]:
+    """Creep strains and smooth elongations [m] at a sample, `strain` [V] having been held as the record began."""
+    grid = grid_of(actuator)
+    creep, smooth, left = np.split(
+        moved_along(grid, piece, lead)[sample], np.cumsum([grid.time_constants.size, grid.lengths.size])
+    )
+    if actuator.creep is not None and strain.size:
+        creep = creep + strain * left / actuator.creep.stiffness
+    return creep, smooth

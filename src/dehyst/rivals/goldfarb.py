@@ -37,13 +37,15 @@ class Goldfarb(AbstractModel):
     actuator: Actuator
     remarks: tuple[str, ...] = ()
 
-    def simulate(self, voltage: ArrayLike, *, state: State | None = None) -> Motion:
+    def simulate(self, voltage: ArrayLike, *, time: ArrayLike | None = None, state: State | None = None) -> Motion:
         """Displacement (n,) [m] that a voltage (n,) [V] causes, by default from relaxation; see `Actuator.simulate`."""
-        return self.actuator.simulate(voltage, state=state)
+        return self.actuator.simulate(voltage, time=time, state=state)
 
-    def compensate(self, displacement: ArrayLike, *, state: State | None = None) -> Motion:
+    def compensate(
+        self, displacement: ArrayLike, *, time: ArrayLike | None = None, state: State | None = None
+    ) -> Motion:
         """Voltage (n,) [V] for a displacement (n,) [m], by default from relaxation; see `Actuator.compensate`."""
-        return self.actuator.compensate(displacement, state=state)
+        return self.actuator.compensate(displacement, time=time, state=state)
 
     @classmethod
     def fit(cls, record: Record, *, elements: int = 10, breakaway: ArrayLike | None = None) -> Goldfarb:

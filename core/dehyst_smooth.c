@@ -1,0 +1,205 @@
+#include "dehyst_parts.h"
+
+#include <stddef.h>
+
+/* What is left to move must be this much shorter than the shortest element before its curvature is below rounding. */
+#define SHARE ((dehyst_real)(1.0 / 16))
+/* Steps of a solution beside those that pass events. From below, Newton's steps never go too far: they reach the end of
+ * an element that lets go in as many steps as its stiffness is powers of e above what stays. */
+#define TRIES 200
+
+/* To a few units in the last place, however small x is. With f = n ln 2 - x, exp(f) - 1 = f + f c / (2 - c) where
+ * c = f + 2 - f coth(f / 2) = f - f^2 / 6 + f^4 / 360 - ... (Bernoulli's numbers). */
+dehyst_real dehyst_decay(dehyst_real x)
+{
+    static const dehyst_real half[] = {
+        (dehyst_real)0x1p-1, (dehyst_real)0x1p-2, (dehyst_real)0x1p-4,
+        (dehyst_real)0x1p-8, (dehyst_real)0x1p-16, (dehyst_real)0x1p-32};
+    const dehyst_real high = (dehyst_real)6.93147180369123816490e-01, low = (dehyst_real)1.90821492927058770002e-10;
+    dehyst_real f, t, c, rest, scale = 1;
+    int n, i;
+    if (x > 40) return 1;
+    n = (int)(x * (dehyst_real)1.4426950408889634 + (dehyst_real)0.5);
+    f = n * high - x + n * low;
+    t = f * f;
+    c = f - t * ((dehyst_real)(1.0 / 6) -
+                 t * ((dehyst_real)(1.0 / 360) -
+                      t * ((dehyst_real)(1.0 / 15120) -
+                           t * ((dehyst_real)(1.0 / 604800) -
+                                t * ((dehyst_real)(1.0 / 23950080) - t * (dehyst_real)(691.0 / 653837184000.0))))));
+    rest = f + f * c / (2 - c);
+    for (i = 0; i < 6; i++)
+        if (n >> i & 1) scale *= half[i];
+    return (1 - scale) - scale * rest;
+}
+
+/* 2 artanh(s) with s = a / (2 + a), of half of 1 + a where that is nearer to 1. */
+dehyst_real dehyst_log1p(dehyst_real a)
+{
+    static const dehyst_real term[] = {
+        (dehyst_real)(2.0 / 3),  (dehyst_real)(2.0 / 5),  (dehyst_real)(2.0 / 7),  (dehyst_real)(2.0 / 9),
+        (dehyst_real)(2.0 / 11), (dehyst_real)(2.0 / 13), (dehyst_real)(2.0 / 15), (dehyst_real)(2.0 / 17),
+        (dehyst_real)(2.0 / 19), (dehyst_real)(2.0 / 21)};
+    const int upper = a > (dehyst_real)0.4142;
+    const dehyst_real b = upper ? (a - 1) / 2 : a, s = b / (2 + b), t = s * s;
+    dehyst_real sum = (dehyst_real)(2.0 / 23);
+    int m;
+    for (m = 9; m >= 0; m--) sum = sum * t + term[m];
+    sum = s * t * sum + 2 * s;
+    return upper ? sum + (dehyst_real)0.69314718055994530942 : sum;
+}
+
+dehyst_status dehyst_smooth_tabulate(int n, const dehyst_real *length, const dehyst_real *closing, dehyst_real *back)
+{
+    int l;
+    if (n < 0 || (n > 0 && (length == NULL || closing == NULL || back == NULL))) return DEHYST_ERR_SIZE;
+    for (l = 0; l < n; l++) {
+        if (!is_finite(length[l]) || !is_finite(closing[l])) return DEHYST_ERR_FINITE;
+        if (!(length[l] > 0) || 2 * closing[l] < 1 || closing[l] > 1) return DEHYST_ERR_SIGN;
+        back[l] = (2 * closing[l] - 1) / length[l];
+        if (!is_finite(back[l])) return DEHYST_ERR_FINITE;
+    }
+    return DEHYST_OK;
+}
+
+dehyst_status dehyst_smooth_check(const dehyst_smooth *smooth, const dehyst_real *elongation)
+{
+    int l;
+    if (smooth->size < 0) return DEHYST_ERR_SIZE;
+    if (smooth->size > 0 && (smooth->length == NULL || smooth->back == NULL || smooth->stiffness == NULL))
+        return DEHYST_ERR_SIZE;
+    if (smooth->size > 0 && elongation == NULL) return DEHYST_ERR_SIZE;
+    for (l = 0; l < smooth->size; l++) {
+        if (!is_finite(smooth->stiffness[l]) || !is_finite(elongation[l])) return DEHYST_ERR_FINITE;
+        if (smooth->stiffness[l] < 0) return DEHYST_ERR_SIGN;
+        if (magnitude(elongation[l]) > smooth->length[l] * (1 + 8 * DEHYST_EPSILON)) return DEHYST_ERR_STATE;
+    }
+    return DEHYST_OK;
+}
+
+/* Elongation r, counted in the direction of motion, after a motion over `way` >= 0. Against its elongation an element
+ * comes back by r' = 1 - back r, steeper than 1, until it is at rest; then r' = 1 - r / length. */
+static dehyst_real moved(const dehyst_smooth *smooth, int l, dehyst_real r, dehyst_real way)
+{
+    const dehyst_real length = smooth->length[l], back = smooth->back[l];
+    if (r < 0) {
+        const dehyst_real end = r + (back > 0 ? (1 - back * r) * dehyst_decay(back * way) / back : way);
+        if (end <= 0) return end;
+        way -= back > 0 ? dehyst_log1p(-back * r) / back : -r;
+        if (way < 0) way = 0;
+        r = 0;
+    }
+    r += (length - r) * dehyst_decay(way / length);
+    return r < length ? r : length;
+}
+
+void dehyst_smooth_move(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real by)
+{
+    const dehyst_real direction = by < 0 ? -1 : 1;
+    int l;
+    if (!(by != 0)) return;
+    for (l = 0; l < smooth->size; l++)
+        elongation[l] = direction * moved(smooth, l, direction * elongation[l], direction * by);
+}
+
+void dehyst_smooth_elongations(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
+                               const dehyst_real *path, dehyst_real *out, long n)
+{
+    long t;
+    int l;
+    for (t = 0; t < n; t++) {
+        if (is_finite(path[t])) {
+            dehyst_smooth_move(smooth, elongation, path[t] - y);
+            y = path[t];
+        }
+        for (l = 0; l < smooth->size; l++) *out++ = elongation[l];
+    }
+}
+
+dehyst_real dehyst_smooth_held(const dehyst_smooth *smooth, const dehyst_real *elongation)
+{
+    dehyst_real sum = 0;
+    int l;
+    for (l = 0; l < smooth->size; l++) sum += smooth->stiffness[l] * elongation[l];
+    return sum;
+}
+
+void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
+                              const dehyst_real *path, dehyst_real *v, long n)
+{
+    long t;
+    for (t = 0; t < n; t++) {
+        if (is_finite(path[t])) {
+            dehyst_smooth_move(smooth, elongation, path[t] - y);
+            y = path[t];
+        }
+        v[t] += dehyst_smooth_held(smooth, elongation);
+    }
+}
+
+/* The whole right-hand side at w, nothing moved yet: its value, its slope onward, and the next change of slope of its
+ * straight parts. Between such changes it is concave along the motion, for a smooth element only ever gets softer. */
+static outlook meet(const dehyst_wide *wide, const dehyst_wide_state *state, dehyst_real stiffness, dehyst_real w,
+                    dehyst_real direction)
+{
+    const dehyst_smooth *smooth = &wide->smooth;
+    const dehyst_real by = w - state->memory.y;
+    outlook ahead = look_ahead(wide, &state->memory, w, direction);
+    int l;
+    ahead.v += stiffness * by;
+    ahead.slope += stiffness;
+    for (l = 0; l < smooth->size; l++) {
+        const dehyst_real k = smooth->stiffness[l];
+        const dehyst_real r = moved(smooth, l, direction * state->elongation[l], direction * by);
+        ahead.v += k * direction * r;
+        ahead.slope += k * (r < 0 ? 1 - smooth->back[l] * r : 1 - r / smooth->length[l]);
+    }
+    return ahead;
+}
+
+/* Step over events at once where that is not too far, else over the next one. `beyond` lies past the solution. */
+static outlook hop(const dehyst_wide *wide, const dehyst_wide_state *state, dehyst_real drive, dehyst_real stiffness,
+                   dehyst_real direction, dehyst_real goal, dehyst_real event, dehyst_real *w, dehyst_real *beyond)
+{
+    const dehyst_real far = direction * (goal - *beyond) < 0 ? goal : event + (*beyond - event) / 2;
+    const outlook there = meet(wide, state, stiffness, far, direction);
+    *w = far;
+    if (direction * (drive - there.v) >= 0) return there;
+    *beyond = far;
+    *w = event;
+    return meet(wide, state, stiffness, event, direction);
+}
+
+dehyst_real dehyst_smooth_solve(const dehyst_wide *wide, dehyst_wide_state *state, dehyst_real drive,
+                                dehyst_real stiffness, dehyst_real *likely)
+{
+    const dehyst_smooth *smooth = &wide->smooth;
+    const int grades = wide->grades.size > 0 ? wide->grades.size : 1;
+    int tries = TRIES + (wide->plain.slip.size + 1) * grades + wide->plain.spring.size, l;
+    dehyst_real w = state->memory.y, direction = *likely, shortest = smooth->length[0], beyond;
+    outlook ahead;
+    if (!is_finite(drive)) return w;
+    for (l = 1; l < smooth->size; l++)
+        if (smooth->length[l] < shortest) shortest = smooth->length[l];
+    ahead = meet(wide, state, stiffness, w, direction);
+    if (direction * (drive - ahead.v) < 0) {
+        *likely = direction = -direction;
+        ahead = meet(wide, state, stiffness, w, direction);
+    }
+    beyond = direction * DEHYST_LARGEST;
+    while (tries-- > 0 && direction * (drive - ahead.v) > 0) {
+        const dehyst_real goal = w + (drive - ahead.v) / ahead.slope, step = (goal - w) / shortest;
+        if (direction * (goal - ahead.event) > 0) {
+            ahead = hop(wide, state, drive, stiffness, direction, goal, ahead.event, &w, &beyond);
+            continue;
+        }
+        w = goal;
+        /* What the next step would still put right goes with the square of this one. */
+        if (step * step <= SHARE * DEHYST_EPSILON) break;
+        ahead = meet(wide, state, stiffness, w, direction);
+    }
+    dehyst_slip_move(&wide->plain.slip, state->memory.cart, w);
+    dehyst_smooth_move(smooth, state->elongation, w - state->memory.y);
+    state->memory.y = w;
+    return w;
+}

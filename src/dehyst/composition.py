@@ -1,0 +1,93 @@
+"""From coefficients of the wider regression to an actuator's parts, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dehyst._native import Array
+from dehyst.actuator import Actuator
+from dehyst.creep import Creep
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.record import Record
+from dehyst.smooth import SmoothSlip
+from dehyst.structure import Grid
+from dehyst.wide_regression import WideCoefficients
+
+# A branch or smooth element that holds less of the voltage than this over the whole range is left out.
+_NOTHING = 1e-9
+
+
+def parts(grid: Grid, found: WideCoefficients, first: float) -> dict[str, Any]:
+    """Arguments of `Actuator`: slip, spring, transformer, creep and smooth; `first`: spring's voltage at its first knot."""
+    branches = grid.time_constants.size
+    least = _NOTHING * float(found.slopes @ np.diff(grid.knots)) / float(np.ptp(grid.knots))
+    creep, smooth = found.moved[:branches] > least, found.moved[branches:] > least
+    plain = grid.segments == 1
+    slip = (
+        MaxwellSlip(grid.breakaway, found.stiffness[:, 0])
+        if plain
+        else GradedSlip(grid.breakaway, grid.grades, found.stiffness)
+    )
+    drive = grid.drive[:1] + np.concatenate([[0.0], np.cumsum(found.drive * np.diff(grid.drive))])
+    return {
+        "slip": slip,
+        "spring": Spring.of_slopes(grid.knots, found.slopes, first),
+        "transformer": Transformer(grid.drive, drive) if grid.drive.size else None,
+        "creep": Creep(grid.time_constants[creep], found.moved[:branches][creep]) if creep.any() else None,
+        "smooth": SmoothSlip(grid.lengths[smooth], grid.closings[smooth], found.moved[branches:][smooth])
+        if smooth.any()
+        else None,
+    }
+
+
+def grid_of(actuator: Actuator) -> Grid:
+    """The grids on which an actuator's parts lie."""
+    slip, knots, none = actuator.slip, actuator.spring.displacement, np.zeros(0)
+    smooth = actuator.smooth
+    return Grid(
+        slip.breakaway,
+        slip.knots if isinstance(slip, GradedSlip) else knots[[0, -1]],
+        knots,
+        none if actuator.transformer is None else actuator.transformer.voltage,
+        none if actuator.creep is None else actuator.creep.time_constants,
+        none if smooth is None else smooth.length,
+        none if smooth is None else smooth.closing,
+    )
+
+
+def coefficients_of(actuator: Actuator) -> WideCoefficients:
+    """An actuator's numbers as coefficients, without constants."""
+    tau, none = actuator.transformer, np.zeros(0)
+    stiffness = actuator.slip.stiffness
+    moved = [none if part is None else part.stiffness for part in (actuator.creep, actuator.smooth)]
+    return WideCoefficients(
+        stiffness=stiffness if stiffness.ndim == 2 else stiffness[:, None],
+        slopes=actuator.spring.slopes,
+        moved=np.concatenate(moved),
+        drive=none if tau is None else np.diff(tau.drive) / np.diff(tau.voltage),
+        offsets={},
+        drifts={},
+        solution=None,  # type: ignore[arg-type]
+    )
+
+
+def moved_along(grid: Grid, piece: Record, lead: Record | None) -> Array:
+    """What a piece moves besides carts, from rest at its first sample or at that of the `lead` that it goes on from.
+
+    Creep strains (n, J) [m], smooth elongations (n, L) [m], and what is left of strains at the start (n, J), side by side.
+    """
+    creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
+    smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
+    time, y = piece.time, piece.displacement
+    if lead is not None and lead.time[-1] < time[0] <= lead.time[-1] + 1.5 * lead.sample_time:
+        time, y = np.concatenate([lead.time, time]), np.concatenate([lead.displacement, y])
+    columns = [np.zeros((time.size, 0))]
+    if len(creep):
+        columns.append(creep.strains(time, y))
+    if len(smooth):
+        columns.append(smooth.elongations(y))
+    if len(creep):
+        columns.append(np.exp(-(time[:, None] - time[0]) / grid.time_constants))
+    return np.hstack(columns)[-len(piece) :]

@@ -1,0 +1,74 @@
+"""Inertia and damping: the mechanical side of the actuator, its steps exact for an even push."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dehyst._errors import ModelError
+from dehyst._native import Array, number
+from dehyst.elements import Spring
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Mass, damping and the series spring between the electrical and the mechanical side (theory section 9).
+
+    ``y'' + 2 zeta omega y' + omega^2 y = omega^2 (w + F_ext/kc)``, and the voltage holds ``beta (w - y)`` besides: the
+    slip elements and the spring act on w, which is y when all is slow and free.
+
+    Parameters
+    ----------
+    frequency : float
+        omega [rad/s], the resonance at constant charge: sqrt((km + ke)/m). Under a voltage it is seen lower, at
+        omega sqrt(K/(K + beta)), K the slope of voltage over w.
+    damping : float
+        zeta, 0 or more.
+    series : float, optional
+        beta = ke/T [V/m], 0 or more.
+
+    Raises
+    ------
+    ModelError
+        If a number is impossible.
+    """
+
+    frequency: float
+    damping: float
+    series: float = 0.0
+
+    def __post_init__(self) -> None:
+        if number(self.frequency, "frequency") <= 0:
+            raise ModelError(
+                f"frequency: got {self.frequency}, need a positive number of rad/s; leave Dynamics out else"
+            )
+        for name in ("damping", "series"):
+            if number(getattr(self, name), name) < 0:
+                raise ModelError(f"{name}: got {getattr(self, name)}, need 0 or more")
+
+    def share(self, spring: Spring) -> float:
+        """Theta = beta/(K + beta), K the mean slope of the spring: what of the push of w follows y at once."""
+        mean = float(np.ptp(spring.voltage) / np.ptp(spring.displacement))
+        return self.series / (mean + self.series)
+
+    def transitions(self, durations: Array, share: float) -> Array:
+        """Steps (R, 8) of durations (R,) [s] for (y, y'/omega): phi row by row, then what q before and after adds.
+
+        ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time: by
+        the exponential of the matrix that has q and its slope for states too.
+        """
+        from scipy.linalg import expm
+
+        distinct, row = np.unique(durations * self.frequency, return_inverse=True)
+        generator = np.zeros((distinct.size, 4, 4))
+        generator[:, 0, 1] = distinct
+        generator[:, 1, 0], generator[:, 1, 1] = -(1 - share) * distinct, -2 * self.damping * distinct
+        generator[:, 1, 2] = distinct
+        generator[:, 2, 3] = 1
+        steps = expm(generator)
+        after = steps[:, :2, 3]
+        table = np.concatenate([steps[:, :2, :2].reshape(-1, 4), steps[:, :2, 2] - after, after], axis=1)
+        still = distinct == 0
+        table[still] = [1, 0, 0, 1, 0, 0, 0, 0]
+        return np.ascontiguousarray(table[row])

@@ -1,0 +1,107 @@
+"""Delay, damping and inertia from records: an outer search over three numbers around the convex program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dehyst._native import Array
+from dehyst.dynamics import Dynamics
+from dehyst.record import Record
+from dehyst.wide_regression import WideRegression
+
+# Derivatives are those of the fourth-order polynomial through this many neighbours.
+_WINDOW, _ORDER = 9, 4
+# Inertia must lower the RMS residual to this part, or it is left out.
+_WORTH = 0.8
+_EVALUATIONS = 90
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """How the measured displacement follows the one that hysteresis makes: w(t) = y + damping y' + mass y'' at t + delay.
+
+    Attributes
+    ----------
+    delay : float
+        [s].
+    damping : float
+        2 zeta / omega [s].
+    mass : float
+        1 / omega^2 [s2].
+    """
+
+    delay: float
+    damping: float
+    mass: float
+
+    @property
+    def dynamics(self) -> Dynamics | None:
+        """As a part of an actuator; None without inertia."""
+        if not self.mass:
+            return None
+        omega = 1 / np.sqrt(self.mass)
+        return Dynamics(float(omega), float(0.5 * self.damping * omega))
+
+
+def undone(piece: Record, dynamics: Dynamics | None) -> Record:
+    """A piece whose displacement is w, what the resonance had to follow: y + 2 zeta / omega y' + y'' / omega^2."""
+    if dynamics is None:
+        return piece
+    velocity, acceleration = derivatives(piece)
+    omega, zeta = dynamics.frequency, dynamics.damping
+    return replace(piece, displacement=piece.displacement + 2 * zeta / omega * velocity + acceleration / omega**2)
+
+
+def derivatives(piece: Record) -> tuple[Array, Array]:
+    """Velocity [m/s] and acceleration [m/s2] (n,) of the measured displacement."""
+    from scipy.signal import savgol_filter
+
+    first, second = (
+        savgol_filter(piece.displacement, _WINDOW, _ORDER, deriv=k, delta=piece.sample_time) for k in (1, 2)
+    )
+    return first, second
+
+
+def find_inertia(
+    build: Callable[[Inertia], WideRegression], delay: float, sample_time: float, fastest: float
+) -> Inertia:
+    """Least RMS residual over delay, damping and mass; no mass unless that is worth it.
+
+    Parameters
+    ----------
+    build : callable
+        Inertia -> regression on few rows.
+    delay : float
+        As found without inertia [s]: the start of the search.
+    sample_time : float
+        [s].
+    fastest : float
+        Least time of a cycle of the excitation [s].
+    """
+    from scipy.optimize import minimize
+
+    none = Inertia(delay, 0.0, 0.0)
+    best, cost = none, _rms(build(none))
+    # What is slower than a tenth of the fastest cycle would show as a resonance in it; what is faster than the
+    # sampling cannot be seen.
+    scale = max(sample_time, 0.02 * fastest)
+
+    def of(x: Array) -> Inertia:
+        delay_, damping, root = np.abs(x) * scale
+        return Inertia(float(delay_), float(damping), float(root**2))
+
+    simplex = np.array([[delay / scale, 0.1, 0.5], [delay / scale, 0.1, 1.5], [0.5 * delay / scale, 0.3, 1.0],
+                        [delay / scale + 0.3, 0.0, 0.8]])  # fmt: skip
+    options: Any = {"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0}
+    least: Any = minimize
+    found = least(lambda x: _rms(build(of(x))), simplex[0], method="Nelder-Mead", options=options)
+    return of(found.x) if found.fun < _WORTH * cost else best
+
+
+def _rms(regression: WideRegression) -> float:
+    found = regression.fit("l2")
+    return found.rms(regression.slope(found))

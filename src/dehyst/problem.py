@@ -1,0 +1,98 @@
+"""What every norm's solver is given and gives back, scaled so that all numbers are of the order of one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import IdentifyError
+from dehyst._native import Array
+
+# Largest relative duality gap of an optimum.
+OPTIMAL = 1e-6
+# By how much, relative to its largest coefficient times the largest unknown, an inequality may be missed.
+MET = 1e-9
+TINY = float(np.finfo(np.float64).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Minimise || rows x - goal || with x[free:] >= 0 and matrix x >= lower.
+
+    Attributes
+    ----------
+    rows, goal : (n, q) and (n,) array
+    free : int
+        Number of coefficients, the first ones, that may be negative.
+    matrix, lower : (m, q) and (m,) array
+        Linear inequalities, m = 0 for none.
+    """
+
+    rows: Array
+    goal: Array
+    free: int
+    matrix: Array
+    lower: Array
+
+    @property
+    def unknowns(self) -> int:
+        """Number q of coefficients."""
+        return int(self.rows.shape[1])
+
+    def of_columns(self, kept: NDArray[np.intp], free: int) -> Problem:
+        """The problem with some coefficients held at zero."""
+        return replace(self, rows=self.rows[:, kept], matrix=self.matrix[:, kept], free=free)
+
+    def meets(self, x: Array) -> bool:
+        """Whether x keeps the inequalities but for rounding; x[free:] >= 0 is taken for granted."""
+        size = max(1.0, float(np.abs(x).max(initial=0.0)))
+        return bool(np.all(self.matrix @ x >= self.lower - MET * size))
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Coefficients (q,), the solver's word, whether they are an optimum, and the relative duality gap."""
+
+    x: Array
+    status: str
+    optimal: bool
+    gap: float
+
+
+def failed(problem: Problem, status: str) -> Answer:
+    """No optimum."""
+    return Answer(np.zeros(problem.unknowns), status, False, float("nan"))
+
+
+def spread(answer: Answer, places: NDArray[np.intp], size: int) -> Answer:
+    """The answer with zeros at all places but these."""
+    whole = np.zeros(size)
+    whole[places] = answer.x
+    return replace(answer, x=whole)
+
+
+def inequalities(constraints: tuple[Array, Array] | None, free: int, scale: Array) -> tuple[Array, Array]:
+    """Checked (matrix, lower) on all coefficients divided by `scale`, each row's largest coefficient being one.
+
+    Raises
+    ------
+    IdentifyError
+        If shapes do not fit or a number is not finite.
+    """
+    bounded = scale.size - free
+    if constraints is None:
+        return np.zeros((0, scale.size)), np.zeros(0)
+    matrix, lower = (np.asarray(part, dtype=np.float64) for part in constraints)
+    if matrix.ndim != 2 or matrix.shape[1] != bounded or lower.shape != (matrix.shape[0],):
+        raise IdentifyError(
+            f"constraints: got a matrix of shape {matrix.shape} and lower limits of shape {lower.shape}, need (m, "
+            f"{bounded}) and (m,): one column for each coefficient that is not negative, one limit for each row"
+        )
+    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(lower))):
+        raise IdentifyError("constraints: got NaN or infinite numbers, need finite ones; leave out rows without limit")
+    whole = np.hstack([np.zeros((lower.size, free)), matrix]) / scale
+    size = np.abs(whole).max(axis=1, initial=0.0)
+    size[size == 0] = 1.0
+    return whole / size[:, None], lower / size

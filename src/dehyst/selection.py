@@ -1,0 +1,131 @@
+"""How much model a record supports: parts are added one by one while the error on held-out cycles falls."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._native import Array
+from dehyst.rows import Rows
+from dehyst.signals import turning_points
+from dehyst.structure import Structure
+from dehyst.wide_regression import WideCoefficients, WideRegression
+
+Build = Callable[[Structure], WideRegression]
+_FOLDS = 3
+# Blocks that a record is cut into at least, so that a staircase of two long legs can be held out in parts.
+_BLOCKS = 12
+# A part must make the held-out error smaller by this much; of less, noise decides.
+_WORTH = 0.97
+# What is tried, part by part.
+PARTS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("more elements, dense where loops are small", {"elements": 40, "spacing": 2.0, "knots": 41}),
+    ("a transformer", {"transformer": 20}),
+    ("graded elements", {"grades": 8}),
+    ("creep", {"creep": 9}),
+    ("smooth elements", {"smooth": True}),
+)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A structure that was tried.
+
+    Attributes
+    ----------
+    structure : Structure
+    held_out, training : float
+        RMS error [m]: of cycles held out in turn, and of the records themselves.
+    seconds : float
+        That it took.
+    """
+
+    structure: Structure
+    held_out: float
+    training: float
+    seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {"structure": self.structure.as_dict(), "words": self.structure.words,
+                "parameters": self.structure.parameters, "held_out_m": self.held_out, "training_m": self.training,
+                "seconds": self.seconds}  # fmt: skip
+
+
+def select(
+    build: Build, start: Structure, parts: Sequence[tuple[str, dict[str, Any]]], tell: Callable[[str], None]
+) -> tuple[Structure, tuple[Trial, ...]]:
+    """Add the part that helps most on held-out cycles, again and again, until none is worth it.
+
+    Parameters
+    ----------
+    build : callable
+        Structure -> regression on the same samples, thinned.
+    start : Structure
+    parts : sequence of (str, dict)
+        Words and changes of the structure.
+    tell : callable
+        Called with a few words at each trial.
+
+    Returns
+    -------
+    Structure, tuple of Trial
+        The chosen one, and all that were tried in order.
+    """
+    best = _tried(build, start, tell)
+    trials, left = [best], list(parts)
+    while left:
+        found = [_tried(build, replace(best.structure, **change), tell) for _, change in left]
+        trials += found
+        first = int(np.argmin([one.held_out for one in found]))
+        if not found[first].held_out < _WORTH * best.held_out:
+            break
+        best = found[first]
+        del left[first]
+    return best.structure, tuple(trials)
+
+
+def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> Trial:
+    tell(f"trying {structure.words}")
+    begin = time.perf_counter()
+    regression = build(structure)
+    first = regression.fit("l2")
+    weights = 1 / regression.slope(first)
+    whole = regression.fit("l2", weights)
+    training = _rms(regression.residual(whole) / regression.slope(whole))
+    held_out = _rms(held_out_errors(regression, weights))
+    return Trial(structure, held_out, training, time.perf_counter() - begin)
+
+
+def held_out_errors(regression: WideRegression, weights: Array) -> Array:
+    """Error of each row [m] from a fit without its cycle and every third other."""
+    fold = blocks(regression.rows) % _FOLDS
+    errors = np.empty(len(fold))
+    for k in range(_FOLDS):
+        out = fold == k
+        found: WideCoefficients = regression.chosen(~out).fit("l2", weights[~out])
+        left = regression.chosen(out)
+        errors[out] = left.residual(found) / left.slope(found)
+    return errors
+
+
+def blocks(rows: Rows) -> NDArray[np.intp]:
+    """Number of the cycle of each row (n,); long monotone legs are cut."""
+    v = rows.voltage
+    cut = np.zeros(len(rows), dtype=bool)
+    cut[1:] = np.diff(rows.epoch) != 0
+    cut[turning_points(v, 0.02 * float(np.ptp(v)))[::2]] = True
+    starts = np.append(np.flatnonzero(cut), len(rows))
+    longest = max(len(rows) // _BLOCKS, 2)
+    for a, b in zip(np.append(0, starts[:-1]), starts, strict=True):
+        cut[a + longest : b : longest] = True
+    return np.cumsum(cut)
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.mean(errors**2)))

@@ -1,0 +1,162 @@
+"""Records to the regression of a structure, and the structure that they support."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dehyst._native import Array
+from dehyst.composition import moved_along
+from dehyst.inertia import Inertia, find_inertia, undone
+from dehyst.preparation import Prepared
+from dehyst.record import Record
+from dehyst.repairs import cycle_time
+from dehyst.rows import collect
+from dehyst.selection import PARTS, Trial, select
+from dehyst.signals import turning_points
+from dehyst.structure import Structure
+from dehyst.wide_regression import WideRegression
+
+# Rows for a trial, and for the final program.
+_FEW_ROWS = 4000
+_MOST_ROWS = 30_000
+# Cycles of which the slowest lasts this many times the fastest tell creep from hysteresis; a hold of a cycle does, too.
+_SPEEDS = 3.0
+_HELD = 0.005
+# Noise below this part of the range drags no element that counts; a parabola fits this part of a cycle.
+_QUIET = 3e-4
+_PART_OF_CYCLE, _WIDEST = 16, 12
+# What tells whether a record began at rest, and by how much that must lower the RMS residual.
+_CREEPING = Structure(elements=20, transformer=20, grades=4, creep=9)
+_WORTH_OF_START = 0.9
+# Inertia shows in cycles of fewer samples than this; masses [samples squared] that are tried before it is looked for.
+_SLOWEST = 1000.0
+_ROOTS = (0.7, 1.5, 3.0, 6.0)
+_WORTH_OF_MASS = 0.95
+_SWINGING = Structure(elements=20, grades=3, transformer=10, smooth=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What all structures of one identification share.
+
+    Attributes
+    ----------
+    training : sequence of Prepared
+    inertia : Inertia
+        Delay, and how the displacement lags behind what hysteresis makes.
+    span, voltages : (float, float)
+        Lowest and highest displacement [m] of the widest loop, and voltage [V] of all records.
+    floor : float
+        Least slope [V/m].
+    datum : (records,) array
+        [m].
+    """
+
+    training: Sequence[Prepared]
+    inertia: Inertia
+    span: tuple[float, float]
+    voltages: tuple[float, float]
+    floor: float
+    datum: Array
+
+    @property
+    def times(self) -> tuple[float, float]:
+        """Shortest sample time and longest record [s]."""
+        records = [item.record for item in self.training]
+        return min(one.sample_time for one in records), max(float(np.ptp(one.time)) for one in records)
+
+    def regression(self, structure: Structure, most: int = _MOST_ROWS) -> WideRegression:
+        """The rows of all records under a structure, thinned to about `most`."""
+        found = self._rows_of(structure, most)
+        return replace(found, strained=self.strained) if structure.creep else found
+
+    def _rows_of(self, structure: Structure, most: int) -> WideRegression:
+        grid = structure.grid(self.span, self.voltages, self.times)
+        pieces = [(q, self.smoothed(undone(piece, self.inertia.dynamics)), drift)
+                  for q, item in enumerate(self.training) for _, piece, drift in item.delayed(q, self.inertia.delay)]  # fmt: skip
+        noise = [self.training[q].noise for q, _, _ in pieces]
+        rows, _ = collect(pieces, grid.breakaway, noise,
+                          moved=lambda number, piece: moved_along(grid, piece, self.training[number].lead))  # fmt: skip
+        return WideRegression(rows.thinned(most), grid, self.floor, self.datum)
+
+    def with_inertia(self) -> Frame:
+        """The same with the delay, damping and mass that the records ask for, if they do."""
+        step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
+        if cycle > _SLOWEST * step or self.window > 1:
+            return self
+
+        def build(inertia: Inertia) -> WideRegression:
+            return replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2)
+
+        without = _rms(build(self.inertia))
+        masses = [replace(self.inertia, mass=(root * step) ** 2) for root in _ROOTS]
+        if min(_rms(build(one)) for one in masses) > _WORTH_OF_MASS * without:
+            return self
+        return replace(self, inertia=find_inertia(build, self.inertia.delay, step, cycle))
+
+    @cached_property
+    def window(self) -> int:
+        """Samples over which displacements are smoothed, lest the sensor's noise drag small elements along; 1: not at all."""
+        noise = max(item.noise for item in self.training)
+        if noise < _QUIET * (self.span[1] - self.span[0]):
+            return 1
+        cycle = min(cycle_time(item.record) / item.record.sample_time for item in self.training)
+        return 2 * (min(int(cycle / _PART_OF_CYCLE), _WIDEST) // 2) + 1
+
+    def smoothed(self, piece: Record) -> Record:
+        """A piece whose displacement follows parabolas through its neighbours, where noise asks for it."""
+        from scipy.signal import savgol_filter
+
+        if not 5 <= self.window <= len(piece):
+            return piece
+        return replace(piece, displacement=savgol_filter(piece.displacement, self.window, 2))
+
+    @cached_property
+    def strained(self) -> tuple[int, ...]:
+        """Records that creep as if they had not been at rest as they began, where that explains much."""
+        regression = self._rows_of(_CREEPING, _FEW_ROWS)
+        kept: tuple[int, ...] = ()
+        cost = _rms(regression)
+        for q in range(len(self.training)):
+            trial = _rms(replace(regression, strained=(*kept, q)))
+            if trial < _WORTH_OF_START * cost:
+                kept, cost = (*kept, q), trial
+        return kept
+
+    def supports_creep(self) -> bool:
+        """Whether there are loops at different speeds, or a hold: else creep looks like hysteresis."""
+        cycles = [cycle.stop - cycle.start for item in self.training for cycle in item.record.cycles()]
+        times = [item.record.sample_time for item in self.training for _ in item.record.cycles()]
+        lasting = [count * step for count, step in zip(cycles, times, strict=True)]
+        return (len(lasting) > 1 and max(lasting) > _SPEEDS * min(lasting)) or any(map(_holds, self.training))
+
+    def chosen(self, start: Structure, tell: Callable[[str], None]) -> tuple[Structure, tuple[Trial, ...], list[str]]:
+        """The structure that the records support, the trials, and what they do not support."""
+        parts: list[tuple[str, dict[str, Any]]] = list(PARTS)
+        remarks = []
+        if not self.supports_creep():
+            parts = [part for part in parts if "creep" not in part[1]]
+            remarks.append("Creep was not looked for: it needs holds or loops at two speeds; add a staircase.")
+        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, parts, tell)
+        return best, trials, remarks
+
+
+def _rms(regression: WideRegression) -> float:
+    found = regression.fit("l2")
+    return found.rms(regression.slope(found))
+
+
+def _holds(item: Prepared) -> bool:
+    """Whether the voltage stands still for as long as a cycle lasts somewhere, or for a tenth of the record."""
+    v, record = item.record.voltage, item.record
+    still = np.abs(np.diff(v)) < 1e-3 * _HELD * np.ptp(v)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+    longest = max((b - a for a, b in zip(edges[::2], edges[1::2], strict=True)), default=0) * record.sample_time
+    turns = turning_points(v, 0.02 * float(np.ptp(v)))
+    leg = cycle_time(record) / 2 if len(turns) > 1 else float(np.ptp(record.time))
+    return bool(longest > min(leg, 0.1 * float(np.ptp(record.time))))

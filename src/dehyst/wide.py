@@ -1,0 +1,211 @@
+"""The wider actuator at work: what time, load and inertia add around the elements and the spring."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._native import NOTHING, Array, Held, Pace, WideCore, strains, vector
+from dehyst.creep import Creep, clock
+from dehyst.dynamics import Dynamics
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.model import State
+from dehyst.smooth import SmoothSlip
+
+# What rounding may leave of a slope that is the difference of two.
+_LEAST = 1e-9
+
+
+@dataclass(frozen=True)
+class Course:
+    """What goes with a path: time (n,) [s] and load (n,) [N], each or None; with dynamics, derivatives of the path."""
+
+    time: ArrayLike | None = None
+    load: ArrayLike | None = None
+    velocity: ArrayLike | None = None
+    acceleration: ArrayLike | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class WideModel:
+    """The parts of an `Actuator`: tau(v) = R(w) + creep + smooth elements + beta (w - y), see `core/dehyst.h`."""
+
+    slip: MaxwellSlip | GradedSlip
+    spring: Spring
+    transformer: Transformer | None
+    creep: Creep | None
+    smooth: SmoothSlip | None
+    dynamics: Dynamics | None
+    lag: float
+    load_stiffness: float | None
+
+    @property
+    def needs_time(self) -> bool:
+        """Whether the answer depends on time."""
+        return self.creep is not None or self.dynamics is not None or self.lag > 0
+
+    @cached_property
+    def core(self) -> WideCore:
+        """All parts in C."""
+        slip, tau, dynamics = self.slip, self.transformer, self.dynamics
+        graded = isinstance(slip, GradedSlip)
+        s = self.smooth
+        smooth = (NOTHING,) * 3 if s is None else (s.length, s.closing, s.stiffness)
+        return WideCore(
+            slip.breakaway,
+            np.zeros(len(slip)) if graded else slip.stiffness,
+            self.spring.displacement,
+            self.spring.voltage,
+            slip.knots if isinstance(slip, GradedSlip) else NOTHING,
+            slip.stiffness.ravel() if graded else NOTHING,
+            NOTHING if tau is None else tau.voltage,
+            NOTHING if tau is None else tau.drive,
+            NOTHING if self.creep is None else self.creep.stiffness,
+            NOTHING if dynamics is None else np.array([dynamics.series, dynamics.share(self.spring)]),
+            *smooth,
+        )
+
+    def simulate(self, voltage: Array, course: Course, start: State, stack: bool) -> tuple[Array, State]:
+        """Displacement (n,) [m] and the state reached; `start` is complete."""
+        pace, push, held = (
+            self._pace(course.time, voltage.size),
+            self._push(course.load, voltage.size),
+            self.held(start),
+        )
+        voltage = self._amplified(voltage, course.time, self.core.voltage(held))
+        y, reached = self.core.simulate(voltage, pace, held, load=push if self.dynamics else NOTHING, stack=stack)
+        return y if self.dynamics or not push.size else y + push, self._state(reached)
+
+    def compensate(self, path: Array, course: Course, start: State, stack: bool) -> tuple[Array, State]:
+        """Voltage (n,) [V] and the state reached; `start` is complete."""
+        pace, push = self._pace(course.time, path.size), self._push(course.load, path.size)
+        w, more, held = path - push if push.size else path, NOTHING, self.held(start)
+        if self.dynamics is not None:
+            velocity, acceleration = self._derivatives(path, course)
+            omega = self.dynamics.frequency
+            w = w + (2 * self.dynamics.damping * velocity + acceleration / omega) / omega
+            more = self.dynamics.series * (w - path)
+            if path.size:
+                held = held._replace(motion=np.array([path[-1], velocity[-1] / omega]))
+        voltage, reached = self.core.compensate(w, pace, held, more=more, stack=stack)
+        if self.lag and path.size > 1:
+            rate = np.gradient(voltage, _seconds(course), edge_order=2 if path.size > 2 else 1)
+            voltage = voltage + self.lag * rate
+        return voltage, self._state(reached)
+
+    def held(self, state: State) -> Held:
+        """The state in the core's numbers."""
+        motion = state.motion
+        if self.dynamics is not None:
+            motion = motion / np.array([1.0, self.dynamics.frequency])
+        return Held(state.displacement, state.carts, np.concatenate([state.creep, state.smooth]), motion)
+
+    def _state(self, held: Held) -> State:
+        motion = held.motion if self.dynamics is None else held.motion * np.array([1.0, self.dynamics.frequency])
+        branches = 0 if self.creep is None else len(self.creep)
+        return State(held.w, held.carts, held.strains[:branches], motion, held.strains[branches:])
+
+    def _pace(self, time: ArrayLike | None, samples: int) -> Pace:
+        if time is None and self.needs_time:
+            parts = {"creeps": self.creep, "has inertia": self.dynamics, "lags": self.lag}
+            does = " and ".join(does for does, part in parts.items() if part)
+            raise ModelError(f"this actuator {does}, so that the answer depends on time; give time= [s], one a sample")
+        bounds, durations = (np.array([0, samples]), np.zeros(1)) if time is None else clock(time, samples)
+        if self.creep is None and self.dynamics is None:
+            bounds, durations = np.array([0, samples]), np.zeros(1)
+        empty = np.empty((durations.size, 0))
+        decay, gain = (empty, empty) if self.creep is None else self.creep.tables(durations)
+        if self.dynamics is None:
+            return Pace(bounds, decay, gain, empty)
+        share = self.dynamics.share(self.spring)
+        pace = Pace(bounds, decay, gain, self.dynamics.transitions(durations, share))
+        self._demand_solvable(self.dynamics, share, pace, durations)
+        return pace
+
+    def _demand_solvable(self, dynamics: Dynamics, share: float, pace: Pace, durations: Array) -> None:
+        """An overshoot within one step pulls w back; it must not outdo the spring."""
+        after = pace.transition[:, 6]
+        slope = least_slope(self.slip, self.spring) + dynamics.series * (1 - after / (1 + share * after))
+        if self.creep is not None:
+            slope = slope + pace.gain @ self.creep.stiffness
+        if np.any(slope <= 0):
+            worst = durations[int(np.argmin(slope))]
+            raise ModelError(
+                f"time: a step of {worst:.3g} s is too long for a resonance at {dynamics.frequency / (2 * np.pi):.3g} "
+                f"Hz and a spring this uneven; give {np.pi / 5 / dynamics.frequency:.2g} s or less"
+            )
+
+    def _push(self, load: ArrayLike | None, samples: int) -> Array:
+        """F_ext/kc [m]."""
+        if load is None:
+            return NOTHING
+        if self.load_stiffness is None:
+            raise ModelError("load: this actuator does not know how far a force moves it; give load_stiffness= [N/m]")
+        force = vector(load, "load")
+        if force.size != samples:
+            raise ModelError(f"load: got {force.size} values for {samples} samples, need as many")
+        return force / self.load_stiffness
+
+    def _amplified(self, command: Array, time: ArrayLike | None, before: float) -> Array:
+        """What a lagging amplifier makes of a command that is straight between samples, from its present voltage."""
+        if not self.lag or not command.size or time is None:
+            return command
+        bounds, durations = clock(time, command.size)
+        behind = strains(command, bounds, *Creep([self.lag], [0.0]).tables(durations), command[:1] - before)
+        return command - behind[:, 0]
+
+    def _derivatives(self, path: Array, course: Course) -> tuple[Array, Array]:
+        """Velocity and acceleration of the path, where they are not given those of its cubic spline."""
+        found = []
+        for order, values, what in ((1, course.velocity, "velocity"), (2, course.acceleration, "acceleration")):
+            if values is None:
+                found.append(_spline(path, _seconds(course), order))
+                continue
+            given = vector(values, what)
+            if given.size != path.size:
+                raise ModelError(f"{what}: got {given.size} values for {path.size} samples, need as many")
+            found.append(given)
+        return found[0], found[1]
+
+
+def _seconds(course: Course) -> Array:
+    return NOTHING if course.time is None else vector(course.time, "time")
+
+
+def _spline(path: Array, time: Array, order: int) -> Array:
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(time, path)(time, order)) if path.size > 1 else np.zeros(path.size)
+
+
+def least_slope(slip: MaxwellSlip | GradedSlip, spring: Spring) -> float:
+    """Least slope [V/m] of any branch, whatever the state.
+
+    Raises
+    ------
+    ModelError
+        If graded elements leave a branch that does not rise. It is enough to look at the outermost two: on any other
+        some carts stand still, which adds to the slope.
+    """
+    if isinstance(slip, MaxwellSlip) or not len(slip):
+        return float(spring.slopes.min())
+    found = []
+    for side, rho in (("rising", slip.breakaway), ("falling", -slip.breakaway)):
+        bends = np.concatenate([spring.displacement[1:-1], slip.knots[1:-1], (slip.knots[1:-1, None] + rho).ravel()])
+        bends = np.unique(bends) if bends.size else np.zeros(1)
+        at = np.concatenate([[bends[0] - 1], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1]])
+        own = spring.slopes[np.searchsorted(spring.displacement[1:-1], at, side="right")]
+        gains, losses = slip.slopes_at(at[:, None]).sum(axis=1), slip.slopes_at(at[:, None] - rho).sum(axis=1)
+        slope, rounding = own + gains - losses, _LEAST * (own + gains)
+        worst = int(np.argmin(slope - rounding))
+        if slope[worst] <= rounding[worst]:
+            raise ModelError(
+                f"with these graded elements the voltage does not rise with the displacement on the {side} outermost "
+                f"branch near {at[worst]:.6g} m: its slope there is {slope[worst]:.3g} V/m. Identify with a slope floor"
+            )
+        found.append(float(slope.min()))
+    return min(found)

@@ -1,0 +1,313 @@
+"""The regression of wider actuators: graded elements, a transformer, creep and smooth elements beside the spring.
+
+    tau(v) = sum_im kappa_im [R_m(y) - R_m(b_i)] + sum_j slope_j R_j(y) + sum_j c_j d_j + sum_l k_l q_l
+             + sum_j p_jq exp(-t/tau_j) + a_e + c_q L(t) + residual
+
+R_m(z) is the part of z in segment m; b_i the position of cart i; all unknowns >= 0 but the constants, slope_j and the
+slopes of tau >= a floor; p_jq, what is left at time t since record q began of the creep before it, is at most c_j times
+the range. tau keeps the ends of the voltages where they are, which fixes scale and offset. On every
+outermost branch the right-hand side must increase by the floor at least; those of these inequalities that would be
+violated go into the program.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._native import Array
+from dehyst.elements import parts_in_segments
+from dehyst.program import Norm, Solution, solve
+from dehyst.rows import Rows
+from dehyst.structure import Grid
+
+_DRIVE_FLOOR = 0.2
+_ROUNDS = 12
+# Inequalities that one round adds at most, and how far [of the floor] one may be violated.
+_ADDED = 40
+_VIOLATED = 1e-6
+# Of the creep before a record, what is less than this at its first sample that counts is nothing.
+_FORGOTTEN = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class WideCoefficients:
+    """What a regression found.
+
+    Attributes
+    ----------
+    stiffness : (N, M) array
+        kappa_im [V/m].
+    slopes : (K - 1,) array
+        Of the spring [V/m].
+    moved : (J + L,) array
+        Stiffnesses of creep branches, then of smooth elements [V/m].
+    drive : (T,) array
+        Slopes of tau; empty without one.
+    offsets, drifts : dict
+        Constants by epoch and drifts by record [V of tau].
+    starts : dict
+        p_j (J,) by record [V of tau].
+    solution : Solution
+    """
+
+    stiffness: Array
+    slopes: Array
+    moved: Array
+    drive: Array
+    offsets: dict[int, float]
+    drifts: dict[int, float]
+    solution: Solution
+    starts: dict[int, Array] = field(default_factory=dict)
+
+    def rms(self, slope: Array) -> float:
+        """RMS residual [m]."""
+        return float(np.sqrt(np.mean((self.solution.residual / slope) ** 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class WideRegression:
+    """What is fixed while coefficients are sought; see `dehyst.regression.Regression`, whose place it takes.
+
+    Attributes
+    ----------
+    rows : Rows
+        With what moves along the path: creep strains, smooth elongations, then exp(-t/tau_j).
+    grid : Grid
+    floor : float
+        Least slope of the spring, and of every outermost branch [V/m].
+    datum : (records,) array
+        d_q [m].
+    drifting : tuple of int
+        Records that get a drift.
+    strained : tuple of int
+        Records whose creep branches may not be at rest as they begin.
+    """
+
+    rows: Rows
+    grid: Grid
+    floor: float
+    datum: Array
+    drifting: tuple[int, ...] = ()
+    strained: tuple[int, ...] = ()
+
+    def thinned(self, most: int) -> WideRegression:
+        """The same on fewer rows."""
+        return replace(self, rows=self.rows.thinned(most))
+
+    def chosen(self, which: NDArray[np.bool_]) -> WideRegression:
+        """The same on some of the rows."""
+        return replace(self, rows=self.rows.chosen(which))
+
+    @property
+    def knots(self) -> Array:
+        """Knots of the spring [m]."""
+        return self.grid.knots
+
+    @cached_property
+    def axis(self) -> Array:
+        """Displacement of each row on the model's axis (n,)."""
+        return self.rows.displacement + self.datum[self.rows.record]
+
+    @cached_property
+    def carts(self) -> Array:
+        """Positions of the movable carts (n, m) [m]."""
+        return np.asarray(self.axis[:, None] - self.rows.elongation[:, self.grid.movable])
+
+    @cached_property
+    def bounded(self) -> Array:
+        """Columns of the unknowns that are not negative (n, q): elements, spring, what moves, transformer, starts."""
+        grades, n = self.grid.grades, len(self.rows)
+        if self.grid.segments == 1:
+            elements = self.rows.elongation[:, self.grid.movable]
+        else:
+            held = parts_in_segments(grades, self.carts.ravel()).reshape(n, -1, self.grid.segments)
+            elements = (parts_in_segments(grades, self.axis)[:, None, :] - held).reshape(n, -1)
+        moved = self.rows.moved[:, : self.grid.moved]
+        spring = parts_in_segments(self.knots, self.axis)
+        return np.hstack([elements, spring, moved, -self._drive_columns, self._start_columns, -self._start_columns])
+
+    @property
+    def _start_columns(self) -> Array:
+        """What is left of the creep before strained records, a block of branches a record (n, S J)."""
+        fades = self.rows.moved[:, self.grid.moved :]
+        blocks = [fades * (self.rows.record == q)[:, None] for q in self.strained]
+        columns = np.hstack([np.zeros((len(fades), 0)), *blocks])
+        # What was forgotten before the first sample that counts is no column.
+        return np.where(columns.max(axis=0, initial=0.0) < _FORGOTTEN, 0.0, columns)
+
+    @cached_property
+    def _drive_parts(self) -> Array:
+        """The part of each voltage in each segment of tau (n, T)."""
+        knots = self.grid.drive
+        return parts_in_segments(knots, self.rows.voltage) if knots.size else np.zeros((len(self.rows), 0))
+
+    @property
+    def _drive_columns(self) -> Array:
+        """Changes of tau that leave its ends where they are: the last segment gives back what another one gets."""
+        parts, lengths = self._drive_parts, np.diff(self.grid.drive)
+        return parts[:, :-1] - parts[:, -1:] * (lengths[:-1] / lengths[-1]) if lengths.size else parts
+
+    @cached_property
+    def target(self) -> Array:
+        """Right-hand side (n,) [V]: what the floors leave."""
+        v, spring = self.rows.voltage, self.floor * parts_in_segments(self.knots, self.axis).sum(axis=1)
+        knots = self.grid.drive
+        if not knots.size:
+            return np.asarray(v - spring)
+        last = (1 - _DRIVE_FLOOR) * np.ptp(knots) / (knots[-1] - knots[-2]) * self._drive_parts[:, -1]
+        return np.asarray(knots[0] + _DRIVE_FLOOR * (v - knots[0]) + last - spring)
+
+    def nuisances(self) -> Array:
+        """Columns of the epochs' constants, then of the drifts."""
+        epochs = np.unique(self.rows.epoch)
+        constants = (self.rows.epoch[:, None] == epochs).astype(float)
+        drifts = [np.where(self.rows.record == q, self.rows.drift, 0.0)[:, None] for q in self.drifting]
+        return np.hstack([constants, *drifts])
+
+    def fit(self, norm: Norm, weights: Array | None = None) -> WideCoefficients:
+        """Solve the program, inequalities added round by round where they would be violated."""
+        free, matrix, lower = self.nuisances(), *self._inequalities()
+        for _ in range(_ROUNDS):
+            answer = solve(free, self.bounded, self.target, weights=weights, norm=norm,
+                           constraints=(matrix, lower) if lower.size else None)  # fmt: skip
+            more = self._violated(answer.nonnegative) if self.grid.segments > 1 and answer.optimal else matrix[:0]
+            if not len(more):
+                break
+            matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))
+        return self._coefficients(answer)
+
+    def fit_weighted(self, norm: Norm, passes: int = 2) -> WideCoefficients:
+        """Fit with rows weighted by the inverse slope of the model that least-squares passes before it find."""
+        weights = None
+        for _ in range(passes - 1):
+            weights = 1 / self.slope(self.fit("l2", weights))
+        return self.fit(norm, weights)
+
+    def slope(self, found: WideCoefficients) -> Array:
+        """d tau(v)/dy of the model at each row (n,) [V/m], at the floor at least."""
+        grid, y = self.grid, self.axis
+        kappa = found.stiffness[grid.movable]
+        slope = kappa.sum(axis=0)[_segment(grid.grades, y)] + found.slopes[_segment(self.knots, y)]
+        sliding = ~self.rows.stuck[:, grid.movable]
+        at = np.take_along_axis(kappa.T, _segment(grid.grades, self.carts), axis=0)
+        branches = grid.time_constants.size
+        pulled = (
+            np.abs(self.rows.moved[:, branches : grid.moved]) / grid.lengths
+            if grid.lengths.size
+            else np.zeros((len(y), 0))
+        )
+        slope = slope - np.where(sliding, at, 0.0).sum(axis=1) + found.moved[:branches].sum()
+        return np.asarray(np.maximum(slope + (1 - np.minimum(pulled, 1)) @ found.moved[branches:], self.floor))
+
+    def model(self, found: WideCoefficients) -> Array:
+        """Right-hand side less tau(v) of each row (n,) [V], without constants and drifts: what they must make up."""
+        known = np.concatenate([found.stiffness[self.grid.movable].ravel(), found.slopes, found.moved])
+        tau = self.grid.drive[0] + self._drive_parts @ found.drive if found.drive.size else self.rows.voltage
+        return np.asarray(self.bounded[:, : known.size] @ known - tau)
+
+    def residual(self, found: WideCoefficients) -> Array:
+        """What the equation of each row leaves [V], with the constants found; an epoch without one gets its median."""
+        left = self.model(found)
+        for q, drift in found.drifts.items():
+            left += drift * np.where(self.rows.record == q, self.rows.drift, 0.0)
+        for q, start in found.starts.items():
+            left += (self.rows.moved[:, self.grid.moved :] @ start) * (self.rows.record == q)
+        for epoch in np.unique(self.rows.epoch).tolist():
+            own = self.rows.epoch == epoch
+            left[own] += found.offsets.get(epoch, -float(np.median(left[own])))
+        return left
+
+    def nuisances_of(self, found: WideCoefficients) -> WideCoefficients:
+        """Fit only the constants and drifts of these rows, for a model that is given."""
+        fades = self._start_columns
+        starts = np.hstack([fades, -fades])
+        stiffness = np.tile(found.moved[: self.grid.time_constants.size], len(self.strained))
+        limits = -np.hstack([np.eye(stiffness.size)] * 2), -float(np.ptp(self.knots)) * stiffness
+        answer = solve(self.nuisances(), starts, -self.model(found), weights=1 / self.slope(found), norm="l2",
+                       constraints=limits if stiffness.size else None)  # fmt: skip
+        offsets, drifts = self._constants(answer)
+        return replace(found, solution=answer, offsets=offsets, drifts=drifts, starts=self._starts(answer.nonnegative))
+
+    def datum_steps(self, records: list[int]) -> Array:
+        """Changes of the datums [m] that a least-squares fit asks for, the model linearised at the present ones."""
+        slope = self.slope(self.fit("l2"))
+        shifts = np.column_stack([np.where(self.rows.record == q, slope, 0.0) for q in records])
+        answer = solve(np.hstack([self.nuisances(), shifts]), self.bounded, self.target, norm="l2")
+        return answer.free[-len(records) :]
+
+    def _inequalities(self) -> tuple[Array, Array]:
+        """What the last segment of tau has left to give; starts of creep that a branch can hold."""
+        grid, records, unknowns = self.grid, len(self.strained), self.bounded.shape[1]
+        lengths, branches = np.diff(grid.drive), grid.time_constants.size
+        spring = int(np.count_nonzero(grid.movable)) * grid.segments
+        creep, starts = spring + grid.knots.size - 1, unknowns - 2 * records * branches
+        rows = []
+        if lengths.size:
+            rows.append(np.zeros(unknowns))
+            rows[-1][starts - (lengths.size - 1) : starts] = -lengths[:-1]
+        for k in range(records * branches):
+            rows.append(np.zeros(unknowns))
+            rows[-1][creep + k % branches] = float(np.ptp(grid.knots))
+            rows[-1][[starts + k, starts + records * branches + k]] = -1
+        lower = np.zeros(len(rows))
+        lower[: bool(lengths.size)] = -(1 - _DRIVE_FLOOR) * float(lengths.sum())
+        return np.array(rows).reshape(-1, unknowns), lower
+
+    @cached_property
+    def _rising(self) -> Array:
+        """Slope of the outermost branches above the floor, one row a straight piece, as columns of `bounded`."""
+        grid = self.grid
+        rho, size = grid.breakaway[grid.movable], self.bounded.shape[1]
+        rows = []
+        for sign in (1.0, -1.0):
+            bends = np.unique(np.concatenate([grid.knots, grid.grades, (grid.grades[:, None] + sign * rho).ravel()]))
+            for y in np.concatenate([[bends[0] - 1e-9], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1e-9]]):
+                row = np.zeros(size)
+                blocks = row[: rho.size * grid.segments].reshape(rho.size, grid.segments)
+                blocks[:, _segment(grid.grades, y)] += 1
+                blocks[np.arange(rho.size), _segment(grid.grades, y - sign * rho)] -= 1
+                row[rho.size * grid.segments + _segment(grid.knots, y)] = 1
+                rows.append(row)
+        return np.unique(np.array(rows), axis=0)
+
+    def _violated(self, x: Array) -> Array:
+        """The inequalities that x violates most."""
+        value = self._rising @ x
+        worst = np.argsort(value, kind="stable")[:_ADDED]
+        return self._rising[worst[value[worst] < -_VIOLATED * self.floor]]
+
+    def _coefficients(self, answer: Solution) -> WideCoefficients:
+        grid, x = self.grid, answer.nonnegative
+        count, segments, spring = int(np.count_nonzero(grid.movable)), grid.segments, grid.knots.size - 1
+        stiffness = np.zeros((grid.movable.size, segments))
+        stiffness[grid.movable] = x[: count * segments].reshape(count, segments)
+        rest = x[count * segments :]
+        lengths = np.diff(grid.drive)
+        drive = rest[spring + grid.moved :][: max(lengths.size - 1, 0)]
+        if lengths.size:
+            left = max((1 - _DRIVE_FLOOR) * lengths.sum() - drive @ lengths[:-1], 0.0) / lengths[-1]
+            drive = _DRIVE_FLOOR + np.append(drive, left)
+        starts = x[x.size - 2 * len(self.strained) * grid.time_constants.size :]
+        return WideCoefficients(stiffness, rest[:spring] + self.floor, rest[spring : spring + grid.moved], drive,
+                                *self._constants(answer), answer, self._starts(starts))  # fmt: skip
+
+    def _starts(self, both: Array) -> dict[int, Array]:
+        """By record, from what is added and what is taken away."""
+        if not both.size:
+            return {}
+        plus, minus = both.reshape(2, len(self.strained), -1)
+        return dict(zip(self.strained, plus - minus, strict=True))
+
+    def _constants(self, answer: Solution) -> tuple[dict[int, float], dict[int, float]]:
+        epochs = np.unique(self.rows.epoch)
+        constants, drifts = answer.free[: epochs.size].tolist(), answer.free[epochs.size :].tolist()
+        return dict(zip(epochs.tolist(), constants, strict=True)), dict(zip(self.drifting, drifts, strict=True))
+
+
+def _segment(knots: Array, z: Array | float) -> NDArray[np.intp]:
+    """Segment in which each z lies, the end segments being unbounded."""
+    return np.clip(np.searchsorted(knots, z, side="right") - 1, 0, knots.size - 2)
