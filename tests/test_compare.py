@@ -153,6 +153,7 @@ def test_tracking_is_exact_where_the_model_is():
     assert found == pytest.approx((0, 0, 0), abs=1e-10)
     worse = ruler.track(Linear(2.5e-7))
     assert worse.largest == pytest.approx(20 * ruler.path().max(), rel=1e-9)
+    assert worse.beyond == 0
     assert [record.name for record in ruler.records()] == ["ruler-0a", "ruler-0b", "ruler-0c"]
 
 

@@ -71,8 +71,9 @@ class Trial:
     def track(self, model: AbstractModel, seed: int = 7) -> Tracking:
         """Compensate a random path of 40 reversals and play the voltage into the actuator, both homed first.
 
-        Homing, up to the highest voltage and back, makes the state known; a creeping actuator goes on creeping. A model
-        that knows a delay is asked for the path that much earlier.
+        Homing, up to the highest voltage and back, makes the state known; a creeping actuator goes on creeping. The
+        first leg leads from where homing ended onto the path and does not count. A model that knows a delay is asked
+        for the path that much earlier.
         """
         truth = self.truth(1000 + seed)
         homing = raised_cosine(truth.highest, cycles=2, drive=self._drive(self.slow)).voltage
@@ -80,19 +81,22 @@ class Trial:
         time = np.arange(homing.size + wanted.size) / self._rate
         voltage = self._sent(model, homing, wanted, time)
         reached = truth.drive(np.concatenate([homing, voltage]), time=time, measured=False)[homing.size :]
-        error = wanted - reached
+        error = (wanted - reached)[_first_leg(wanted) :]
         beyond = max(float(voltage.max()) - truth.highest, -float(voltage.min()), 0.0)
         missed = percent(largest(error), truth.stroke), percent(rms(error), truth.stroke)
         return Tracking(*missed, percent(beyond, truth.highest))
 
     def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array) -> Array:
         """Voltage for the path after homing; the model is asked for both in one piece, lest there be a jump."""
+        from scipy.interpolate import CubicSpline
+
         homed = simulated(model, homing, time[: homing.size]).displacement
         when = time[homing.size :]
-        ahead = np.interp(when + float(getattr(model, "delay", 0.0)), when, wanted)
-        # From where the model thinks that it was left, over the time of a fast leg.
-        n = min(_SAMPLES_A_FAST_CYCLE // 2, wanted.size)
-        ahead[:n] += (homed[-1] - ahead[0]) * (0.5 + 0.5 * np.cos(np.pi * np.arange(n) / n))
+        delay = float(getattr(model, "delay", 0.0))
+        ahead = np.asarray(CubicSpline(when, wanted)(np.minimum(when + delay, when[-1])))
+        # From where the model thinks that it was left.
+        n = _first_leg(wanted)
+        ahead[:n] += (homed[-1] - ahead[0]) * (1 - _smooth(np.arange(n) / n))
         asked, start = np.concatenate([homed, ahead]), beginning(model, homing)
         return model.compensate(asked, state=start, **timed(model, time)).voltage[homing.size :]
 
@@ -111,8 +115,7 @@ class Trial:
         for a, b in pairwise(turns):
             seconds = 0.5 / float(np.exp(rng.uniform(np.log(self.slow), np.log(self.fast))))
             n = max(8, round(seconds * self._rate))
-            u = np.arange(1, n + 1) / n
-            legs.append(a + (b - a) * u**3 * (10 - 15 * u + 6 * u**2))
+            legs.append(a + (b - a) * _smooth(np.arange(1, n + 1) / n))
         return np.concatenate(legs)
 
     @property
@@ -129,6 +132,16 @@ class Trial:
             y = truth.drive(excitation.voltage, time=excitation.time)
             found.append(Record(excitation.time, excitation.voltage, y, f"{self.name}-{seed}{'abc'[i]}"))
         return tuple(found)
+
+
+def _smooth(u: Array) -> Array:
+    """From 0 to 1, at rest and not accelerated at either end."""
+    return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
+
+
+def _first_leg(path: Array) -> int:
+    """Samples before the first turn."""
+    return int(np.argmax(np.diff(path) < 0))
 
 
 TRIALS: Mapping[str, Trial] = {
