@@ -182,8 +182,8 @@ class _Job:
         reference = regression.rows.epoch[regression.rows.record == self.widest].max()
         actuator = Actuator(
             **parts(regression.grid, found, found.offsets[int(reference)]),
-            dynamics=frame.inertia.dynamics, limits=voltages, delay=self.delay, name=self.training[self.widest].record.name,
-            provenance=self._provenance(),
+            dynamics=frame.inertia.dynamics, limits=voltages, delay=self.delay,
+            name=self.training[self.widest].record.name, provenance=self._provenance(),
         )  # fmt: skip
         self.tell("simulating every record")
         return self._finish(actuator, regression, Outcome.IDENTIFIED, found.solution.status, found.solution.gap)
