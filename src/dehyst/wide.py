@@ -80,12 +80,11 @@ class WideModel:
         pace, push = self._pace(course.time, path.size), self._push(course.load, path.size)
         w, more, held = path - push if push.size else path, NOTHING, self.held(start)
         if self.dynamics is not None:
-            velocity, acceleration = self._derivatives(path, course)
-            omega = self.dynamics.frequency
-            w = w + (2 * self.dynamics.damping * velocity + acceleration / omega) / omega
+            velocity, acceleration = self.derivatives(path, course)
+            w = w + self.dynamics.lead(velocity, acceleration)
             more = self.dynamics.series * (w - path)
             if path.size:
-                held = held._replace(motion=np.array([path[-1], velocity[-1] / omega]))
+                held = held._replace(motion=np.array([path[-1], velocity[-1] / self.dynamics.frequency]))
         voltage, reached = self.core.compensate(w, pace, held, more=more, stack=stack)
         if self.lag and path.size > 1:
             rate = np.gradient(voltage, _seconds(course), edge_order=2 if path.size > 2 else 1)
@@ -152,7 +151,13 @@ class WideModel:
         behind = strains(command, bounds, *Creep([self.lag], [0.0]).tables(durations), command[:1] - before)
         return command - behind[:, 0]
 
-    def _derivatives(self, path: Array, course: Course) -> tuple[Array, Array]:
+    def lead(self, path: Array, course: Course) -> Array:
+        """W less the path (n,) [m]: what inertia, damping and load ask for."""
+        push = self._push(course.load, path.size)
+        ahead = np.zeros(path.size) if self.dynamics is None else self.dynamics.lead(*self.derivatives(path, course))
+        return ahead - push if push.size else ahead
+
+    def derivatives(self, path: Array, course: Course) -> tuple[Array, Array]:
         """Velocity and acceleration of the path, where they are not given those of its cubic spline."""
         found = []
         for order, values, what in ((1, course.velocity, "velocity"), (2, course.acceleration, "acceleration")):
