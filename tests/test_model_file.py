@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from dehyst._errors import DehystError, FileFormatError, ModelError
 from dehyst.actuator import Actuator
 from dehyst.creep import Creep
+from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import read_json, write_json
 from dehyst.model import State
@@ -105,9 +106,12 @@ def wide():
     return Actuator(
         GradedSlip(plain.slip.breakaway, [0.0, 4e-6, 1e-5], [[2e6, 2.5e6], [1e6, 0.3]]),
         plain.spring,
-        State(1e-6, [0.95e-6, 0.8e-6], [1e-8, 0.0, -2e-9]),
+        State(1e-6, [0.95e-6, 0.8e-6], [1e-8, 0.0, -2e-9], [1.1e-6, 0.1 / 3]),
         transformer=Transformer([0.0, 50.0, 100.0], [0.0, 1 / 3 + 51, 100.0]),
         creep=Creep([0.1, 1.0, 100.0], [1e5, 1 / 3, 0.0]),
+        dynamics=Dynamics(2000 / 3, 0.01, 1e5 / 3),
+        lag=1e-3 / 3,
+        load_stiffness=1e7 / 3,
     )
 
 
@@ -115,11 +119,13 @@ def test_wider_parts_come_back_exactly(tmp_path):
     actuator = wide()
     back = through_a_file(actuator, tmp_path / "a.json")
     for part, fields in (("slip", ("breakaway", "knots", "stiffness")), ("transformer", ("voltage", "drive")),
-                         ("creep", ("time_constants", "stiffness")), ("state", ("carts", "creep"))):  # fmt: skip
+                         ("creep", ("time_constants", "stiffness")),
+                         ("state", ("carts", "creep", "motion"))):  # fmt: skip
         for name in fields:
             one, two = (getattr(getattr(a, part), name) for a in (actuator, back))
             assert one.shape == two.shape
             assert one.tobytes() == two.tobytes()
+    assert (actuator.dynamics, actuator.lag, actuator.load_stiffness) == (back.dynamics, back.lag, back.load_stiffness)
     write_json(tmp_path / "b.json", back.as_dict())
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
@@ -150,6 +156,12 @@ def test_a_file_of_version_1(tmp_path):
         ("creep.stiffness_V_per_m", [1.0, -1.0, 1.0], "creep stiffness 1 is -1 V/m"),
         ("creep.time_constants_s", [0.0, 1.0, 2.0], "creep time constants must be positive"),
         ("creep.time_constants_s", [1.0], "got 1 creep time constants and 3 stiffnesses"),
+        ("dynamics.damping", -1.0, "damping: got -1.0, need 0 or more"),
+        ("dynamics.frequency_rad_per_s", "1", r"dynamics.frequency_rad_per_s: got '1', need a finite number"),
+        ("dynamics", {"damping": 1.0}, r"dynamics: missing keys \['frequency_rad_per_s', 'series_V_per_m'\]"),
+        ("lag_s", None, "lag_s: got None, need a finite number"),
+        ("load_stiffness_N_per_m", 0.0, "load_stiffness: got 0.0, need a positive number"),
+        ("state.motion", [1.0, 2.0], r"model: motion must be an object"),
         ("state.creep_m", [1.0], "state: got 1 creep strains, this actuator has 3 creep branches"),
     ],
 )
