@@ -101,7 +101,7 @@ def bench(kind, seed):
         actuator = Actuator(actuator.slip, actuator.spring, transformer=actuator.transformer, creep=actuator.creep,
                             dynamics=Dynamics(30.0, 0.3, slope))  # fmt: skip
     model = actuator.model
-    state = actuator._complete(our.make_state(plain, seed, "arbitrary"))
+    state = model.fitted(our.make_state(plain, seed, "arbitrary"))
     kinds = ("break points", "decay", "jumps", "noisy ramp", "walk")
     path = np.concatenate([our.make_path(plain, state.displacement, seed, k, 200) for k in kinds])
     time = np.arange(path.size) * 0.01

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,7 @@ from dehyst._errors import ModelError
 from dehyst._native import NOTHING, Array, Held, Pace, WideCore, strains, vector
 from dehyst.creep import Creep, clock
 from dehyst.dynamics import Dynamics
-from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer, frozen
 from dehyst.model import State
 
 # What rounding may leave of a slope that is the difference of two.
@@ -101,6 +101,39 @@ class WideModel:
     def _state(self, held: Held) -> State:
         motion = held.motion if self.dynamics is None else held.motion * np.array([1.0, self.dynamics.frequency])
         return State(held.w, held.carts, held.strains, motion)
+
+    def fitted(self, start: State) -> State:
+        """The state, complete and with rounding taken out; `ModelError` if it is none of this actuator."""
+        if not isinstance(start, State):
+            raise ModelError(f"state: got {type(start).__name__}, need a State, such as the one a Motion hands back")
+        if start.carts.size != len(self.slip):
+            raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
+        start = self._complete(start)
+        excess = np.abs(start.displacement - start.carts) - self.slip.breakaway
+        worst = int(np.argmax(excess)) if excess.size else 0
+        if excess.size and excess[worst] > 1e-9 * (self.slip.breakaway[worst] + abs(start.displacement)):
+            raise ModelError(
+                f"state: cart {worst} is {excess[worst]:.3g} m farther from the displacement than its breakaway "
+                f"elongation {self.slip.breakaway[worst]:.3g} m"
+            )
+        return start if not excess.size or excess[worst] <= 0 else replace(start, carts=self._pulled(start))
+
+    def _complete(self, state: State) -> State:
+        """Put in creep strains and motion, if they were left out."""
+        branches, moving = 0 if self.creep is None else len(self.creep), 0 if self.dynamics is None else 2
+        if state.creep.size not in (0, branches):
+            raise ModelError(
+                f"state: got {state.creep.size} creep strains, this actuator has {branches} creep branches"
+            )
+        if state.motion.size > moving:
+            raise ModelError("state: got a motion, this actuator has no dynamics")
+        if state.creep.size < branches:
+            state = replace(state, creep=np.zeros(branches))
+        return replace(state, motion=np.array([state.displacement, 0.0])) if state.motion.size < moving else state
+
+    def _pulled(self, state: State) -> Array:
+        low, high = state.displacement - self.slip.breakaway, state.displacement + self.slip.breakaway
+        return frozen(np.clip(state.carts, low, high))
 
     def _pace(self, time: ArrayLike | None, samples: int) -> Pace:
         if time is None and self.needs_time:
