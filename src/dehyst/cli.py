@@ -127,7 +127,9 @@ def simulate(
     table = read_table(voltage_file)
     voltage = table.column("voltage", columns["voltage"])
     time = time_of_table(table, voltage.size, columns)
-    motion = actuator.simulate(voltage, state=start_state(actuator, start))
+    motion = actuator.simulate(
+        voltage, time=time.get("time_s") if actuator.needs_time else None, state=start_state(actuator, start)
+    )
     displacement = lagging(motion.displacement, actuator, time) if lag else motion.displacement
     write_columns(output, {**time, "voltage_V": voltage, "displacement_um": displacement * 1e6})
     outside = count_outside(actuator, voltage)

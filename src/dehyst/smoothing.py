@@ -12,7 +12,8 @@ from dehyst.record import Record, white_noise
 from dehyst.repairs import cycle_time
 from dehyst.signals import turning_points
 
-# Turns of the voltage below this part of its range, or below its noise, are none; a hold moves less in this many samples.
+# Turns of the voltage below this part of its range, or below its noise, are none; a hold moves less than a tenth of it
+# in this many samples.
 _TURN = 2e-3
 _HOLD = 8
 # Noise below this part of the range drags no element that counts; a parabola fits this part of a cycle.
@@ -50,11 +51,14 @@ def monotone(piece: Record) -> Record:
 
     y = piece.displacement.copy()
     for start, stop, rising in _legs(piece):
-        if rising is None:
-            quarter = max((stop - start) // 4, 1)
-            rising = bool(y[stop - quarter : stop].mean() >= y[start : start + quarter].mean())
-        y[start:stop] = isotonic_regression(y[start:stop], increasing=rising).x
+        upward = _drifts_up(y[start:stop]) if rising is None else rising
+        y[start:stop] = isotonic_regression(y[start:stop], increasing=upward).x
     return replace(piece, displacement=y)
+
+
+def _drifts_up(y: Array) -> bool:
+    quarter = max(y.size // 4, 1)
+    return bool(y[-quarter:].mean() >= y[:quarter].mean())
 
 
 def _legs(piece: Record) -> list[tuple[int, int, bool | None]]:

@@ -75,8 +75,11 @@ class Frame:
     def _rows_of(self, structure: Structure, most: int) -> WideRegression:
         grid = structure.grid(self.span, self.voltages, self.times)
         stroke = self.span[1] - self.span[0]
-        pieces = [(q, without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke), drift)
-                  for q, item in enumerate(self.training) for _, piece, drift in item.delayed(q, self.inertia.delay)]  # fmt: skip
+        pieces = [
+            (q, without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke), drift)
+            for q, item in enumerate(self.training)
+            for _, piece, drift in item.delayed(q, self.inertia.delay)
+        ]
         noise = [self.training[q].noise for q, _, _ in pieces]
         rows, _ = collect(pieces, grid.breakaway, noise,
                           moved=lambda number, piece: moved_along(grid, piece, self.training[number].lead))  # fmt: skip
