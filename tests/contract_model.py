@@ -5,14 +5,20 @@ A candidate makes a model that answers voltages between 0 and 100 V with displac
 
 from collections.abc import Callable
 from dataclasses import is_dataclass
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from dehyst import Actuator, MaxwellSlip, ModelError, Record, Spring
+from dehyst import Actuator, MaxwellSlip, ModelError, Record, Spring, excite
 from dehyst.model import AbstractModel, Motion
+from dehyst.rivals.generalised import Generalised
 from dehyst.rivals.goldfarb import Goldfarb
+from dehyst.rivals.krasnoselskii import Krasnoselskii
+from dehyst.rivals.kuhnen import Kuhnen
+from dehyst.rivals.prandtl import Prandtl
+from dehyst.truths import PlayActuator
 
 VOLTS = 100.0
 
@@ -38,12 +44,24 @@ def goldfarb():
     return Goldfarb.fit(Record(u, VOLTS * (0.7 * u + 0.3 * np.sqrt(u)), 1e-5 * u))
 
 
+@cache
+def fitted(kind, **options):
+    """Return a rival identified from loops of falling tops up to 100 V."""
+    voltage = excite.descending_tops(VOLTS, steps=5, drive=excite.Drive(sample_rate=1.0)).voltage
+    y = PlayActuator(highest=VOLTS).drive(voltage)
+    return kind.fit(Record(np.arange(y.size), voltage, y), delay=0.0, **options)
+
+
 MODELS = [
     Candidate("spring alone", lambda: actuator(0, [0, 4e-6, 1e-5], [0, 60, 100])),
     Candidate("one element", lambda: actuator(1, [0, 1e-5], [0, 80])),
     Candidate("ten elements", lambda: actuator(10, np.linspace(0, 1e-5, 11), 90 * np.linspace(0, 1, 11) ** 1.3)),
     Candidate("thousand elements", lambda: actuator(1000, [0, 2e-6, 1e-5], [0, 10, 90])),
     Candidate("Goldfarb and Celanovic", goldfarb),
+    Candidate("Prandtl and Ishlinskii", partial(fitted, Prandtl)),
+    Candidate("Kuhnen", partial(fitted, Kuhnen)),
+    Candidate("generalised Prandtl and Ishlinskii", partial(fitted, Generalised, lowpasses=())),
+    Candidate("Krasnosel'skii and Pokrovskii", partial(fitted, Krasnoselskii)),
 ]
 
 

@@ -23,6 +23,9 @@ from dehyst.rivals.least_squares import Rows, differences, left_out, nonnegative
 from dehyst.rivals.plays import PlayBank, PlayState
 from dehyst.rivals.training import Training, count, share
 
+# Low-passes fitted to what is no creep do harm elsewhere: they have to predict what was left out this much better.
+_WORTH = 0.8
+
 
 @dataclass(frozen=True, eq=False)
 class Generalised(AbstractModel):
@@ -107,7 +110,7 @@ class Generalised(AbstractModel):
             Of each curve, over what its play can reach.
         lowpasses : (K,) array_like, optional
             Time constants [s]; an empty one leaves creep out. By default two a decade from two samples to the length of
-            the longest record, or none if quarters of the records left out of the fit are predicted better so.
+            the longest record, or none unless quarters of the records left out of the fit are predicted much better so.
         slope_floor : float, optional
             Least slope just after a reversal, as a fraction of the mean one, without which there is no inverse.
         smoothing : float, optional
@@ -126,11 +129,12 @@ class Generalised(AbstractModel):
         count(segments, "segments")
         share(slope_floor, "slope_floor")
         training = Training.of(records)
-        lag = training.delay() if delay is None else delay
+        lag = training.lag(delay)
         choices = [_times(training), np.zeros(0)] if lowpasses is None else [_given(lowpasses)]
         designs = [_Design.of(training, plays, segments, times, lag, drift, slope_floor) for times in choices]
-        best = min(designs, key=lambda design: design.missed(smoothing)) if len(designs) > 1 else designs[0]
-        bank, state = training.placed(best.fitted(smoothing))
+        if len(designs) > 1 and designs[0].missed(smoothing) > _WORTH * designs[1].missed(smoothing):
+            del designs[0]
+        bank, state = training.placed(designs[0].fitted(smoothing))
         return cls(bank, state, lag, training.sentences)
 
 

@@ -54,10 +54,15 @@ class PlayInverse:
         object.__setattr__(self, "_core", core)
 
     def compensate(self, y: Array, state: PlayState) -> tuple[Array, PlayState]:
-        """Voltage (n,) [V] for a displacement (n,) [m], explicitly; `bank.compensate` says the same."""
+        """Voltage (n,) [V] for a displacement (n,) [m], explicitly; `bank.compensate` says the same.
+
+        From a state that no history leads to, neighbours farther apart than their thresholds, the closed form does not
+        hold, and the bank walks instead.
+        """
         self.bank.check(state)
-        if not y.size:
-            return np.zeros(0), state
+        steps = np.diff(self.bank.thresholds)
+        if not y.size or np.any(np.abs(np.diff(state.plays)) > steps + 1e-9 * self.bank.thresholds.max()):
+            return self.bank.compensate(y, state, None)
         start = _through(self.weights, np.concatenate([[state.voltage], state.plays[1:]]))
         none = np.zeros(0)
         v, z, _ = self._core.simulate(y - self.bank.offset, none, float(start[0]), start, none)

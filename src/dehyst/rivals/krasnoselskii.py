@@ -107,7 +107,7 @@ class Krasnoselskii(AbstractModel):
         training = Training.of(records)
         thresholds = training.thresholds(levels)
         knots = _knots(training.low, training.high, levels)
-        lag = training.delay() if delay is None else delay
+        lag = training.lag(delay)
         rows = training.rows(thresholds, np.zeros(0), lag, drift)
         # Every segment between knots is a kernel; what lies below the first and beyond the last is none.
         columns = rows.ramps(knots)[:, _kernels(levels)]

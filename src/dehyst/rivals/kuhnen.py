@@ -139,7 +139,7 @@ class Kuhnen(AbstractModel):
         share(slope_floor, "slope_floor")
         training = Training.of(records)
         thresholds = training.thresholds(plays)
-        lag = training.delay() if delay is None else delay
+        lag = training.lag(delay)
         rows = training.rows(thresholds, np.zeros(0), lag, drift)
         problem = _Problem(training, rows, thresholds, segments, slope_floor)
         weights, slopes = problem.solved()

@@ -107,7 +107,7 @@ class Prandtl(AbstractModel):
         share(slope_floor, "slope_floor")
         training = Training.of(records)
         thresholds = training.thresholds(plays)
-        lag = training.delay() if delay is None else delay
+        lag = training.lag(delay)
         rows = training.rows(thresholds, np.zeros(0), lag, drift)
         floors = np.zeros(plays)
         floors[0] = slope_floor * training.slope

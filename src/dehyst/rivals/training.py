@@ -19,6 +19,7 @@ from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst._native_plays import play_outputs
 from dehyst.preparation import Prepared, as_list, prepare
+from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.rivals.least_squares import Rows, nonnegative
 from dehyst.rivals.plays import PlayBank, PlayState
@@ -104,11 +105,6 @@ class Training:
     def rows(self, thresholds: Array, times: Array, delay: float, drift: bool = True) -> Rows:
         """Samples that count, evenly thinned if many, as plays and low-passes see them."""
         parts = [part for q in range(len(self.records)) for part in self._rows_of(q, thresholds, times, delay)]
-        if not parts:
-            raise IdentifyError(
-                "no sample counts: only those after the range of a record has been seen once say something. Record two "
-                "cycles at least"
-            )
         plays, known, passed, y, curve = (np.concatenate([part[i] for part in parts]) for i in range(5))
         stretch = np.concatenate([np.full(len(part[3]), i) for i, part in enumerate(parts)])
         record = np.concatenate([np.full(len(part[3]), part[5]) for part in parts])
@@ -133,6 +129,24 @@ class Training:
                 found.append((z[span], known, passed[span], piece.displacement[span], curve[span], number))
         return found
 
+    def lag(self, given: float | None) -> float:
+        """The delay [s] that was given, if it is one, or that is found.
+
+        Raises
+        ------
+        IdentifyError
+            If it is negative, or a quarter of a cycle or more.
+        """
+        if given is None:
+            return self.delay()
+        cycle = min(repairs.cycle_time(item.record) for item in self.records)
+        if not isinstance(given, Real) or not 0 <= float(given) < 0.25 * cycle:
+            raise IdentifyError(
+                f"delay: got {given!r}, need seconds, 0 or more and less than a quarter of a cycle of {cycle:.4g} s"
+            )
+        return float(given)
+
+    @one_thread()
     def delay(self) -> float:
         """Seconds by which the displacement lags the voltage: least residual of plays alone; 0 unless worth it."""
         from scipy.optimize import minimize_scalar
