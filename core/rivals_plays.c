@@ -34,28 +34,30 @@ static void move(const plays_model *m, plays_state *s, double v)
     s->v = v;
 }
 
-/* What low-pass k keeps of itself over dt, and takes of a voltage that rises in a straight line to its end. */
-static double keeps(const plays_model *m, int k, double dt) { return exp(-dt / m->tau[k]); }
-
-static double takes(const plays_model *m, int k, double dt)
-{
-    double ratio = dt / m->tau[k];
-    if (ratio < 1e-4) return ratio * (0.5 - ratio / 6);
-    return 1 + expm1(-ratio) / ratio;
-}
-
-static void pass(const plays_model *m, plays_state *s, double before, double now, double dt)
+static void set_step(const plays_model *m, plays_state *s, double dt)
 {
     int k;
-    for (k = 0; k < m->passes && dt > 0; k++) {
-        double a = keeps(m, k, dt);
-        s->q[k] = a * s->q[k] + (1 - a) * before + takes(m, k, dt) * (now - before);
+    if (dt == s->dt) return;
+    s->dt = dt;
+    for (k = 0; k < m->passes; k++) {
+        double ratio = dt / m->tau[k];
+        s->kept[k] = exp(-ratio);
+        s->gain[k] = ratio < 1e-4 ? ratio * (0.5 - ratio / 6) : 1 + expm1(-ratio) / ratio;
     }
+}
+
+static void pass(const plays_model *m, plays_state *s, double before, double now)
+{
+    int k;
+    for (k = 0; k < m->passes; k++)
+        s->q[k] = s->kept[k] * s->q[k] + (1 - s->kept[k]) * before + s->gain[k] * (now - before);
 }
 
 void plays_begin(const plays_model *m, plays_state *s)
 {
-    int i;
+    int i, k;
+    s->dt = 0;
+    for (k = 0; k < m->passes; k++) s->kept[k] = 1, s->gain[k] = 0;
     for (i = 0; i < m->plays; i++) {
         s->at[i] = segment_of(m, i, 0, s->z[i]);
         s->held[i] = curve_at(m, i, s->at[i], s->z[i]);
@@ -75,7 +77,8 @@ void plays_simulate(const plays_model *m, plays_state *s, const double *v, const
 {
     long t;
     for (t = 0; t < n; t++) {
-        pass(m, s, s->v, v[t], dt ? dt[t] : 0);
+        set_step(m, s, dt ? dt[t] : 0);
+        pass(m, s, s->v, v[t]);
         move(m, s, v[t]);
         y[t] = plays_level(m, s);
     }
@@ -135,13 +138,14 @@ long plays_compensate(const plays_model *m, plays_state *s, const double *y, con
 {
     long t;
     for (t = 0; t < n; t++) {
-        const double before = s->v, step = dt ? dt[t] : 0;
+        const double before = s->v;
         double now = before, passing = 0;
         int k;
-        pass(m, s, before, before, step);
-        for (k = 0; k < m->passes && step > 0; k++) passing += m->share[k] * takes(m, k, step);
+        set_step(m, s, dt ? dt[t] : 0);
+        pass(m, s, before, before);
+        for (k = 0; k < m->passes; k++) passing += m->share[k] * s->gain[k];
         if (!walk(m, s, y[t] - plays_level(m, s), passing, &now)) return t;
-        for (k = 0; k < m->passes && step > 0; k++) s->q[k] += takes(m, k, step) * (now - before);
+        for (k = 0; k < m->passes; k++) s->q[k] += s->gain[k] * (now - before);
         move(m, s, now);
         v[t] = now;
     }

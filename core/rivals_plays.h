@@ -35,9 +35,12 @@ typedef struct plays_state {
     double *q;    /* [passes] */
     double *held; /* [plays] phi_i(z_i), made by plays_begin */
     int *at;      /* [plays] the segment of phi_i that holds z_i, made by plays_begin */
+    double dt;    /* the time step of the next two, made by plays_begin */
+    double *kept; /* [passes] what q_k keeps of itself over dt */
+    double *gain; /* [passes] what it takes of a voltage that rises in a straight line to the end of dt */
 } plays_state;
 
-/* Fills `held` and `at` from z. */
+/* Fills what depends on z, and sets the time step to 0. */
 void plays_begin(const plays_model *m, plays_state *s);
 
 /* The displacement in a state. */

@@ -57,11 +57,12 @@ struct Plays {
     using Result = std::tuple<Output, long, double, Output, Output>;
 
     template <typename Function> Result run(Function function, Input in, Input dt, double v, Input z, Input q) const {
-        std::vector<double> own_z = copy(z), own_q = copy(q), held(r.size());
+        std::vector<double> own_z = copy(z), own_q = copy(q), held(r.size()), kept(tau.size()),
+            gain(tau.size());
         std::vector<int> at(r.size());
         const size_t n = in.size();
         demand(own_z.size() == r.size() && own_q.size() == tau.size() && (tau.empty() || dt.size() == n));
-        plays_state state{v, own_z.data(), own_q.data(), held.data(), at.data()};
+        plays_state state{v, own_z.data(), own_q.data(), held.data(), at.data(), 0, kept.data(), gain.data()};
         std::unique_ptr<double[]> out(new double[n + 1]);
         const double *source = in.data(), *steps = tau.empty() ? nullptr : dt.data();
         long met;
