@@ -192,6 +192,15 @@ def test_offsets_of_records_are_free(kind):
     np.testing.assert_allclose(second - second[0], first - first[0], rtol=0, atol=1e-6 * STROKE)
 
 
+@pytest.mark.parametrize("kind", RIVALS)
+def test_where_the_voltage_has_its_zero_does_not_matter(kind):
+    one = training(PlayActuator)
+    moved = [Record(r.time, r.voltage - 70.0, r.displacement, r.name) for r in one]
+    first = kind.fit(one, delay=0.0).simulate(wander(3)).displacement
+    second = kind.fit(moved, delay=0.0).simulate(wander(3) - 70.0).displacement
+    np.testing.assert_allclose(second, first, rtol=0, atol=1e-6 * STROKE)
+
+
 def test_a_delay_is_found_and_the_voltage_is_delayed_by_it():
     truth, voltage, seconds = PlayActuator(), through(TOPS), 0.05
     time = seconds * np.arange(1, voltage.size + 1)
