@@ -5,15 +5,21 @@ A candidate makes a model that answers voltages between 0 and 100 V with displac
 
 from collections.abc import Callable
 from dataclasses import is_dataclass, replace
+from functools import cache, partial
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Record, SmoothSlip, Spring, Transformer
+from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Record, SmoothSlip, Spring, Transformer, excite
 from dehyst.model import AbstractModel, Motion
+from dehyst.rivals.generalised import Generalised
 from dehyst.rivals.goldfarb import Goldfarb
+from dehyst.rivals.krasnoselskii import Krasnoselskii
+from dehyst.rivals.kuhnen import Kuhnen
+from dehyst.rivals.prandtl import Prandtl
+from dehyst.truths import PlayActuator
 
 VOLTS = 100.0
 
@@ -57,6 +63,14 @@ def smooth():
     return Actuator(plain.slip, plain.spring, smooth=SmoothSlip([3e-7, 1e-6, 4e-6], [1, 0.5, 0.8], [5e6, 3e6, 2e6]))
 
 
+@cache
+def fitted(kind, **options):
+    """Return a rival identified from loops of falling tops up to 100 V."""
+    voltage = excite.descending_tops(VOLTS, steps=5, drive=excite.Drive(sample_rate=1.0)).voltage
+    y = PlayActuator(highest=VOLTS).drive(voltage)
+    return kind.fit(Record(np.arange(y.size), voltage, y), delay=0.0, **options)
+
+
 MODELS = [
     Candidate("spring alone", lambda: actuator(0, [0, 4e-6, 1e-5], [0, 60, 100])),
     Candidate("one element", lambda: actuator(1, [0, 1e-5], [0, 80])),
@@ -66,6 +80,10 @@ MODELS = [
     Candidate("graded elements, a transformer and creep", lambda: wider(10, creep=True)),
     Candidate("plain elements and creep", lambda: replace(actuator(10, [0, 1e-5], [0, 80]), creep=CREEP)),
     Candidate("Goldfarb and Celanovic", goldfarb),
+    Candidate("Prandtl and Ishlinskii", partial(fitted, Prandtl)),
+    Candidate("Kuhnen", partial(fitted, Kuhnen)),
+    Candidate("generalised Prandtl and Ishlinskii", partial(fitted, Generalised, lowpasses=())),
+    Candidate("Krasnosel'skii and Pokrovskii", partial(fitted, Krasnoselskii)),
     Candidate("smooth elements", smooth, wipes_out=False),
 ]
 

@@ -100,4 +100,5 @@ def homed(actuator: Actuator, limits: tuple[float, float] | None) -> State:
     ends = actuator.spring.displacement[[0, -1]]
     if limits is None:
         return actuator.turned(float(ends[1]))
-    return actuator.simulate(np.array(limits), state=actuator.turned(float(ends[0]), rising=False)).state
+    after: State = actuator.simulate(np.array(limits), state=actuator.turned(float(ends[0]), rising=False)).state
+    return after

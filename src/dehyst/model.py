@@ -64,7 +64,7 @@ class Motion:
 
     voltage: Array
     displacement: Array
-    state: State
+    state: Any
 
 
 class AbstractModel(ABC):
