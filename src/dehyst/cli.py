@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from dehyst.cli_compare import compare
 from dehyst.cli_excite import excite
 from dehyst.console import (
     PATH,
@@ -43,6 +44,7 @@ def main() -> None:
     """Take the hysteresis out of piezoelectric actuators."""
 
 
+main.add_command(compare)
 main.add_command(excite)
 
 

@@ -15,6 +15,8 @@ import numpy as np
 from dehyst import plot
 from dehyst._native import Array
 from dehyst.actuator import Actuator
+from dehyst.compare import Comparison
+from dehyst.compare_page import comparison_sections
 from dehyst.elements import GradedSlip, MaxwellSlip
 from dehyst.files import write_atomically
 from dehyst.insight import Insight
@@ -29,7 +31,12 @@ _LABELS = {"program": "Program", "method": "Method", "norm": "Norm", "elements":
 
 
 def write_report(
-    path: str | PathLike[str], fit: Fit, *, command: str | None = None, insight: Insight | None = None
+    path: str | PathLike[str],
+    fit: Fit,
+    *,
+    command: str | None = None,
+    insight: Insight | None = None,
+    comparison: Comparison | None = None,
 ) -> None:
     """Write a report of `fit` to one HTML file that asks for nothing from outside.
 
@@ -42,6 +49,8 @@ def write_report(
         The command line that made it, to be shown.
     insight : Insight, optional
         What the records can and cannot tell, to be shown too.
+    comparison : Comparison, optional
+        Ours and rival models on the same records, to be shown too.
 
     Raises
     ------
@@ -50,10 +59,12 @@ def write_report(
     FileFormatError
         If the file cannot be written.
     """
-    write_atomically(path, render(fit, command, insight))
+    write_atomically(path, render(fit, command, insight, comparison))
 
 
-def render(fit: Fit, command: str | None = None, insight: Insight | None = None) -> str:
+def render(
+    fit: Fit, command: str | None = None, insight: Insight | None = None, comparison: Comparison | None = None
+) -> str:
     """Return the text of the report; the same text for the same fit.
 
     Raises
@@ -75,6 +86,7 @@ def render(fit: Fit, command: str | None = None, insight: Insight | None = None)
         _residuals(fit),
         *([_model(actuator), _numbers(actuator)] if actuator else []),
         *(sections(insight) if insight else []),
+        *(comparison_sections(comparison) if comparison else []),
         _reproduce(fit, actuator, command),
     ]
     return document(f"{name}: identification", parts)

@@ -1,0 +1,174 @@
+"""Virtual actuators to try models on: recorded as on a bench, then driven along a path that no record held."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dehyst._errors import ModelError
+from dehyst._native import Array
+from dehyst.actuator import Actuator
+from dehyst.excite import Drive, Excitation, descending_tops, raised_cosine, staircase
+from dehyst.metrics import largest, percent, rms
+from dehyst.model import AbstractModel, Motion
+from dehyst.record import Record
+from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator, Truth
+
+_SAMPLES_A_FAST_CYCLE = 100
+_REVERSALS = 40
+# Turning points lie within these parts of the stroke, and a leg goes this far at least.
+_LOWEST, _HIGHEST, _SHORTEST = 0.02, 0.98, 0.08
+
+
+class Tracking(NamedTuple):
+    """Wanted minus reached displacement, in % of the stroke, and by how many % the voltage left what was recorded."""
+
+    largest: float
+    rms: float
+    beyond: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One virtual actuator and the rates at which it is driven.
+
+    Attributes
+    ----------
+    truth : callable
+        Noise seed -> a new actuator.
+    slow, fast : float
+        Cycles a second [Hz]: of descending tops, one record at each; legs of the path take half a cycle of some rate in
+        between.
+    hold : float
+        Of each step of the staircase [s].
+    """
+
+    name: str
+    truth: Callable[[int], Truth]
+    slow: float
+    fast: float
+    hold: float
+
+    def records(self) -> tuple[Record, ...]:
+        """Training records, in one run: descending tops at both rates and a staircase."""
+        return self._run(0, lambda highest: [
+            descending_tops(highest, drive=self._drive(self.slow)),
+            descending_tops(highest, drive=self._drive(self.fast)),
+            staircase(highest, steps=5, hold=self.hold, drive=self._drive(self.slow)),
+        ])  # fmt: skip
+
+    def held_out(self) -> tuple[Record, ...]:
+        """Records to be predicted: a major loop and loops of other heights, at the slow rate."""
+        return self._run(1, lambda highest: [
+            raised_cosine([highest, 0.75 * highest, 0.45 * highest], cycles=2, drive=self._drive(self.slow))
+        ])  # fmt: skip
+
+    def track(self, model: AbstractModel, seed: int = 7) -> Tracking:
+        """Compensate a random path of 40 reversals and play the voltage into the actuator, both homed first.
+
+        Homing, up to the highest voltage and back, makes the state known; a creeping actuator goes on creeping. A model
+        that knows a delay is asked for the path that much earlier.
+        """
+        truth = self.truth(1000 + seed)
+        homing = raised_cosine(truth.highest, cycles=2, drive=self._drive(self.slow)).voltage
+        wanted = truth.stroke * self.path(seed)
+        time = np.arange(homing.size + wanted.size) / self._rate
+        voltage = self._sent(model, homing, wanted, time)
+        reached = truth.drive(np.concatenate([homing, voltage]), time=time, measured=False)[homing.size :]
+        error = wanted - reached
+        beyond = max(float(voltage.max()) - truth.highest, -float(voltage.min()), 0.0)
+        missed = percent(largest(error), truth.stroke), percent(rms(error), truth.stroke)
+        return Tracking(*missed, percent(beyond, truth.highest))
+
+    def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array) -> Array:
+        """Voltage for the path after homing; the model is asked for both in one piece, lest there be a jump."""
+        homed = simulated(model, homing, time[: homing.size]).displacement
+        when = time[homing.size :]
+        ahead = np.interp(when + float(getattr(model, "delay", 0.0)), when, wanted)
+        # From where the model thinks that it was left, over the time of a fast leg.
+        n = min(_SAMPLES_A_FAST_CYCLE // 2, wanted.size)
+        ahead[:n] += (homed[-1] - ahead[0]) * (0.5 + 0.5 * np.cos(np.pi * np.arange(n) / n))
+        asked, start = np.concatenate([homed, ahead]), beginning(model, homing)
+        return model.compensate(asked, state=start, **timed(model, time)).voltage[homing.size :]
+
+    def path(self, seed: int = 7) -> Array:
+        """A path of 40 reversals from 0, as parts of the stroke: at rest and not accelerated at each turn."""
+        rng = np.random.default_rng(seed)
+        turns = [0.0]
+        while len(turns) < _REVERSALS + 2:
+            here, rising = turns[-1], len(turns) % 2 == 1
+            room = (here + _SHORTEST, _HIGHEST) if rising else (_LOWEST, here - _SHORTEST)
+            if room[0] >= room[1]:
+                turns.pop()
+                continue
+            turns.append(float(rng.uniform(*room)))
+        legs = [np.zeros(1)]
+        for a, b in pairwise(turns):
+            seconds = 0.5 / float(np.exp(rng.uniform(np.log(self.slow), np.log(self.fast))))
+            n = max(8, round(seconds * self._rate))
+            u = np.arange(1, n + 1) / n
+            legs.append(a + (b - a) * u**3 * (10 - 15 * u + 6 * u**2))
+        return np.concatenate(legs)
+
+    @property
+    def _rate(self) -> float:
+        return _SAMPLES_A_FAST_CYCLE * self.fast
+
+    def _drive(self, frequency: float) -> Drive:
+        return Drive(frequency=frequency, sample_rate=self._rate)
+
+    def _run(self, seed: int, kinds: Callable[[float], list[Excitation]]) -> tuple[Record, ...]:
+        truth = self.truth(seed)
+        found = []
+        for i, excitation in enumerate(kinds(truth.highest)):
+            y = truth.drive(excitation.voltage, time=excitation.time)
+            found.append(Record(excitation.time, excitation.voltage, y, f"{self.name}-{seed}{'abc'[i]}"))
+        return tuple(found)
+
+
+TRIALS: Mapping[str, Trial] = {
+    "play": Trial("play", lambda seed: PlayActuator(seed=seed), 0.01, 0.05, 20.0),
+    "creep": Trial("creep", lambda seed: PlayActuator(seed=seed, creep=0.01), 0.01, 0.05, 20.0),
+    "preisach": Trial("preisach", lambda seed: PreisachActuator(seed=seed), 0.01, 0.05, 20.0),
+    "boucwen": Trial("boucwen", lambda seed: BoucWenActuator(seed=seed), 6.0, 60.0, 0.05),
+}
+
+
+def trial(name: str) -> Trial:
+    """The trial of that name.
+
+    Raises
+    ------
+    ModelError
+        If there is none.
+    """
+    if name not in TRIALS:
+        raise ModelError(f"no virtual actuator '{name}'; try {', '.join(TRIALS)}")
+    return TRIALS[name]
+
+
+def timed(model: AbstractModel, time: Array) -> dict[str, Any]:
+    """The keyword `time` for a model that looks at it."""
+    return {"time": time} if "time" in inspect.signature(model.simulate).parameters else {}
+
+
+def beginning(model: AbstractModel, voltage: Array) -> Any:
+    """Where a model starts before a voltage (n,): its own default, or of an actuator the end of its loop nearest by.
+
+    A start far away would set a mass swinging.
+    """
+    if not isinstance(model, Actuator) or not voltage.size:
+        return None
+    low, high = (float(end) for end in model.spring.displacement[[0, -1]])
+    ends = [model.turned(high), model.turned(low, rising=False)]
+    return min(ends, key=lambda state: abs(model.voltage(state) - float(voltage[0])))
+
+
+def simulated(model: AbstractModel, voltage: Array, time: Array) -> Motion:
+    """The motion that a voltage causes from its `beginning`."""
+    return model.simulate(voltage, state=beginning(model, voltage), **timed(model, time))
