@@ -3,10 +3,12 @@
 
 namespace nb = nanobind;
 
+void bind_plays(nb::module_ &m);
 void bind_fields(nb::module_ &m);
 
 NB_MODULE(_rivals, m) {
     nb::set_leak_warnings(false);
     m.doc() = "Steppers of rival models; use them through their doors, dehyst._native_*.";
+    bind_plays(m);
     bind_fields(m);
 }

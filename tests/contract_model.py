@@ -4,19 +4,26 @@ A candidate makes a model that answers voltages between 0 and 100 V with displac
 """
 
 from collections.abc import Callable
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
+from functools import cache, partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from dehyst import Actuator, MaxwellSlip, ModelError, Record, SmoothSlip, Spring
+from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Record, SmoothSlip, Spring, Transformer, excite
 from dehyst.model import AbstractModel, Motion
 from dehyst.rivals.boucwen import BoucWen
 from dehyst.rivals.duhem import Duhem
+from dehyst.rivals.generalised import Generalised
 from dehyst.rivals.goldfarb import Goldfarb
+from dehyst.rivals.krasnoselskii import Krasnoselskii
+from dehyst.rivals.kuhnen import Kuhnen
 from dehyst.rivals.linear import Linear
+from dehyst.rivals.prandtl import Prandtl
 from dehyst.rivals.preisach import Preisach
+from dehyst.truths import PlayActuator
 
 VOLTS = 100.0
 
@@ -35,6 +42,17 @@ def actuator(elements, knots, volts):
     rho = 5e-6 * np.arange(1, elements + 1) / max(elements, 1)
     kappa = 4e6 * np.arange(1, elements + 1) / max(elements, 1) ** 2
     return Actuator(MaxwellSlip(rho, kappa), Spring(knots, volts))
+
+
+CREEP = Creep([0.01, 0.3, 10.0], [1e5, 3e5, 2e5])
+
+
+def wider(elements, *, creep):
+    """Return an actuator whose elements are stiffer in the middle, seen through a bent transformer."""
+    rho = 5e-6 * np.arange(1, elements + 1) / elements
+    slip = GradedSlip(rho, [0, 3e-6, 7e-6, 1e-5], np.outer(4e6 * rho / rho.sum(), [0.9, 1.2, 1.0]))
+    bend = Transformer([0, 0.3 * VOLTS, VOLTS], [0, 0.35 * VOLTS, VOLTS])
+    return Actuator(slip, Spring([0, 1e-5], [0, 80]), transformer=bend, creep=CREEP if creep else None)
 
 
 def goldfarb():
@@ -66,12 +84,27 @@ def smooth():
     return Actuator(plain.slip, plain.spring, smooth=SmoothSlip([3e-7, 1e-6, 4e-6], [1, 0.5, 0.8], [5e6, 3e6, 2e6]))
 
 
+@cache
+def fitted(kind, **options):
+    """Return a rival identified from loops of falling tops up to 100 V."""
+    voltage = excite.descending_tops(VOLTS, steps=5, drive=excite.Drive(sample_rate=1.0)).voltage
+    y = PlayActuator(highest=VOLTS).drive(voltage)
+    return kind.fit(Record(np.arange(y.size), voltage, y), delay=0.0, **options)
+
+
 MODELS = [
     Candidate("spring alone", lambda: actuator(0, [0, 4e-6, 1e-5], [0, 60, 100])),
     Candidate("one element", lambda: actuator(1, [0, 1e-5], [0, 80])),
     Candidate("ten elements", lambda: actuator(10, np.linspace(0, 1e-5, 11), 90 * np.linspace(0, 1, 11) ** 1.3)),
     Candidate("thousand elements", lambda: actuator(1000, [0, 2e-6, 1e-5], [0, 10, 90])),
+    Candidate("graded elements and a transformer", lambda: wider(10, creep=False)),
+    Candidate("graded elements, a transformer and creep", lambda: wider(10, creep=True)),
+    Candidate("plain elements and creep", lambda: replace(actuator(10, [0, 1e-5], [0, 80]), creep=CREEP)),
     Candidate("Goldfarb and Celanovic", goldfarb),
+    Candidate("Prandtl and Ishlinskii", partial(fitted, Prandtl)),
+    Candidate("Kuhnen", partial(fitted, Kuhnen)),
+    Candidate("generalised Prandtl and Ishlinskii", partial(fitted, Generalised, lowpasses=())),
+    Candidate("Krasnosel'skii and Pokrovskii", partial(fitted, Krasnoselskii)),
     Candidate("linear ratio", lambda: Linear(1e-7, 1e-6)),
     Candidate("Preisach", preisach),
     Candidate("Bouc-Wen", boucwen, wipes_out=False),
@@ -97,9 +130,23 @@ def walk(n, seed=0):
 
 def both_ways(model, n=60, seed=0):
     """Yield each method with a path it can follow and the name of what comes out."""
-    motion = model.simulate(walk(n, seed))
-    yield model.simulate, motion.voltage, "displacement"
-    yield model.compensate, motion.displacement, "voltage"
+    motion = timed(model.simulate)(walk(n, seed))
+    yield timed(model.simulate), motion.voltage, "displacement"
+    yield timed(model.compensate), motion.displacement, "voltage"
+
+
+def timed(run):
+    """Tell the method the time of each sample: every model takes it, and those that need none leave it alone."""
+
+    def at(drive, **options):
+        time = 0.01 * np.arange(np.size(drive)) if np.ndim(drive) == 1 else None
+        return run(drive, time=time, **options)
+
+    return at
+
+
+def knows_time(model):
+    return getattr(model, "needs_time", False)
 
 
 def close(got, expected, tolerance):
@@ -129,9 +176,10 @@ def test_shapes_and_the_other_column_is_the_input(model):
 def test_the_state_handed_back_carries_on(model, candidate):
     for run, drive, out in both_ways(model):
         whole, parts, state = getattr(run(drive), out), [], None
-        for part in np.split(drive, [0, 1, 17, 18, 50]):
-            motion = run(part, state=state)
-            parts.append(getattr(motion, out))
+        for start, stop in pairwise([0, 1, 17, 18, 50, drive.size]):
+            # A part begins with the sample at which the last one ended: what goes by between the two counts.
+            motion = run(drive[max(start - 1, 0) : stop], state=state)
+            parts.append(getattr(motion, out)[start > 0 :])
             state = motion.state
         assert close(np.concatenate(parts), whole, candidate.tolerance)
 
@@ -153,7 +201,7 @@ def test_numbers_that_are_not_finite_are_refused(model, bad):
 
 @pytest.mark.parametrize("bad", [[[0.0]], "text", None, [1j]])
 def test_what_is_no_path_is_refused(model, bad):
-    for run in (model.simulate, model.compensate):
+    for run in (timed(model.simulate), timed(model.compensate)):
         with pytest.raises(ModelError, match=r"voltage|displacement"):
             run(bad)
 
@@ -162,11 +210,13 @@ def test_the_same_question_gets_the_same_answer(model, candidate):
     for run, drive, out in both_ways(model):
         first = getattr(run(drive), out)
         assert np.array_equal(getattr(run(drive), out), first)
-        again = getattr(candidate.factory(), run.__name__)
+        again = {name: other for other, _, name in both_ways(candidate.factory())}[out]
         assert np.array_equal(getattr(again(drive), out), first)
 
 
 def test_rate_independence(model, candidate):
+    if knows_time(model):
+        pytest.skip("it creeps: its answer depends on time")
     for run, drive, out in both_ways(model):
         between = drive[:-1, None] + np.diff(drive)[:, None] * [0, 0.25, 0.5, 0.5]
         slow = getattr(run(np.append(between.ravel(), drive[-1])), out)
@@ -177,6 +227,8 @@ def test_wiping_out(model, candidate):
     """A loop within the last one, closed again, leaves no trace in what follows."""
     if not candidate.wipes_out:
         pytest.skip("this model does not come back to where an inner loop began")
+    if knows_time(model):
+        pytest.skip("it creeps: the time that a loop takes leaves a trace")
     for run, drive, out in both_ways(model):
         low, high = drive.min(), drive.max()
         at = low + (high - low) * np.array([0, 1, 0.2, 0.9, 0.4, 0.7, 0.5, 0.9, 0.3, 0.2, 0.1, 0.6, 1])
@@ -185,19 +237,21 @@ def test_wiping_out(model, candidate):
 
 
 def test_simulating_the_compensation_gives_the_path(model, candidate):
-    state = model.simulate(walk(30, seed=1)).state
-    path = model.simulate(walk(200, seed=2), state=state).displacement
-    sent = model.compensate(path, state=state)
-    assert close(model.simulate(sent.voltage, state=state).displacement, path, candidate.tolerance)
+    simulate = timed(model.simulate)
+    state = simulate(walk(30, seed=1)).state
+    path = simulate(walk(200, seed=2), state=state).displacement
+    sent = timed(model.compensate)(path, state=state)
+    assert close(simulate(sent.voltage, state=state).displacement, path, candidate.tolerance)
 
 
 def test_compensating_the_simulation_gives_the_voltage(model, candidate):
-    state = model.simulate(walk(30, seed=3)).state
+    simulate = timed(model.simulate)
+    state = simulate(walk(30, seed=3)).state
     voltage = walk(200, seed=4)
-    path = model.simulate(voltage, state=state).displacement
-    assert close(model.compensate(path, state=state).voltage, voltage, candidate.tolerance)
+    path = simulate(voltage, state=state).displacement
+    assert close(timed(model.compensate)(path, state=state).voltage, voltage, candidate.tolerance)
 
 
 def test_more_voltage_more_displacement(model):
-    rise = model.simulate(np.linspace(0.05, 0.95, 50) * VOLTS).displacement
+    rise = timed(model.simulate)(np.linspace(0.05, 0.95, 50) * VOLTS).displacement
     assert np.all(np.diff(rise) > 0)

@@ -309,3 +309,20 @@ def test_a_folder_is_no_record(folder):
     status, _, err = run("insight", "model.json", ".", cwd=folder)
     assert status == 2
     assert "this is a folder" in err
+
+
+def test_an_actuator_that_creeps_is_told_the_time(folder):
+    plain = Actuator.load(folder / "model.json")
+    creep = dehyst.Creep([0.1, 3.0], [2e5, 4e5])
+    creeping = Actuator(plain.slip, plain.spring, limits=(-50, 300), creep=creep)
+    creeping.save(folder / "creeping.json")
+    status, out, _ = run("compensate", "creeping.json", "path.csv", "-o", "v.csv", "--json", cwd=folder)
+    assert status == 0
+    assert len(json.loads(out)["state"]["creep_m"]) == 2
+    assert run("simulate", "creeping.json", "v.csv", "-o", "y.csv", cwd=folder)[0] == 0
+    sent, came = read_table(folder / "path.csv"), read_table(folder / "y.csv")
+    np.testing.assert_allclose(came.column("displacement"), sent.column("displacement"), atol=1e-16)
+    (folder / "timeless.csv").write_text("voltage_V\n1.0\n2.0\n")
+    status, _, err = run("simulate", "creeping.json", "timeless.csv", "-o", "z.csv", cwd=folder)
+    assert status == 2
+    assert "this actuator creeps, so that the answer depends on time" in err

@@ -1,12 +1,15 @@
 """The voltage that leaves the program: never out of limits or slew rate, and the model knows what was really sent."""
 
+from dataclasses import replace
+
 import bench
 import numpy as np
 import pytest
+import strategies as our
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Compensator, ModelError
+from dehyst import Actuator, Compensator, Dynamics, ModelError, State
 
 PLANT = bench.plant(10, seed=4)
 LOW, HIGH = 20.0, 150.0
@@ -138,3 +141,75 @@ def test_refusals():
         slewing.trajectory([0.0, np.nan], time=[0.0, 1.0])
     with pytest.raises(ModelError, match="carts"):
         slewing.trajectory([0.0], time=[0.0], state=bench.any_state(bench.plant(3), 0.0, 1))
+
+
+WIDE = {
+    "graded": {"graded": True, "transformer": False, "creep": False},
+    "transformer": {"graded": False, "transformer": True, "creep": False},
+    "creep": {"graded": False, "transformer": False, "creep": True},
+    "all three": {"graded": True, "transformer": True, "creep": True},
+}
+
+
+def wider(kind, seed=5, **more):
+    """The plant with wider parts; they leave its voltages about where they were."""
+    return replace(our.make_wider(PLANT, seed, **WIDE[kind]), **more)
+
+
+@pytest.mark.parametrize("kind", WIDE)
+@given(st.integers(0, 10**6), st.booleans(), st.integers(1, 400))
+def test_wider_actuators_too_are_told_what_was_sent(kind, seed, slewing, size):
+    plant, path, time = wider(kind), wanted(seed)[:size], times(seed, 400)[:size]
+    command = Compensator(plant, (LOW, HIGH), RATE if slewing else None).trajectory(path, time=time)
+    assert np.all((command.voltage >= LOW) & (command.voltage <= HIGH))
+    motion = plant.simulate(command.voltage, time=time, stack=False)
+    np.testing.assert_allclose(command.displacement, motion.displacement, atol=1e-9 * bench.STROKE)
+    np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-9 * bench.STROKE)
+    np.testing.assert_allclose(command.state.creep, motion.state.creep, atol=1e-9 * bench.STROKE)
+    np.testing.assert_array_equal(command.displacement[~command.clamped], path[~command.clamped])
+
+
+def smooth(size=1500):
+    time = np.arange(size) * 2e-5
+    return time, bench.STROKE * (0.5 - 0.2 * np.cos(2 * np.pi * 100 * time))
+
+
+@pytest.mark.parametrize("lag", [0.0, 2e-4])
+def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
+    time, path = smooth()
+    push = bench.STROKE * 0.2 * (2 * np.pi * 100) ** 2
+    load = 3 * np.sin(2 * np.pi * 150 * time)
+    plant = wider("all three", dynamics=Dynamics(2 * np.pi * 1000, 0.05, 2e6), lag=lag, load_stiffness=1e7)
+    first = plant.compensate(path[:1], time=[0], load=load[:1], acceleration=[push]).state
+    start = State(first.displacement, first.carts, first.creep, [path[0], 0])
+    whole = plant.compensate(path, time=time, load=load, state=start)
+    command = Compensator(plant, (-1e4, 1e4)).trajectory(path, time=time, load=load, state=start)
+    np.testing.assert_allclose(command.voltage, whole.voltage, atol=1e-9 * np.ptp(whole.voltage))
+    played = plant.simulate(command.voltage, time=time, load=load, state=start)
+    np.testing.assert_array_equal(command.displacement, played.displacement)
+    assert np.abs(command.displacement - path).max() < 1e-3 * bench.STROKE
+
+
+def test_a_clamped_mass_is_told_as_it_moves():
+    time, path = smooth()
+    plant = wider("creep", dynamics=Dynamics(2 * np.pi * 1000, 0.3, 2e6))
+    high = 0.9 * plant.compensate(path, time=time).voltage.max()
+    command = Compensator(plant, (-1e4, high)).trajectory(path, time=time)
+    assert command.clamped.any()
+    assert command.voltage.max() == high
+    played = plant.simulate(command.voltage, time=time)
+    np.testing.assert_array_equal(command.displacement, played.displacement)
+    # Long after the last clamp of a damped mass the path is followed again.
+    gaps = np.flatnonzero(command.clamped)
+    after = np.arange(time.size)[gaps[-1] + 150 :]
+    assert after.size > 50
+    assert np.abs(command.displacement - path)[after].max() < 1e-3 * bench.STROKE
+
+
+def test_what_a_plain_or_a_timeless_task_lacks():
+    with pytest.raises(ModelError, match="creeps, so that the answer depends on time"):
+        Compensator(wider("creep"), (0, 1)).trajectory([0.0, 1e-6])
+    with pytest.raises(ModelError, match="give load_stiffness="):
+        Compensator(PLANT, (0, 1)).trajectory([0.0, 1e-6], load=[0.0, 1.0])
+    with pytest.raises(ModelError, match="load: got 1 values for 2 samples"):
+        Compensator(wider("graded", load_stiffness=1e6), (0, 1)).trajectory([0.0, 1e-6], load=[0.0])

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst import IdentifyError, Outcome, Record, RecordError, highs
+from dehyst import IdentifyError, Outcome, Record, RecordError, deviations, highs
+from dehyst.absolutes import Pair
 from dehyst.program import NORMS
 from dehyst.regression import Regression
 from dehyst.rows import collect
@@ -204,8 +205,10 @@ def test_nonsense_that_is_a_loop_is_called_inaccurate():
 
 
 def break_solver(monkeypatch):
-    """Let HiGHS say that it was stopped before it found the optimum."""
+    """Let the interior point fail, and HiGHS say that it was stopped before it found the optimum."""
     solved = highs.minimum
+    nothing = lambda problem, pull: Pair(0 * pull, 0 * problem.goal, 0 * problem.lower, 0)  # noqa: E731
+    monkeypatch.setattr(deviations, "interior", nothing)
 
     def stopped(*arguments, **options):
         return replace(solved(*arguments, **options), optimal=False, status="HiGHS: time limit")

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from dehyst._errors import DehystError, FileFormatError, ModelError
 from dehyst.actuator import Actuator
 from dehyst.creep import Creep
+from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import read_json, write_json
 from dehyst.model import State
@@ -106,10 +107,13 @@ def wide():
     return Actuator(
         GradedSlip(plain.slip.breakaway, [0.0, 4e-6, 1e-5], [[2e6, 2.5e6], [1e6, 0.3]]),
         plain.spring,
-        State(1e-6, [0.95e-6, 0.8e-6], [1e-8, 0.0, -2e-9], smooth=[1 / 3e6, -2e-6]),
+        State(1e-6, [0.95e-6, 0.8e-6], [1e-8, 0.0, -2e-9], [1.1e-6, 0.1 / 3], [1 / 3e6, -2e-6]),
         transformer=Transformer([0.0, 50.0, 100.0], [0.0, 1 / 3 + 51, 100.0]),
         creep=Creep([0.1, 1.0, 100.0], [1e5, 1 / 3, 0.0]),
         smooth=SmoothSlip([1e-6, 2e-6], [1.0, 2 / 3], [1e6 / 3, 0.0]),
+        dynamics=Dynamics(2000 / 3, 0.01, 1e5 / 3),
+        lag=1e-3 / 3,
+        load_stiffness=1e7 / 3,
     )
 
 
@@ -118,11 +122,12 @@ def test_wider_parts_come_back_exactly(tmp_path):
     back = through_a_file(actuator, tmp_path / "a.json")
     for part, fields in (("slip", ("breakaway", "knots", "stiffness")), ("transformer", ("voltage", "drive")),
                          ("creep", ("time_constants", "stiffness")), ("smooth", ("length", "closing", "stiffness")),
-                         ("state", ("carts", "creep", "smooth"))):  # fmt: skip
+                         ("state", ("carts", "creep", "smooth", "motion"))):  # fmt: skip
         for name in fields:
             one, two = (getattr(getattr(a, part), name) for a in (actuator, back))
             assert one.shape == two.shape
             assert one.tobytes() == two.tobytes()
+    assert (actuator.dynamics, actuator.lag, actuator.load_stiffness) == (back.dynamics, back.lag, back.load_stiffness)
     write_json(tmp_path / "b.json", back.as_dict())
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
@@ -158,6 +163,12 @@ def test_a_file_of_version_1(tmp_path):
         ("smooth", [], r"model: smooth must be an object with keys \['closing', 'length_m', 'stiffness_V_per_m'\]"),
         ("state.smooth_m", [1e-9], "state: got 1 smooth elongations, this actuator has 2 smooth elements"),
         ("state.smooth_m", [2e-6, 0.0], "state: smooth element 0 is elongated by 2e-06 m, its length is 1e-06 m"),
+        ("dynamics.damping", -1.0, "damping: got -1.0, need 0 or more"),
+        ("dynamics.frequency_rad_per_s", "1", r"dynamics.frequency_rad_per_s: got '1', need a finite number"),
+        ("dynamics", {"damping": 1.0}, r"dynamics: missing keys \['frequency_rad_per_s', 'series_V_per_m'\]"),
+        ("lag_s", None, "lag_s: got None, need a finite number"),
+        ("load_stiffness_N_per_m", 0.0, "load_stiffness: got 0.0, need a positive number"),
+        ("state.motion", [1.0, 2.0], r"model: motion must be an object"),
         ("state.creep_m", [1.0], "state: got 1 creep strains, this actuator has 3 creep branches"),
     ],
 )

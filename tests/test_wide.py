@@ -312,8 +312,27 @@ def test_physical_units_are_refused_where_they_mean_nothing():
         Actuator(GRADED, SPRING).physical(**constants)
     with pytest.raises(ModelError, match="T v is no force"):
         Actuator(SLIP, SPRING, transformer=TAU).physical(**constants)
+    with pytest.raises(ModelError, match="T x no charge"):
+        Actuator(SLIP, SPRING, transformer=TAU).charge([0.0], **constants)
+    with pytest.raises(ModelError, match="transformer_ratio: got 0, need a positive number"):
+        Actuator(SLIP, SPRING).charge([0.0], **{**constants, "transformer_ratio": 0})
     creeping = Actuator(SLIP, SPRING, creep=CREEP).physical(**constants)
     assert np.array_equal(creeping.friction, Actuator(SLIP, SPRING).physical(**constants).friction)
+
+
+@given(motion=our.motions(our.actuators(1, 12), max_samples=30))
+def test_charge_balances_power(motion):
+    """The work v dq at the terminals is F dx on the elements and the spring: T v dx."""
+    actuator, state, path = motion
+    assume(path.size > 1)
+    constants = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
+    paper, v = actuator.physical(**constants), actuator.compensate(path, state=state).voltage
+    q = actuator.charge(path, **constants)
+    x = np.diff(path) * 1.4e6 / paper.equivalent_stiffness
+    mean = 0.5 * (v[1:] + v[:-1])
+    np.testing.assert_allclose(mean * np.diff(q), 0.042 * mean * x, atol=1e-12 * np.abs(v).max() * np.ptp(q))
+    at_knots = actuator.charge(actuator.spring.displacement, **constants)
+    np.testing.assert_allclose(at_knots, 0.042 * paper.deformation, atol=1e-12 * np.ptp(at_knots))
 
 
 def test_what_knows_plain_actuators_only_says_so():

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._native import Array
+from dehyst.newton import reach, regularised
 from dehyst.problem import TINY
 
 Chosen = NDArray[np.bool_]
@@ -147,11 +148,11 @@ class Quadratic:
             if mean < least and np.abs(newton.pull).max() < 1e-12 * unit and np.abs(newton.missed).max() < 1e-12:
                 break
             _, ds, dz = newton.step(np.zeros(dual.size))
-            reach = min(_reach(slack, ds), _reach(dual, dz))
-            after = float((slack + reach * ds) @ (dual + reach * dz)) / dual.size
+            length = min(reach(slack, ds), reach(dual, dz))
+            after = float((slack + length * ds) @ (dual + length * dz)) / dual.size
             dx, ds, dz = newton.step((after / mean) ** 3 * mean - ds * dz)
-            reach = min(1.0, 0.995 * min(_reach(slack, ds), _reach(dual, dz)))
-            x, slack, dual = x + reach * dx, slack + reach * ds, dual + reach * dz
+            length = 0.995 * min(reach(slack, ds), reach(dual, dz))
+            x, slack, dual = x + length * dx, slack + length * ds, dual + length * dz
         x[p:] = np.maximum(x[p:], 0.0)
         return x, np.concatenate([np.zeros(p), dual[: q - p]]), dual[q - p :]
 
@@ -160,24 +161,13 @@ class _Newton:
     """Newton's equations of an interior point, `pull` and `missed` being what dual and primal limits are missed by."""
 
     def __init__(self, gram: Array, limits: Array, pull: Array, missed: Array, slack: Array, dual: Array) -> None:
-        from scipy.linalg import cho_factor
-
         self.pull, self.missed = pull, missed
         self._limits, self._slack, self._dual = limits, slack, dual
-        matrix = gram + (limits.T * (dual / slack)) @ limits
-        self._factor = cho_factor(matrix + 1e-14 * np.diag(np.diag(matrix) + np.diag(gram).max()))
+        self._solve = regularised(gram + (limits.T * (dual / slack)) @ limits)
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
         """Changes of x, slack and dual that bring slack times dual to the target (m,)."""
-        from scipy.linalg import cho_solve
-
         ratio = self._dual / self._slack
         held = target / self._slack - self._dual - ratio * self.missed
-        dx = cho_solve(self._factor, self._limits.T @ held - self.pull)
+        dx = self._solve(self._limits.T @ held - self.pull)
         return dx, self._limits @ dx + self.missed, held - ratio * (self._limits @ dx)
-
-
-def _reach(values: Array, step: Array) -> float:
-    """Largest part of a step, at most all of it, that leaves the values above zero."""
-    down = step < 0
-    return float(min(1.0, np.min(-values[down] / step[down], initial=1.0)))

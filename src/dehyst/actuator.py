@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 
 from dehyst import model_file
 from dehyst._errors import ModelError
-from dehyst._native import NOTHING, Array, Core, number, vector
+from dehyst._native import Array, Core, number, vector
 from dehyst.creep import Creep, clock
 from dehyst.dynamics import Dynamics
-from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer, frozen
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import AbstractModel, Motion, State
-from dehyst.physical import Physical, physical
+from dehyst.physical import Physical, charge, physical
 from dehyst.smooth import SmoothSlip
 from dehyst.wide import Course, WideModel, least_slope
 
@@ -287,6 +287,37 @@ class Actuator(AbstractModel):
             electrical_stiffness=electrical_stiffness,
         )
 
+    def charge(
+        self,
+        displacement: ArrayLike,
+        *,
+        transformer_ratio: float,
+        mechanical_stiffness: float,
+        electrical_stiffness: float,
+    ) -> Array:
+        """Charge q = T x [C] (theory section 9), none where the spring alone holds 0 V.
+
+        Parameters
+        ----------
+        displacement : (n,) array_like
+            [m]; with dynamics or a load that of w, such as `State.displacement`.
+        transformer_ratio, mechanical_stiffness, electrical_stiffness : float
+            As in `physical`.
+
+        Raises
+        ------
+        ModelError
+            If a number is impossible, or there is a transformer curve, with which T x balances no power.
+        """
+        _demand(self.transformer is None, "with a transformer curve T v is no force, and T x no charge")
+        return charge(
+            vector(displacement, "displacement"),
+            at_rest=self.core.spring_inverse(0.0),
+            transformer_ratio=transformer_ratio,
+            mechanical=mechanical_stiffness,
+            electrical=electrical_stiffness,
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """JSON values in SI units; `from_dict` reads them back without loss."""
         return model_file.as_dict(self)
@@ -334,20 +365,7 @@ class Actuator(AbstractModel):
         return replace(self, provenance={**self.provenance, **entries})
 
     def _start(self, state: State | None) -> State:
-        start = self.state if state is None else state
-        if not isinstance(start, State):
-            raise ModelError(f"state: got {type(start).__name__}, need a State, such as the one a Motion hands back")
-        if start.carts.size != len(self.slip):
-            raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
-        start = self._complete(start)
-        excess = np.abs(start.displacement - start.carts) - self.slip.breakaway
-        worst = int(np.argmax(excess)) if excess.size else 0
-        if excess.size and excess[worst] > 1e-9 * (self.slip.breakaway[worst] + abs(start.displacement)):
-            raise ModelError(
-                f"state: cart {worst} is {excess[worst]:.3g} m farther from the displacement than its breakaway "
-                f"elongation {self.slip.breakaway[worst]:.3g} m"
-            )
-        return start if not excess.size or excess[worst] <= 0 else replace(start, carts=self._pulled(start))
+        return self.model.fitted(self.state if state is None else state)
 
     def _demand_numbers(self) -> None:
         if number(self.lag, "lag") < 0:
@@ -360,41 +378,6 @@ class Actuator(AbstractModel):
             raise ModelError("load: this actuator does not know how far a force moves it; give load_stiffness= [N/m]")
         if time is not None:
             clock(time, samples)
-
-    def _complete(self, state: State) -> State:
-        """Put in creep strains, smooth elongations and motion, if they were left out."""
-        branches, moving = 0 if self.creep is None else len(self.creep), 0 if self.dynamics is None else 2
-        if state.creep.size not in (0, branches):
-            raise ModelError(
-                f"state: got {state.creep.size} creep strains, this actuator has {branches} creep branches"
-            )
-        if state.motion.size > moving:
-            raise ModelError("state: got a motion, this actuator has no dynamics")
-        if state.creep.size < branches:
-            state = replace(state, creep=np.zeros(branches))
-        state = self._elongated(state)
-        return replace(state, motion=np.array([state.displacement, 0.0])) if state.motion.size < moving else state
-
-    def _elongated(self, state: State) -> State:
-        length = NOTHING if self.smooth is None else self.smooth.length
-        if state.smooth.size not in (0, length.size):
-            raise ModelError(
-                f"state: got {state.smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
-            )
-        if state.smooth.size < length.size:
-            return replace(state, smooth=np.zeros(length.size))
-        excess = np.abs(state.smooth) - length
-        worst = int(np.argmax(excess / length)) if excess.size else 0
-        if excess.size and excess[worst] > 1e-9 * length[worst]:
-            raise ModelError(
-                f"state: smooth element {worst} is elongated by {state.smooth[worst]:.3g} m, its length is "
-                f"{length[worst]:.3g} m"
-            )
-        return replace(state, smooth=np.clip(state.smooth, -length, length)) if np.any(excess > 0) else state
-
-    def _pulled(self, state: State) -> Array:
-        low, high = state.displacement - self.slip.breakaway, state.displacement + self.slip.breakaway
-        return frozen(np.clip(state.carts, low, high))
 
 
 def demand_plain(actuator: Actuator, what: str) -> Actuator:

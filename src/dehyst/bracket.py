@@ -78,9 +78,11 @@ def known_by_displacement(
     ------
     ModelError
         If the numbers are not finite, the breakaway elongations not positive and strictly increasing, or the
-        tolerance is not positive.
+        tolerance is not positive; or the actuator has dynamics.
     """
     if isinstance(actuator, Actuator):
+        if actuator.dynamics is not None:
+            raise ModelError("the carts of an actuator with dynamics follow w, not the displacement; give w and rho")
         rho = actuator.slip.breakaway
     else:
         given = vector(actuator, "breakaway elongations")

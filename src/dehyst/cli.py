@@ -65,6 +65,13 @@ main.add_command(excite)
 @click.option(
     "--elements", type=int, metavar="N", help="Number of slip elements.  [default: 20; 10 for the paper's methods]"
 )
+@click.option(
+    "--structure",
+    type=click.Choice(["paper", "auto"]),
+    default="paper",
+    show_default=True,
+    help="The paper's class, or the wider one that held-out cycles ask for: transformer, graded elements, creep, ...",
+)
 @click.option("--norm", type=click.Choice(["l1", "l2", "linf"]), default="l1", show_default=True)
 @click.option("--knots", type=int, metavar="M", help="Knots of the spring.  [default: N + 1]")
 @click.option(
@@ -77,8 +84,8 @@ main.add_command(excite)
 @json_option
 def identify(
     records: tuple[Path, ...], output: Path | None, validate: tuple[Path, ...], report: Path | None, method: Any,
-    elements: int | None, norm: Any, knots: int | None, slope_floor: float, delay: float | None, shared_datum: bool,
-    no_drift: bool, as_json: bool, **columns: Any,
+    elements: int | None, structure: Any, norm: Any, knots: int | None, slope_floor: float, delay: float | None,
+    shared_datum: bool, no_drift: bool, as_json: bool, **columns: Any,
 ) -> None:  # fmt: skip
     """Identify an actuator from RECORDs of voltage and displacement."""
     from dehyst.identify import identify as run
@@ -90,8 +97,8 @@ def identify(
     training = read_records(records, columns)
     fit = run(
         training, validate=read_records(validate, columns), method=method, elements=elements,
-        norm=norm, knots=knots, slope_floor=slope_floor, delay=delay, shared_datum=shared_datum, drift=not no_drift,
-        throw=False, progress=tell,
+        structure=structure, norm=norm, knots=knots, slope_floor=slope_floor, delay=delay,
+        shared_datum=shared_datum, drift=not no_drift, throw=False, progress=tell,
     )  # fmt: skip
     if output is not None and fit.actuator is not None:
         fit.actuator.save(output)
@@ -99,7 +106,7 @@ def identify(
         from dehyst.report import write_report
 
         tell("drawing the report")
-        told = None if fit.actuator is None else trust(fit.actuator, training, repeats=0)
+        told = None if fit.actuator is None or fit.actuator.wide else trust(fit.actuator, training, repeats=0)
         write_report(report, fit, command=shlex.join(["dehyst", *sys.argv[1:]]), insight=told)
     tell("")
     if as_json:
@@ -129,7 +136,9 @@ def simulate(
     table = read_table(voltage_file)
     voltage = table.column("voltage", columns["voltage"])
     time = time_of_table(table, voltage.size, columns)
-    motion = actuator.simulate(voltage, state=start_state(actuator, start))
+    motion = actuator.simulate(
+        voltage, time=time.get("time_s") if actuator.needs_time else None, state=start_state(actuator, start)
+    )
     displacement = lagging(motion.displacement, actuator, time) if lag else motion.displacement
     write_columns(output, {**time, "voltage_V": voltage, "displacement_um": displacement * 1e6})
     outside = count_outside(actuator, voltage)

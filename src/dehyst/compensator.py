@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._errors import ModelError
 from dehyst._native import Array, number, vector
 from dehyst.actuator import Actuator, interval
-from dehyst.model import State
+from dehyst.model import Motion, State
+from dehyst.wide import Course
 
 Mask = NDArray[np.bool_]
 _CHUNK = 64
@@ -25,7 +28,8 @@ class Command:
     voltage : (n,) array
         [V], within limits and slew rate.
     displacement : (n,) array
-        What the model does with it [m]: the wanted path, but where the voltage was clamped.
+        What the model does with it [m]: the wanted path, but where the voltage was clamped; with dynamics or a lag,
+        simulated.
     clamped : (n,) bool array
         Samples whose voltage was changed.
     state : State
@@ -72,7 +76,14 @@ class Compensator:
             raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
 
     def trajectory(
-        self, displacement: ArrayLike, *, time: ArrayLike | None = None, state: State | None = None
+        self,
+        displacement: ArrayLike,
+        *,
+        time: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+        state: State | None = None,
     ) -> Command:
         """Voltages for a path, each clamped with the state kept true: what follows knows what was really sent.
 
@@ -81,7 +92,9 @@ class Compensator:
         displacement : (n,) array_like
             Wanted displacement [m].
         time : (n,) array_like, optional
-            [s], strictly increasing; needed with a slew rate.
+            [s], strictly increasing; needed with a slew rate, and by an actuator with creep, dynamics or a lag.
+        load, velocity, acceleration : (n,) array_like, optional
+            As in `Actuator.compensate`.
         state : State, optional
             Where the actuator is; default the actuator's own. The first sample is not slew limited.
 
@@ -93,26 +106,30 @@ class Compensator:
         wanted = vector(displacement, "displacement")
         steps = self._steps(wanted.size, time)
         start = self.actuator.state if state is None else state
+        path = _Path(self.actuator, wanted, time, load, velocity, acceleration)
         voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
         clamped = np.zeros(wanted.size, dtype=bool)
         i, chunk = 0, _CHUNK
         while i < wanted.size:
             stop = min(i + chunk, wanted.size)
-            motion = self.actuator.compensate(wanted[i:stop], state=start)
-            before = voltage[i - 1] if i else motion.voltage[0]
-            allowed = self._allowed(motion.voltage, before, steps[i:stop])
-            bad = np.flatnonzero(allowed != motion.voltage)
+            wish, after = path.followed(i, stop, start)
+            before = voltage[i - 1] if i else wish[0]
+            allowed = self._allowed(wish, before, steps[i:stop])
+            bad = np.flatnonzero(allowed != wish)
             good = int(bad[0]) if bad.size else stop - i
-            voltage[i : i + good], reached[i : i + good] = motion.voltage[:good], wanted[i : i + good]
+            voltage[i : i + good], reached[i : i + good] = wish[:good], wanted[i : i + good]
             if not bad.size:
-                i, start, chunk = stop, motion.state, 2 * chunk
+                i, start, chunk = stop, after, 2 * chunk
                 continue
             if good:
-                start = self.actuator.compensate(wanted[i : i + good], state=start).state
+                start = path.followed(i, i + good, start)[1]
             i += good
-            sent = self.actuator.simulate(allowed[good : good + 1], state=start)
-            voltage[i], reached[i], clamped[i] = sent.voltage[0], sent.displacement[0], True
-            i, start, chunk = i + 1, sent.state, _CHUNK
+            voltage[i], clamped[i] = allowed[good], True
+            reached[i], start = path.sent(voltage, i, start)
+            i, chunk = i + 1, _CHUNK
+        if path.moves_on:
+            motion = path.played(voltage, self.actuator.state if state is None else state)
+            reached, start = motion.displacement, motion.state
         return Command(voltage, reached, clamped, start, self._warnings(voltage, wanted, reached, clamped))
 
     def _steps(self, size: int, time: ArrayLike | None) -> Array:
@@ -157,3 +174,71 @@ class Compensator:
             f"CLAMPED: {count} of {voltage.size} voltages ({why}), the first at sample {first}; the path is missed by "
             f"up to {miss * 1e6:.4g} um",
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """A wanted path, followed in pieces. In time a piece begins with the sample at which the last one ended."""
+
+    actuator: Actuator
+    wanted: Array
+    time: ArrayLike | None
+    load: ArrayLike | None
+    velocity: ArrayLike | None
+    acceleration: ArrayLike | None
+
+    @property
+    def moves_on(self) -> bool:
+        """Whether a mass or an amplifier still answers what was clamped before."""
+        return self.actuator.dynamics is not None or self.actuator.lag > 0
+
+    @cached_property
+    def course(self) -> dict[str, Array | None]:
+        """What goes with the path, a value a sample."""
+        found = {"time": self.time, "load": self.load}
+        if self.actuator.dynamics is not None:
+            along = Course(self.time, self.load, self.velocity, self.acceleration)
+            found["velocity"], found["acceleration"] = self.actuator.model.derivatives(self.wanted, along)
+        return {name: None if values is None else vector(values, name) for name, values in found.items()}
+
+    @cached_property
+    def lead(self) -> Array:
+        """W less the path [m]."""
+        return self.actuator.model.lead(self.wanted, Course(**self.course))
+
+    def followed(self, i: int, stop: int, start: State) -> tuple[Array, State]:
+        """Voltages of samples i to stop - 1, from the state at sample i - 1, and the state at the last."""
+        if not self.actuator.wide:
+            motion = self.actuator.compensate(self.wanted[i:stop], load=self.load, state=start)
+            return motion.voltage, motion.state
+        motion = self._piece(i, stop, start)
+        voltage = motion.voltage
+        if self.actuator.lag and stop < self.wanted.size:
+            # A lag asks for the slope of the voltage, which a piece's last sample knows from one side only.
+            voltage = self._piece(i, stop + 1, start).voltage[:-1]
+        return voltage[min(i, 1) :], motion.state
+
+    def sent(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
+        """Where the voltage of sample i leads."""
+        first = i if not self.actuator.wide else max(i - 1, 0)
+        motion = self.actuator.simulate(voltage[first : i + 1], **self._cut(first, i + 1), state=start)
+        return float(motion.displacement[-1]), motion.state
+
+    def played(self, voltage: Array, start: State) -> Motion:
+        """What the whole command does."""
+        return self.actuator.simulate(voltage, time=self.time, load=self.load, state=start)
+
+    def _piece(self, i: int, stop: int, start: State) -> Motion:
+        first = max(i - 1, 0)
+        path = self.wanted[first:stop].copy()
+        if i:
+            path[0] = start.displacement - self.lead[first]
+        along: dict[str, Any] = {
+            name: None if values is None else values[first:stop] for name, values in self.course.items()
+        }
+        return self.actuator.compensate(path, **along, state=start)
+
+    def _cut(self, first: int, stop: int) -> dict[str, Any]:
+        if not self.actuator.wide:
+            return {}
+        return {name: values[first:stop] for name in ("time", "load") if (values := self.course[name]) is not None}

@@ -20,7 +20,7 @@ _NOTHING = 1e-9
 
 
 def parts(grid: Grid, found: WideCoefficients, first: float) -> dict[str, Any]:
-    """Arguments of `Actuator`: slip, spring, transformer, creep and smooth; `first`: spring's voltage at its first knot."""
+    """Arguments of `Actuator` from coefficients; `first` is the spring's voltage at its first knot [V]."""
     branches = grid.time_constants.size
     least = _NOTHING * float(found.slopes @ np.diff(grid.knots)) / float(np.ptp(grid.knots))
     creep, smooth = found.moved[:branches] > least, found.moved[branches:] > least
@@ -76,7 +76,7 @@ def coefficients_of(actuator: Actuator) -> WideCoefficients:
 def moved_along(grid: Grid, piece: Record, lead: Record | None) -> Array:
     """What a piece moves besides carts, from rest at its first sample or at that of the `lead` that it goes on from.
 
-    Creep strains (n, J) [m], smooth elongations (n, L) [m], and what is left of strains at the start (n, J), side by side.
+    Side by side: creep strains (n, J) [m], smooth elongations (n, L) [m], what is left of strains at the start (n, J).
     """
     creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
     smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))

@@ -136,7 +136,12 @@ def came_from(actuator: Actuator, start: str) -> str:
 
 def state_dict(state: State) -> dict[str, Any]:
     """Return a state as JSON values."""
-    return {"displacement_m": state.displacement, "carts_m": state.carts.tolist()}
+    more = {"creep_m": state.creep, "motion_m_and_m_per_s": state.motion}
+    return {
+        "displacement_m": state.displacement,
+        "carts_m": state.carts.tolist(),
+        **{name: values.tolist() for name, values in more.items() if values.size},
+    }
 
 
 def lagging(displacement: Any, actuator: Actuator, time: dict[str, Any]) -> Any:

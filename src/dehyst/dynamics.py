@@ -52,6 +52,10 @@ class Dynamics:
         mean = float(np.ptp(spring.voltage) / np.ptp(spring.displacement))
         return self.series / (mean + self.series)
 
+    def lead(self, velocity: Array, acceleration: Array) -> Array:
+        """W less y (n,) [m] that moves the free mass so: 2 zeta/omega y' + y''/omega^2."""
+        return (2 * self.damping * velocity + acceleration / self.frequency) / self.frequency
+
     def transitions(self, durations: Array, share: float) -> Array:
         """Steps (R, 8) of durations (R,) [s] for (y, y'/omega): phi row by row, then what q before and after adds.
 

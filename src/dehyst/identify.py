@@ -108,6 +108,7 @@ def identify(
     IdentifyError
         If an option is impossible, or no sample says anything about the elements.
     """
+    _check_structure(structure, method, elements, breakaway, knots)
     settings = Settings(method, elements, breakaway, norm, knots, slope_floor, delay, shared_datum, drift, branch)  # type: ignore[arg-type]
     tell = progress or (lambda _: None)
     training, held_out = as_list(records), as_list(validate)
@@ -123,6 +124,19 @@ def identify(
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
     return fit
+
+
+def _check_structure(structure: object, method: str, *own: object) -> None:
+    if structure == "paper":
+        return
+    if structure != "auto" and not isinstance(structure, Structure):
+        raise IdentifyError(f"structure: got {structure!r}, need 'auto', 'paper' or a Structure")
+    if method != "record":
+        raise IdentifyError(f"structure: method {method!r} knows the paper's class only; leave one of them out")
+    if any(one is not None for one in own):
+        raise IdentifyError(
+            "elements, breakaway, knots: a wider structure has its own; give Structure(elements=..., ...)"
+        )
 
 
 @dataclass(eq=False)
@@ -182,11 +196,12 @@ class _Job:
         reference = regression.rows.epoch[regression.rows.record == self.widest].max()
         actuator = Actuator(
             **parts(regression.grid, found, found.offsets[int(reference)]),
-            dynamics=frame.inertia.dynamics, limits=voltages, delay=self.delay, name=self.training[self.widest].record.name,
-            provenance=self._provenance(),
+            dynamics=frame.inertia.dynamics, limits=voltages, delay=self.delay,
+            name=self.training[self.widest].record.name, provenance=self._provenance(),
         )  # fmt: skip
         self.tell("simulating every record")
-        return self._finish(actuator, regression, Outcome.IDENTIFIED, found.solution.status, found.solution.gap)
+        outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
+        return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
 
     def by_breakpoints(self) -> Fit:
         """The paper's own method, or Remark 2's closed form."""

@@ -22,7 +22,7 @@ _EVALUATIONS = 90
 
 @dataclass(frozen=True)
 class Inertia:
-    """How the measured displacement follows the one that hysteresis makes: w(t) = y + damping y' + mass y'' at t + delay.
+    """How the displacement y follows w, that which hysteresis makes: w(t - delay) = y + damping y' + mass y''.
 
     Attributes
     ----------

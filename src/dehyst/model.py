@@ -83,6 +83,10 @@ class Outcome(Enum):
     """How an identification ended; the value is the sentence to show."""
 
     IDENTIFIED = "Identified: the program was solved to optimality, and the records determine every stiffness."
+    WIDER = (
+        "Identified: the program was solved to optimality, in a wider class than the paper's. How far the records "
+        "determine single coefficients was not judged."
+    )
     UNDETERMINED = (
         "Identified, but the records leave directions of the stiffnesses open: other motions than the recorded ones "
         "may be predicted wrongly. Add minor loops with other turning points."

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from dehyst._errors import ModelError
 from dehyst._native import Array, number
 from dehyst.elements import MaxwellSlip, Spring
@@ -65,6 +67,17 @@ def physical(
         nonlinear=h - equivalent * x,
         parallel=h,
     )
+
+
+def charge(
+    displacement: Array, *, at_rest: float, transformer_ratio: float, mechanical: float, electrical: float
+) -> Array:
+    """Return q = T x [C], x = (y - at_rest) km / keq."""
+    for name, value in (("transformer_ratio", transformer_ratio), ("mechanical_stiffness", mechanical),
+                        ("electrical_stiffness", electrical)):  # fmt: skip
+        if number(value, name) <= 0:
+            raise ModelError(f"{name}: got {value}, need a positive number")
+    return np.asarray(transformer_ratio * (displacement - at_rest) * mechanical / _in_series(electrical, mechanical))
 
 
 def _in_series(a: float, b: float) -> float:

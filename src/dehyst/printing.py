@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from dehyst.paper import Paper
 
 
+# Structures, best first.
+_SHOWN = 5
+
+
 def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
     """Print what an identification found."""
     click.echo(fit.outcome.value)
@@ -31,6 +35,10 @@ def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
             f"  {error.largest_percent:>7.3f} %{error.rms_percent:>7.3f} %"
             f"  {error.largest * 1e9:>6.0f} nm{error.rms * 1e9:>6.0f} nm  {drift:>7.3f} %{rms:>7.3f} %"
         )
+    if fit.trials:
+        click.echo("\nStructures tried, RMS error of cycles held out in turn:")
+        for trial in sorted(fit.trials, key=lambda one: one.held_out)[:_SHOWN]:
+            click.echo(f"  {trial.held_out * 1e9:>7.1f} nm  {trial.structure.words}")
     for title, sentences in (("Repaired or left out", fit.repairs), ("To know", fit.remarks)):
         if sentences:
             click.echo(f"\n{title}:")

@@ -2,16 +2,15 @@
 
     minimise || W (F a + P x - b) ||,   a free, x >= 0, C x >= l
 
-L1 and L-infinity are linear programs solved by HiGHS, L1 in its dual form (max b'y + l'm, P'y + C'm <= 0, F'y = 0,
-abs(y) <= w, m >= 0: few rows, and x is their duals), L-infinity by row generation; L2 is `squares`. Each answer comes
-with its duality gap.
+L1 is `reduction`, L2 is `squares`; L-infinity is a linear program solved by HiGHS with row generation. Each answer
+comes with its duality gap.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -21,6 +20,7 @@ from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.highs import Program, linear_program, linear_programs
 from dehyst.problem import TINY, Answer, Problem, failed, inequalities
+from dehyst.reduction import Whole, least_absolute
 from dehyst.squares import least_squares, triangle_of
 
 __all__ = ["NORMS", "Norm", "Program", "Solution", "linear_program", "linear_programs", "one_thread", "solve",
@@ -52,7 +52,8 @@ class Solution:
     residual : (n,) array
         F a + P x - b, not weighted.
     gap : float
-        Primal minus dual objective over the objective of a = x = 0, never negative but for rounding.
+        Primal minus dual objective over that of a = x = 0, or over the primal one if that is larger; never negative
+        but for rounding.
     """
 
     free: Array
@@ -121,39 +122,8 @@ def _impossible(problem: Problem) -> bool:
 
 
 def _l1(problem: Problem) -> Answer:
-    rows, goal, p = problem.rows, problem.goal, problem.free
-    n, q = rows.shape
-    limits = np.where(np.arange(q) < p, 0.0, -np.inf), np.zeros(q)
-    # Weights are in the rows already, so that the multipliers share one box and the program is scaled to O(1).
-    m = problem.lower.size
-    box = np.append(-np.ones(n), np.zeros(m)), np.append(np.ones(n), np.full(m, np.inf))
-    both, cost = np.vstack([rows, problem.matrix]).T, -np.append(goal, problem.lower)
-    answer = highs.minimum(cost, box, both, limits, solver="ipm")
-    if not answer.optimal:
-        answer = highs.minimum(cost, box, both, limits, solver="simplex")
-    if not answer.optimal:
-        return failed(problem, answer.status)
-    x = -answer.row_dual
-    x[p:] = np.maximum(x[p:], 0.0)
-    x = _polished(problem, x)
-    primal, dual = float(np.abs(rows @ x - goal).sum()), -answer.objective
-    return Answer(x, f"optimal ({answer.status})", True, (primal - dual) / max(float(np.abs(goal).sum()), TINY))
-
-
-def _polished(problem: Problem, x: Array) -> Array:
-    """The vertex next to x: rows with no residual solved exactly, small coefficients at zero; x if that is worse."""
-    rows, goal, p = problem.rows, problem.goal, problem.free
-    residual = np.abs(rows @ x - goal)
-    used = np.flatnonzero((np.arange(x.size) < p) | (x > 1e-9 * np.abs(x).max(initial=0.0)))
-    met = problem.matrix @ x < problem.lower + 1e-9 * np.abs(x).max(initial=1.0)
-    count = max(used.size - np.count_nonzero(met), int(np.count_nonzero(residual < 1e-7)))
-    tight = np.argsort(residual, kind="stable")[:count]
-    refined = np.zeros_like(x)
-    equations = np.vstack([rows[np.ix_(tight, used)], problem.matrix[np.ix_(met, used)]])
-    refined[used] = np.linalg.lstsq(equations, np.append(goal[tight], problem.lower[met]), rcond=None)[0]
-    refined[p:] = np.maximum(refined[p:], 0.0)
-    better = np.abs(rows @ refined - goal).sum() <= residual.sum() and problem.meets(refined)
-    return refined if better else x
+    frame = replace(problem, rows=problem.rows[:0], goal=problem.goal[:0])
+    return least_absolute(Whole(problem.rows, problem.goal), frame)
 
 
 def _linf(problem: Problem) -> Answer:
@@ -176,7 +146,8 @@ def _linf(problem: Problem) -> Answer:
         worst = worst[residual[worst] > answer.objective + 1e-9]
         added = np.setdiff1d(worst, chosen)
         if not added.size:
-            gap = (float(residual.max()) - answer.objective) / max(float(np.abs(goal).max()), TINY)
+            largest = float(residual.max())
+            gap = (largest - answer.objective) / max(float(np.abs(goal).max()), largest, TINY)
             return Answer(x, f"optimal ({answer.status})", True, gap)
         chosen = np.union1d(chosen, added)
     return failed(problem, "row generation did not end")

@@ -93,10 +93,11 @@ def _by_qr(problem: Problem) -> Answer:
 def _judged(problem: Problem, x: Array, multipliers: Array, status: str) -> Answer:
     """What is left of stationarity: x'g and the slacks must vanish, and g may not be negative where x has no limit."""
     p, goal = problem.free, problem.goal
-    gradient = problem.rows.T @ (problem.rows @ x - goal) - problem.matrix.T @ multipliers
+    residual = problem.rows @ x - goal
+    gradient = problem.rows.T @ residual - problem.matrix.T @ multipliers
     slack = problem.matrix @ x - problem.lower
     left = abs(gradient @ x) + np.maximum(-gradient[p:], 0).sum() + abs(multipliers @ slack)
-    gap = float(left) / max(float(goal @ goal), TINY)
+    gap = float(left) / max(float(goal @ goal), float(residual @ residual), TINY)
     optimal = gap < OPTIMAL and problem.meets(x)
     return Answer(x, f"{'optimal' if optimal else 'no optimum'} ({status})", optimal, gap)
 

@@ -27,8 +27,8 @@ class Structure:
     Parameters
     ----------
     elements : int
-        N thresholds, rho_i = stroke / 2 (i / N)^spacing; the last lets go over the whole stroke only and is one with the
-        spring.
+        N thresholds, rho_i = stroke / 2 (i / N)^spacing; the last lets go over the whole stroke only, and is one with
+        the spring.
     spacing : float
         1: the paper's uniform grid; 2: denser where loops are small.
     grades : int
@@ -97,7 +97,7 @@ class Structure:
                 "transformer": self.transformer, "creep": self.creep, "smooth": self.smooth}  # fmt: skip
 
     def grid(self, span: tuple[float, float], voltages: tuple[float, float], times: tuple[float, float]) -> Grid:
-        """Thresholds and knots for loops over these displacements [m], voltages [V] and times [s] (shortest, longest)."""
+        """Thresholds and knots for loops over these displacements [m], voltages [V] and times [s], low and high."""
         low, high = span
         stroke = high - low
         breakaway = 0.5 * stroke * (np.arange(1, self.elements + 1) / self.elements) ** self.spacing

@@ -13,11 +13,11 @@ from dehyst._native import Array
 from dehyst.composition import moved_along
 from dehyst.inertia import Inertia, find_inertia, undone
 from dehyst.preparation import Prepared
-from dehyst.record import Record
 from dehyst.repairs import cycle_time
 from dehyst.rows import collect
 from dehyst.selection import PARTS, Trial, select
 from dehyst.signals import turning_points
+from dehyst.smoothing import without_jitter
 from dehyst.structure import Structure
 from dehyst.wide_regression import WideRegression
 
@@ -27,9 +27,6 @@ _MOST_ROWS = 30_000
 # Cycles of which the slowest lasts this many times the fastest tell creep from hysteresis; a hold of a cycle does, too.
 _SPEEDS = 3.0
 _HELD = 0.005
-# Noise below this part of the range drags no element that counts; a parabola fits this part of a cycle.
-_QUIET = 3e-4
-_PART_OF_CYCLE, _WIDEST = 16, 12
 # What tells whether a record began at rest, and by how much that must lower the RMS residual.
 _CREEPING = Structure(elements=20, transformer=20, grades=4, creep=9)
 _WORTH_OF_START = 0.9
@@ -77,8 +74,12 @@ class Frame:
 
     def _rows_of(self, structure: Structure, most: int) -> WideRegression:
         grid = structure.grid(self.span, self.voltages, self.times)
-        pieces = [(q, self.smoothed(undone(piece, self.inertia.dynamics)), drift)
-                  for q, item in enumerate(self.training) for _, piece, drift in item.delayed(q, self.inertia.delay)]  # fmt: skip
+        stroke = self.span[1] - self.span[0]
+        pieces = [
+            (q, without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke), drift)
+            for q, item in enumerate(self.training)
+            for _, piece, drift in item.delayed(q, self.inertia.delay)
+        ]
         noise = [self.training[q].noise for q, _, _ in pieces]
         rows, _ = collect(pieces, grid.breakaway, noise,
                           moved=lambda number, piece: moved_along(grid, piece, self.training[number].lead))  # fmt: skip
@@ -87,7 +88,7 @@ class Frame:
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""
         step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
-        if cycle > _SLOWEST * step or self.window > 1:
+        if cycle > _SLOWEST * step:
             return self
 
         def build(inertia: Inertia) -> WideRegression:
@@ -98,23 +99,6 @@ class Frame:
         if min(_rms(build(one)) for one in masses) > _WORTH_OF_MASS * without:
             return self
         return replace(self, inertia=find_inertia(build, self.inertia.delay, step, cycle))
-
-    @cached_property
-    def window(self) -> int:
-        """Samples over which displacements are smoothed, lest the sensor's noise drag small elements along; 1: not at all."""
-        noise = max(item.noise for item in self.training)
-        if noise < _QUIET * (self.span[1] - self.span[0]):
-            return 1
-        cycle = min(cycle_time(item.record) / item.record.sample_time for item in self.training)
-        return 2 * (min(int(cycle / _PART_OF_CYCLE), _WIDEST) // 2) + 1
-
-    def smoothed(self, piece: Record) -> Record:
-        """A piece whose displacement follows parabolas through its neighbours, where noise asks for it."""
-        from scipy.signal import savgol_filter
-
-        if not 5 <= self.window <= len(piece):
-            return piece
-        return replace(piece, displacement=savgol_filter(piece.displacement, self.window, 2))
 
     @cached_property
     def strained(self) -> tuple[int, ...]:

@@ -18,6 +18,7 @@ from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.repairs import find_datum
 from dehyst.rows import Epoch, collect
+from dehyst.smoothing import without_jitter
 from dehyst.wide_regression import WideCoefficients, WideRegression
 
 # Least slope of a branch, of the mean one: a weight must not grow without bound.
@@ -118,7 +119,7 @@ class Comparison:
 def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
     measured = record.delayed(0, protocol.delay)
-    pieces = [(q, undone(piece, actuator.dynamics), drift) for q, piece, drift in measured]
+    pieces = [(q, _path(actuator, piece, record.noise, protocol.stroke), drift) for q, piece, drift in measured]
     regression, model, epochs = _beside(actuator, record, pieces, (0,) if protocol.drifting else ())
     datum = protocol.datum
     if datum is None:
@@ -145,6 +146,11 @@ def _beside(
     rows, epochs = collect(pieces, rho, sigma, moved=lambda _, piece: moved_along(grid, piece, record.lead))
     floor = _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
     return WideRegression(rows, grid, floor, np.zeros(1), drifting, (0,)), coefficients_of(actuator), epochs
+
+
+def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
+    """What drives the elements of an actuator; plain ones take the measured displacement as it is."""
+    return without_jitter(undone(piece, actuator.dynamics), noise, stroke) if actuator.wide else piece
 
 
 def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,7 @@ from dehyst._errors import ModelError
 from dehyst._native import NOTHING, Array, Held, Pace, WideCore, strains, vector
 from dehyst.creep import Creep, clock
 from dehyst.dynamics import Dynamics
-from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer, frozen
 from dehyst.model import State
 from dehyst.smooth import SmoothSlip
 
@@ -85,12 +85,11 @@ class WideModel:
         pace, push = self._pace(course.time, path.size), self._push(course.load, path.size)
         w, more, held = path - push if push.size else path, NOTHING, self.held(start)
         if self.dynamics is not None:
-            velocity, acceleration = self._derivatives(path, course)
-            omega = self.dynamics.frequency
-            w = w + (2 * self.dynamics.damping * velocity + acceleration / omega) / omega
+            velocity, acceleration = self.derivatives(path, course)
+            w = w + self.dynamics.lead(velocity, acceleration)
             more = self.dynamics.series * (w - path)
             if path.size:
-                held = held._replace(motion=np.array([path[-1], velocity[-1] / omega]))
+                held = held._replace(motion=np.array([path[-1], velocity[-1] / self.dynamics.frequency]))
         voltage, reached = self.core.compensate(w, pace, held, more=more, stack=stack)
         if self.lag and path.size > 1:
             rate = np.gradient(voltage, _seconds(course), edge_order=2 if path.size > 2 else 1)
@@ -108,6 +107,57 @@ class WideModel:
         motion = held.motion if self.dynamics is None else held.motion * np.array([1.0, self.dynamics.frequency])
         branches = 0 if self.creep is None else len(self.creep)
         return State(held.w, held.carts, held.strains[:branches], motion, held.strains[branches:])
+
+    def fitted(self, start: State) -> State:
+        """The state, complete and with rounding taken out; `ModelError` if it is none of this actuator."""
+        if not isinstance(start, State):
+            raise ModelError(f"state: got {type(start).__name__}, need a State, such as the one a Motion hands back")
+        if start.carts.size != len(self.slip):
+            raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
+        start = self._complete(start)
+        excess = np.abs(start.displacement - start.carts) - self.slip.breakaway
+        worst = int(np.argmax(excess)) if excess.size else 0
+        if excess.size and excess[worst] > 1e-9 * (self.slip.breakaway[worst] + abs(start.displacement)):
+            raise ModelError(
+                f"state: cart {worst} is {excess[worst]:.3g} m farther from the displacement than its breakaway "
+                f"elongation {self.slip.breakaway[worst]:.3g} m"
+            )
+        return start if not excess.size or excess[worst] <= 0 else replace(start, carts=self._pulled(start))
+
+    def _complete(self, state: State) -> State:
+        """Put in creep strains, smooth elongations and motion, if they were left out."""
+        branches, moving = 0 if self.creep is None else len(self.creep), 0 if self.dynamics is None else 2
+        if state.creep.size not in (0, branches):
+            raise ModelError(
+                f"state: got {state.creep.size} creep strains, this actuator has {branches} creep branches"
+            )
+        if state.motion.size > moving:
+            raise ModelError("state: got a motion, this actuator has no dynamics")
+        if state.creep.size < branches:
+            state = replace(state, creep=np.zeros(branches))
+        state = self._elongated(state)
+        return replace(state, motion=np.array([state.displacement, 0.0])) if state.motion.size < moving else state
+
+    def _elongated(self, state: State) -> State:
+        length = NOTHING if self.smooth is None else self.smooth.length
+        if state.smooth.size not in (0, length.size):
+            raise ModelError(
+                f"state: got {state.smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
+            )
+        if state.smooth.size < length.size:
+            return replace(state, smooth=np.zeros(length.size))
+        excess = np.abs(state.smooth) - length
+        worst = int(np.argmax(excess / length)) if excess.size else 0
+        if excess.size and excess[worst] > 1e-9 * length[worst]:
+            raise ModelError(
+                f"state: smooth element {worst} is elongated by {state.smooth[worst]:.3g} m, its length is "
+                f"{length[worst]:.3g} m"
+            )
+        return replace(state, smooth=np.clip(state.smooth, -length, length)) if np.any(excess > 0) else state
+
+    def _pulled(self, state: State) -> Array:
+        low, high = state.displacement - self.slip.breakaway, state.displacement + self.slip.breakaway
+        return frozen(np.clip(state.carts, low, high))
 
     def _pace(self, time: ArrayLike | None, samples: int) -> Pace:
         if time is None and self.needs_time:
@@ -158,7 +208,13 @@ class WideModel:
         behind = strains(command, bounds, *Creep([self.lag], [0.0]).tables(durations), command[:1] - before)
         return command - behind[:, 0]
 
-    def _derivatives(self, path: Array, course: Course) -> tuple[Array, Array]:
+    def lead(self, path: Array, course: Course) -> Array:
+        """W less the path (n,) [m]: what inertia, damping and load ask for."""
+        push = self._push(course.load, path.size)
+        ahead = np.zeros(path.size) if self.dynamics is None else self.dynamics.lead(*self.derivatives(path, course))
+        return ahead - push if push.size else ahead
+
+    def derivatives(self, path: Array, course: Course) -> tuple[Array, Array]:
         """Velocity and acceleration of the path, where they are not given those of its cubic spline."""
         found = []
         for order, values, what in ((1, course.velocity, "velocity"), (2, course.acceleration, "acceleration")):

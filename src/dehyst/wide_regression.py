@@ -188,7 +188,7 @@ class WideRegression:
         return self.fit(norm, weights)
 
     def slope(self, found: WideCoefficients) -> Array:
-        """d tau(v)/dy of the model at each row (n,) [V/m], at the floor at least."""
+        """D tau(v)/dy of the model at each row (n,) [V/m], at the floor at least."""
         grid, y = self.grid, self.axis
         kappa = found.stiffness[grid.movable]
         slope = kappa.sum(axis=0)[_segment(grid.grades, y)] + found.slopes[_segment(self.knots, y)]

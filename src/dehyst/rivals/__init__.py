@@ -13,14 +13,22 @@ from dehyst.model import AbstractModel
 from dehyst.record import Record
 from dehyst.rivals.boucwen import BoucWen
 from dehyst.rivals.duhem import Duhem
+from dehyst.rivals.generalised import Generalised
 from dehyst.rivals.goldfarb import Goldfarb
+from dehyst.rivals.krasnoselskii import Krasnoselskii
+from dehyst.rivals.kuhnen import Kuhnen
 from dehyst.rivals.linear import Linear
+from dehyst.rivals.prandtl import Prandtl
 from dehyst.rivals.preisach import Preisach
 
 Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
 
 RIVALS: Mapping[str, Identification] = {
     "Goldfarb-Celanovic": lambda records: Goldfarb.fit(records[0]),
+    "Prandtl-Ishlinskii": Prandtl.fit,
+    "Prandtl-Ishlinskii, modified": Kuhnen.fit,
+    "Prandtl-Ishlinskii, generalised": Generalised.fit,
+    "Krasnoselskii-Pokrovskii": Krasnoselskii.fit,
     "Preisach": Preisach.fit,
     "Preisach, reversal curves": Preisach.from_reversal_curves,
     "Bouc-Wen": BoucWen.fit,

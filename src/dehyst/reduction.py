@@ -1,0 +1,218 @@
+"""Least absolute deviations of any number of rows, seen in blocks, a few of which are in memory.
+
+A sample of the rows gives a first answer. Rows whose residual is far from zero there hardly ever change its sign: they
+enter the program only by their sum, each times its sign (Portnoy and Koenker 1997, Stat. Sci. 12, 279). With these
+signs for their duals the small program's dual point is one of the whole program, whatever the signs: so each answer is
+proven by a gap over all rows, and rows whose sign proves wrong go back into the program until that gap is closed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._native import Array
+from dehyst.deviations import Deviations, dual_value, least_absolute_deviations
+from dehyst.problem import OPTIMAL, TINY, Answer, Problem, failed
+
+# Up to so many rows for each coefficient a sample gains nothing.
+_WHOLE = 60
+# Numbers that rows in memory may have: 8 bytes each, and an interior point copies them two or three times.
+_MOST_NUMBERS = 8_000_000
+_ROUNDS = 12
+# The gap that ends the rounds, relative to the objective, and relative to that at zero where there is none.
+_CLOSE = 0.1 * OPTIMAL
+_EXACT = 1e-12
+
+
+class Blocks(Protocol):
+    """Rows and targets (k, q) and (k,) that can be gone through again and again, n in all."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[tuple[Array, Array]]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """Rows in memory, in one block."""
+
+    rows: Array
+    goal: Array
+
+    def __len__(self) -> int:
+        return self.goal.size
+
+    def __iter__(self) -> Iterator[tuple[Array, Array]]:
+        yield self.rows, self.goal
+
+
+@dataclass(frozen=True, eq=False)
+class _Divided:
+    """Rows in the program, and the sum of the others.
+
+    Attributes
+    ----------
+    problem : Problem
+        Rows that are kept.
+    places : (k,) int array
+        Their places among all rows, ascending.
+    signs_of : (q,) array
+        The coefficients that gave the others their signs.
+    pull, value : (q,) array and float
+        Sums of the other rows and of their targets, each times its sign.
+    """
+
+    problem: Problem
+    places: NDArray[np.intp]
+    signs_of: Array
+    pull: Array
+    value: float
+
+
+def least_absolute(blocks: Blocks, frame: Problem) -> Answer:
+    """Minimise the sum of absolute residuals of all rows; `frame` has the limits, and no rows."""
+    n, q = len(blocks), frame.unknowns
+    size = min(max(int(n ** (2 / 3) * q ** (1 / 3)), 20 * q), _MOST_NUMBERS // max(q, 1))
+    unit = max(sum(float(np.abs(goal).sum()) for _, goal in blocks), TINY)
+    if n <= max(2 * size, _WHOLE * q):
+        return _whole(blocks, frame, unit)
+    sample = _sample(blocks, frame, -(-n // size))
+    first = least_absolute(Whole(sample.rows, sample.goal), frame)
+    if not first.optimal:
+        return _whole(blocks, frame, unit) if n * q <= _MOST_NUMBERS else first
+    return _reduced(blocks, frame, sample, first.x, unit)
+
+
+def _whole(blocks: Blocks, frame: Problem, unit: float) -> Answer:
+    problem = _sample(blocks, frame, 1)
+    pull = np.zeros(frame.unknowns)
+    found = least_absolute_deviations(problem, pull, unit)
+    if not found.optimal:
+        return failed(frame, found.status)
+    primal = float(np.abs(problem.goal - problem.rows @ found.x).sum())
+    value, lacking = dual_value(problem, pull, found.y, found.multipliers, found.x)
+    return _judged(frame, found, primal - value + lacking, max(unit, primal), found.status)
+
+
+def _judged(frame: Problem, found: Deviations, gap: float, unit: float, how: str) -> Answer:
+    optimal = abs(gap) <= OPTIMAL * unit and frame.meets(found.x)
+    return Answer(found.x, f"{'optimal' if optimal else 'no optimum'} ({how})", optimal, gap / unit)
+
+
+def _sample(blocks: Blocks, frame: Problem, step: int) -> Problem:
+    """Every step-th row."""
+    rows, goals, place = [], [], 0
+    for block, goal in blocks:
+        first = -place % step
+        rows.append(block[first::step] if step == 1 else block[first::step].copy())
+        goals.append(goal[first::step].copy())
+        place += goal.size
+    return replace(frame, rows=np.concatenate(rows) if len(rows) > 1 else rows[0], goal=np.concatenate(goals))
+
+
+def _reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, unit: float) -> Answer:
+    n, most = len(blocks), _MOST_NUMBERS // frame.unknowns
+    exact = sum(float(np.abs(goal - rows @ x).sum()) for rows, goal in blocks)
+    if exact <= _EXACT * unit:
+        # Zeros are a dual point: nothing is left to gain, and signs of rounding errors would mean nothing.
+        return Answer(x, f"optimal (a sample of {sample.goal.size} of {n} rows meets all)", True, exact / unit)
+    residual, room = sample.goal - sample.rows @ x, min(sample.goal.size, most // 2)
+    divided = _divide(blocks, frame, x, _cut(residual, room / n), room)
+    best = failed(frame, "no round of the reduction gave an answer")
+    for k in range(1, _ROUNDS + 1):
+        found = least_absolute_deviations(divided.problem, divided.pull, unit)
+        if not found.optimal:
+            # Too many signs are wrong: the other rows pull harder than the kept ones can hold.
+            if room >= min(n, most):
+                return _whole(blocks, frame, unit) if n <= most else failed(frame, found.status)
+            room = min(4 * room, most)
+            divided = _divide(blocks, frame, x, _cut(residual, room / n), room)
+            continue
+        primal, wrong = _checked(blocks, divided, found.x, most)
+        value, lacking = dual_value(divided.problem, divided.pull, found.y, found.multipliers, found.x)
+        gap = primal - value - divided.value + lacking
+        if not gap / unit > best.gap:
+            how = f"{found.status}, on {divided.places.size} of {n} rows in round {k}"
+            best = _judged(frame, found, gap, max(unit, primal), how)
+        if gap <= max(_CLOSE * primal, _EXACT * unit) or not wrong.places.size:
+            break
+        if divided.places.size + wrong.places.size > most:
+            x = found.x
+            residual = sample.goal - sample.rows @ x
+            divided = _divide(blocks, frame, x, _cut(residual, room / n), room)
+        else:
+            divided = _with(divided, wrong)
+    return best
+
+
+def _cut(residual: Array, share: float) -> float:
+    """The size below which this share of residuals lies."""
+    return float(np.quantile(np.abs(residual), min(share, 1.0)))
+
+
+def _divide(blocks: Blocks, frame: Problem, x: Array, cut: float, most: int) -> _Divided:
+    """Keep rows with residuals up to `cut`, at most `most`, and add up the others."""
+    parts: list[tuple[Array, Array, NDArray[np.intp]]] = []
+    pull, value, place, room = np.zeros(frame.unknowns), 0.0, 0, most
+    for rows, goal in blocks:
+        residual = goal - rows @ x
+        kept = np.flatnonzero(np.abs(residual) <= cut)[:room]
+        signs = _signs(residual)
+        signs[kept] = 0.0
+        pull += signs @ rows
+        value += float(signs @ goal)
+        parts.append((rows[kept], goal[kept], kept + place))
+        place, room = place + goal.size, room - kept.size
+    some, goals, places = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return _Divided(replace(frame, rows=some, goal=goals), places, x, pull, value)
+
+
+def _signs(residual: Array) -> Array:
+    return np.where(residual >= 0, 1.0, -1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Wrong:
+    """Rows whose residual has another sign than it was given: (k, q), (k,), (k,), and the signs (k,) they had."""
+
+    rows: Array
+    goal: Array
+    places: NDArray[np.intp]
+    signs: Array
+
+
+def _checked(blocks: Blocks, divided: _Divided, x: Array, most: int) -> tuple[float, _Wrong]:
+    """Sum of absolute residuals of all rows, and rows with wrong signs, one more than `most` at the most."""
+    primal, place, room = 0.0, 0, most + 1
+    empty = np.zeros(0)
+    parts = [(np.zeros((0, x.size)), empty, empty.astype(np.intp), empty)]
+    for rows, goal in blocks:
+        residual, signs = goal - rows @ x, _signs(goal - rows @ divided.signs_of)
+        primal += float(np.abs(residual).sum())
+        own = slice(*np.searchsorted(divided.places, [place, place + goal.size]))
+        signs[divided.places[own] - place] = 0.0
+        wrong = np.flatnonzero(residual * signs < 0)[:room]
+        parts.append((rows[wrong], goal[wrong], wrong + place, signs[wrong]))
+        place, room = place + goal.size, room - wrong.size
+    return primal, _Wrong(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _with(divided: _Divided, more: _Wrong) -> _Divided:
+    """The same with these rows kept too."""
+    places = np.concatenate([divided.places, more.places])
+    order = np.argsort(places, kind="stable")
+    problem = divided.problem
+    rows = np.concatenate([problem.rows, more.rows])[order]
+    goal = np.concatenate([problem.goal, more.goal])[order]
+    return replace(
+        divided,
+        problem=replace(problem, rows=rows, goal=goal),
+        places=places[order],
+        pull=divided.pull - more.signs @ more.rows,
+        value=divided.value - float(more.signs @ more.goal),
+    )

@@ -1,0 +1,162 @@
+"""Least absolute deviations: proven by duality, and against HiGHS on the same programs, hundreds of them."""
+
+import time
+from dataclasses import replace
+
+import bench
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dehyst import highs, program, reduction
+from dehyst.absolutes import interior
+from dehyst.problem import Problem
+from dehyst.program import solve
+from dehyst.regression import Regression
+from dehyst.rows import collect
+
+KINDS = ("random", "collinear", "noise-free", "tiny", "repeated rows", "rounded")
+
+
+def table(kind, seed, rows, columns):
+    """Rows, targets and the number of free columns of a random program."""
+    rng = np.random.default_rng(seed)
+    t = rng.uniform(0, 1, rows)
+    a = rng.normal(size=(rows, columns))
+    if kind == "collinear":
+        # Neighbouring clipped ramps, as slip elements are, one of them twice.
+        a = np.clip(t[:, None] - np.linspace(0, 1, columns, endpoint=False), 0, 0.3)
+        a[:, -1] = a[:, 0]
+    x = np.maximum(rng.normal(size=columns), 0)
+    b = a @ x + (0.0 if kind == "noise-free" else 0.1) * rng.standard_t(2, rows)
+    if kind == "tiny":
+        a, b = a * 10.0 ** rng.uniform(-9, 0, columns), b * 1e-6
+    if kind == "repeated rows":
+        half = rows // 2
+        a[half : 2 * half], b[half : 2 * half] = a[:half], b[:half]
+    if kind == "rounded":
+        b = np.round(b, 1)
+    return a, b, int(rng.integers(0, min(columns, 3)))
+
+
+def least(a, b, free, matrix=None, lower=None):
+    """The least sum by HiGHS: the dual program, scaled to the order of one."""
+    scale, unit = np.abs(a).max(axis=0), np.abs(b).max() or 1.0
+    scale[scale == 0] = 1.0
+    n, q = a.shape
+    c = np.zeros((0, q)) if matrix is None else np.hstack([np.zeros((len(matrix), free)), matrix])
+    low = np.zeros(0) if lower is None else lower
+    limits = np.where(np.arange(q) < free, 0.0, -np.inf), np.zeros(q)
+    box = np.append(-np.ones(n), np.zeros(len(c))), np.append(np.ones(n), np.full(len(c), np.inf))
+    answer = highs.minimum(-np.append(b, low) / unit, box, (np.vstack([a, c]) / scale).T, limits, solver="simplex")
+    assert answer.optimal, answer.status
+    return -answer.objective * unit
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.sampled_from(KINDS), st.integers(0, 10**6), st.integers(20, 200), st.integers(1, 15))
+def test_agrees_with_highs(kind, seed, rows, columns):
+    a, b, free = table(kind, seed, rows, columns)
+    found = solve(a[:, :free], a[:, free:], b, norm="l1")
+    assert found.optimal, found.status
+    assert np.all(found.nonnegative >= 0)
+    assert np.abs(found.residual).sum() == pytest.approx(least(a, b, free), rel=1e-7, abs=1e-9 * np.abs(b).sum())
+    assert abs(found.gap) < 1e-8
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(KINDS), st.integers(0, 10**6), st.integers(1, 8))
+def test_a_reduced_program_has_the_optimum_of_all_rows(kind, seed, columns):
+    a, b, free = table(kind, seed, 3000, columns)
+    found = solve(a[:, :free], a[:, free:], b, norm="l1")
+    assert found.optimal, found.status
+    assert np.abs(found.residual).sum() == pytest.approx(least(a, b, free), rel=2e-6, abs=1e-9 * np.abs(b).sum())
+    assert abs(found.gap) < 1e-6
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(KINDS), st.integers(0, 10**6), st.integers(2, 8))
+def test_inequalities_are_kept_by_whole_and_reduced_programs(kind, seed, columns):
+    rng = np.random.default_rng(seed)
+    for rows in (100, 2000):
+        a, b, _ = table(kind, seed, rows, columns)
+        # What a coefficient would be that explains all; the targets may all be zero.
+        size = (np.abs(b).max() or 1.0) / (np.abs(a).max(axis=0) + 1e-300)
+        c = (rng.uniform(size=(12, columns)) < 0.5) / size
+        low = rng.uniform(0, 2, 12) * np.any(c > 0, axis=1)
+        found = solve(a[:, :0], a, b, norm="l1", constraints=(c, low))
+        assert found.optimal, found.status
+        assert np.all(c @ found.nonnegative >= low - 1e-7 * (1 + np.abs(found.nonnegative / size).max()))
+        best = least(a, b, 0, c, low)
+        assert np.abs(found.residual).sum() == pytest.approx(best, rel=2e-6, abs=1e-8 * np.abs(b).sum())
+
+
+def test_a_gap_over_all_rows_is_never_below_the_true_one():
+    a, b, _ = table("random", 3, 4000, 5)
+    found = solve(a[:, :0], a, b, norm="l1")
+    true = np.abs(found.residual).sum() - least(a, b, 0)
+    assert "of 4000 rows" in found.status
+    assert found.gap * np.abs(b).sum() >= true - 1e-9
+
+
+def test_rows_in_any_number_of_blocks_give_the_same_optimum():
+    a, b, _ = table("collinear", 5, 6000, 6)
+
+    class Cut(reduction.Whole):
+        def __iter__(self):
+            for start in range(0, len(self), 701):
+                yield self.rows[start : start + 701], self.goal[start : start + 701]
+
+    frame = Problem(a[:0], b[:0], 0, np.zeros((0, 6)), np.zeros(0))
+    one, many = (reduction.least_absolute(kind(a, b), frame) for kind in (reduction.Whole, Cut))
+    assert one.optimal
+    assert many.optimal
+    sums = [np.abs(b - a @ answer.x).sum() for answer in (one, many)]
+    assert sums[0] == pytest.approx(sums[1], rel=1e-6)
+
+
+def test_more_wrong_signs_than_there_is_room_for_still_end_in_the_optimum(monkeypatch):
+    a, b, _ = table("random", 8, 6000, 6)
+    best = least(a, b, 0)
+    monkeypatch.setattr(reduction, "_MOST_NUMBERS", 6 * 900)
+    found = solve(a[:, :0], a, b, norm="l1")
+    assert found.optimal, found.status
+    assert np.abs(found.residual).sum() == pytest.approx(best, rel=1e-5)
+
+
+def test_where_the_interior_point_fails_highs_takes_over(monkeypatch):
+    from dehyst import deviations
+
+    a, b, _ = table("random", 1, 150, 5)
+    monkeypatch.setattr(deviations, "interior", lambda p, pull: replace(interior(p, pull), y=np.zeros(p.goal.size)))
+    found = solve(a[:, :0], a, b, norm="l1")
+    assert found.status.startswith("optimal (HiGHS")
+    assert np.abs(found.residual).sum() == pytest.approx(least(a, b, 0), rel=1e-9)
+    assert abs(found.gap) < 1e-9
+
+
+def test_the_program_of_a_record():
+    actuator = bench.plant(20)
+    record = bench.loops(actuator, bench.THREE_LOOPS, samples=150, noise=2e-9)
+    rows, _ = collect([(0, record, np.zeros(len(record)))], actuator.slip.breakaway, [2e-9])
+    movable = 2 * actuator.slip.breakaway < bench.STROKE
+    regression = Regression(rows, np.linspace(0, bench.STROKE, 21), 1e5, movable, np.zeros(1))
+    found = regression.fit("l1")
+    spring = regression.parts_of_spring(regression.axis)
+    a = np.hstack([regression.nuisances(), rows.elongation[:, movable], spring])
+    best = least(a, rows.voltage - 1e5 * spring.sum(axis=1), regression.nuisances().shape[1])
+    assert np.abs(found.solution.residual).sum() == pytest.approx(best, rel=1e-7)
+    assert abs(found.solution.gap) < 1e-6
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_rows_take_seconds_not_minutes():
+    a, b, _ = table("random", 2, 100_000, 60)
+    with program.one_thread():
+        begun = time.process_time()
+        found = solve(a[:, :1], a[:, 1:], b, norm="l1")
+        spent = time.process_time() - begun
+    assert found.optimal
+    assert found.gap < 1e-6
+    assert spent < 10
