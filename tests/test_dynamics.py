@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, ModelError, Spring, State, Transformer
+from dehyst.dynamics import exponential
 
 OMEGA = 2 * np.pi * 1000
 RHO = 0.5e-6 * np.arange(1, 11)
@@ -215,6 +216,17 @@ def test_a_record_with_a_mass_may_be_cut_at_any_sample():
         joined = np.concatenate([first.displacement[:-1], rest.displacement])
         np.testing.assert_allclose(joined, whole.displacement, atol=1e-12 * 1e-5)
         np.testing.assert_allclose(rest.state.motion, whole.state.motion, atol=1e-11 * np.abs(whole.state.motion[1]))
+
+
+def test_the_exponential_is_scipys():
+    from scipy.linalg import expm
+
+    rng = np.random.default_rng(0)
+    matrices = rng.normal(size=(200, 4, 4)) * 10 ** rng.uniform(-6, 1, (200, 1, 1))
+    got = exponential(matrices)
+    for one, matrix in zip(got, matrices, strict=True):
+        expected = expm(matrix)
+        np.testing.assert_allclose(one, expected, atol=1e-12 * np.abs(expected).max())
 
 
 MASS = Dynamics(OMEGA, 0.1)
