@@ -261,6 +261,12 @@ class TestKinds:
         np.testing.assert_array_equal(runs[runs > 1], 121)
         assert made.turns.tolist() == [0, 200, 0]
 
+    def test_staircase_with_steps_back(self):
+        made = staircase(200.0, steps=4, hold=30.0, back=True)
+        held = made.voltage[1:][np.diff(made.voltage) == 0]
+        levels = held[np.concatenate([[True], np.diff(held) != 0])]
+        assert levels == pytest.approx([100, 50, 150, 100, 200, 100, 150, 50, 100, 0])
+
     def test_staircase_with_quick_steps(self):
         made = staircase(90.0, steps=3, hold=0.9, ramp=4.0, drive=Drive(sample_rate=1.0))
         # Four seconds up, then one sample of hold, as 0.9 s are less than one.

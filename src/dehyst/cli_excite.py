@@ -104,12 +104,13 @@ def minor_loop(low: float, high: float, highest: float, cycles: int, majors: int
 @click.option("--steps", type=int, default=5, show_default=True, help="Up, and as many down.")
 @click.option("--hold", type=float, default=60.0, show_default=True, metavar="S", help="Time at each voltage.")
 @click.option("--ramp", type=float, metavar="S", help="Time between two voltages.  [default: half a cycle in all]")
+@click.option("--back", is_flag=True, help="Each two steps followed by one back: inner loops at all levels.")
 @_play_options
-def staircase(highest: float, steps: int, hold: float, ramp: float | None, **options: Any) -> None:
+def staircase(highest: float, steps: int, hold: float, ramp: float | None, back: bool, **options: Any) -> None:
     """Steps up to HIGHEST [V] and down again with holds: shows creep."""
     from dehyst import excite as kinds
 
-    _write(lambda drive: kinds.staircase(highest, steps=steps, hold=hold, ramp=ramp, drive=drive), options)
+    _write(lambda drive: kinds.staircase(highest, steps=steps, hold=hold, ramp=ramp, back=back, drive=drive), options)
 
 
 @excite.command("homing", context_settings=_NEGATIVE)

@@ -150,8 +150,9 @@ def minor_loop(
 
 
 def staircase(
-    highest: float, *, steps: int = 5, hold: float = 60.0, ramp: float | None = None, drive: Drive = _PAPER
-) -> Excitation:
+    highest: float, *, steps: int = 5, hold: float = 60.0, ramp: float | None = None, back: bool = False,
+    drive: Drive = _PAPER,
+) -> Excitation:  # fmt: skip
     """Equal steps from the base up to `highest` and down again, a hold after each: creep shows there.
 
     Parameters
@@ -164,6 +165,9 @@ def staircase(
         Time at each voltage [s], to the next sample; the last hold is at the base.
     ramp : float, optional
         Time from one voltage to the next [s], at least four samples; by default all steps up take half a cycle.
+    back : bool
+        Whether each two steps are followed by one back: these inner loops, at all levels, tell what tops that all fall
+        back to the base leave open.
     drive : Drive
         How it is played; its pace does not matter.
 
@@ -176,9 +180,22 @@ def staircase(
     waiting = positive(hold, "hold")
     moving = drive.half / count if ramp is None else positive(ramp, "ramp")
     levels = np.linspace(drive.base, top, count + 1).tolist()
-    path = levels + levels[-2::-1]
+    up = [levels[i] for i in _places(count, back)]
+    path = up + [levels[count - i] for i in _places(count, back)][1:]
     stairs = [part for a, b in pairwise(path) for part in (Leg(a, b, moving), Leg(b, b, waiting))]
     return drive.play("staircase", drive.approach(top - drive.base) + stairs)
+
+
+def _places(steps: int, back: bool) -> list[int]:
+    """Numbers of the levels that a climb visits."""
+    if not back:
+        return list(range(steps + 1))
+    places = [0]
+    while places[-1] < steps:
+        places.append(min(places[-1] + 2, steps))
+        if places[-1] < steps:
+            places.append(places[-1] - 1)
+    return places
 
 
 def homing(highest: float | None = None, *, turns: ArrayLike | None = None, drive: Drive = _PAPER) -> Excitation:

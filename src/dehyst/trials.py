@@ -55,11 +55,11 @@ class Trial:
     hold: float
 
     def records(self) -> tuple[Record, ...]:
-        """Training records, in one run: descending tops at both rates and a staircase."""
+        """Training records, in one run: descending tops at both rates and a staircase with steps back."""
         return self._run(0, lambda highest: [
             descending_tops(highest, drive=self._drive(self.slow)),
             descending_tops(highest, drive=self._drive(self.fast)),
-            staircase(highest, steps=5, hold=self.hold, drive=self._drive(self.slow)),
+            staircase(highest, steps=10, hold=self.hold, back=True, drive=self._drive(self.slow)),
         ])  # fmt: skip
 
     def held_out(self) -> tuple[Record, ...]:
