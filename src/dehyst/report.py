@@ -106,7 +106,7 @@ def _facts(fit: Fit, actuator: Actuator | None) -> str:
 
 
 def _outcome(outcome: Outcome) -> str:
-    if outcome in (Outcome.IDENTIFIED, Outcome.WIDER):
+    if outcome is Outcome.IDENTIFIED:
         colour, word = "green", "Good"
     elif outcome.good:
         colour, word = "amber", "Usable, with care"
