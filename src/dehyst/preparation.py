@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.record import Record
 from dehyst.rows import epochs
+
+_SHORTEST = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,18 @@ class Prepared:
         pieces = [piece.delayed(delay) if delay else piece for piece in self.pieces]
         whole = repairs.drift_curve(self.record, self.start)
         return [(number, piece, np.interp(piece.time, self.record.time, whole)) for piece in pieces]
+
+    def shortened(self, most: int) -> Prepared:
+        """The same without what lies beyond so many samples, or beyond its first three cycles if these are longer."""
+        if len(self.record) <= most:
+            return self
+        cycles = self.record.cycles()
+        least = cycles[min(3, len(cycles)) - 1].stop if cycles else len(self.record)
+        stop = max(most, least)
+        ends = np.cumsum([len(piece) for piece in self.pieces])
+        left = [stop - int(end) + len(piece) for piece, end in zip(self.pieces, ends, strict=True)]
+        pieces = tuple(piece.slice(0, n) for piece, n in zip(self.pieces, left, strict=True) if n >= _SHORTEST)
+        return replace(self, record=self.record.slice(0, stop), pieces=pieces)
 
     def source(self) -> dict[str, Any]:
         """Where the record came from: name, file and hash."""

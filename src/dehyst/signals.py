@@ -12,6 +12,9 @@ FloatArray: TypeAlias = NDArray[np.float64]
 
 # A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
 _ORDER = 6
+# Places interpolated at a time, lest polynomials of a long record fill the memory, and samples beyond them.
+_BLOCK = 1 << 19
+_NEIGHBOURS = 4
 
 
 def white_noise(values: FloatArray) -> float:
@@ -45,9 +48,19 @@ def interpolate(x: FloatArray, y: FloatArray, asked: FloatArray, kind: str) -> F
     """Return the signal y(x) at the places `asked`; kind is "linear" or "pchip"."""
     if kind == "linear":
         return np.interp(asked, x, y)
+    if len(asked) <= _BLOCK:
+        return _pchip(x, y, asked)
+    parts = [_pchip(x, y, asked[start : start + _BLOCK]) for start in range(0, len(asked), _BLOCK)]
+    return np.concatenate(parts)
+
+
+def _pchip(x: FloatArray, y: FloatArray, asked: FloatArray) -> FloatArray:
+    """Interpolate by those samples only that bear on the places asked: its slopes know a neighbour on each side."""
     from scipy.interpolate import PchipInterpolator
 
-    return np.asarray(PchipInterpolator(x, y)(asked), dtype=np.float64)
+    first = max(int(np.searchsorted(x, asked.min())) - _NEIGHBOURS, 0)
+    last = int(np.searchsorted(x, asked.max(), side="right")) + _NEIGHBOURS
+    return np.asarray(PchipInterpolator(x[first:last], y[first:last])(asked), dtype=np.float64)
 
 
 def turning_points(values: FloatArray, band: float) -> NDArray[np.intp]:
