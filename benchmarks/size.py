@@ -1,6 +1,6 @@
 """How long a record may be: seconds, memory and duality gap of `dehyst.identify` for 1e5, 1e6 and 1e7 samples.
 
-Each size runs in a process of its own, whose peak memory counts above what the imports and the record's making took.
+Each size runs in a process of its own, whose peak memory counts above what the imports took: the record is in it.
 """
 
 from __future__ import annotations

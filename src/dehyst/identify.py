@@ -31,7 +31,8 @@ from dehyst.version import __version__
 Progress = Callable[[str], None]
 # A model that misses its own training records by more of the range than this is of no use.
 _USELESS_PERCENT = 5.0
-# Of a long record the delay is looked for in these samples, or in its first three cycles.
+# A delay is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
+_SEARCH_CYCLE = 20_000
 _SEARCH_SAMPLES = 1_000_000
 # Less creep a decade than this part of the stroke is not worth a sentence.
 _SMALLEST_DRIFT = 2e-4
@@ -192,7 +193,7 @@ class _Job:
         grid = self.stroke / 60 * np.arange(1.0, 31.0)
         drifting = tuple(self._can_drift())
 
-        few = [item.shortened(_SEARCH_SAMPLES) for item in self.training]
+        few = [item.coarser(_SEARCH_CYCLE, _SEARCH_SAMPLES) for item in self.training]
 
         def build(delay: float) -> Regression:
             stream = self._stream(grid, delay, few, knots=31, slope_floor=0.01)

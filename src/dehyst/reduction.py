@@ -24,6 +24,8 @@ _WHOLE = 60
 # Numbers that rows in memory may have: 8 bytes each, and an interior point copies them two or three times.
 _MOST_NUMBERS = 12_000_000
 _ROUNDS = 12
+# A sample is followed by all rows only if they are not more than so many times as many.
+_LEAP = 10
 # The gap that ends the rounds, relative to the objective, and relative to that at zero where there is none.
 _CLOSE = 0.1 * OPTIMAL
 _EXACT = 1e-12
@@ -50,6 +52,25 @@ class Whole:
 
     def __iter__(self) -> Iterator[tuple[Array, Array]]:
         yield self.rows, self.goal
+
+
+@dataclass(frozen=True, eq=False)
+class _Every:
+    """Every step-th row of others."""
+
+    blocks: Blocks
+    step: int
+
+    def __len__(self) -> int:
+        return len(range(0, len(self.blocks), self.step))
+
+    def __iter__(self) -> Iterator[tuple[Array, Array]]:
+        place = 0
+        for rows, goal in self.blocks:
+            first = -place % self.step
+            place += goal.size
+            if first < goal.size:
+                yield rows[first :: self.step], goal[first :: self.step]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +106,12 @@ def least_absolute(blocks: Blocks, frame: Problem) -> Answer:
     first = least_absolute(Whole(sample.rows, sample.goal), frame)
     if not first.optimal:
         return _whole(_sample(blocks, frame, 1)[0]) if n * q <= _MOST_NUMBERS else first
-    return _reduced(blocks, frame, sample, first.x, unit)
+    x, step = first.x, int((n / size) ** 0.5)
+    if n > _LEAP * size:
+        # From so few rows the last step would leave too many signs in doubt.
+        middle = _reduced(_Every(blocks, step), frame, sample, x, unit / step)
+        x = middle.x if middle.optimal else x
+    return _reduced(blocks, frame, sample, x, unit)
 
 
 def _whole(problem: Problem) -> Answer:
