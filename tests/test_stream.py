@@ -11,6 +11,7 @@ import pytest
 
 import dehyst
 from dehyst import rows, signals, verify
+from dehyst.preparation import prepare
 from dehyst.program import NORMS
 from dehyst.regression import Regression
 from dehyst.rows import Rows, RowSource, collect
@@ -129,3 +130,27 @@ def test_a_million_samples_take_half_a_gigabyte_at_most():
     assert abs(found["gap"]) < 1e-6
     assert "of 953510 rows" in found["status"]
     assert found["rms_percent"] < 0.2
+
+
+def test_a_delay_is_found_in_every_so_many_th_sample_too(monkeypatch):
+    rng = np.random.default_rng(0)
+    made = bench.loops(bench.plant(12), bench.THREE_LOOPS, samples=400)
+    late = np.interp(made.time - 0.03, made.time, made.displacement)
+    record = dehyst.Record(made.time, made.voltage, late + 1e-9 * rng.normal(size=len(made)), "late")
+    fine = dehyst.identify(record, elements=12).options["delay_s"]
+    monkeypatch.setattr(sys.modules["dehyst.identify"], "_SEARCH_CYCLE", 200)
+    coarse = dehyst.identify(record, elements=12).options["delay_s"]
+    assert fine == pytest.approx(0.03, abs=0.1 / 200)
+    assert coarse == pytest.approx(0.03, abs=0.3 / 200)
+    assert coarse != fine
+
+
+@pytest.mark.parametrize(
+    ("cycle", "most", "step"), [(10**9, 10**9, 1), (100, 10**9, 4), (10**9, 1000, 1), (100, 100, 4)]
+)
+def test_coarser_records_are_every_so_many_th_sample_of_a_beginning(cycle, most, step):
+    prepared = prepare(bench.loops(bench.plant(12), (0, *[1, 0] * 6), samples=200))
+    few, third = prepared.coarser(cycle, most), prepared.record.cycles()[2].stop
+    stop = min(len(prepared.record), max(most * step, third))
+    np.testing.assert_array_equal(few.record.voltage, prepared.record.voltage[:stop:step])
+    assert [len(piece) for piece in few.pieces] == [len(few.record)]

@@ -20,6 +20,8 @@ from dehyst.stream import Stream
 
 # Rows in memory: more are gone through in blocks.
 MOST_ROWS = 200_000
+# Of a longer record so many suffice for what is not found by going through them all.
+_FEW_ROWS = 20_000
 # Samples played at a time, and kept for pictures.
 _AT_A_TIME = 1 << 20
 _MOST_DRAWN = 1 << 20
@@ -113,7 +115,8 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Compari
     source = RowSource.of(pieces, rho, [record.noise] * len(pieces))
     model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
     drifting = (0,) if protocol.drifting else ()
-    every, some = np.ones(rho.size, dtype=bool), source.thinned(MOST_ROWS)
+    every = np.ones(rho.size, dtype=bool)
+    some = source.thinned(MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS)
     regression = Regression(some, actuator.spring.displacement, 0.0, every, np.zeros(1), drifting)
     datum = protocol.datum
     if datum is None:
