@@ -17,8 +17,8 @@ from dehyst.preparation import as_list, prepare
 from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
-from dehyst.rows import collect
-from dehyst.verify import Comparison, Protocol, compare
+from dehyst.rows import RowSource
+from dehyst.verify import MOST_ROWS, Comparison, Protocol, compare
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Evidence:
     comparisons : tuple of Comparison
         One a record.
     regression : Regression
-        All rows, with the datums and drifts that the model leaves to each record.
+        Rows (of long records some, evenly), with the datums and drifts that the model leaves to each record.
     stroke : float
         The range of the widest loop [m].
     """
@@ -129,4 +129,4 @@ def _rows(actuator: Actuator, compared: Sequence[Comparison], pieces: list[list[
         for (_, _, curve), piece in zip(one.pieces, own, strict=True):
             stacked.append((q, piece, curve))
             noise.append(one.record.noise)
-    return collect(stacked, actuator.slip.breakaway, noise)[0]
+    return RowSource.of(stacked, actuator.slip.breakaway, noise).thinned(MOST_ROWS)

@@ -24,19 +24,22 @@ from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.program import Norm, one_thread
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
-from dehyst.rows import collect
+from dehyst.rows import RowSource
 from dehyst.selection import Trial
 from dehyst.settings import Direction, Method, Settings
+from dehyst.stream import Stream
 from dehyst.structure import Structure
 from dehyst.structured import Frame
-from dehyst.verify import Protocol, errors_of
+from dehyst.verify import MOST_ROWS, Protocol, errors_of
 from dehyst.version import __version__
 from dehyst.wide_regression import WideRegression
 
 Progress = Callable[[str], None]
 # A model that misses its own training records by more of the range than this is of no use.
 _USELESS_PERCENT = 5.0
-_MOST_ROWS = 60_000
+# A delay is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
+_SEARCH_CYCLE = 20_000
+_SEARCH_SAMPLES = 1_000_000
 # Less creep a decade than this part of the stroke is not worth a sentence.
 _SMALLEST_DRIFT = 2e-4
 
@@ -163,10 +166,10 @@ class _Job:
         """Every sample of every record."""
         self.tell("estimating delay, datums and drifts")
         rho = self._thresholds()
-        regression = self._with_datums(self._regression(rho, self.delay))
-        regression = self._with_drifts(regression)
-        self.tell(f"solving the {self.settings.norm} program for {len(regression.rows)} samples")
-        found = self._thinned(regression).fit_weighted(self.settings.norm)
+        stream = self._stream(rho, self.delay)
+        regression = self._with_drifts(self._with_datums(stream.regression))
+        self.tell(f"solving the {self.settings.norm} program for {len(stream.source)} samples")
+        found = replace(stream, regression=regression).fit_weighted(self.settings.norm)
         if not found.solution.optimal:
             return self._failed(found.solution.status)
         actuator = self._actuator(rho, regression, found)
@@ -220,16 +223,6 @@ class _Job:
         regression = self._with_drifts(self._regression(actuator.slip.breakaway, self.delay))
         return self._finish(actuator, regression, found.outcome, found.status, found.gap)
 
-    def _thinned(self, regression: Regression) -> Regression:
-        """Rows enough for the program: more add minutes and gigabytes, and nothing to the answer."""
-        thin = regression.thinned(_MOST_ROWS)
-        if len(thin.rows) < len(regression.rows):
-            self.said.append(
-                f"{len(regression.rows)} samples count; every {len(regression.rows) // len(thin.rows)}th went into the "
-                "program, all of them into the errors."
-            )
-        return thin
-
     def _thresholds(self) -> Array:
         if self.settings.breakaway is not None:
             return self.settings.breakaway
@@ -258,22 +251,35 @@ class _Job:
         grid = self.stroke / 60 * np.arange(1.0, 31.0)
         drifting = tuple(self._can_drift())
 
+        few = [item.coarser(_SEARCH_CYCLE, _SEARCH_SAMPLES) for item in self.training]
+
         def build(delay: float) -> Regression:
-            return replace(self._regression(grid, delay, knots=31, slope_floor=0.01), drifting=drifting)
+            stream = self._stream(grid, delay, few, knots=31, slope_floor=0.01)
+            return replace(stream.regression, drifting=drifting)
 
         return repairs.find_delay(build, longest, sample)
 
     def _can_drift(self) -> list[int]:
         return [q for q, item in enumerate(self.training) if item.can_drift and self.settings.drift]
 
-    def _regression(
-        self, rho: Array, delay: float, *, knots: int | None = None, slope_floor: float | None = None
-    ) -> Regression:
-        pieces = [piece for q, item in enumerate(self.training) for piece in item.delayed(q, delay)]
-        rows, _ = collect(pieces, rho, [self.training[q].noise for q, _, _ in pieces])
-        if len(rows) < 2 * rho.size:
+    def _regression(self, rho: Array, delay: float) -> Regression:
+        return self._stream(rho, delay).regression
+
+    def _stream(
+        self,
+        rho: Array,
+        delay: float,
+        records: list[Prepared] | None = None,
+        *,
+        knots: int | None = None,
+        slope_floor: float | None = None,
+    ) -> Stream:
+        records = records or self.training
+        pieces = [piece for q, item in enumerate(records) for piece in item.delayed(q, delay)]
+        source = RowSource.of(pieces, rho, [records[q].noise for q, _, _ in pieces])
+        if len(source) < 2 * rho.size:
             raise IdentifyError(
-                f"{len(rows)} samples count for {rho.size} elements: only those after the range of a record has been "
+                f"{len(source)} samples count for {rho.size} elements: only those after the range of a record has been "
                 "seen once say something. Record two cycles at least, or use fewer elements"
             )
         low, high = self.span
@@ -281,7 +287,8 @@ class _Job:
         floor = mean_slope * (slope_floor or self.settings.slope_floor)
         movable = 2 * rho < self.stroke * (1 - 1e-9)
         places = np.linspace(low, high, knots or self.settings.knots or min(rho.size + 1, 41))
-        return Regression(rows, places, floor, movable, np.zeros(len(self.training)))
+        rows = source.thinned(MOST_ROWS)
+        return Stream(source, Regression(rows, places, floor, movable, np.zeros(len(self.training))))
 
     def _with_datums(self, regression: Regression) -> Regression:
         others = [q for q in range(len(self.training)) if q != self.widest and not self.settings.shared_datum]

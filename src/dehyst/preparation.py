@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.record import Record
 from dehyst.rows import epochs
+
+_SHORTEST = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +72,33 @@ class Prepared:
         whole = repairs.drift_curve(self.record, self.start)
         return [(number, piece, np.interp(piece.time, self.record.time, whole)) for piece in pieces]
 
+    def coarser(self, cycle: int, most: int) -> Prepared:
+        """The same in fewer samples, for searches.
+
+        Every k-th of them, no cycle in fewer than `cycle`, and none beyond `most`, or beyond the first three cycles if
+        these are longer.
+        """
+        cycles = self.record.cycles()
+        step = max(1, min((one.stop - one.start for one in cycles), default=0) // cycle)
+        stop = max(most * step, cycles[min(3, len(cycles)) - 1].stop if cycles else len(self.record))
+        if step == 1 and stop >= len(self.record):
+            return self
+        ends = np.cumsum([len(piece) for piece in self.pieces])
+        left = [stop - int(end) + len(piece) for piece, end in zip(self.pieces, ends, strict=True)]
+        pieces = tuple(_every(piece, step, n) for piece, n in zip(self.pieces, left, strict=True)
+                       if min(n, len(piece)) >= _SHORTEST * step)  # fmt: skip
+        return replace(self, record=_every(self.record, step, stop), pieces=pieces)
+
     def source(self) -> dict[str, Any]:
         """Where the record came from: name, file and hash."""
         meta = self.record.meta
         return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256") if key in meta}}
+
+
+def _every(record: Record, step: int, stop: int) -> Record:
+    """Every step-th sample of a record's first `stop`."""
+    return replace(record, time=record.time[:stop:step], voltage=record.voltage[:stop:step],
+                   displacement=record.displacement[:stop:step])  # fmt: skip
 
 
 def prepare(record: Record) -> Prepared:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import isfinite
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,8 @@ class Record:
     Parameters
     ----------
     time, voltage, displacement : (n,) array_like
-        Seconds (strictly rising), volts and metres, n >= 2, all finite; kept as read-only float64 copies.
+        Seconds (strictly rising), volts and metres, n >= 2, all finite; kept as read-only float64 copies
+        (read-only arrays, as another record's, are shared).
     name : str
         Used in messages.
     meta : mapping
@@ -212,10 +213,17 @@ class Record:
 
 def _frozen_column(raw: object, column: str, name: str) -> FloatArray:
     try:
-        values = np.array(raw, dtype=np.float64)
+        values = raw if _is_frozen(raw) else np.array(raw, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise RecordError(f"record '{name}': {column} is no array of numbers ({error}); give (n,) floats") from error
     if values.ndim != 1:
         raise RecordError(f"record '{name}': {column} has shape {values.shape}; give one dimension, try .ravel()")
     values.flags.writeable = False
     return values
+
+
+def _is_frozen(raw: object) -> TypeGuard[FloatArray]:
+    """Whether nobody can write to an array, as to another record's: a long record is not copied with every slice."""
+    if not isinstance(raw, np.ndarray) or raw.dtype != np.float64 or raw.flags.writeable:
+        return False
+    return raw.base is None or (isinstance(raw.base, np.ndarray) and not raw.base.flags.writeable)

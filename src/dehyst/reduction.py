@@ -22,11 +22,14 @@ from dehyst.problem import OPTIMAL, TINY, Answer, Problem, failed
 # Up to so many rows for each coefficient a sample gains nothing.
 _WHOLE = 60
 # Numbers that rows in memory may have: 8 bytes each, and an interior point copies them two or three times.
-_MOST_NUMBERS = 8_000_000
+_MOST_NUMBERS = 12_000_000
 _ROUNDS = 12
+# A sample is followed by all rows only if they are not more than so many times as many.
+_LEAP = 10
 # The gap that ends the rounds, relative to the objective, and relative to that at zero where there is none.
 _CLOSE = 0.1 * OPTIMAL
 _EXACT = 1e-12
+_UNSEEN = 1e-10
 
 
 class Blocks(Protocol):
@@ -49,6 +52,25 @@ class Whole:
 
     def __iter__(self) -> Iterator[tuple[Array, Array]]:
         yield self.rows, self.goal
+
+
+@dataclass(frozen=True, eq=False)
+class _Every:
+    """Every step-th row of others."""
+
+    blocks: Blocks
+    step: int
+
+    def __len__(self) -> int:
+        return len(range(0, len(self.blocks), self.step))
+
+    def __iter__(self) -> Iterator[tuple[Array, Array]]:
+        place = 0
+        for rows, goal in self.blocks:
+            first = -place % self.step
+            place += goal.size
+            if first < goal.size:
+                yield rows[first :: self.step], goal[first :: self.step]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,25 +100,28 @@ def least_absolute(blocks: Blocks, frame: Problem) -> Answer:
     """Minimise the sum of absolute residuals of all rows; `frame` has the limits, and no rows."""
     n, q = len(blocks), frame.unknowns
     size = min(max(int(n ** (2 / 3) * q ** (1 / 3)), 20 * q), _MOST_NUMBERS // max(q, 1))
-    unit = max(sum(float(np.abs(goal).sum()) for _, goal in blocks), TINY)
     if n <= max(2 * size, _WHOLE * q):
-        return _whole(blocks, frame, unit)
-    sample = _sample(blocks, frame, -(-n // size))
+        return _whole(_sample(blocks, frame, 1)[0])
+    sample, unit = _sample(blocks, frame, -(-n // size))
     first = least_absolute(Whole(sample.rows, sample.goal), frame)
     if not first.optimal:
-        return _whole(blocks, frame, unit) if n * q <= _MOST_NUMBERS else first
-    return _reduced(blocks, frame, sample, first.x, unit)
+        return _whole(_sample(blocks, frame, 1)[0]) if n * q <= _MOST_NUMBERS else first
+    x, step = first.x, int((n / size) ** 0.5)
+    if n > _LEAP * size:
+        # From so few rows the last step would leave too many signs in doubt.
+        middle = _reduced(_Every(blocks, step), frame, sample, x, unit / step)
+        x = middle.x if middle.optimal else x
+    return _reduced(blocks, frame, sample, x, unit)
 
 
-def _whole(blocks: Blocks, frame: Problem, unit: float) -> Answer:
-    problem = _sample(blocks, frame, 1)
-    pull = np.zeros(frame.unknowns)
+def _whole(problem: Problem) -> Answer:
+    pull, unit = np.zeros(problem.unknowns), max(float(np.abs(problem.goal).sum()), TINY)
     found = least_absolute_deviations(problem, pull, unit)
     if not found.optimal:
-        return failed(frame, found.status)
+        return failed(problem, found.status)
     primal = float(np.abs(problem.goal - problem.rows @ found.x).sum())
     value, lacking = dual_value(problem, pull, found.y, found.multipliers, found.x)
-    return _judged(frame, found, primal - value + lacking, max(unit, primal), found.status)
+    return _judged(problem, found, primal - value + lacking, max(unit, primal), found.status)
 
 
 def _judged(frame: Problem, found: Deviations, gap: float, unit: float, how: str) -> Answer:
@@ -104,72 +129,100 @@ def _judged(frame: Problem, found: Deviations, gap: float, unit: float, how: str
     return Answer(found.x, f"{'optimal' if optimal else 'no optimum'} ({how})", optimal, gap / unit)
 
 
-def _sample(blocks: Blocks, frame: Problem, step: int) -> Problem:
-    """Every step-th row."""
-    rows, goals, place = [], [], 0
+def _sample(blocks: Blocks, frame: Problem, step: int) -> tuple[Problem, float]:
+    """Every step-th row, and the sum of absolute targets of all."""
+    rows, goals, place, unit = [], [], 0, TINY
     for block, goal in blocks:
         first = -place % step
         rows.append(block[first::step] if step == 1 else block[first::step].copy())
         goals.append(goal[first::step].copy())
         place += goal.size
-    return replace(frame, rows=np.concatenate(rows) if len(rows) > 1 else rows[0], goal=np.concatenate(goals))
+        unit += float(np.abs(goal).sum())
+    some = np.concatenate(rows) if len(rows) > 1 else rows[0]
+    return replace(frame, rows=some, goal=np.concatenate(goals)), unit
 
 
 def _reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, unit: float) -> Answer:
     n, most = len(blocks), _MOST_NUMBERS // frame.unknowns
-    exact = sum(float(np.abs(goal - rows @ x).sum()) for rows, goal in blocks)
-    if exact <= _EXACT * unit:
+    doubt, room = _Doubt.of(sample), min(2 * sample.goal.size, most // 2)
+    divided, centre = _divide(blocks, frame, x, doubt, room)
+    if centre <= _EXACT * unit:
         # Zeros are a dual point: nothing is left to gain, and signs of rounding errors would mean nothing.
-        return Answer(x, f"optimal (a sample of {sample.goal.size} of {n} rows meets all)", True, exact / unit)
-    residual, room = sample.goal - sample.rows @ x, min(sample.goal.size, most // 2)
-    divided = _divide(blocks, frame, x, _cut(residual, room / n), room)
+        return Answer(x, f"optimal (a sample of {sample.goal.size} of {n} rows meets all)", True, centre / unit)
     best = failed(frame, "no round of the reduction gave an answer")
     for k in range(1, _ROUNDS + 1):
         found = least_absolute_deviations(divided.problem, divided.pull, unit)
-        if not found.optimal:
-            # Too many signs are wrong: the other rows pull harder than the kept ones can hold.
-            if room >= min(n, most):
-                return _whole(blocks, frame, unit) if n <= most else failed(frame, found.status)
-            room = min(4 * room, most)
-            divided = _divide(blocks, frame, x, _cut(residual, room / n), room)
-            continue
-        primal, wrong = _checked(blocks, divided, found.x, most)
-        value, lacking = dual_value(divided.problem, divided.pull, found.y, found.multipliers, found.x)
-        gap = primal - value - divided.value + lacking
-        if not gap / unit > best.gap:
-            how = f"{found.status}, on {divided.places.size} of {n} rows in round {k}"
-            best = _judged(frame, found, gap, max(unit, primal), how)
-        if gap <= max(_CLOSE * primal, _EXACT * unit) or not wrong.places.size:
-            break
-        if divided.places.size + wrong.places.size > most:
+        primal, wrong = _checked(blocks, divided, found.x, most) if found.optimal else (np.inf, None)
+        if wrong is not None:
+            value, lacking = dual_value(divided.problem, divided.pull, found.y, found.multipliers, found.x)
+            gap = primal - value - divided.value + lacking
+            if not gap / unit > best.gap:
+                how = f"{found.status}, on {divided.places.size} of {n} rows in round {k}"
+                best = _judged(frame, found, gap, max(unit, primal), how)
+            if gap <= max(_CLOSE * primal, _EXACT * unit) or not wrong.places.size:
+                break
+            if divided.places.size + wrong.places.size <= most:
+                divided = _with(divided, wrong)
+                continue
+        if primal < centre:
             x = found.x
-            residual = sample.goal - sample.rows @ x
-            divided = _divide(blocks, frame, x, _cut(residual, room / n), room)
+        elif room < most:
+            # Too many signs are wrong: the other rows pull harder than the kept ones can hold.
+            room = min(4 * room, most)
         else:
-            divided = _with(divided, wrong)
-    return best
+            break
+        divided, centre = _divide(blocks, frame, x, doubt, room)
+    return best if best.optimal or n > most else _whole(_sample(blocks, frame, 1)[0])
 
 
-def _cut(residual: Array, share: float) -> float:
-    """The size below which this share of residuals lies."""
-    return float(np.quantile(np.abs(residual), min(share, 1.0)))
+@dataclass(frozen=True, eq=False)
+class _Doubt:
+    """How much the sign of a residual is in doubt: its size over how far a sample's answer may shift it.
+
+    Attributes
+    ----------
+    sample : Problem
+    root : (q, q) array
+        Root of the inverse of the sample's Gram matrix: rows times it are as long as the square root of their leverage.
+    """
+
+    sample: Problem
+    root: Array
+
+    @classmethod
+    def of(cls, sample: Problem) -> _Doubt:
+        values, vectors = np.linalg.eigh(sample.rows.T @ sample.rows / sample.goal.size)
+        # What the sample does not see at all, as a constant of few rows, is in the greatest doubt.
+        return cls(sample, vectors / np.sqrt(np.maximum(values, 0.0) + _UNSEEN * values.max(initial=TINY)))
+
+    def score(self, rows: Array, residual: Array) -> Array:
+        """Small where the sign is in doubt (n,)."""
+        shift = rows @ self.root
+        return np.asarray(np.abs(residual) / np.sqrt(np.einsum("ij,ij->i", shift, shift) + TINY))
+
+    def cut(self, x: Array, share: float) -> float:
+        """The score below which this share of the sample lies."""
+        residual = self.sample.goal - self.sample.rows @ x
+        return float(np.quantile(self.score(self.sample.rows, residual), min(share, 1.0)))
 
 
-def _divide(blocks: Blocks, frame: Problem, x: Array, cut: float, most: int) -> _Divided:
-    """Keep rows with residuals up to `cut`, at most `most`, and add up the others."""
+def _divide(blocks: Blocks, frame: Problem, x: Array, doubt: _Doubt, room: int) -> tuple[_Divided, float]:
+    """Keep some `room` rows whose sign is most in doubt and add up the others; the sum of all absolute residuals."""
     parts: list[tuple[Array, Array, NDArray[np.intp]]] = []
-    pull, value, place, room = np.zeros(frame.unknowns), 0.0, 0, most
+    pull, value, primal, place, left = np.zeros(frame.unknowns), 0.0, 0.0, 0, room + room // 2
+    cut = doubt.cut(x, room / len(blocks))
     for rows, goal in blocks:
         residual = goal - rows @ x
-        kept = np.flatnonzero(np.abs(residual) <= cut)[:room]
+        kept = np.flatnonzero(doubt.score(rows, residual) <= cut)[:left]
         signs = _signs(residual)
         signs[kept] = 0.0
+        primal += float(np.abs(residual).sum())
         pull += signs @ rows
         value += float(signs @ goal)
         parts.append((rows[kept], goal[kept], kept + place))
-        place, room = place + goal.size, room - kept.size
+        place, left = place + goal.size, left - kept.size
     some, goals, places = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return _Divided(replace(frame, rows=some, goal=goals), places, x, pull, value)
+    return _Divided(replace(frame, rows=some, goal=goals), places, x, pull, value), primal
 
 
 def _signs(residual: Array) -> Array:

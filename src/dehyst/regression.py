@@ -60,36 +60,53 @@ class Regression:
 
     def nuisances(self) -> Array:
         """Columns of the epochs' constants, then of the drifts."""
-        epochs = np.unique(self.rows.epoch)
+        return self._nuisances(np.unique(self.rows.epoch))
+
+    def _nuisances(self, epochs: NDArray[np.intp]) -> Array:
         constants = (self.rows.epoch[:, None] == epochs).astype(float)
         drifts = [np.where(self.rows.record == q, self.rows.drift, 0.0)[:, None] for q in self.drifting]
         return np.hstack([constants, *drifts])
 
-    def fit(self, norm: Norm, weights: Array | None = None, held: tuple[Array, Array] | None = None) -> Coefficients:
-        """Solve the program; `held`: combinations (p, movable) of stiffnesses and their values [V], met besides."""
-        y = self.axis
-        spring, slip = self.parts_of_spring(y), self.rows.elongation[:, self.movable]
-        floor = self.floor * spring.sum(axis=1)
-        free, bounded, target = self.nuisances(), np.hstack([slip, spring]), self.rows.voltage - floor
-        if held is not None:
-            combinations, values = held
-            free = np.vstack([free, np.zeros((values.size, free.shape[1]))])
-            bounded = np.vstack([bounded, np.hstack([combinations, np.zeros((values.size, spring.shape[1]))])])
-            target = np.concatenate([target, values])
-            own = np.ones(len(self.rows)) if weights is None else weights
-            weights = np.concatenate([own, np.full(values.size, own.max() * np.sqrt(own.size))])
-        answer = solve(free, bounded, target, weights=weights, norm=norm)
-        stiffness = np.zeros(self.movable.size)
-        stiffness[self.movable] = answer.nonnegative[: slip.shape[1]]
-        slopes = answer.nonnegative[slip.shape[1] :] + self.floor
-        epochs = np.unique(self.rows.epoch)
-        return Coefficients(
-            stiffness=stiffness,
-            slopes=slopes,
+    def table(self, epochs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+        """Free columns, with a constant for each of these epochs, columns that are not negative, and target."""
+        spring = self.parts_of_spring(self.axis)
+        bounded = np.hstack([self.rows.elongation[:, self.movable], spring])
+        return self._nuisances(epochs), bounded, self.rows.voltage - self.floor * spring.sum(axis=1)
+
+    def rest(self, model: Coefficients) -> Array:
+        """Voltage less a model's, without constants and drifts (n,)."""
+        spring = self.parts_of_spring(self.axis) @ model.slopes
+        return np.asarray(self.rows.voltage - self.rows.elongation @ model.stiffness - spring)
+
+    def coefficients(self, answer: Solution, epochs: NDArray[np.intp]) -> Coefficients:
+        """What an answer to the program of `table` says."""
+        stiffness, count = np.zeros(self.movable.size), int(np.count_nonzero(self.movable))
+        stiffness[self.movable] = answer.nonnegative[:count]
+        slopes = answer.nonnegative[count:] + self.floor
+        return self.with_nuisances(Coefficients(stiffness, slopes, {}, {}, answer), answer, epochs)
+
+    def with_nuisances(self, model: Coefficients, answer: Solution, epochs: NDArray[np.intp]) -> Coefficients:
+        """A model with the constants and drifts of an answer."""
+        return replace(
+            model,
             offsets=dict(zip(epochs.tolist(), answer.free[: epochs.size].tolist(), strict=True)),
             drifts=dict(zip(self.drifting, answer.free[epochs.size :].tolist(), strict=True)),
             solution=answer,
         )
+
+    def fit(self, norm: Norm, weights: Array | None = None, held: tuple[Array, Array] | None = None) -> Coefficients:
+        """Solve the program; `held`: combinations (p, movable) of stiffnesses and their values [V], met besides."""
+        epochs = np.unique(self.rows.epoch)
+        free, bounded, target = self.table(epochs)
+        if held is not None:
+            combinations, values = held
+            none = np.zeros((values.size, self.knots.size - 1))
+            free = np.vstack([free, np.zeros((values.size, free.shape[1]))])
+            bounded = np.vstack([bounded, np.hstack([combinations, none])])
+            target = np.concatenate([target, values])
+            own = np.ones(len(self.rows)) if weights is None else weights
+            weights = np.concatenate([own, np.full(values.size, own.max() * np.sqrt(own.size))])
+        return self.coefficients(solve(free, bounded, target, weights=weights, norm=norm), epochs)
 
     def slope(self, found: Coefficients) -> Array:
         """dv/dy of the model at each row (n,) [V/m]; the weight of a row is its inverse."""
@@ -119,16 +136,9 @@ class Regression:
 
     def nuisances_of(self, found: Coefficients) -> Coefficients:
         """Fit only the constants and drifts of these rows, for a model that is given."""
-        model = self.rows.elongation @ found.stiffness + self.parts_of_spring(self.axis) @ found.slopes
-        rest, none = self.rows.voltage - model, np.zeros((len(self.rows), 0))
-        answer = solve(self.nuisances(), none, rest, weights=1 / self.slope(found), norm="l2")
-        epochs = np.unique(self.rows.epoch)
-        return replace(
-            found,
-            offsets=dict(zip(epochs.tolist(), answer.free[: epochs.size].tolist(), strict=True)),
-            drifts=dict(zip(self.drifting, answer.free[epochs.size :].tolist(), strict=True)),
-            solution=answer,
-        )
+        none = np.zeros((len(self.rows), 0))
+        answer = solve(self.nuisances(), none, self.rest(found), weights=1 / self.slope(found), norm="l2")
+        return self.with_nuisances(found, answer, np.unique(self.rows.epoch))
 
     def projected(self, breakaway: Array) -> Array:
         """Columns of the movable elements over their rho, all others projected out: a triangle (m, m) at most."""

@@ -6,7 +6,7 @@ every other cart stands still: it adds kappa y and a constant. Such a stretch is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from dehyst._native import Array, stops
 from dehyst.record import Record, white_noise
 
+Moved = Callable[[int, Record], Array]
 _SHORTEST_EPOCH = 16
+# Samples whose elongations are in memory at a time.
+_BLOCK = 32_768
 
 
 @dataclass(frozen=True)
@@ -119,13 +122,106 @@ def _grows(v: Array, tolerance: float) -> NDArray[np.bool_]:
     return grown
 
 
+def _nothing(_: int, record: Record) -> Array:
+    return np.zeros((len(record), 0))
+
+
+@dataclass(frozen=True, eq=False)
+class RowSource:
+    """The samples that count, seen in blocks: all of them need never exist at once.
+
+    Attributes
+    ----------
+    pieces : list of (record number, Record, drift curve (n,))
+    breakaway : (N,) array
+        rho [m].
+    epochs : list of list of Epoch
+        Of each piece.
+    moved : list of (n, E) array
+        What other parts do along each piece, at all its samples.
+    """
+
+    pieces: list[tuple[int, Record, Array]]
+    breakaway: Array
+    epochs: list[list[Epoch]]
+    moved: list[Array]
+
+    @classmethod
+    def of(
+        cls,
+        pieces: list[tuple[int, Record, Array]],
+        breakaway: Array,
+        noise: list[float],
+        *,
+        relaxed: Collection[int] = (),
+        moved: Moved = _nothing,
+    ) -> RowSource:
+        """Find the epochs; parameters as those of `collect`."""
+        found: list[list[Epoch]] = []
+        rested = set(relaxed)
+        for (number, piece, _), sigma in zip(pieces, noise, strict=True):
+            first = float(piece.displacement[0])
+            found.append([Epoch(0, 0, len(piece), np.inf, first)] if number in rested else epochs(piece, sigma))
+            rested.discard(number)
+        return cls(pieces, breakaway, found, [moved(number, piece) for number, piece, _ in pieces])
+
+    def __len__(self) -> int:
+        return sum(epoch.stop - epoch.start for own in self.epochs for epoch in own)
+
+    @property
+    def count(self) -> int:
+        """Number of epochs, which are numbered from 0 through all pieces."""
+        return sum(map(len, self.epochs))
+
+    def thinned(self, most: int) -> Rows:
+        """About `most` of the rows, evenly, in memory."""
+        return self._stacked(max(1, len(self) // most))
+
+    def blocks(self, step: int = 1) -> Iterator[Rows]:
+        """All rows, or every step-th, some thousands at a time."""
+        count = place = 0
+        for (number, piece, drift), own, moved in zip(self.pieces, self.epochs, self.moved, strict=True):
+            numbered = list(enumerate(own, count))
+            count += len(own)
+            carts = np.full(self.breakaway.size, piece.displacement[0])
+            for begin in range(0, own[-1].stop if own else 0, _BLOCK):
+                y = np.ascontiguousarray(piece.displacement[begin : begin + _BLOCK])
+                elongation, carts = stops(self.breakaway, carts, y)
+                for k, epoch in numbered:
+                    first, last = max(epoch.start, begin), min(epoch.stop, begin + y.size)
+                    if first >= last:
+                        continue
+                    at = np.arange(first + -place % step, last, step)
+                    place += last - first
+                    if at.size:
+                        yield self._rows(piece, drift[at], elongation[at - begin], moved[at], at, epoch, number, k)
+
+    def _rows(
+        self, piece: Record, drift: Array, elongation: Array, moved: Array, at: NDArray[np.intp], epoch: Epoch,
+        number: int, k: int,
+    ) -> Rows:  # fmt: skip
+        y, known = piece.displacement[at], 2 * self.breakaway <= epoch.reach
+        s = np.where(known, elongation, y[:, None] - epoch.middle)
+        stuck = ~known | (np.abs(elongation) < self.breakaway * (1 - 1e-9))
+        return Rows(s, stuck, y, piece.voltage[at], drift, np.full(at.size, number), np.full(at.size, k), moved)
+
+    def _stacked(self, step: int) -> Rows:
+        parts = list(self.blocks(step))
+        if not parts:
+            empty, none = np.zeros(0), np.zeros((0, self.breakaway.size))
+            numbers, moved = empty.astype(int), np.zeros((0, self.moved[0].shape[1] if self.moved else 0))
+            return Rows(none, none > 0, empty, empty, empty, numbers, numbers, moved)
+        names = Rows.__dataclass_fields__
+        return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
 def collect(
     pieces: list[tuple[int, Record, Array]],
     breakaway: Array,
     noise: list[float],
     *,
     relaxed: Collection[int] = (),
-    moved: Callable[[int, Record], Array] = lambda _, record: np.zeros((len(record), 0)),
+    moved: Moved = _nothing,
 ) -> tuple[Rows, list[list[Epoch]]]:
     """Stack the samples that count.
 
@@ -146,30 +242,5 @@ def collect(
     Rows, list of list of Epoch
         The epochs of each piece.
     """
-    parts: list[tuple[NDArray[Any], ...]] = []
-    all_epochs: list[list[Epoch]] = []
-    count = 0
-    rested = set(relaxed)
-    for (number, piece, drift), sigma in zip(pieces, noise, strict=True):
-        y = np.ascontiguousarray(piece.displacement)
-        elongation, _ = stops(breakaway, np.full(breakaway.size, y[0]), y)
-        others = moved(number, piece)
-        found = [Epoch(0, 0, len(y), np.inf, float(y[0]))] if number in rested else epochs(piece, sigma)
-        rested.discard(number)
-        all_epochs.append(found)
-        for epoch in found:
-            span = slice(epoch.start, epoch.stop)
-            known = 2 * breakaway <= epoch.reach
-            here = y[span, None]
-            s = np.where(known, elongation[span], here - epoch.middle)
-            stuck = ~known | (np.abs(elongation[span]) < breakaway * (1 - 1e-9))
-            size = s.shape[0]
-            parts.append((s, stuck, y[span], piece.voltage[span], drift[span],
-                          np.full(size, number), np.full(size, count), others[span]))  # fmt: skip
-            count += 1
-    if not parts:
-        empty = np.zeros(0)
-        none = np.zeros((0, breakaway.size))
-        numbers = empty.astype(int)
-        return Rows(none, none > 0, empty, empty, empty, numbers, numbers, none[:, :0]), all_epochs
-    return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True))), all_epochs
+    source = RowSource.of(pieces, breakaway, noise, relaxed=relaxed, moved=moved)
+    return source.thinned(max(1, len(source))), source.epochs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import comb, log, sqrt
 from typing import TypeAlias
 
@@ -12,6 +13,9 @@ FloatArray: TypeAlias = NDArray[np.float64]
 
 # A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
 _ORDER = 6
+# Samples gone through at a time, lest what a long record makes fill the memory; and neighbours of those interpolated.
+_BLOCK = 1 << 19
+_NEIGHBOURS = 4
 
 
 def white_noise(values: FloatArray) -> float:
@@ -45,9 +49,19 @@ def interpolate(x: FloatArray, y: FloatArray, asked: FloatArray, kind: str) -> F
     """Return the signal y(x) at the places `asked`; kind is "linear" or "pchip"."""
     if kind == "linear":
         return np.interp(asked, x, y)
+    if len(asked) <= _BLOCK:
+        return _pchip(x, y, asked)
+    parts = [_pchip(x, y, asked[start : start + _BLOCK]) for start in range(0, len(asked), _BLOCK)]
+    return np.concatenate(parts)
+
+
+def _pchip(x: FloatArray, y: FloatArray, asked: FloatArray) -> FloatArray:
+    """Interpolate by those samples only that bear on the places asked: its slopes know a neighbour on each side."""
     from scipy.interpolate import PchipInterpolator
 
-    return np.asarray(PchipInterpolator(x, y)(asked), dtype=np.float64)
+    first = max(int(np.searchsorted(x, asked.min())) - _NEIGHBOURS, 0)
+    last = int(np.searchsorted(x, asked.max(), side="right")) + _NEIGHBOURS
+    return np.asarray(PchipInterpolator(x[first:last], y[first:last])(asked), dtype=np.float64)
 
 
 def turning_points(values: FloatArray, band: float) -> NDArray[np.intp]:
@@ -55,11 +69,10 @@ def turning_points(values: FloatArray, band: float) -> NDArray[np.intp]:
     # Only local extremes (and the last sample of a plateau) can be turning points or complete a way back.
     steps = np.sign(np.diff(values))
     kept = np.concatenate(([0], np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + 1, [len(values) - 1]))
-    levels = values[kept].tolist()
     turns: list[int] = []
-    low = high = levels[0]
+    low = high = float(values[0])
     at_low = at_high = direction = 0
-    for i, level in enumerate(levels):
+    for i, level in _numbered(values, kept):
         if level >= high and direction >= 0:
             high, at_high = level, i
         if level <= low and direction <= 0:
@@ -73,6 +86,12 @@ def turning_points(values: FloatArray, band: float) -> NDArray[np.intp]:
                 turns.append(at_low)
             direction, high, at_high = 1, level, i
     return kept[turns]
+
+
+def _numbered(values: FloatArray, places: NDArray[np.intp]) -> Iterator[tuple[int, float]]:
+    """Values at places, with their number; Python's numbers take four times the room of NumPy's: some at a time."""
+    for begin in range(0, len(places), _BLOCK):
+        yield from enumerate(values[places[begin : begin + _BLOCK]].tolist(), begin)
 
 
 def outer_extreme(leg: FloatArray) -> int:

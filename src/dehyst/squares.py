@@ -10,6 +10,8 @@ non-negative least squares. Inequalities: an interior point tells which are acti
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,18 +78,25 @@ def _condition(triangle: Array) -> float:
 
 
 def _by_qr(problem: Problem) -> Answer:
-    p, q = problem.free, problem.unknowns
     whole = triangle_of(np.column_stack([problem.rows, problem.goal]))
+    return of_triangle(whole, problem)
+
+
+def of_triangle(whole: Array, frame: Problem) -> Answer:
+    """Minimise the sum of squares, given the triangle of rows and goal side by side; `frame` has the limits."""
+    p, q = frame.free, frame.unknowns
     head, image = whole[:q, :-1], whole[:q, -1]
     independent = _independent(head[:, :p])
     if independent.size < p:
         # A dependent free column would swallow a direction of the residual: it stays at zero.
         kept = np.concatenate([independent, np.arange(p, q)])
-        return spread(_by_qr(problem.of_columns(kept, independent.size)), kept, q)
-    found = Quadratic(head, image, p, problem.matrix, problem.lower).minimum()
+        fewer = triangle_of(whole[:, np.append(kept, q)])
+        return spread(of_triangle(fewer, frame.of_columns(kept, independent.size)), kept, q)
+    found = Quadratic(head, image, p, frame.matrix, frame.lower).minimum()
     if not np.all(np.isfinite(found.x)):
-        return failed(problem, found.status)
-    return _judged(problem, found.x, found.multipliers, found.status)
+        return failed(frame, found.status)
+    # A triangle has all that its rows say of squares.
+    return _judged(replace(frame, rows=whole[:, :-1], goal=whole[:, -1]), found.x, found.multipliers, found.status)
 
 
 def _judged(problem: Problem, x: Array, multipliers: Array, status: str) -> Answer:

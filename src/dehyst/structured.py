@@ -13,8 +13,9 @@ from dehyst._native import Array
 from dehyst.composition import moved_along
 from dehyst.inertia import Inertia, find_inertia, undone
 from dehyst.preparation import Prepared
+from dehyst.record import Record
 from dehyst.repairs import cycle_time
-from dehyst.rows import collect
+from dehyst.rows import RowSource
 from dehyst.selection import PARTS, Trial, select
 from dehyst.signals import turning_points
 from dehyst.smoothing import without_jitter
@@ -81,9 +82,12 @@ class Frame:
             for _, piece, drift in item.delayed(q, self.inertia.delay)
         ]
         noise = [self.training[q].noise for q, _, _ in pieces]
-        rows, _ = collect(pieces, grid.breakaway, noise,
-                          moved=lambda number, piece: moved_along(grid, piece, self.training[number].lead))  # fmt: skip
-        return WideRegression(rows.thinned(most), grid, self.floor, self.datum)
+
+        def moved(number: int, piece: Record) -> Array:
+            return moved_along(grid, piece, self.training[number].lead)
+
+        source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
+        return WideRegression(source.thinned(most), grid, self.floor, self.datum)
 
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""

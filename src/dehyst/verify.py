@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,16 +12,26 @@ from dehyst._native import Array, stops
 from dehyst.actuator import Actuator
 from dehyst.composition import coefficients_of, grid_of, moved_along
 from dehyst.inertia import derivatives, undone
-from dehyst.metrics import largest, rms
-from dehyst.model import RecordErrors, State, Trace
+from dehyst.metrics import largest
+from dehyst.model import Motion, RecordErrors, State, Trace
 from dehyst.preparation import Prepared
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.repairs import find_datum
-from dehyst.rows import Epoch, collect
+from dehyst.rows import Epoch, RowSource
 from dehyst.smoothing import without_jitter
+from dehyst.stream import Stream
 from dehyst.wide_regression import WideCoefficients, WideRegression
 
+# Rows in memory: more are gone through in blocks.
+MOST_ROWS = 200_000
+# Of a longer record so many suffice for what is not found by going through them all.
+_FEW_ROWS = 20_000
+# Samples played at a time, and kept for pictures.
+_AT_A_TIME = 1 << 20
+_MOST_DRAWN = 1 << 20
+# Elongations of all elements are made for each of these samples.
+_STOPS_AT_A_TIME = 32_768
 # Least slope of a branch, of the mean one: a weight must not grow without bound.
 _LEAST = 0.05
 
@@ -57,27 +68,35 @@ class Comparison:
     Attributes
     ----------
     record : Prepared
-    pieces : list of (record number, Record, drift curve)
-        Voltages delayed; with dynamics the displacements are those that hysteresis makes, before the resonance.
+    source : RowSource
+        Its pieces, voltages delayed; with dynamics the displacements are those that hysteresis makes, before the
+        resonance.
     measured : list of Record
         The same pieces with the displacements measured.
-    epochs : list of list of Epoch
-        Of each piece.
-    regression : Regression
-        Its rows, with its datum and drift.
-    found : Coefficients
+    regression : Regression or WideRegression
+        Its rows (of a long record some, evenly), with its datum and drift.
+    found : Coefficients or WideCoefficients
         The model's, with this record's constants and drift [V].
     base : float
         Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
     """
 
     record: Prepared
-    pieces: list[tuple[int, Record, Array]]
+    source: RowSource
     measured: list[Record]
-    epochs: list[list[Epoch]]
     regression: Regression | WideRegression
     found: Coefficients | WideCoefficients
     base: float
+
+    @property
+    def pieces(self) -> list[tuple[int, Record, Array]]:
+        """Record number, piece and drift curve of each piece of `source`."""
+        return self.source.pieces
+
+    @property
+    def epochs(self) -> list[list[Epoch]]:
+        """Of each piece."""
+        return self.source.epochs
 
     @property
     def datum(self) -> float:
@@ -94,58 +113,99 @@ class Comparison:
         """What creep branches held as the record began (J,) [V]."""
         return self.found.starts.get(0, np.zeros(0)) if isinstance(self.found, WideCoefficients) else np.zeros(0)
 
+    @property
+    def offsets(self) -> list[float]:
+        """Offset [V] of each epoch; one of which thinning left no row has that of the nearest."""
+        known = sorted(self.found.offsets)
+        nearest = [min(known, key=lambda k: abs(k - epoch)) for epoch in range(self.source.count)]
+        return [self.found.offsets[k] - self.base for k in nearest]
+
     def played(self, actuator: Actuator) -> list[tuple[int, Epoch, tuple[Array, ...]]]:
-        """Piece number, epoch, and what `_play` gives, of every epoch."""
-        offsets = [offset - self.base for _, offset in sorted(self.found.offsets.items())]
-        parts, first = [], 0
-        for number, ((_, piece, curve), own) in enumerate(zip(self.pieces, self.epochs, strict=True)):
-            for i, epoch in enumerate(own):
-                played = _play(
-                    actuator,
-                    piece,
-                    epoch,
-                    offsets[first + i],
-                    self.drift * curve,
-                    self.datum,
-                    self.start,
-                    self.record.lead,
-                    self.measured[number],
-                )
+        """Piece number, epoch, and what `play` gives, of every epoch."""
+        parts, left = [], iter(self.offsets)
+        for number, own in enumerate(self.epochs):
+            for epoch in own:
+                (played,) = self.play(actuator, number, epoch, next(left), epoch.stop - epoch.start)
                 parts.append((number, epoch, played))
-            first += len(own)
         return parts
+
+    def last_offsets(self) -> list[float]:
+        """Offset [V] of the last epoch of each piece, that of the one before where a piece has none."""
+        offsets = self.offsets
+        return [offsets[max(count - 1, 0)] for count in np.cumsum([len(own) for own in self.epochs])]
+
+    def play(
+        self, actuator: Actuator, number: int, epoch: Epoch, offset: float, size: int
+    ) -> Iterator[tuple[Array, ...]]:
+        """Time, voltage, measured, simulated, and simulated with the drift left in, `size` samples at a time.
+
+        Over an epoch of the piece of this number, its voltages less `offset` [V].
+        """
+        (_, piece, curve), y = self.pieces[number], self.measured[number].displacement
+        drift = self.drift * curve
+        level = float(drift[epoch.start : epoch.stop].mean())
+        steady = drifting = self._state_before(actuator, number, epoch).shifted(self.datum)
+        for start in range(epoch.start, epoch.stop, size):
+            # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
+            again = int(actuator.needs_time and start > epoch.start)
+            stop = min(start + size, epoch.stop)
+            run, own = slice(start - again, stop), slice(start, stop)
+            one = _driven(actuator, piece, run, (offset, drift[run]), steady)
+            other = _driven(actuator, piece, run, (offset, level), drifting)
+            steady, drifting = one.state, other.state
+            voltage = _less(actuator, piece.voltage[own], offset)
+            yield piece.time[own], voltage, y[own] + self.datum, one.displacement[again:], other.displacement[again:]
+
+    def _state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
+        """The state at an epoch's first sample, which the displacement before it tells."""
+        rho, grid = actuator.slip.breakaway, grid_of(actuator)
+        y = self.pieces[number][1].displacement[: epoch.start + 1]
+        carts = np.full(rho.size, y[0])
+        for start in range(0, y.size, _STOPS_AT_A_TIME):
+            _, carts = stops(rho, carts, np.ascontiguousarray(y[start : start + _STOPS_AT_A_TIME]))
+        carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
+        moved = self.source.moved[number][epoch.start]
+        creep, smooth, left = np.split(moved, np.cumsum([grid.time_constants.size, grid.lengths.size]))
+        if actuator.creep is not None and self.start.size:
+            creep = creep + self.start * left / actuator.creep.stiffness
+        motion: list[float] = []
+        if actuator.dynamics is not None:
+            measured = self.measured[number]
+            motion = [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
+        return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), creep, motion, smooth)
 
 
 def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
     measured = record.delayed(0, protocol.delay)
     pieces = [(q, _path(actuator, piece, record.noise, protocol.stroke), drift) for q, piece, drift in measured]
-    regression, model, epochs = _beside(actuator, record, pieces, (0,) if protocol.drifting else ())
+    source, regression, model = _beside(actuator, record, pieces, (0,) if protocol.drifting else ())
     datum = protocol.datum
     if datum is None:
         datum = find_datum(regression, 0, protocol.stroke, given=model)
     regression = replace(regression, datum=np.array([datum]))
+    found = (regression if actuator.wide else Stream(source, regression)).nuisances_of(model)
     base = float(actuator.spring.voltage[0])
-    return Comparison(
-        record, pieces, [piece for _, piece, _ in measured], epochs, regression, regression.nuisances_of(model), base
-    )
+    return Comparison(record, source, [piece for _, piece, _ in measured], regression, found, base)
 
 
 def _beside(
     actuator: Actuator, record: Prepared, pieces: list[tuple[int, Record, Array]], drifting: tuple[int, ...]
-) -> tuple[Any, Any, list[list[Epoch]]]:
-    """The rows of a record, an actuator's coefficients on them, and the epochs of each piece."""
+) -> tuple[RowSource, Any, Any]:
+    """The samples of a record, their regression on some of them, and an actuator's coefficients in it."""
     rho, sigma = actuator.slip.breakaway, [record.noise] * len(pieces)
     if not actuator.wide:
-        rows, epochs = collect(pieces, rho, sigma)
+        source = RowSource.of(pieces, rho, sigma)
+        some = source.thinned(MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS)
         every = np.ones(rho.size, dtype=bool)
-        regression = Regression(rows, actuator.spring.displacement, 0.0, every, np.zeros(1), drifting)
+        regression = Regression(some, actuator.spring.displacement, 0.0, every, np.zeros(1), drifting)
         model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
-        return regression, model, epochs
+        return source, regression, model
     grid = grid_of(actuator)
-    rows, epochs = collect(pieces, rho, sigma, moved=lambda _, piece: moved_along(grid, piece, record.lead))
+    source = RowSource.of(pieces, rho, sigma, moved=lambda _, piece: moved_along(grid, piece, record.lead))
     floor = _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
-    return WideRegression(rows, grid, floor, np.zeros(1), drifting, (0,)), coefficients_of(actuator), epochs
+    wide = WideRegression(source.thinned(_FEW_ROWS), grid, floor, np.zeros(1), drifting, (0,))
+    return source, wide, coefficients_of(actuator)
 
 
 def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
@@ -160,63 +220,54 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
     constant, datum and drift, is found by least squares with the model held fixed.
     """
     compared = compare(actuator, record, protocol)
-    found, regression, datum = compared.found, compared.regression, compared.datum
-    last = [played for i, epoch, played in compared.played(actuator) if epoch is compared.epochs[i][-1]]
-    time, voltage, measured, simulated, with_drift = (np.concatenate(column) for column in zip(*last, strict=True))
-    trace = Trace(record.name, protocol.role, time, voltage, measured, simulated)
+    found, regression = compared.found, compared.regression
+    sums = _Sums(max(1, sum(own[-1].stop - own[-1].start for own in compared.epochs if own) // _MOST_DRAWN))
+    for number, (own, offset) in enumerate(zip(compared.epochs, compared.last_offsets(), strict=True)):
+        if own:
+            for played in compared.play(actuator, number, own[-1], offset, _AT_A_TIME):
+                sums.add(played)
+    trace = Trace(record.name, protocol.role, *(np.concatenate(column) for column in zip(*sums.drawn, strict=True)))
     slope = float(np.median(regression.slope(found)))  # type: ignore[arg-type]
     offset = float(np.median(list(found.offsets.values()))) - compared.base
     return RecordErrors(
-        record=record.name, role=protocol.role, samples=time.size, left_out=record.samples - time.size,
-        largest=largest(trace.residual), rms=rms(trace.residual),
-        largest_with_drift=largest(measured - with_drift), rms_with_drift=rms(measured - with_drift),
-        stroke=protocol.stroke, offset=offset, datum=datum, drift=-compared.drift / slope,
+        record=record.name, role=protocol.role, samples=sums.samples, left_out=record.samples - sums.samples,
+        largest=sums.largest[0], rms=sums.rms[0], largest_with_drift=sums.largest[1], rms_with_drift=sums.rms[1],
+        stroke=protocol.stroke, offset=offset, datum=compared.datum, drift=-compared.drift / slope,
     ), trace  # fmt: skip
 
 
-def _play(
-    actuator: Actuator,
-    piece: Record,
-    epoch: Epoch,
-    offset: float,
-    drift: Array,
-    datum: float,
-    strain: Array,
-    lead: Record | None,
-    measured: Record,
-) -> tuple[Array, ...]:
-    """Time, voltage, measured, simulated, and simulated with the drift left in, over an epoch."""
-    rho = actuator.slip.breakaway
-    before = piece.displacement[: epoch.start + 1]
-    _, carts = stops(rho, np.full(rho.size, before[0]), np.ascontiguousarray(before))
-    carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
-    carts = np.clip(carts, before[-1] - rho, before[-1] + rho)
-    creep, smooth = _moved_to(actuator, piece, epoch.start, lead, strain)
-    motion = (
-        [] if actuator.dynamics is None else [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
-    )
-    state = State(float(before[-1]), carts, creep, motion, smooth).shifted(datum)
-    span = slice(epoch.start, epoch.stop)
-    time, tau = piece.time[span], actuator.transformer
-    drive = (piece.voltage[span] if tau is None else tau(piece.voltage[span])) - offset
+class _Sums:
+    """Errors of a record, steady and with its drift, added up as it is played; every step-th sample is kept."""
 
-    def simulated(less: Array | float) -> Array:
-        voltage = drive - less if tau is None else tau.inverse(drive - less)
-        return actuator.simulate(voltage, time=time, state=state).displacement
+    def __init__(self, step: int) -> None:
+        self.samples, self.drawn, self.largest = 0, list[tuple[Array, ...]](), [0.0, 0.0]
+        self._step, self._squares = step, [0.0, 0.0]
 
-    steady, drifting = simulated(drift[span]), simulated(float(drift[span].mean()))
-    voltage = drive if tau is None else tau.inverse(drive)
-    return time, voltage, measured.displacement[span] + datum, steady, drifting
+    @property
+    def rms(self) -> list[float]:
+        """Root mean squares of both errors [m]."""
+        return [float(np.sqrt(squares / self.samples)) for squares in self._squares]
+
+    def add(self, played: tuple[Array, ...]) -> None:
+        """Add a stretch, as `_play` gives it."""
+        first = -self.samples % self._step
+        self.drawn.append(tuple(column[first :: self._step].copy() for column in played[:4]))
+        self.samples += played[0].size
+        for k, simulated in enumerate(played[3:]):
+            error = played[2] - simulated
+            self.largest[k] = max(self.largest[k], largest(error))
+            self._squares[k] += float(np.sum(error**2))
 
 
-def _moved_to(
-    actuator: Actuator, piece: Record, sample: int, lead: Record | None, strain: Array
-) -> tuple[Array, Array]:
-    """Creep strains and smooth elongations [m] at a sample, `strain` [V] having been held as the record began."""
-    grid = grid_of(actuator)
-    creep, smooth, left = np.split(
-        moved_along(grid, piece, lead)[sample], np.cumsum([grid.time_constants.size, grid.lengths.size])
-    )
-    if actuator.creep is not None and strain.size:
-        creep = creep + strain * left / actuator.creep.stiffness
-    return creep, smooth
+def _driven(actuator: Actuator, piece: Record, span: slice, less: tuple[float, Array | float], state: State) -> Motion:
+    """Play samples of a piece from a state, their voltages less offset and drift [V]."""
+    time = piece.time[span] if actuator.needs_time else None
+    return actuator.simulate(_less(actuator, piece.voltage[span], *less), time=time, state=state)
+
+
+def _less(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:
+    """Voltages (n,) [V] less offset and drift, which a transformer's curve does not bend."""
+    tau = actuator.transformer
+    if tau is None:
+        return voltage - offset - drift
+    return tau.inverse(tau(voltage) - offset - drift)
