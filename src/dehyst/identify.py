@@ -113,6 +113,7 @@ def identify(
     training, held_out = as_list(records), as_list(validate)
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
+    _refuse_structure(structure, settings, elements is not None or knots is not None)
     tell("checking the records")
     with one_thread():
         job = _Job(settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell)
@@ -123,6 +124,18 @@ def identify(
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
     return fit
+
+
+def _refuse_structure(structure: object, settings: Settings, counted: bool) -> None:
+    """Refuse what is no structure, and options that have no meaning beside one."""
+    if structure == "paper":
+        return
+    if structure != "auto" and not isinstance(structure, Structure):
+        raise IdentifyError(f"structure: got {structure!r}, need 'auto', 'paper' or a dehyst.structure.Structure")
+    if settings.method != "record":
+        raise IdentifyError(f"structure: method {settings.method!r} knows the paper's class only; leave one out")
+    if counted or settings.breakaway is not None:
+        raise IdentifyError("structure: it has elements and knots of its own; leave elements, breakaway and knots out")
 
 
 @dataclass(eq=False)
