@@ -26,7 +26,8 @@ def wandering(legs=70, seed=5, samples=30, hold=0):
     rng = np.random.default_rng(seed)
     turns = [1.0, 0.0, 1.0, 0.0, 1.0]
     for k in range(legs):
-        turns.append(rng.uniform(0.02, turns[-1] - 0.02) if k % 2 == 0 else rng.uniform(turns[-1] + 0.02, 0.98))
+        share = rng.uniform(0.2, 1.0)
+        turns.append(turns[-1] + share * ((0.02 if k % 2 == 0 else 0.98) - turns[-1]))
     path = bench.path([*turns, 0.0], samples)
     if not hold:
         return path
