@@ -11,9 +11,12 @@ import numpy as np
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
 from dehyst.composition import coefficients_of, moved_along
+from dehyst.inertia import Inertia
+from dehyst.preparation import prepare
 from dehyst.rows import collect
 from dehyst.smooth import SmoothSlip
 from dehyst.structure import Grid, Structure
+from dehyst.structured import Frame
 from dehyst.wide_regression import WideRegression
 
 SLOPE = bench.VOLTS / bench.STROKE
@@ -123,3 +126,14 @@ STRUCTURES = {
     "graded, transformer": Structure(elements=6, grades=3, knots=7, transformer=5),
     "all": Structure(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True),
 }
+
+
+def frame(records, delay=0.0):
+    """What an identification of these records shares, their sensors never zeroed anew."""
+    training = [prepare(one) for one in records]
+    spans = [item.span() for item in training]
+    span = max(spans, key=lambda ends: ends[1] - ends[0])
+    volts = [one.voltage_range for one in records]
+    ends = min(low for low, _ in volts), max(high for _, high in volts)
+    floor = 0.2 * (ends[1] - ends[0]) / (span[1] - span[0])
+    return Frame(training, Inertia(delay, 0.0, 0.0), span, ends, floor, np.zeros(len(records)))
