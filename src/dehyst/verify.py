@@ -218,5 +218,6 @@ def _moved_to(
         moved_along(grid, piece, lead)[sample], np.cumsum([grid.time_constants.size, grid.lengths.size])
     )
     if actuator.creep is not None and strain.size:
-        creep = creep + strain * left / actuator.creep.stiffness
+        c = actuator.creep.stiffness
+        creep = creep + np.divide(strain * left, c, out=np.zeros_like(left), where=c > 0)
     return creep, smooth
