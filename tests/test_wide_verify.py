@@ -105,6 +105,14 @@ def test_a_given_structure_that_an_actuator_has_is_identified(name, norm):
     assert np.abs(got - asked).max() < 1e-6 * bench.VOLTS
 
 
+def test_elements_that_jitter_is_kept_from_need_no_remark():
+    record = wide.plant(wide.STRUCTURES["plain"]).record(noise=5e-3 * bench.STROKE)
+    paper, given = (dehyst.identify(record, delay=0.0, **options)
+                    for options in ({"elements": 8}, {"structure": wide.STRUCTURES["plain"]}))  # fmt: skip
+    assert any("times the sensor's noise" in remark for remark in paper.remarks)
+    assert not any("times the sensor's noise" in remark for remark in given.remarks)
+
+
 def test_creep_on_a_grid_of_its_own_is_met_nearly():
     """A transient that is left out shortens the record, and with it the longest time constant: not the true grid."""
     structure = wide.STRUCTURES["creep"]

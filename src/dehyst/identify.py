@@ -162,6 +162,7 @@ class _Job:
         """Every sample of every record."""
         self.tell("estimating delay, datums and drifts")
         rho = self._thresholds()
+        self._judge_noise(float(rho[0]))
         regression = self._with_datums(self._regression(rho, self.delay))
         regression = self._with_drifts(regression)
         self.tell(f"solving the {self.settings.norm} program for {len(regression.rows)} samples")
@@ -232,13 +233,16 @@ class _Job:
         if self.settings.breakaway is not None:
             return self.settings.breakaway
         first = self.stroke / (2 * self.settings.count)
+        return np.asarray(first * np.arange(1, self.settings.count + 1), dtype=np.float64)
+
+    def _judge_noise(self, first: float) -> None:
+        """A remark where jitter, which only wider structures are spared, drags the first element."""
         noise = max(item.noise for item in self.training)
-        if first < 30 * noise:
+        if self.settings.breakaway is None and first < 30 * noise:
             self.remarks.append(
                 f"The first element lets go at {first * 1e6:.4g} um, {first / noise:.3g} times the sensor's noise; "
                 "below 30 times its stiffness comes out too small."
             )
-        return np.asarray(first * np.arange(1, self.settings.count + 1), dtype=np.float64)
 
     @cached_property
     def delay(self) -> float:
