@@ -111,12 +111,12 @@ def identify(
     IdentifyError
         If an option is impossible, or no sample says anything about the elements.
     """
-    _check_structure(structure, method, elements, breakaway, knots)
     settings = Settings(method, elements, breakaway, norm, knots, slope_floor, delay, shared_datum, drift, branch)  # type: ignore[arg-type]
     tell = progress or (lambda _: None)
     training, held_out = as_list(records), as_list(validate)
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
+    _refuse_structure(structure, settings, elements is not None or knots is not None)
     tell("checking the records")
     with one_thread():
         job = _Job(settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell)
@@ -129,17 +129,16 @@ def identify(
     return fit
 
 
-def _check_structure(structure: object, method: str, *own: object) -> None:
+def _refuse_structure(structure: object, settings: Settings, counted: bool) -> None:
+    """Refuse what is no structure, and options that have no meaning beside one."""
     if structure == "paper":
         return
     if structure != "auto" and not isinstance(structure, Structure):
-        raise IdentifyError(f"structure: got {structure!r}, need 'auto', 'paper' or a Structure")
-    if method != "record":
-        raise IdentifyError(f"structure: method {method!r} knows the paper's class only; leave one of them out")
-    if any(one is not None for one in own):
-        raise IdentifyError(
-            "elements, breakaway, knots: a wider structure has its own; give Structure(elements=..., ...)"
-        )
+        raise IdentifyError(f"structure: got {structure!r}, need 'auto', 'paper' or a dehyst.structure.Structure")
+    if settings.method != "record":
+        raise IdentifyError(f"structure: method {settings.method!r} knows the paper's class only; leave one out")
+    if counted or settings.breakaway is not None:
+        raise IdentifyError("structure: it has elements and knots of its own; leave elements, breakaway and knots out")
 
 
 @dataclass(eq=False)
@@ -166,6 +165,7 @@ class _Job:
         """Every sample of every record."""
         self.tell("estimating delay, datums and drifts")
         rho = self._thresholds()
+        self._judge_noise(float(rho[0]))
         stream = self._stream(rho, self.delay)
         regression = self._with_drifts(self._with_datums(stream.regression))
         self.tell(f"solving the {self.settings.norm} program for {len(stream.source)} samples")
@@ -227,13 +227,16 @@ class _Job:
         if self.settings.breakaway is not None:
             return self.settings.breakaway
         first = self.stroke / (2 * self.settings.count)
+        return np.asarray(first * np.arange(1, self.settings.count + 1), dtype=np.float64)
+
+    def _judge_noise(self, first: float) -> None:
+        """A remark where jitter, which only wider structures are spared, drags the first element."""
         noise = max(item.noise for item in self.training)
-        if first < 30 * noise:
+        if self.settings.breakaway is None and first < 30 * noise:
             self.remarks.append(
                 f"The first element lets go at {first * 1e6:.4g} um, {first / noise:.3g} times the sensor's noise; "
                 "below 30 times its stiffness comes out too small."
             )
-        return np.asarray(first * np.arange(1, self.settings.count + 1), dtype=np.float64)
 
     @cached_property
     def delay(self) -> float:

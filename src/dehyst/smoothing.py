@@ -77,6 +77,8 @@ def _holds(v: Array, least: float) -> NDArray[np.intp]:
     """Where the voltage comes to rest and leaves it."""
     if v.size <= _HOLD:
         return np.zeros(0, dtype=np.intp)
-    ahead = np.abs(v[_HOLD:] - v[:-_HOLD]) < 0.1 * least
+    # The range, for at a turn the ends of a window are equal; within noise nothing moves.
+    still_range = max(0.1 * least, 6 * white_noise(v))
+    ahead = np.ptp(np.lib.stride_tricks.sliding_window_view(v, _HOLD + 1), axis=1) < still_range
     still = np.concatenate([ahead, np.full(_HOLD, ahead[-1])]) | np.concatenate([np.full(_HOLD, ahead[0]), ahead])
     return np.flatnonzero(np.diff(still.astype(int))) + 1

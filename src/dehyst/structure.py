@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -59,10 +60,13 @@ class Structure:
     def __post_init__(self) -> None:
         for name, least, most in (("elements", 1, 500), ("grades", 1, 50), ("knots", 2, 500), ("transformer", 0, 200),
                                   ("creep", 0, 50)):  # fmt: skip
-            if not least <= getattr(self, name) <= most:
-                raise IdentifyError(f"{name}: got {getattr(self, name)}, need a whole number from {least} to {most}")
-        if not 0.5 <= self.spacing <= 4:
-            raise IdentifyError(f"spacing: got {self.spacing}, need an exponent between 0.5 and 4")
+            value = getattr(self, name)
+            if not _is_whole(value) or not least <= value <= most:
+                raise IdentifyError(f"{name}: got {value!r}, need a whole number from {least} to {most}")
+        if not isinstance(self.spacing, Real) or not 0.5 <= self.spacing <= 4:
+            raise IdentifyError(f"spacing: got {self.spacing!r}, need an exponent between 0.5 and 4")
+        if not isinstance(self.smooth, bool):
+            raise IdentifyError(f"smooth: got {self.smooth!r}, need True or False")
         if self.transformer == 1:
             raise IdentifyError("transformer: got 1, need 0 or two segments at least: one is a straight line")
 
@@ -155,3 +159,7 @@ class Grid:
     def moved(self) -> int:
         """Parts that are driven along the path besides the slip elements: J + L."""
         return self.time_constants.size + self.lengths.size
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)

@@ -110,11 +110,13 @@ class Frame:
         regression = self._rows_of(_CREEPING, _FEW_ROWS)
         kept: tuple[int, ...] = ()
         cost = _rms(regression)
-        for q in range(len(self.training)):
+        alone = [_rms(replace(regression, strained=(q,))) for q in range(len(self.training))]
+        # The one that explains most first, or a record at rest would be given what another one needs.
+        for q in np.argsort(alone, kind="stable").tolist():
             trial = _rms(replace(regression, strained=(*kept, q)))
             if trial < _WORTH_OF_START * cost:
                 kept, cost = (*kept, q), trial
-        return kept
+        return tuple(sorted(kept))
 
     def supports_creep(self) -> bool:
         """Whether there are loops at different speeds, or a hold: else creep looks like hysteresis."""

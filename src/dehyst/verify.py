@@ -167,7 +167,8 @@ class Comparison:
         moved = self.source.moved[number][epoch.start]
         creep, smooth, left = np.split(moved, np.cumsum([grid.time_constants.size, grid.lengths.size]))
         if actuator.creep is not None and self.start.size:
-            creep = creep + self.start * left / actuator.creep.stiffness
+            c = actuator.creep.stiffness
+            creep = creep + np.divide(self.start * left, c, out=np.zeros_like(left), where=c > 0)
         motion: list[float] = []
         if actuator.dynamics is not None:
             measured = self.measured[number]

@@ -124,8 +124,9 @@ class WideRegression:
         if self.grid.segments == 1:
             elements = self.rows.elongation[:, self.grid.movable]
         else:
-            held = parts_in_segments(grades, self.carts.ravel()).reshape(n, -1, self.grid.segments)
-            elements = (parts_in_segments(grades, self.axis)[:, None, :] - held).reshape(n, -1)
+            count = self.carts.shape[1]
+            held = parts_in_segments(grades, self.carts.ravel()).reshape(n, count, self.grid.segments)
+            elements = (parts_in_segments(grades, self.axis)[:, None, :] - held).reshape(n, count * self.grid.segments)
         moved = self.rows.moved[:, : self.grid.moved]
         spring = parts_in_segments(self.knots, self.axis)
         return np.hstack([elements, spring, moved, -self._drive_columns, self._start_columns, -self._start_columns])
@@ -195,13 +196,18 @@ class WideRegression:
         sliding = ~self.rows.stuck[:, grid.movable]
         at = np.take_along_axis(kappa.T, _segment(grid.grades, self.carts), axis=0)
         branches = grid.time_constants.size
-        pulled = (
-            np.abs(self.rows.moved[:, branches : grid.moved]) / grid.lengths
-            if grid.lengths.size
-            else np.zeros((len(y), 0))
-        )
         slope = slope - np.where(sliding, at, 0.0).sum(axis=1) + found.moved[:branches].sum()
-        return np.asarray(np.maximum(slope + (1 - np.minimum(pulled, 1)) @ found.moved[branches:], self.floor))
+        return np.asarray(np.maximum(slope + self._smooth_shares @ found.moved[branches:], self.floor))
+
+    @property
+    def _smooth_shares(self) -> Array:
+        """Part of each smooth element that has not let go, dq/dy (n, L)."""
+        lengths, closings = self.grid.lengths, self.grid.closings
+        q = self.rows.moved[:, self.grid.time_constants.size : self.grid.moved]
+        # The first slip element lets go soonest: it tells where the row is bound for.
+        forward = np.sign(q * self.rows.elongation[:, :1])
+        pulled = np.minimum(np.abs(q) / lengths, 1) if lengths.size else q
+        return np.asarray(1 - pulled * (closings * forward + 1 - closings))
 
     def model(self, found: WideCoefficients) -> Array:
         """Right-hand side less tau(v) of each row (n,) [V], without constants and drifts: what they must make up."""
@@ -234,7 +240,12 @@ class WideRegression:
 
     def datum_steps(self, records: list[int]) -> Array:
         """Changes of the datums [m] that a least-squares fit asks for, the model linearised at the present ones."""
-        slope = self.slope(self.fit("l2"))
+        found = self.fit("l2")
+        kappa = found.stiffness[self.grid.movable]
+        # Carts go with the axis: elements notice only where their stiffness changes.
+        at = np.take_along_axis(kappa.T, _segment(self.grid.grades, self.carts), axis=0).sum(axis=1)
+        slope = found.slopes[_segment(self.knots, self.axis)] - at
+        slope += kappa.sum(axis=0)[_segment(self.grid.grades, self.axis)]
         shifts = np.column_stack([np.where(self.rows.record == q, slope, 0.0) for q in records])
         answer = solve(np.hstack([self.nuisances(), shifts]), self.bounded, self.target, norm="l2")
         return answer.free[-len(records) :]

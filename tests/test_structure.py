@@ -1,0 +1,142 @@
+"""How much model: what a structure is, where its parts lie, and what it refuses."""
+
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dehyst import IdentifyError
+from dehyst.structure import Structure
+
+SPAN, VOLTS, TIMES = (-1e-6, 15e-6), (-20.0, 120.0), (0.01, 50.0)
+STRUCTURES = st.builds(
+    Structure,
+    elements=st.integers(1, 60),
+    spacing=st.floats(0.5, 4),
+    grades=st.integers(1, 12),
+    knots=st.integers(2, 60),
+    transformer=st.sampled_from([0, 2, 3, 20]),
+    creep=st.integers(0, 12),
+    smooth=st.booleans(),
+)
+
+
+@given(STRUCTURES)
+def test_the_grid_covers_the_loops_and_no_more(structure):
+    grid = structure.grid(SPAN, VOLTS, TIMES)
+    stroke = SPAN[1] - SPAN[0]
+    assert grid.breakaway.size == structure.elements
+    assert grid.breakaway[-1] == pytest.approx(stroke / 2)
+    for knots, count in ((grid.grades, structure.grades), (grid.knots, structure.knots - 1)):
+        assert knots.size == count + 1
+        np.testing.assert_allclose(knots[[0, -1]], SPAN)
+    assert grid.segments == structure.grades
+    assert grid.drive.size == (structure.transformer + 1 if structure.transformer else 0)
+    if structure.transformer:
+        np.testing.assert_allclose(grid.drive[[0, -1]], VOLTS)
+    for values in (grid.breakaway, grid.grades, grid.knots, grid.drive, grid.time_constants):
+        assert np.all(np.diff(values) > 0)
+    # Every element but the last can slide both ways within the stroke.
+    assert grid.movable.tolist() == [True] * (structure.elements - 1) + [False]
+
+
+@given(STRUCTURES)
+def test_parameters_are_counted_as_the_regression_has_columns(structure):
+    grid = structure.grid(SPAN, VOLTS, TIMES)
+    columns = np.count_nonzero(grid.movable) * grid.segments + grid.knots.size - 1 + grid.moved
+    assert structure.parameters == columns + max(grid.drive.size - 2, 0)
+
+
+@given(STRUCTURES)
+def test_json_values_give_the_structure_back(structure):
+    assert Structure(**json.loads(json.dumps(structure.as_dict()))) == structure
+    assert {field.name for field in fields(structure)} == set(structure.as_dict())
+
+
+@given(structure=STRUCTURES, scale=st.floats(1e-3, 1e3))
+def test_the_grid_goes_with_the_units(structure, scale):
+    grid = structure.grid(SPAN, VOLTS, TIMES)
+    scaled = structure.grid(
+        (scale * SPAN[0], scale * SPAN[1]), (scale * VOLTS[0], scale * VOLTS[1]), (scale * TIMES[0], scale * TIMES[1])
+    )
+    for name in ("breakaway", "grades", "knots", "drive", "time_constants", "lengths"):
+        np.testing.assert_allclose(getattr(scaled, name), scale * getattr(grid, name), rtol=1e-9, atol=1e-20 * scale)
+    np.testing.assert_array_equal(scaled.closings, grid.closings)
+
+
+def test_the_default_is_the_papers_class_on_its_uniform_grid():
+    grid = Structure().grid((0.0, 16e-6), (0.0, 200.0), TIMES)
+    np.testing.assert_allclose(grid.breakaway, 16e-6 / 40 * np.arange(1, 21))
+    assert Structure().plain
+    assert (grid.segments, grid.moved, grid.drive.size) == (1, 0, 0)
+
+
+def test_spacing_makes_the_grid_dense_where_loops_are_small():
+    grid = Structure(elements=10, spacing=2.0).grid((0.0, 2.0), VOLTS, TIMES)
+    np.testing.assert_allclose(grid.breakaway, (np.arange(1, 11) / 10) ** 2)
+
+
+def test_creep_lasts_from_three_samples_to_the_longest_record():
+    grid = Structure(creep=5).grid(SPAN, VOLTS, TIMES)
+    np.testing.assert_allclose(grid.time_constants[[0, -1]], [0.03, 50.0])
+    np.testing.assert_allclose(np.diff(np.log(grid.time_constants), 2), 0, atol=1e-12)
+    # A record of few samples: three of them are long already.
+    few = Structure(creep=3).grid(SPAN, VOLTS, (1.0, 20.0))
+    np.testing.assert_allclose(few.time_constants[[0, -1]], [2.0, 20.0])
+
+
+def test_smooth_elements_have_each_length_with_both_closings():
+    grid = Structure(smooth=True).grid((0.0, 1.0), VOLTS, TIMES)
+    assert sorted(zip(grid.lengths.tolist(), grid.closings.tolist(), strict=True)) == [
+        (length, closing) for length in (0.02, 0.05, 0.1, 0.2, 0.5) for closing in (0.5, 1.0)
+    ]
+
+
+@pytest.mark.parametrize("change", [{"grades": 2}, {"transformer": 2}, {"creep": 1}, {"smooth": True}])
+def test_any_other_part_makes_it_no_longer_plain(change):
+    assert not replace(Structure(), **change).plain
+
+
+@pytest.mark.parametrize(
+    ("structure", "words"),
+    [
+        (Structure(), "20 elements"),
+        (Structure(spacing=2.0), "20 elements, dense where loops are small"),
+        (Structure(elements=5, grades=4), "5 elements and graded in 4 segments"),
+        (
+            Structure(spacing=2.0, grades=4, transformer=10, creep=9, smooth=True),
+            "20 elements, dense where loops are small, graded in 4 segments, a transformer of 10 segments, "
+            "9 creep branches and smooth elements",
+        ),
+    ],
+)
+def test_words(structure, words):
+    assert structure.words == words
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"elements": 0}, "elements: got 0, need a whole number from 1 to 500"),
+        ({"elements": 501}, "elements: got 501, need a whole number from 1 to 500"),
+        ({"grades": 0}, "grades: got 0, need a whole number from 1 to 50"),
+        ({"knots": 1}, "knots: got 1, need a whole number from 2 to 500"),
+        ({"transformer": -1}, "transformer: got -1, need a whole number from 0 to 200"),
+        ({"transformer": 1}, "transformer: got 1, need 0 or two segments at least: one is a straight line"),
+        ({"creep": 51}, "creep: got 51, need a whole number from 0 to 50"),
+        ({"spacing": 0.4}, "spacing: got 0.4, need an exponent between 0.5 and 4"),
+        ({"spacing": float("nan")}, "spacing: got nan, need an exponent between 0.5 and 4"),
+        ({"elements": 2.5}, "elements: got 2.5, need a whole number from 1 to 500"),
+        ({"grades": True}, "grades: got True, need a whole number from 1 to 50"),
+        ({"creep": "9"}, "creep: got '9', need a whole number from 0 to 50"),
+        ({"spacing": "dense"}, "spacing: got 'dense', need an exponent between 0.5 and 4"),
+        ({"smooth": "no"}, "smooth: got 'no', need True or False"),
+    ],
+)
+def test_impossible_numbers_are_refused(options, message):
+    with pytest.raises(IdentifyError) as refused:
+        Structure(**options)
+    assert str(refused.value) == message

@@ -1,0 +1,129 @@
+"""Records to the regression of a structure: what starts of creep, leads, holds and speeds tell."""
+
+from dataclasses import replace
+from functools import cache
+
+import bench
+import numpy as np
+import pytest
+import wide_bench as wide
+
+from dehyst import Record, State
+from dehyst.composition import moved_along
+from dehyst.preparation import prepare
+from dehyst.structure import Structure
+
+CREEPING = Structure(elements=8, knots=7, creep=4)
+HOLDING = wide.wandering(30, samples=30, hold=30)
+
+
+@cache
+def creeping():
+    return wide.plant(CREEPING, seed=1, path=HOLDING)
+
+
+def begun(strains):
+    plant = creeping()
+    state = State(plant.state.displacement, plant.state.carts, np.asarray(strains) * bench.STROKE)
+    return plant.record(state=state, noise=1e-4 * bench.STROKE)
+
+
+def test_a_record_that_begins_at_rest_is_given_no_start():
+    frame = wide.frame([creeping().record(noise=1e-4 * bench.STROKE)])
+    assert frame.strained == ()
+    assert frame.regression(CREEPING).strained == ()
+
+
+def test_a_record_that_begins_unrelaxed_is_told():
+    """Of two records, the one that was moved slowly before: its slow branches hold."""
+    records = [creeping().record(noise=1e-4 * bench.STROKE), begun([0, 0, 0.1, 0.3])]
+    records[1] = replace(records[1], name="second")
+    frame = wide.frame(records)
+    assert frame.strained == (1,)
+    assert frame.regression(CREEPING).strained == (1,)
+    # Without creep there is nothing that a start could be of.
+    assert frame.regression(Structure()).strained == ()
+
+
+def test_a_record_goes_on_from_its_lead():
+    """What a piece moves along its path is what it would have moved had the lead not been cut off."""
+    plant = wide.plant(wide.STRUCTURES["all"])
+    record = plant.record()
+    whole = moved_along(plant.grid, record, None)
+    cut = 200
+    lead, piece = record.slice(0, cut), record.slice(cut, len(record))
+    moved, fades = plant.grid.moved, plant.grid.time_constants.size
+    led, alone = moved_along(plant.grid, piece, lead), moved_along(plant.grid, piece, None)
+    assert led.shape == (len(piece), moved + fades)
+    np.testing.assert_allclose(led, whole[cut:], rtol=0, atol=1e-12)
+    assert np.abs(led - alone)[:, :moved].max() > 0.01 * bench.STROKE
+    # Apart from it in time, a lead says nothing.
+    late = replace(piece, time=piece.time + 1.0)
+    np.testing.assert_allclose(moved_along(plant.grid, late, lead), alone, rtol=0, atol=1e-12)
+
+
+def test_the_lead_of_a_transient_counts_in_the_fit():
+    """A start-up transient is left out of the rows, but creep remembers it."""
+    plant = creeping()
+    path = np.concatenate([bench.STROKE * np.full(150, 0.4), bench.path((0.4, 1.0), 20)[1:], plant.path[1:]])
+    other = replace(plant, path=path, state=plant.actuator.relaxed(15.0))
+    record = other.record()
+    prepared = prepare(record)
+    assert prepared.lead is not None
+    assert len(prepared.lead) + len(prepared.record) == len(record)
+    frame = wide.frame([record])
+    without = replace(frame, training=[replace(prepared, lead=None)])
+    errors = []
+    for one in (frame, without):
+        regression = replace(one.regression(CREEPING), strained=())
+        found = regression.fit("l2")
+        errors.append(found.rms(regression.slope(found)) / bench.STROKE)
+    assert errors[0] < 0.3 * errors[1]
+
+
+def swept(rates, *, hold=0):
+    """A record at each rate [Hz of samples]."""
+    plant = bench.plant(10)
+    records = []
+    for k, rate in enumerate(rates):
+        y = bench.path((1, 0, 1, 0, 0.6, 0, 0.3, 0), 60)
+        if hold:
+            y = np.append(y, np.concatenate([np.zeros(hold), bench.path((0, 0.5, 0), 60)]))
+        records.append(bench.record(plant, y, rate=rate, name=f"{k}"))
+    return records
+
+
+@pytest.mark.parametrize(
+    ("rates", "hold", "supported"),
+    [((200.0,), 0, False), ((200.0, 100.0), 0, False), ((200.0, 50.0), 0, True), ((200.0,), 30, False),
+     ((200.0,), 100, True)],
+)  # fmt: skip
+def test_creep_needs_a_hold_of_a_leg_or_loops_at_speeds_three_times_apart(rates, hold, supported):
+    frame = wide.frame(swept(rates, hold=hold))
+    assert frame.supports_creep() is supported
+    _, trials, remarks = frame.chosen(Structure(elements=10, knots=11), lambda _: None)
+    tried = any(trial.structure.creep for trial in trials)
+    assert tried is supported
+    said = "Creep was not looked for: it needs holds or loops at two speeds; add a staircase."
+    assert remarks == ([] if supported else [said])
+
+
+def test_rows_are_thinned_evenly_to_what_was_asked():
+    frame = wide.frame([creeping().record()])
+    whole, thin = frame.regression(CREEPING), frame.regression(CREEPING, 500)
+    every = len(whole.rows) // 500
+    np.testing.assert_array_equal(thin.rows.displacement, whole.rows.displacement[::every])
+
+
+def test_times_are_those_of_the_finest_and_the_longest_record():
+    records = swept((200.0, 50.0))
+    assert wide.frame(records).times == pytest.approx((1 / 200, float(np.ptp(records[1].time))))
+
+
+def test_delayed_voltages_are_taken_back():
+    record = creeping().record()
+    late = Record(record.time, record.voltage, np.append(np.full(5, record.displacement[0]), record.displacement[:-5]))
+    found = [wide.frame([one], delay).regression(CREEPING).fit("l2")
+             for one, delay in ((record, 0.0), (late, 5 / wide.RATE), (late, 0.0))]  # fmt: skip
+    errors = [np.abs(one.stiffness - found[0].stiffness).max() / found[0].stiffness.max() for one in found[1:]]
+    assert errors[0] < 0.1 * errors[1]

@@ -1,0 +1,139 @@
+"""Virtual actuators of wider structures, and records of them that are exact to rounding.
+
+The parts lie where `Structure.grid` would put them for their own record, so that found and true coefficients can be
+compared one by one.
+"""
+
+from dataclasses import dataclass, replace
+
+import bench
+import numpy as np
+
+from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
+from dehyst.composition import coefficients_of, moved_along
+from dehyst.inertia import Inertia
+from dehyst.preparation import prepare
+from dehyst.rows import collect
+from dehyst.smooth import SmoothSlip
+from dehyst.structure import Grid, Structure
+from dehyst.structured import Frame
+from dehyst.wide_regression import WideRegression
+
+SLOPE = bench.VOLTS / bench.STROKE
+FLOOR = 0.1 * SLOPE
+RATE = 200.0
+
+
+def wandering(legs=70, seed=5, samples=30, hold=0):
+    """A path [m]: major loops, then legs between random turning points, each followed by a hold of some samples."""
+    rng = np.random.default_rng(seed)
+    turns = [1.0, 0.0, 1.0, 0.0, 1.0]
+    for k in range(legs):
+        share = rng.uniform(0.2, 1.0)
+        turns.append(turns[-1] + share * ((0.02 if k % 2 == 0 else 0.98) - turns[-1]))
+    path = bench.path([*turns, 0.0], samples)
+    if not hold:
+        return path
+    parts = np.split(path[1:], np.arange(samples, path.size - 1, samples))
+    return np.concatenate([path[:1], *(np.append(part, np.full(hold, part[-1])) for part in parts)])
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """An actuator, the path that it is taken along, the state in which it begins, and the grid of its parts."""
+
+    actuator: Actuator
+    path: np.ndarray
+    state: State
+    grid: Grid
+
+    @property
+    def time(self):
+        return np.arange(self.path.size) / RATE
+
+    def record(self, *, state=None, noise=0.0, seed=0, name="made"):
+        """Voltages by `Actuator.compensate`, the path with the sensor's noise."""
+        start = self.state if state is None else state
+        motion = self.actuator.compensate(self.path, time=self.time, state=start)
+        sensed = self.path + noise * np.random.default_rng(seed).normal(size=self.path.size)
+        return Record(self.time, motion.voltage, sensed, name)
+
+    def coefficients(self, regression):
+        """The true ones, with the constant of every epoch."""
+        base = float(self.actuator.spring.voltage[0])
+        return replace(coefficients_of(self.actuator), offsets=dict.fromkeys(np.unique(regression.rows.epoch), base))
+
+
+def plant(structure, seed=0, path=None):
+    """An actuator of a structure; every branch rises by a fifth of the mean slope at least."""
+    rng = np.random.default_rng([seed, 7])
+    y = wandering() if path is None else path
+    times = 1 / RATE, (y.size - 1) / RATE
+    grid = structure.grid((0.0, bench.STROKE), (0.0, bench.VOLTS), times)
+    parts = {"slip": _slip(grid, rng), "spring": _spring(grid, rng)}
+    if structure.creep:
+        parts["creep"] = Creep(grid.time_constants, 0.1 * SLOPE * rng.uniform(0.2, 1, structure.creep))
+    if structure.smooth:
+        share = 0.05 * bench.VOLTS * rng.uniform(0.2, 1, grid.lengths.size)
+        parts["smooth"] = SmoothSlip(grid.lengths, grid.closings, share / grid.lengths / grid.lengths.size)
+    actuator = Actuator(**parts)
+    # Smooth elements begin at none, as the regression takes them to; what they forget would take many cycles.
+    state = replace(actuator.turned(float(y[0])), smooth=np.zeros(grid.lengths.size))
+    if structure.transformer:
+        drive = actuator.compensate(y, time=np.arange(y.size) / RATE, state=state).voltage
+        ends = float(drive.min()), float(drive.max())
+        grid = structure.grid((0.0, bench.STROKE), ends, times)
+        actuator = replace(actuator, transformer=_transformer(grid, rng), state=state)
+    return Plant(actuator, y, state, grid)
+
+
+def _slip(grid, rng):
+    n = grid.breakaway.size
+    kappa = rng.uniform(0.3, 1.5, n) * np.exp(-np.arange(n) / n) * grid.movable
+    kappa *= 0.3 * bench.VOLTS / max(2 * float(kappa @ grid.breakaway), 1e-9)
+    if grid.segments == 1:
+        return MaxwellSlip(grid.breakaway, kappa)
+    return GradedSlip(grid.breakaway, grid.grades, kappa[:, None] * rng.uniform(0.8, 1.0, (n, grid.segments)))
+
+
+def _spring(grid, rng):
+    slopes = SLOPE * rng.uniform(0.55, 0.85, grid.knots.size - 1)
+    return Spring.of_slopes(grid.knots, slopes, 0.15 * bench.VOLTS)
+
+
+def _transformer(grid, rng):
+    rises = np.diff(grid.drive) * rng.uniform(0.7, 1.4, grid.drive.size - 1)
+    rises *= np.ptp(grid.drive) / rises.sum()
+    return Transformer(grid.drive, grid.drive[0] + np.append(0, np.cumsum(rises)))
+
+
+def regression(grid, records, *, leads=(), **options):
+    """The rows of records as they are: no smoothing, no search for anything."""
+    leads = leads or [None] * len(records)
+    pieces = [(q, one, np.zeros(len(one))) for q, one in enumerate(records)]
+    rows, _ = collect(pieces, grid.breakaway, [0.0] * len(pieces),
+                      moved=lambda q, piece: moved_along(grid, piece, leads[q]))  # fmt: skip
+    return WideRegression(rows, grid, FLOOR, np.zeros(len(pieces)), **options)
+
+
+STRUCTURES = {
+    "plain": Structure(elements=8, knots=7),
+    "dense": Structure(elements=10, spacing=2.0, knots=7),
+    "graded": Structure(elements=6, grades=3, knots=7),
+    "transformer": Structure(elements=8, knots=7, transformer=6),
+    "creep": Structure(elements=8, knots=7, creep=4),
+    "smooth": Structure(elements=8, knots=7, smooth=True),
+    "graded, transformer": Structure(elements=6, grades=3, knots=7, transformer=5),
+    "all": Structure(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True),
+}
+
+
+def frame(records, delay=0.0):
+    """What an identification of these records shares, their sensors never zeroed anew."""
+    training = [prepare(one) for one in records]
+    spans = [item.span() for item in training]
+    span = max(spans, key=lambda ends: ends[1] - ends[0])
+    volts = [one.voltage_range for one in records]
+    ends = min(low for low, _ in volts), max(high for _, high in volts)
+    floor = 0.2 * (ends[1] - ends[0]) / (span[1] - span[0])
+    return Frame(training, Inertia(delay, 0.0, 0.0), span, ends, floor, np.zeros(len(records)))
