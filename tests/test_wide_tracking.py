@@ -47,7 +47,7 @@ def followed(name, structure="auto", seeds=(3, 4)):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_path_is_followed(name):
-    assert fitted(name).outcome is Outcome.IDENTIFIED
+    assert fitted(name).outcome is Outcome.WIDER
     for got, measured in zip(followed(name), MEASURED[name], strict=True):
         assert got < 1.5 * measured
 
@@ -91,7 +91,7 @@ def test_the_rest_of_a_measured_record_is_predicted():
     )
     rest = fit.errors[-1]
     assert (rest.record, rest.role) == ("rest", "validation")
-    assert fit.outcome is Outcome.IDENTIFIED
+    assert fit.outcome is Outcome.WIDER
     assert rest.largest_percent < 1.5 * 0.79
     assert rest.rms_percent < 1.5 * 0.21
     assert fit.actuator.creep is not None
