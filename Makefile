@@ -6,7 +6,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/* src/*.cpp src/dehyst/* src/dehyst/*/*)
+SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/* src/*.cpp src/*.h src/dehyst/* src/dehyst/*/*)
 
 .PHONY: demo test check bench clean
 

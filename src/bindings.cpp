@@ -1,23 +1,15 @@
 // Arrays in, arrays out, the interpreter lock released, a status back. No algorithm.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-#include <nanobind/stl/tuple.h>
-
 #include <memory>
 #include <stdexcept>
 #include <string>
 #include <tuple>
 #include <vector>
 
+#include "arrays.h"
 #include "dehyst.h"
 
-namespace nb = nanobind;
-
-using Input = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Grid = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Bounds = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Output = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
-using Matrix = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
 
 namespace {
 
@@ -44,20 +36,6 @@ const char *sentence(dehyst_status status) {
 
 void demand(dehyst_status status) {
     if (status != DEHYST_OK) throw CoreError(sentence(status));
-}
-
-std::vector<double> copy(Input array) { return {array.data(), array.data() + array.size()}; }
-
-template <typename Array> Array own(std::unique_ptr<double[]> data, std::initializer_list<size_t> shape) {
-    double *raw = data.release();
-    nb::capsule owner(raw, [](void *p) noexcept { delete[] static_cast<double *>(p); });
-    return Array(raw, shape, owner);
-}
-
-Output as_array(const std::vector<double> &values) {
-    std::unique_ptr<double[]> data(new double[values.size() + 1]);
-    std::copy(values.begin(), values.end(), data.get());
-    return own<Output>(std::move(data), {values.size()});
 }
 
 struct Core {

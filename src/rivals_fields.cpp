@@ -1,30 +1,16 @@
 // Arrays in, arrays out, the interpreter lock released. No algorithm: see core/rivals_fields.h.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-#include <nanobind/stl/tuple.h>
-
 #include <cstdint>
 #include <memory>
 #include <stdexcept>
 #include <tuple>
 #include <vector>
 
+#include "arrays.h"
 #include "rivals_fields.h"
-
-namespace nb = nanobind;
 
 namespace {
 
-using Input = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Indices = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Output = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
-using Matrix = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
-
-template <typename Array> Array own(std::unique_ptr<double[]> data, std::initializer_list<size_t> shape) {
-    double *raw = data.release();
-    nb::capsule owner(raw, [](void *p) noexcept { delete[] static_cast<double *>(p); });
-    return Array(raw, shape, owner);
-}
 
 void need(const Input &array, size_t size) {
     if (array.size() != size) throw std::invalid_argument("an array of another length");

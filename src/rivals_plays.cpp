@@ -1,37 +1,15 @@
 // Arrays in, arrays out, the interpreter lock released. Sizes are checked here, values by dehyst._native_plays.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-#include <nanobind/stl/tuple.h>
-
 #include <memory>
 #include <stdexcept>
 #include <tuple>
 #include <vector>
 
+#include "arrays.h"
 #include "rivals_plays.h"
-
-namespace nb = nanobind;
 
 namespace {
 
-using Input = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Counts = nb::ndarray<const int, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Output = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
-using Matrix = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
-
-std::vector<double> copy(Input array) { return {array.data(), array.data() + array.size()}; }
-
-template <typename Array> Array own(std::unique_ptr<double[]> data, std::initializer_list<size_t> shape) {
-    double *raw = data.release();
-    nb::capsule owner(raw, [](void *p) noexcept { delete[] static_cast<double *>(p); });
-    return Array(raw, shape, owner);
-}
-
-Output as_array(const std::vector<double> &values) {
-    std::unique_ptr<double[]> data(new double[values.size() + 1]);
-    std::copy(values.begin(), values.end(), data.get());
-    return own<Output>(std::move(data), {values.size()});
-}
 
 void demand(bool holds) {
     if (!holds) throw std::invalid_argument("arrays of different lengths");
