@@ -76,3 +76,9 @@ def stiffness_error(found, true):
 def spring_error(found, true):
     """Largest error of the spring's slopes, relative to the largest true one."""
     return float(np.abs(found.spring.slopes - true.spring.slopes).max() / true.spring.slopes.max())
+
+
+def close(got, expected, allowance):
+    """Assert that two arrays are of one shape and nowhere farther apart."""
+    assert np.shape(got) == np.shape(expected)
+    assert np.abs(np.subtract(got, expected)).max(initial=0.0) <= allowance

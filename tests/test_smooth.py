@@ -3,6 +3,7 @@
 import math
 import subprocess
 
+import bench
 import numpy as np
 import oracle
 import pytest
@@ -59,11 +60,6 @@ def scales(actuator, state, path):
     return EXACT * slopes * metres, EXACT * metres
 
 
-def close(got, expected, allowance):
-    assert np.shape(got) == np.shape(expected)
-    assert np.abs(np.subtract(got, expected)).max(initial=0.0) <= allowance
-
-
 MATHEMATICS = r"""
 #include <stdio.h>
 #include "dehyst_parts.h"
@@ -112,7 +108,7 @@ def test_elongations_agree_with_the_oracle(seed, count, samples, reach):
         expected.append(q)
     got = smooth.elongations(path)
     assert got.shape == (samples, count)
-    close(got / smooth.length, np.reshape(expected, (samples, count)) / smooth.length, 1e-13)
+    bench.close(got / smooth.length, np.reshape(expected, (samples, count)) / smooth.length, 1e-13)
 
 
 @pytest.mark.parametrize("closing", [0.5, 0.6, 0.99, 1.0])
@@ -138,14 +134,14 @@ def test_with_closing_1_it_is_dahls():
         end = length * np.sign(step)
         q = end + (q - end) * math.exp(-abs(step) / length)
         expected.append(q)
-    close(SmoothSlip([length], [1], [1]).elongations(path)[:, 0], expected, 1e-14)
+    bench.close(SmoothSlip([length], [1], [1]).elongations(path)[:, 0], expected, 1e-14)
 
 
 def test_with_closing_one_half_it_comes_back_straight():
     smooth = SmoothSlip([1.0], [0.5], [1])
     there = smooth.elongations([0, 2.0])[1, 0]
     back = smooth.elongations(2.0 - np.concatenate([[2.0, 0.0], np.linspace(0, there, 9)]))[2:, 0]
-    close(back, np.linspace(there, 0, 9), 1e-15)
+    bench.close(back, np.linspace(there, 0, 9), 1e-15)
 
 
 @given(our.SEEDS, st.integers(2, 40))
@@ -180,9 +176,9 @@ def test_compensate_agrees_with_the_oracle(stack, motion):
     actuator, state, path = motion
     volts, metres = scales(actuator, state, path)
     got, known = actuator.compensate(path, state=state, stack=stack), oracle.Smooth(actuator, state)
-    close(got.voltage, known.compensate(path), volts)
-    close(got.state.carts, known.y - known.elongation, metres)
-    close(got.state.smooth, known.q, EXACT * actuator.smooth.length.max())
+    bench.close(got.voltage, known.compensate(path), volts)
+    bench.close(got.state.carts, known.y - known.elongation, metres)
+    bench.close(got.state.smooth, known.q, EXACT * actuator.smooth.length.max())
 
 
 @given(motion=motions(max_elements=6, max_samples=20))
@@ -193,7 +189,7 @@ def test_simulate_agrees_with_the_oracle(motion):
     v = v + 0.1 * np.ptp(v) * np.random.default_rng(1).normal(size=v.size) if v.size else v
     got, known = actuator.simulate(v, state=state), oracle.Smooth(actuator, state)
     expected = known.simulate(v)
-    close(got.displacement, expected, 10 * scales(actuator, state, expected)[1])
+    bench.close(got.displacement, expected, 10 * scales(actuator, state, expected)[1])
 
 
 @given(motion=motions(max_samples=200))
@@ -203,9 +199,9 @@ def test_simulating_the_compensating_voltage_gives_the_path(motion):
     sent = actuator.compensate(path, state=state)
     came = actuator.simulate(sent.voltage, state=state)
     metres = 10 * scales(actuator, state, path)[1]
-    close(came.displacement, path, metres)
-    close(came.state.carts, sent.state.carts, metres)
-    close(came.state.smooth, sent.state.smooth, 3 * metres)
+    bench.close(came.displacement, path, metres)
+    bench.close(came.state.carts, sent.state.carts, metres)
+    bench.close(came.state.smooth, sent.state.smooth, 3 * metres)
 
 
 def everything(seed, graded):
@@ -224,13 +220,13 @@ def test_beside_every_other_part(graded, seed):
     actuator, time, path = everything(seed, graded)
     sent = actuator.compensate(path, time=time)
     came = actuator.simulate(sent.voltage, time=time)
-    close(came.displacement, path, 1e-11 * np.ptp(path))
-    close(came.state.smooth, sent.state.smooth, 1e-11 * np.ptp(path))
+    bench.close(came.displacement, path, 1e-11 * np.ptp(path))
+    bench.close(came.state.smooth, sent.state.smooth, 1e-11 * np.ptp(path))
     bare = Actuator(actuator.slip, SPRING, creep=actuator.creep).compensate(path, time=time).voltage
     q = Actuator(MaxwellSlip([], []), SPRING, smooth=SMOOTH)
     held = q.compensate(path, state=q.turned(1e-5)).voltage - SPRING(path)
-    close(actuator.transformer(sent.voltage), bare + held, 1e-10)
-    close(actuator.voltage(sent.state), sent.voltage[-1], 1e-10)
+    bench.close(actuator.transformer(sent.voltage), bare + held, 1e-10)
+    bench.close(actuator.voltage(sent.state), sent.voltage[-1], 1e-10)
 
 
 @given(motion=motions(max_samples=60), seed=our.SEEDS)
@@ -244,10 +240,10 @@ def test_rate_independence(motion, seed):
     previous = np.append(state.displacement, path)[:-1, None]
     slow = np.where(part == 1, path[:, None], previous + part * (path[:, None] - previous))
     fast, slowed = actuator.compensate(path, state=state), actuator.compensate(slow.ravel(), state=state)
-    close(slowed.voltage[3::4], fast.voltage, volts)
-    close(slowed.state.smooth, fast.state.smooth, metres)
+    bench.close(slowed.voltage[3::4], fast.voltage, volts)
+    bench.close(slowed.state.smooth, fast.state.smooth, metres)
     back = actuator.simulate(slowed.voltage, state=state)
-    close(back.displacement[3::4], path, 10 * metres)
+    bench.close(back.displacement[3::4], path, 10 * metres)
 
 
 @given(motion=motions(max_samples=100), cut=st.floats(0, 1))
@@ -259,7 +255,7 @@ def test_a_record_may_be_cut_anywhere(motion, cut):
         run = getattr(actuator, name)
         first = run(drive[:k], state=state)
         joined = np.append(getattr(first, out), getattr(run(drive[k:], state=first.state), out))
-        close(joined, getattr(run(drive, state=state), out), scales(actuator, state, path)[name == "simulate"])
+        bench.close(joined, getattr(run(drive, state=state), out), scales(actuator, state, path)[name == "simulate"])
 
 
 @given(motion=motions())
@@ -270,8 +266,8 @@ def test_without_stiffness_they_change_nothing(motion):
     bare, (volts, metres) = State(state.displacement, state.carts), scales(actuator, state, path)
     for stack in (True, False):
         sent = plain.compensate(path, state=bare, stack=stack).voltage
-        close(idling.compensate(path, state=state, stack=stack).voltage, sent, volts)
-    close(idling.simulate(sent, state=state).displacement, plain.simulate(sent, state=bare).displacement, metres)
+        bench.close(idling.compensate(path, state=state, stack=stack).voltage, sent, volts)
+    bench.close(idling.simulate(sent, state=state).displacement, plain.simulate(sent, state=bare).displacement, metres)
 
 
 @given(motion=motions(max_samples=30), more=st.floats(1e-6, 1))
@@ -294,7 +290,7 @@ def test_stiff_elements_beside_a_soft_spring(ratio):
     v = np.concatenate([v[::12], v[::-4], v])
     motion = actuator.simulate(v, state=start)
     back = actuator.compensate(motion.displacement, state=start)
-    close(back.voltage, v, 1e-13 * np.ptp(v))
+    bench.close(back.voltage, v, 1e-13 * np.ptp(v))
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -328,16 +324,16 @@ def test_a_sample_that_is_not_a_number_moves_nothing():
         out, reached = run(np.array(drive), pace(3), held)
         good, there = run(np.array(drive)[[0, 2]], pace(2), held)
         assert out[0] == out[1]
-        close(out[[0, 2]], good, 1e-12 * abs(out[0]))
+        bench.close(out[[0, 2]], good, 1e-12 * abs(out[0]))
         for one, two in zip(reached, there, strict=True):
-            close(one, two, 1e-20)
+            bench.close(one, two, 1e-20)
 
 
 def test_after_a_long_motion_they_are_as_long_as_they_get():
     far = ACTUATOR.compensate([1.0, -1.0, 5e-6]).state
     turned = ACTUATOR.turned(5e-6)
-    close(far.smooth, turned.smooth, 0.0)
-    close(far.carts, turned.carts, 1e-18)
+    bench.close(far.smooth, turned.smooth, 0.0)
+    bench.close(far.carts, turned.carts, 1e-18)
     assert np.array_equal(ACTUATOR.turned(0, rising=False).smooth, -SMOOTH.length)
     assert ACTUATOR.state.smooth.tolist() == SMOOTH.length.tolist()
     slipping = SLIP.friction.sum() + SMOOTH.stiffness @ SMOOTH.length
@@ -350,7 +346,7 @@ def test_relaxed_they_hold_nothing():
     assert ACTUATOR.voltage(relaxed) == pytest.approx(30.0, rel=1e-14)
     moved = ACTUATOR.simulate([30.0], state=relaxed).state
     assert moved.smooth.shape == (2,)
-    close(moved.smooth, [0, 0], 1e-20)
+    bench.close(moved.smooth, [0, 0], 1e-20)
 
 
 def test_a_state_moves_with_its_axis():
@@ -362,7 +358,7 @@ def test_a_compensator_clamps_with_them():
     command = Compensator(ACTUATOR, limits=(5.0, 90.0)).trajectory(wanted)
     assert command.clamped.any()
     assert not command.clamped.all()
-    close(ACTUATOR.simulate(command.voltage).displacement, command.displacement, 1e-11 * np.ptp(wanted))
+    bench.close(ACTUATOR.simulate(command.voltage).displacement, command.displacement, 1e-11 * np.ptp(wanted))
 
 
 @pytest.mark.parametrize(

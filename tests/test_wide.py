@@ -1,5 +1,6 @@
 """The wider class: graded elements, transformer and creep. Laws, the oracle, an ODE solver, and every refusal."""
 
+import bench
 import numpy as np
 import oracle
 import pytest
@@ -15,11 +16,6 @@ TAU, CREEP = Transformer([0, 50, 100], [0, 60, 100]), Creep([0.1, 1.0], [1e6, 2e
 GRADED = GradedSlip([1e-6, 2e-6], [0, 5e-6, 1e-5], [[1e6, 2e6], [2e6, 3e6]])
 
 
-def close(got, expected, allowance):
-    assert np.shape(got) == np.shape(expected)
-    assert np.abs(np.subtract(got, expected)).max(initial=0.0) <= allowance
-
-
 def scales(actuator, state, path):
     """Rounding [V] and [m]: what creep and elements hold at most over this motion, and its range."""
     metres = max(our.span_of(actuator), float(np.ptp(np.append(path, state.displacement))))
@@ -29,9 +25,9 @@ def scales(actuator, state, path):
 
 
 def same_state(one, two, metres):
-    close(one.displacement, two.displacement, metres)
-    close(one.carts, two.carts, metres)
-    close(one.creep, two.creep, metres)
+    bench.close(one.displacement, two.displacement, metres)
+    bench.close(one.carts, two.carts, metres)
+    bench.close(one.creep, two.creep, metres)
 
 
 @pytest.mark.parametrize("stack", [True, False])
@@ -40,7 +36,7 @@ def test_compensate_agrees_with_the_oracle(stack, motion):
     actuator, state, time, path = motion
     volts, metres = scales(actuator, state, path)
     got, known = actuator.compensate(path, time=time, state=state, stack=stack), oracle.Wide(actuator, state)
-    close(got.voltage, known.compensate(path, time), 3 * volts)
+    bench.close(got.voltage, known.compensate(path, time), 3 * volts)
     same_state(got.state, State(known.y, known.carts, known.y - known.z), metres)
 
 
@@ -55,7 +51,7 @@ def test_simulate_agrees_with_the_oracle(stack, motion):
     expected = known.simulate(v, time)
     metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(expected, state.displacement)))
     got = actuator.simulate(v, time=time, state=state, stack=stack)
-    close(got.displacement, expected, 10 * metres)
+    bench.close(got.displacement, expected, 10 * metres)
     same_state(got.state, State(known.y, known.carts, known.y - known.z), 10 * metres)
 
 
@@ -67,7 +63,7 @@ def test_simulating_the_compensating_voltage_gives_the_path(there, back, motion)
     _, metres = scales(actuator, state, path)
     sent = actuator.compensate(path, time=time, state=state, stack=there)
     came = actuator.simulate(sent.voltage, time=time, state=state, stack=back)
-    close(came.displacement, path, 3 * metres)
+    bench.close(came.displacement, path, 3 * metres)
     same_state(came.state, sent.state, 3 * metres)
 
 
@@ -84,7 +80,7 @@ def test_a_record_may_be_cut_at_any_sample(motion, cut):
         first = run(drive[: k + 1], time=time[: k + 1], state=state)
         second = run(drive[k:], time=time[k:], state=first.state)
         joined = np.concatenate([getattr(first, out)[:-1], getattr(second, out)])
-        close(joined, getattr(run(drive, time=time, state=state), out), allowance)
+        bench.close(joined, getattr(run(drive, time=time, state=state), out), allowance)
 
 
 @given(motion=our.motions(our.actuators(1, 20)), seed=our.SEEDS)
@@ -95,9 +91,9 @@ def test_one_grade_is_a_plain_element(motion, seed):
     graded = Actuator(GradedSlip(slip.breakaway, knots, slip.stiffness[:, None]), actuator.spring)
     volts, metres = scales(actuator, state, path)
     plain = actuator.compensate(path, state=state)
-    close(graded.compensate(path, state=state).voltage, plain.voltage, volts)
-    close(graded.simulate(plain.voltage, state=state).displacement, path, 2 * metres)
-    close(
+    bench.close(graded.compensate(path, state=state).voltage, plain.voltage, volts)
+    bench.close(graded.simulate(plain.voltage, state=state).displacement, path, 2 * metres)
+    bench.close(
         graded.slip.friction,
         slip.friction,
         EXACT * max(slip.friction.max(), slip.stiffness.max() * our.span_of(actuator)),
@@ -115,8 +111,8 @@ def test_without_effect_the_wider_parts_change_nothing(motion, seed):
     )
     volts, metres = scales(actuator, state, path)
     plain = actuator.compensate(path, state=state)
-    close(wider.compensate(path, time=time, state=state).voltage, plain.voltage, volts)
-    close(wider.simulate(plain.voltage, time=time, state=state).displacement, path, metres)
+    bench.close(wider.compensate(path, time=time, state=state).voltage, plain.voltage, volts)
+    bench.close(wider.simulate(plain.voltage, time=time, state=state).displacement, path, metres)
 
 
 @given(motion=our.wider_motions(max_samples=40), more=st.floats(1e-6, 1))
@@ -141,7 +137,7 @@ def test_samples_added_on_a_straight_path_change_nothing(motion, parts):
     coarse = actuator.compensate(path, time=time, state=state).voltage
     dense = actuator.compensate(np.interp(fine, time, path), time=fine, state=state).voltage
     # np.interp rounds times and places; a gain near 1 hands that on.
-    close(dense[::parts], coarse, 30 * volts)
+    bench.close(dense[::parts], coarse, 30 * volts)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -213,7 +209,7 @@ def test_dissipation_of_graded_elements(actuator, seed, width):
     lost = float(2 * rho @ (slip.held(high) - slip.held(low)))
     volts, _ = scales(wider, wider.turned(bottom), loop)
     assert lost >= 0
-    close(area, lost, loop.size * volts * (top - bottom))
+    bench.close(area, lost, loop.size * volts * (top - bottom))
 
 
 @given(motion=our.wider_motions({"creep": True, "graded": False}, max_samples=60))
@@ -236,10 +232,10 @@ def test_states_rest_where_they_say(motion, seed):
     v = actuator.voltage(state)
     volts, metres = scales(actuator, state, [])
     here = actuator.compensate([state.displacement], time=[seed], state=state)
-    close(here.voltage, [v], 3 * volts)
-    close(actuator.simulate([v], time=[seed], state=state).displacement, [state.displacement], 10 * metres)
+    bench.close(here.voltage, [v], 3 * volts)
+    bench.close(actuator.simulate([v], time=[seed], state=state).displacement, [state.displacement], 10 * metres)
     relaxed = actuator.relaxed(v)
-    close(actuator.voltage(relaxed), v, 3 * volts + 1e-12 * abs(v))
+    bench.close(actuator.voltage(relaxed), v, 3 * volts + 1e-12 * abs(v))
     assert np.ptp(np.append(relaxed.carts, relaxed.displacement)) == 0
 
 
