@@ -213,17 +213,6 @@ def test_a_given_model_gets_only_constants_and_starts():
     np.testing.assert_allclose(found.starts[0][2:], (true.moved * strains)[2:], rtol=0.02)
 
 
-def test_datums_are_found_by_their_slope():
-    plant = known("graded, transformer")
-    record = plant.record()
-    moved = replace(record, displacement=record.displacement - 1e-3 * bench.STROKE)
-    regression = wide.regression(plant.grid, [record, moved])
-    datum = regression.datum
-    for _ in range(4):
-        datum = datum + np.append(0.0, replace(regression, datum=datum).datum_steps([1]))
-    assert datum[1] == pytest.approx(1e-3 * bench.STROKE, rel=1e-6)
-
-
 def test_fewer_rows_are_the_same_rows():
     regression = rows_of("all")
     thin = regression.thinned(300)

@@ -181,25 +181,31 @@ def compare(
         If there is no such virtual actuator.
     """
     trials = [trial(name) for name in truths]
-    training, held_out = as_list(records), as_list(validate)
     if not isinstance(lead, Real) or not 0 <= float(lead) < np.inf:
         raise IdentifyError(f"lead: got {lead!r}, need seconds, 0 or more")
-    given = bool(training)
-    if not given:
-        if not trials:
-            raise IdentifyError("got neither records nor a virtual actuator; give one of them at least")
-        if held_out:
-            raise IdentifyError("got held-out records and none to train on; give these too")
-        training, held_out = list(trials[0].records()), list(trials[0].held_out())
+    given = as_list(records)
+    training, held_out = _records(given, as_list(validate), trials)
     job = _Job(training, [prepare(one) for one in training], [prepare(one) for one in held_out], float(lead))
-    own = {one.name: list(one.records()) for one in trials}
-    if not given:
-        own[trials[0].name] = training
+    # The same list, so that its fit serves for both.
+    own = [(one, list(one.records()) if given or i else training) for i, one in enumerate(trials)]
     chosen = contenders() if models is None else models
     tell = progress or (lambda _: None)
-    rows = tuple(_row(name, fit, job, [(one, own[one.name]) for one in trials], tell) for name, fit in chosen.items())
+    rows = tuple(_row(name, fit, job, own, tell) for name, fit in chosen.items())
     return Comparison(rows, job.stroke, tuple(one.name for one in training), tuple(one.name for one in held_out),
                       tuple(one.name for one in trials))  # fmt: skip
+
+
+def _records(
+    training: list[Record], held_out: list[Record], trials: Sequence[Trial]
+) -> tuple[list[Record], list[Record]]:
+    """Records to train on and held out: those given, or those of the first virtual actuator."""
+    if training:
+        return training, held_out
+    if not trials:
+        raise IdentifyError("got neither records nor a virtual actuator; give one of them at least")
+    if held_out:
+        raise IdentifyError("got held-out records and none to train on; give these too")
+    return list(trials[0].records()), list(trials[0].held_out())
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, matrix, vector
@@ -24,6 +24,11 @@ def checked_breakaway(breakaway: ArrayLike) -> Array:
     if np.any(rho <= 0) or np.any(np.diff(rho) <= 0):
         raise ModelError(f"breakaway elongations must be positive and strictly increasing, got {rho}")
     return rho
+
+
+def segment_of(knots: Array, y: ArrayLike) -> NDArray[np.intp]:
+    """Number of the segment between knots (M,) in which each y lies, the end segments being unbounded."""
+    return np.clip(np.searchsorted(knots, y, side="right") - 1, 0, knots.size - 2)
 
 
 def parts_in_segments(knots: Array, y: Array) -> Array:
@@ -197,7 +202,7 @@ class Spring:
 
     def __call__(self, displacement: ArrayLike) -> Array:
         """Voltage [V] at displacements [m] of any shape."""
-        return _on_curve(self.displacement, self.voltage, displacement)
+        return on_curve(self.displacement, self.voltage, displacement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,15 +242,16 @@ class Transformer:
 
     def __call__(self, voltage: ArrayLike) -> Array:
         """The drive tau(v) [V] at voltages [V] of any shape."""
-        return _on_curve(self.voltage, self.drive, voltage)
+        return on_curve(self.voltage, self.drive, voltage)
 
     def inverse(self, drive: ArrayLike) -> Array:
         """Voltages [V] at which tau takes these values [V], of any shape."""
-        return _on_curve(self.drive, self.voltage, drive)
+        return on_curve(self.drive, self.voltage, drive)
 
 
-def _on_curve(knots: Array, values: Array, at: ArrayLike) -> Array:
+def on_curve(knots: Array, values: Array, at: ArrayLike) -> Array:
+    """A piecewise-linear curve through knots and values (M,), continued linearly, at places of any shape."""
     x = np.asarray(at, dtype=np.float64)
-    j = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2)
+    j = segment_of(knots, x)
     slopes = np.diff(values) / np.diff(knots)
     return np.asarray(values[j] + slopes[j] * (x - knots[j]))

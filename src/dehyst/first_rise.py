@@ -12,6 +12,7 @@ from dehyst import program
 from dehyst._errors import RecordError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
+from dehyst.elements import segment_of
 from dehyst.equilibria import ROUNDING, Equilibria, Indices, Mask, demand_actuator, size_of
 from dehyst.metrics import rms
 from dehyst.model import State
@@ -202,7 +203,7 @@ class _Rise:
         way = np.tril(np.ones((stiff.size, stiff.size))) * self.room
         y = self.state(shares).displacement
         knots, slopes = self.actuator.spring.displacement, self.actuator.spring.slopes
-        slope = slopes[np.clip(np.searchsorted(knots, y, side="right") - 1, 0, slopes.size - 1)]
+        slope = slopes[segment_of(knots, y)]
         moved = way + slip.stiffness[stiff] @ way / slope
         doubt = slip.breakaway.copy()
         noise, sampling = np.linalg.norm(moved @ spread, axis=1), self._crowded(np.cumsum(self.room * shares))

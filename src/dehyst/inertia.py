@@ -85,7 +85,7 @@ def find_inertia(
     from scipy.optimize import minimize
 
     none = Inertia(delay, 0.0, 0.0)
-    best, cost = none, _rms(build(none))
+    best, cost = none, build(none).rms()
     # What is slower than a tenth of the fastest cycle would show as a resonance in it; what is faster than the
     # sampling cannot be seen.
     scale = max(sample_time, 0.02 * fastest)
@@ -98,10 +98,5 @@ def find_inertia(
                         [delay / scale + 0.3, 0.0, 0.8]])  # fmt: skip
     options: Any = {"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0}
     least: Any = minimize
-    found = least(lambda x: _rms(build(of(x))), simplex[0], method="Nelder-Mead", options=options)
+    found = least(lambda x: build(of(x)).rms(), simplex[0], method="Nelder-Mead", options=options)
     return of(found.x) if found.fun < _WORTH * cost else best
-
-
-def _rms(regression: WideRegression) -> float:
-    found = regression.fit("l2")
-    return found.rms(regression.slope(found))

@@ -235,18 +235,17 @@ def insight(
     progress("reading the records beside the model")
     evidence = Evidence.of(actuator, records)
     allowed = actuator.limits if limits is None else interval(limits)
-    start = homed(actuator, allowed)
-    command = None
-    wanted = None if trajectory is None else vector(trajectory, "trajectory")
-    if wanted is not None:
-        command = Compensator(actuator, allowed).trajectory(wanted, state=start)
     misfit = _misfit(evidence)
     free = intervals = band = None
     if repeats:
         intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
         progress("looking for models that the records do not contradict")
-        free = latitude(evidence, None if command is None else command.displacement, start)
-        if wanted is not None and command is not None:
+        if trajectory is None:
+            free = latitude(evidence)
+        else:
+            wanted, start = vector(trajectory, "trajectory"), homed(actuator, allowed)
+            command = Compensator(actuator, allowed).trajectory(wanted, state=start)
+            free = latitude(evidence, command.displacement, start)
             band = Band.of(wanted, command, intervals, free, misfit=misfit, limits=allowed)
     progress("ranking excitations")
     advice = () if allowed is None else advise(evidence, limits=allowed, seconds=seconds)

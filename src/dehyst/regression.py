@@ -8,19 +8,92 @@ R_j(y) is the part of y in segment j of the spring, the end segments being unbou
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._native import Array
-from dehyst.elements import parts_in_segments
+from dehyst.elements import parts_in_segments, segment_of
+from dehyst.metrics import rms
 from dehyst.program import Norm, Solution, solve, triangle_of
 from dehyst.rows import Rows
 
 
+class Fitted(Protocol):
+    """What any regression finds."""
+
+    @property
+    def solution(self) -> Solution:
+        """The program's answer."""
+        ...
+
+
+Found = TypeVar("Found", bound=Fitted)
+
+
+class AbstractRegression(ABC, Generic[Found]):
+    """Rows whose voltages a program meets, whatever the class of the model.
+
+    Attributes
+    ----------
+    rows : Rows
+    datum : (records,) array
+        d_q [m].
+    drifting : tuple of int
+        Records that get a drift.
+    """
+
+    rows: Rows
+    datum: Array
+    drifting: tuple[int, ...]
+
+    @abstractmethod
+    def fit(self, norm: Norm, weights: Array | None = None) -> Found:
+        """Solve the program."""
+
+    @abstractmethod
+    def slope(self, found: Found) -> Array:
+        """dv/dy of the model at each row (n,) [V/m]; the weight of a row is its inverse."""
+
+    @cached_property
+    def axis(self) -> Array:
+        """Displacement of each row on the model's axis (n,)."""
+        return self.rows.displacement + self.datum[self.rows.record]
+
+    def nuisances(self, epochs: NDArray[np.intp] | None = None) -> Array:
+        """Columns of the constants of these epochs, by default of those there are, then of the drifts."""
+        numbers = np.unique(self.rows.epoch) if epochs is None else epochs
+        constants = (self.rows.epoch[:, None] == numbers).astype(float)
+        drifts = [np.where(self.rows.record == q, self.rows.drift, 0.0)[:, None] for q in self.drifting]
+        return np.hstack([constants, *drifts])
+
+    def constants(
+        self, answer: Solution, epochs: NDArray[np.intp] | None = None
+    ) -> tuple[dict[int, float], dict[int, float]]:
+        """An answer's constants by epoch and drifts by record [V]; epochs as in `nuisances`."""
+        numbers = np.unique(self.rows.epoch) if epochs is None else epochs
+        offsets, drifts = answer.free[: numbers.size].tolist(), answer.free[numbers.size :].tolist()
+        return dict(zip(numbers.tolist(), offsets, strict=True)), dict(zip(self.drifting, drifts, strict=True))
+
+    def fit_weighted(self, norm: Norm, passes: int = 2) -> Found:
+        """Fit with rows weighted by the inverse slope of the model that least-squares passes before it find."""
+        weights = None
+        for _ in range(passes - 1):
+            weights = 1 / self.slope(self.fit("l2", weights))
+        return self.fit(norm, weights)
+
+    def rms(self, found: Found | None = None) -> float:
+        """RMS residual [m] of a fit; by default of that by least squares."""
+        fitted = self.fit("l2") if found is None else found
+        return rms(fitted.solution.residual / self.slope(fitted))
+
+
 @dataclass(frozen=True, eq=False)
-class Regression:
+class Regression(AbstractRegression["Coefficients"]):
     """What is fixed while coefficients are sought.
 
     Attributes
@@ -49,29 +122,15 @@ class Regression:
         """The same on fewer rows, for searches."""
         return replace(self, rows=self.rows.thinned(most))
 
-    @property
-    def axis(self) -> Array:
-        """Displacement of each row on the model's axis (n,)."""
-        return self.rows.displacement + self.datum[self.rows.record]
-
     def parts_of_spring(self, y: Array) -> Array:
         """R_j(y), shape (n, M - 1)."""
         return parts_in_segments(self.knots, y)
-
-    def nuisances(self) -> Array:
-        """Columns of the epochs' constants, then of the drifts."""
-        return self._nuisances(np.unique(self.rows.epoch))
-
-    def _nuisances(self, epochs: NDArray[np.intp]) -> Array:
-        constants = (self.rows.epoch[:, None] == epochs).astype(float)
-        drifts = [np.where(self.rows.record == q, self.rows.drift, 0.0)[:, None] for q in self.drifting]
-        return np.hstack([constants, *drifts])
 
     def table(self, epochs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         """Free columns, with a constant for each of these epochs, columns that are not negative, and target."""
         spring = self.parts_of_spring(self.axis)
         bounded = np.hstack([self.rows.elongation[:, self.movable], spring])
-        return self._nuisances(epochs), bounded, self.rows.voltage - self.floor * spring.sum(axis=1)
+        return self.nuisances(epochs), bounded, self.rows.voltage - self.floor * spring.sum(axis=1)
 
     def rest(self, model: Coefficients) -> Array:
         """Voltage less a model's, without constants and drifts (n,)."""
@@ -87,12 +146,8 @@ class Regression:
 
     def with_nuisances(self, model: Coefficients, answer: Solution, epochs: NDArray[np.intp]) -> Coefficients:
         """A model with the constants and drifts of an answer."""
-        return replace(
-            model,
-            offsets=dict(zip(epochs.tolist(), answer.free[: epochs.size].tolist(), strict=True)),
-            drifts=dict(zip(self.drifting, answer.free[epochs.size :].tolist(), strict=True)),
-            solution=answer,
-        )
+        offsets, drifts = self.constants(answer, epochs)
+        return replace(model, offsets=offsets, drifts=drifts, solution=answer)
 
     def fit(self, norm: Norm, weights: Array | None = None, held: tuple[Array, Array] | None = None) -> Coefficients:
         """Solve the program; `held`: combinations (p, movable) of stiffnesses and their values [V], met besides."""
@@ -110,29 +165,18 @@ class Regression:
 
     def slope(self, found: Coefficients) -> Array:
         """dv/dy of the model at each row (n,) [V/m]; the weight of a row is its inverse."""
-        return np.asarray(self.rows.stuck @ found.stiffness + found.slopes[self.segment(self.axis)])
-
-    def fit_weighted(self, norm: Norm, passes: int = 2) -> Coefficients:
-        """Fit with rows weighted by the inverse slope of the model that a first, least-squares pass finds."""
-        weights = None
-        for _ in range(passes - 1):
-            weights = 1 / self.slope(self.fit("l2", weights))
-        return self.fit(norm, weights)
+        return np.asarray(self.rows.stuck @ found.stiffness + found.slopes[segment_of(self.knots, self.axis)])
 
     def datum_steps(self, records: list[int]) -> Array:
         """Changes of the datums [m] that a least-squares fit asks for, the spring linearised at the present ones."""
         found = self.fit("l2")
         y = self.axis
-        slope = found.slopes[self.segment(y)]
+        slope = found.slopes[segment_of(self.knots, y)]
         shifts = np.column_stack([np.where(self.rows.record == q, slope, 0.0) for q in records])
         spring, slip = self.parts_of_spring(y), self.rows.elongation[:, self.movable]
         target = self.rows.voltage - self.floor * spring.sum(axis=1)
         answer = solve(np.hstack([self.nuisances(), shifts]), np.hstack([slip, spring]), target, norm="l2")
         return answer.free[-len(records) :]
-
-    def segment(self, y: Array) -> NDArray[np.intp]:
-        """Segment of the spring in which each y lies."""
-        return np.clip(np.searchsorted(self.knots, y, side="right") - 1, 0, self.knots.size - 2)
 
     def nuisances_of(self, found: Coefficients) -> Coefficients:
         """Fit only the constants and drifts of these rows, for a model that is given."""
@@ -158,7 +202,3 @@ class Coefficients:
     offsets: dict[int, float]
     drifts: dict[int, float]
     solution: Solution
-
-    def rms(self, slope: Array) -> float:
-        """RMS residual [m]."""
-        return float(np.sqrt(np.mean((self.solution.residual / slope) ** 2)))

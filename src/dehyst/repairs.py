@@ -181,7 +181,7 @@ def _worth(after: float, before: float, regression: Regression, share: float = _
 def _rms(regression: Regression, given: Coefficients | None = None) -> float:
     """RMS residual [m], of the best model or of the given one."""
     found = regression.fit("l2") if given is None else regression.nuisances_of(given)
-    return found.rms(regression.slope(found))
+    return regression.rms(found)
 
 
 def _search(cost: Callable[[float], float], low: float, high: float, points: int, tolerance: float) -> float:

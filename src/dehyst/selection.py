@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._native import Array
+from dehyst.metrics import rms
 from dehyst.rows import Rows
 from dehyst.signals import turning_points
 from dehyst.structure import Structure
@@ -97,8 +98,8 @@ def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> T
     first = regression.fit("l2")
     weights = 1 / regression.slope(first)
     whole = regression.fit("l2", weights)
-    training = _rms(regression.residual(whole) / regression.slope(whole))
-    held_out = _rms(held_out_errors(regression, weights))
+    training = rms(regression.residual(whole) / regression.slope(whole))
+    held_out = rms(held_out_errors(regression, weights))
     return Trial(structure, held_out, training, time.perf_counter() - begin)
 
 
@@ -125,7 +126,3 @@ def blocks(rows: Rows) -> NDArray[np.intp]:
     for a, b in zip(np.append(0, starts[:-1]), starts, strict=True):
         cut[a + longest : b : longest] = True
     return np.cumsum(cut)
-
-
-def _rms(errors: Array) -> float:
-    return float(np.sqrt(np.mean(errors**2)))

@@ -98,9 +98,9 @@ class Frame:
         def build(inertia: Inertia) -> WideRegression:
             return replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2)
 
-        without = _rms(build(self.inertia))
+        without = build(self.inertia).rms()
         masses = [replace(self.inertia, mass=(root * step) ** 2) for root in _ROOTS]
-        if min(_rms(build(one)) for one in masses) > _WORTH_OF_MASS * without:
+        if min(build(one).rms() for one in masses) > _WORTH_OF_MASS * without:
             return self
         return replace(self, inertia=find_inertia(build, self.inertia.delay, step, cycle))
 
@@ -109,11 +109,11 @@ class Frame:
         """Records that creep as if they had not been at rest as they began, where that explains much."""
         regression = self._rows_of(_CREEPING, _FEW_ROWS)
         kept: tuple[int, ...] = ()
-        cost = _rms(regression)
-        alone = [_rms(replace(regression, strained=(q,))) for q in range(len(self.training))]
+        cost = regression.rms()
+        alone = [replace(regression, strained=(q,)).rms() for q in range(len(self.training))]
         # The one that explains most first, or a record at rest would be given what another one needs.
         for q in np.argsort(alone, kind="stable").tolist():
-            trial = _rms(replace(regression, strained=(*kept, q)))
+            trial = replace(regression, strained=(*kept, q)).rms()
             if trial < _WORTH_OF_START * cost:
                 kept, cost = (*kept, q), trial
         return tuple(sorted(kept))
@@ -134,11 +134,6 @@ class Frame:
             remarks.append("Creep was not looked for: it needs holds or loops at two speeds; add a staircase.")
         best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, parts, tell)
         return best, trials, remarks
-
-
-def _rms(regression: WideRegression) -> float:
-    found = regression.fit("l2")
-    return found.rms(regression.slope(found))
 
 
 def _holds(item: Prepared) -> bool:

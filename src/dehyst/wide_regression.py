@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._native import Array
-from dehyst.elements import parts_in_segments
+from dehyst.elements import parts_in_segments, segment_of
 from dehyst.program import Norm, Solution, solve
+from dehyst.regression import AbstractRegression
 from dehyst.rows import Rows
 from dehyst.structure import Grid
 
@@ -63,13 +64,9 @@ class WideCoefficients:
     solution: Solution
     starts: dict[int, Array] = field(default_factory=dict)
 
-    def rms(self, slope: Array) -> float:
-        """RMS residual [m]."""
-        return float(np.sqrt(np.mean((self.solution.residual / slope) ** 2)))
-
 
 @dataclass(frozen=True, eq=False)
-class WideRegression:
+class WideRegression(AbstractRegression[WideCoefficients]):
     """What is fixed while coefficients are sought; see `dehyst.regression.Regression`, whose place it takes.
 
     Attributes
@@ -106,11 +103,6 @@ class WideRegression:
     def knots(self) -> Array:
         """Knots of the spring [m]."""
         return self.grid.knots
-
-    @cached_property
-    def axis(self) -> Array:
-        """Displacement of each row on the model's axis (n,)."""
-        return self.rows.displacement + self.datum[self.rows.record]
 
     @cached_property
     def carts(self) -> Array:
@@ -162,13 +154,6 @@ class WideRegression:
         last = (1 - _DRIVE_FLOOR) * np.ptp(knots) / (knots[-1] - knots[-2]) * self._drive_parts[:, -1]
         return np.asarray(knots[0] + _DRIVE_FLOOR * (v - knots[0]) + last - spring)
 
-    def nuisances(self) -> Array:
-        """Columns of the epochs' constants, then of the drifts."""
-        epochs = np.unique(self.rows.epoch)
-        constants = (self.rows.epoch[:, None] == epochs).astype(float)
-        drifts = [np.where(self.rows.record == q, self.rows.drift, 0.0)[:, None] for q in self.drifting]
-        return np.hstack([constants, *drifts])
-
     def fit(self, norm: Norm, weights: Array | None = None) -> WideCoefficients:
         """Solve the program, inequalities added round by round where they would be violated."""
         free, matrix, lower = self.nuisances(), *self._inequalities()
@@ -181,20 +166,13 @@ class WideRegression:
             matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))
         return self._coefficients(answer)
 
-    def fit_weighted(self, norm: Norm, passes: int = 2) -> WideCoefficients:
-        """Fit with rows weighted by the inverse slope of the model that least-squares passes before it find."""
-        weights = None
-        for _ in range(passes - 1):
-            weights = 1 / self.slope(self.fit("l2", weights))
-        return self.fit(norm, weights)
-
     def slope(self, found: WideCoefficients) -> Array:
         """D tau(v)/dy of the model at each row (n,) [V/m], at the floor at least."""
         grid, y = self.grid, self.axis
         kappa = found.stiffness[grid.movable]
-        slope = kappa.sum(axis=0)[_segment(grid.grades, y)] + found.slopes[_segment(self.knots, y)]
+        slope = kappa.sum(axis=0)[segment_of(grid.grades, y)] + found.slopes[segment_of(self.knots, y)]
         sliding = ~self.rows.stuck[:, grid.movable]
-        at = np.take_along_axis(kappa.T, _segment(grid.grades, self.carts), axis=0)
+        at = np.take_along_axis(kappa.T, segment_of(grid.grades, self.carts), axis=0)
         branches = grid.time_constants.size
         slope = slope - np.where(sliding, at, 0.0).sum(axis=1) + found.moved[:branches].sum()
         return np.asarray(np.maximum(slope + self._smooth_shares @ found.moved[branches:], self.floor))
@@ -235,20 +213,8 @@ class WideRegression:
         limits = -np.hstack([np.eye(stiffness.size)] * 2), -float(np.ptp(self.knots)) * stiffness
         answer = solve(self.nuisances(), starts, -self.model(found), weights=1 / self.slope(found), norm="l2",
                        constraints=limits if stiffness.size else None)  # fmt: skip
-        offsets, drifts = self._constants(answer)
+        offsets, drifts = self.constants(answer)
         return replace(found, solution=answer, offsets=offsets, drifts=drifts, starts=self._starts(answer.nonnegative))
-
-    def datum_steps(self, records: list[int]) -> Array:
-        """Changes of the datums [m] that a least-squares fit asks for, the model linearised at the present ones."""
-        found = self.fit("l2")
-        kappa = found.stiffness[self.grid.movable]
-        # Carts go with the axis: elements notice only where their stiffness changes.
-        at = np.take_along_axis(kappa.T, _segment(self.grid.grades, self.carts), axis=0).sum(axis=1)
-        slope = found.slopes[_segment(self.knots, self.axis)] - at
-        slope += kappa.sum(axis=0)[_segment(self.grid.grades, self.axis)]
-        shifts = np.column_stack([np.where(self.rows.record == q, slope, 0.0) for q in records])
-        answer = solve(np.hstack([self.nuisances(), shifts]), self.bounded, self.target, norm="l2")
-        return answer.free[-len(records) :]
 
     def _inequalities(self) -> tuple[Array, Array]:
         """What the last segment of tau has left to give; starts of creep that a branch can hold."""
@@ -279,9 +245,9 @@ class WideRegression:
             for y in np.concatenate([[bends[0] - 1e-9], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1e-9]]):
                 row = np.zeros(size)
                 blocks = row[: rho.size * grid.segments].reshape(rho.size, grid.segments)
-                blocks[:, _segment(grid.grades, y)] += 1
-                blocks[np.arange(rho.size), _segment(grid.grades, y - sign * rho)] -= 1
-                row[rho.size * grid.segments + _segment(grid.knots, y)] = 1
+                blocks[:, segment_of(grid.grades, y)] += 1
+                blocks[np.arange(rho.size), segment_of(grid.grades, y - sign * rho)] -= 1
+                row[rho.size * grid.segments + segment_of(grid.knots, y)] = 1
                 rows.append(row)
         return np.unique(np.array(rows), axis=0)
 
@@ -304,7 +270,7 @@ class WideRegression:
             drive = _DRIVE_FLOOR + np.append(drive, left)
         starts = x[x.size - 2 * len(self.strained) * grid.time_constants.size :]
         return WideCoefficients(stiffness, rest[:spring] + self.floor, rest[spring : spring + grid.moved], drive,
-                                *self._constants(answer), answer, self._starts(starts))  # fmt: skip
+                                *self.constants(answer), answer, self._starts(starts))  # fmt: skip
 
     def _starts(self, both: Array) -> dict[int, Array]:
         """By record, from what is added and what is taken away."""
@@ -312,13 +278,3 @@ class WideRegression:
             return {}
         plus, minus = both.reshape(2, len(self.strained), -1)
         return dict(zip(self.strained, plus - minus, strict=True))
-
-    def _constants(self, answer: Solution) -> tuple[dict[int, float], dict[int, float]]:
-        epochs = np.unique(self.rows.epoch)
-        constants, drifts = answer.free[: epochs.size].tolist(), answer.free[epochs.size :].tolist()
-        return dict(zip(epochs.tolist(), constants, strict=True)), dict(zip(self.drifting, drifts, strict=True))
-
-
-def _segment(knots: Array, z: Array | float) -> NDArray[np.intp]:
-    """Segment in which each z lies, the end segments being unbounded."""
-    return np.clip(np.searchsorted(knots, z, side="right") - 1, 0, knots.size - 2)
