@@ -38,8 +38,8 @@ class Band:
         Played [V], within the limits, and what the model does with it: the wanted path, but where it was clamped.
     noise : (2, n) array
         Lowest and highest prediction of models identified from resampled cycles.
-    open : (2, n) array
-        Lowest and highest prediction of models that the records do not contradict.
+    open : (2, n) array or None
+        Lowest and highest prediction of models that the records do not contradict; None where it was not judged.
     misfit : float
         The largest error of the model on these records [m]: what no model of its class may be able to follow.
     warnings : tuple of str
@@ -50,32 +50,38 @@ class Band:
     voltage: Array
     displacement: Array
     noise: Array
-    open: Array
+    open: Array | None
     misfit: float
     warnings: tuple[str, ...]
 
     @classmethod
     def of(
-        cls, wanted: Array, command: Command, intervals: Intervals, free: Latitude, *, misfit: float,
-        limits: tuple[float, float] | None,
+        cls, wanted: Array, command: Command, intervals: Intervals, free: Latitude | None, *, misfit: float,
+        limits: tuple[float, float] | None, time: Array | None = None, played: Excitation | None = None,
     ) -> Band:  # fmt: skip
-        """Play a command on every model that might be the true one, each homed by a rise through the limits."""
+        """Play a command on every model that might be the true one, each homed by a rise through the limits.
+
+        With `played`, the rise in time, and the command's `time` [s], where time has a say.
+        """
 
         def state(model: Actuator) -> State:
-            return homed(model, limits)
+            return homed(model, limits) if played is None or limits is None else risen(model, limits, played)
 
-        noise, free_ = intervals.prediction(command.voltage, state), free.prediction(command.voltage, state)
+        noise = intervals.prediction(command.voltage, state, time)
+        free_ = None if free is None else free.prediction(command.voltage, state)
         return cls(wanted, command.voltage, command.displacement, noise, free_, misfit, command.warnings)
 
     @property
     def lowest(self) -> Array:
         """(n,) lowest displacement to be expected [m]: the lower of both bands, less the misfit."""
-        return np.asarray(np.minimum(self.noise[0], self.open[0]) - self.misfit)
+        free = self.noise if self.open is None else self.open
+        return np.asarray(np.minimum(self.noise[0], free[0]) - self.misfit)
 
     @property
     def highest(self) -> Array:
         """(n,) highest displacement to be expected [m]."""
-        return np.asarray(np.maximum(self.noise[1], self.open[1]) + self.misfit)
+        free = self.noise if self.open is None else self.open
+        return np.asarray(np.maximum(self.noise[1], free[1]) + self.misfit)
 
     @property
     def error(self) -> float:
@@ -93,7 +99,8 @@ class Band:
         def off(band: Array) -> float:
             return largest(np.maximum(band[1] - self.displacement, self.displacement - band[0]))
 
-        return {"noise": off(self.noise), "open": off(self.open), "misfit": self.misfit,
+        free = {} if self.open is None else {"open": off(self.open)}
+        return {"noise": off(self.noise), **free, "misfit": self.misfit,
                 "clamped": largest(self.displacement - self.wanted), "all": self.error}  # fmt: skip
 
 

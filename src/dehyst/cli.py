@@ -106,7 +106,7 @@ def identify(
         from dehyst.report import write_report
 
         tell("drawing the report")
-        told = None if fit.actuator is None or fit.actuator.wide else trust(fit.actuator, training, repeats=0)
+        told = None if fit.actuator is None else trust(fit.actuator, training, repeats=0)
         write_report(report, fit, command=shlex.join(["dehyst", *sys.argv[1:]]), insight=told)
     tell("")
     if as_json:
@@ -250,8 +250,8 @@ def insight(
     actuator = Actuator.load(model)
     tell = progress_line()
     path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted)
-    found = run(actuator, read_records(records, columns), trajectory=path, limits=limits, seconds=seconds,
-                level=level, repeats=repeats, progress=tell)  # fmt: skip
+    found = run(actuator, read_records(records, columns), trajectory=path, time=time.get("time_s"), limits=limits,
+                seconds=seconds, level=level, repeats=repeats, progress=tell)  # fmt: skip
     if output is not None and found.band is not None:
         write_columns(output, {**time, **found.band.columns()})
     if report is not None:

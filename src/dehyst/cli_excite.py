@@ -119,7 +119,10 @@ def staircase(highest: float, steps: int, hold: float, ramp: float | None, back:
     "--model", type=PATH, help="The shortest waveform that is certified to end in a known state of this model."
 )
 @click.option(
-    "--hold", type=float, metavar="S", help="With a model that creeps: time at either limit.  [default: as it creeps]"
+    "--hold",
+    type=float,
+    metavar="S",
+    help="With a model that creeps: time at either limit.  [default: what is needed]",
 )
 @_play_options
 def homing(highest: float | None, model: Path | None, hold: float | None, **options: Any) -> None:

@@ -114,8 +114,8 @@ def shortest_homing(
         Pace and shape of the legs, where time has a say; default: legs of a twentieth of the longest creep time
         constant, and no shorter than fifty periods of a resonance.
     hold : float, optional
-        Seconds to wait at either end of the limits at the last visit, where time has a say; default: the longest time
-        constant of creep, or what inertia and lag need to come to rest.
+        Seconds to wait at either end of the limits at the last visit, where time has a say; default: what the tolerance
+        needs, or if no hold does, the longest time constant of creep.
 
     Returns
     -------

@@ -14,43 +14,18 @@ from dehyst._native import Array, vector
 from dehyst.actuator import Actuator, interval
 from dehyst.advice import Suggestion, advise
 from dehyst.band import Band, homed
-from dehyst.bracket import Bracket, known_by_displacement
+from dehyst.cautions import beyond, misfit_of, not_homed, of_another
 from dehyst.compensator import Compensator
 from dehyst.directions import Directions
-from dehyst.elements import MaxwellSlip
 from dehyst.evidence import Evidence
 from dehyst.homing import Homing, shortest_homing
 from dehyst.intervals import LEAST_REPEATS, Intervals, resample
+from dehyst.knowledge import Knowledge
 from dehyst.latitude import Latitude, latitude
-from dehyst.metrics import largest
 from dehyst.record import Record
+from dehyst.wide_insight import WideInsight, look
 
 Progress = Callable[[str], None]
-# An element that holds less of the voltage than this has nothing to be homed for.
-_SMALL = 1e-9
-# A model that misses records by more than this part of their range [%] is no model of them.
-_MISSED = 5.0
-# Nor is one that misses them by more than this [%] and this many times as far as those it was identified from.
-_WORTH, _TIMES = 0.5, 3.0
-# Limits may be wider than the recorded voltages by this part, for a rounded number's sake.
-_WIDER = 0.01
-
-
-@dataclass(frozen=True)
-class Knowledge:
-    """From when on the state is known along a record, nothing being known before it.
-
-    Attributes
-    ----------
-    record : str
-    by_displacement, by_voltage : float or None
-        Time since the record's start [s] from which every element with stiffness is known: to one who sees the
-        displacement, and to one who sees the voltage alone; None if never.
-    """
-
-    record: str
-    by_displacement: float | None
-    by_voltage: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,18 +81,9 @@ class Insight:
 
     def warnings(self) -> tuple[str, ...]:
         """What must be known before the model is used."""
-        said = (self._of_another(), self._open(), self._beyond())
+        said = (of_another(self.actuator, self.misfit, self.evidence.stroke), self._open(),
+                beyond(self.actuator, self.limits))  # fmt: skip
         return (*(one for one in said if one), *(() if self.band is None else self._band_warnings(self.band)))
-
-    def _of_another(self) -> str | None:
-        stroke, range_ = self.evidence.stroke, float(np.ptp(self.actuator.spring.displacement))
-        missed, own = 100 * self.misfit / stroke, self.actuator.provenance.get("largest_error_m", np.inf)
-        if missed <= _MISSED and not (missed > _WORTH and self.misfit > _TIMES * own):
-            return None
-        return (
-            f"The model misses these records by up to {missed:.3g} % of their range, {stroke * 1e6:.4g} um (its own is "
-            f"{range_ * 1e6:.4g} um): they are of another actuator, or in other units. Nothing below holds for them."
-        )
 
     def _open(self) -> str | None:
         if self.trustworthy:
@@ -129,18 +95,6 @@ class Insight:
             f"elsewhere than the records do may be predicted wrongly.{next_}"
         )
 
-    def _beyond(self) -> str | None:
-        recorded = self.actuator.limits
-        if recorded is None or self.limits is None:
-            return None
-        over = max(recorded[0] - self.limits[0], self.limits[1] - recorded[1])
-        if over <= _WIDER * (recorded[1] - recorded[0]):
-            return None
-        return (
-            f"The limits, {self.limits[0]:.6g} to {self.limits[1]:.6g} V, go {over:.4g} V beyond those of the records, "
-            f"{recorded[0]:.6g} to {recorded[1]:.6g} V: what is said of voltages there is extrapolated."
-        )
-
     def _band_warnings(self, band: Band) -> list[str]:
         said = list(band.warnings)
         parts = {name: 100 * error / self.evidence.stroke for name, error in band.errors().items()}
@@ -149,11 +103,9 @@ class Insight:
                 f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the range; the "
                 f"model misses its own records by {parts['misfit']:.2g} % only, which says nothing of it."
             )
-        if self.homing is not None and not self.homing.certified:
-            said.append(
-                "The trajectory is taken to start after a rise through all of the limits, which does not make the "
-                f"state known ({'; '.join(self.homing.remarks)}): what was done before may show in it."
-            )
+        unknown = not_homed(self.homing)
+        if unknown:
+            said.append(unknown)
         return said
 
     def as_dict(self) -> dict[str, Any]:
@@ -180,8 +132,7 @@ class Insight:
             },
             "level": None if self.intervals is None else self.intervals.level,
             "advice": [one.as_dict() for one in self.advice],
-            "state": [{"record": one.record, "known_by_displacement_s": one.by_displacement,
-                       "known_by_voltage_s": one.by_voltage} for one in self.knowledge],
+            "state": [one.as_dict() for one in self.knowledge],
             "homing": None if self.homing is None else {
                 "turns_V": list(self.homing.turns), "travel_V": self.homing.travel, "certified": self.homing.certified,
                 "width_m": self.homing.width, "remarks": list(self.homing.remarks)},
@@ -195,14 +146,17 @@ def insight(
     records: Record | Sequence[Record],
     *,
     trajectory: ArrayLike | None = None,
+    time: ArrayLike | None = None,
     limits: tuple[float, float] | None = None,
     seconds: float | None = None,
     level: float = 0.9,
     repeats: int = 100,
     seed: int = 0,
     progress: Progress = lambda _: None,
-) -> Insight:
+) -> Insight | WideInsight:
     """Say what records tell of an actuator that was identified from them, and what they leave open.
+
+    Of a wider actuator less is judged, see `dehyst.wide_insight.WideInsight`.
 
     Parameters
     ----------
@@ -212,6 +166,8 @@ def insight(
     trajectory : (n,) array_like, optional
         A displacement to follow [m], on the model's axis: how wrong may it come out? It is followed from the top of
         the limits on, where the state is known.
+    time : (n,) array_like, optional
+        Of the trajectory [s]; needed by a model that moves in time.
     limits : (float, float), optional
         Voltages allowed [V]; default: those of the model.
     seconds : float, optional
@@ -233,9 +189,13 @@ def insight(
     """
     _check(trajectory is not None, repeats, level)
     progress("reading the records beside the model")
-    evidence = Evidence.of(actuator, records)
     allowed = actuator.limits if limits is None else interval(limits)
-    misfit = _misfit(evidence)
+    if actuator.wide:
+        path = None if trajectory is None else vector(trajectory, "trajectory")
+        return look(actuator, records, path, None if time is None else vector(time, "time"), limits=allowed,
+                    level=level, repeats=repeats, seed=seed, progress=progress)  # fmt: skip
+    evidence = Evidence.of(actuator, records)
+    misfit = misfit_of(actuator, evidence.comparisons)
     free = intervals = band = None
     if repeats:
         intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
@@ -250,7 +210,7 @@ def insight(
     progress("ranking excitations")
     advice = () if allowed is None else advise(evidence, limits=allowed, seconds=seconds)
     homing = None if allowed is None else shortest_homing(actuator, limits=allowed, present=allowed[0], stiff_only=True)
-    known = tuple(_knowledge(evidence, number) for number in range(len(evidence.comparisons)))
+    known = tuple(Knowledge.of(actuator, one) for one in evidence.comparisons)
     return Insight(actuator, evidence, evidence.directions, intervals, free, advice, known, homing, band, misfit,
                    allowed)  # fmt: skip
 
@@ -264,33 +224,3 @@ def _check(trajectory: bool, repeats: int, level: float) -> None:
         raise ModelError(
             f"repeats: got 0 and a trajectory, need {LEAST_REPEATS} at least to say how wrong it may come out"
         )
-
-
-def _misfit(evidence: Evidence) -> float:
-    actuator = evidence.actuator
-    errors = [played[2] - played[3] for one in evidence.comparisons for _, _, played in one.played(actuator)]
-    return largest(np.concatenate(errors))
-
-
-def _stiff(actuator: Actuator) -> Actuator:
-    """The actuator without elements that hold nothing: it does the same."""
-    keep = actuator.slip.friction > _SMALL * float(np.ptp(actuator.spring.voltage))
-    slip = MaxwellSlip(actuator.slip.breakaway[keep], actuator.slip.stiffness[keep])
-    return Actuator(slip, actuator.spring, limits=actuator.limits)
-
-
-def _knowledge(evidence: Evidence, number: int) -> Knowledge:
-    one = evidence.comparisons[number]
-    actuator, record = _stiff(evidence.actuator), one.record.record
-    # Noise widens a range by its extremes; what it adds is no excursion.
-    reach = 2 * actuator.slip.breakaway + 4 * one.record.noise
-    if not reach.size:
-        return Knowledge(record.name, 0.0, 0.0)
-    seen = known_by_displacement(0.5 * reach, record.displacement).first_known
-    bracket = Bracket.at_rest(actuator, float(record.voltage[0]))
-    played = bracket.drive(actuator, record.voltage).first_known
-
-    def time(sample: int | None) -> float | None:
-        return None if sample is None else float(record.time[sample] - record.time[0])
-
-    return Knowledge(record.name, time(seen), time(played))

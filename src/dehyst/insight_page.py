@@ -9,22 +9,24 @@ from os import PathLike
 import numpy as np
 
 from dehyst import plot_insight
-from dehyst.band import ERRORS
 from dehyst.files import write_atomically
 from dehyst.insight import Insight
 from dehyst.page import Row, document, figure, length, number, panel, table
+from dehyst.trust_page import state, trajectory, verdict
+from dehyst.wide_insight import WideInsight
+from dehyst.wide_insight_page import wide_sections
 
 _MOST_SENTENCES = 24
 
 
-def write_insight(path: str | PathLike[str], found: Insight, *, command: str | None = None) -> None:
+def write_insight(path: str | PathLike[str], found: Insight | WideInsight, *, command: str | None = None) -> None:
     """Write a page of its own to one HTML file that asks for nothing from outside.
 
     Parameters
     ----------
     path : path-like
         Replaced if it exists; never left half written.
-    found : Insight
+    found : Insight or WideInsight
     command : str, optional
         The command line that made it, to be shown.
 
@@ -46,18 +48,14 @@ def write_insight(path: str | PathLike[str], found: Insight, *, command: str | N
     write_atomically(path, document(f"{found.actuator.name}: insight", parts))
 
 
-def sections(found: Insight) -> list[str]:
+def sections(found: Insight | WideInsight) -> list[str]:
     """The page's sections, to stand in the report too."""
-    return [part for part in (_verdict(found), _told(found), _numbers(found), _band(found), _next(found), _state(found))
-            if part]  # fmt: skip
-
-
-def _verdict(found: Insight) -> str:
-    warnings = found.warnings()
-    if not warnings:
-        text = "The records tell every direction of the stiffnesses that loops can tell."
-        return f'<p class="outcome green"><strong>Determined</strong> {text}</p>'
-    return f'<p class="outcome amber"><strong>Beware</strong> {"<br>".join(map(escape, warnings))}</p>'
+    if isinstance(found, WideInsight):
+        return wide_sections(found)
+    good = "The records tell every direction of the stiffnesses that loops can tell."
+    parts = (verdict(found, "Determined", good), _told(found), _numbers(found), trajectory(found), _next(found),
+             state(found))  # fmt: skip
+    return [part for part in parts if part]
 
 
 def _told(found: Insight) -> str:
@@ -123,23 +121,6 @@ def _pair(ends: Sequence[float] | np.ndarray[tuple[int, ...], np.dtype[np.float6
     return f"{number(float(ends[0]))} to {number(float(ends[1]))}"
 
 
-def _band(found: Insight) -> str:
-    if found.band is None:
-        return ""
-    stroke, errors = found.evidence.stroke, found.band.errors()
-    rows: list[Row] = [
-        (ERRORS[key], f"{number(100 * error / stroke)} %", length(error))
-        for key, error in errors.items()
-        if error or key != "clamped"
-    ]
-    drawn = panel(("Along the trajectory", ""), plot_insight.band(found.band, stroke, name="band"), "")
-    body = (
-        f'<div class="panel"><h3>Largest error to be expected</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
-    )
-    caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
-    return figure("The trajectory", caption, [drawn, body])
-
-
 def _next(found: Insight) -> str:
     if not found.advice:
         told = found.directions
@@ -152,18 +133,3 @@ def _next(found: Insight) -> str:
     ]
     head = ("Excitation", "Known with it", "Weakest (V/V)", "Time")
     return f"<h2>What to record next</h2>\n{table(head, rows, texts=1)}"
-
-
-def _state(found: Insight) -> str:
-    def moment(seconds: float | None) -> str:
-        return "never" if seconds is None else f"{number(seconds)} s"
-
-    rows: list[Row] = [(one.record, moment(one.by_displacement), moment(one.by_voltage)) for one in found.knowledge]
-    head = ("Record", "to one who sees the displacement", "from the voltage alone")
-    parts = ["<h2>From when on the state is known</h2>", table(head, rows, texts=1)]
-    if found.homing is not None:
-        turns = ", ".join(number(v, 6) for v in found.homing.turns)
-        word = "certified: every state at rest ends in one" if found.homing.certified else "not certified"
-        remarks = " ".join(found.homing.remarks)
-        parts.append(f"<p>Shortest homing: {escape(turns)} V ({word}). {escape(remarks)}</p>")
-    return "\n".join(parts)

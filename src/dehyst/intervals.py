@@ -6,28 +6,31 @@ about the model's, and on which side, gives basic bootstrap intervals: ``2 theta
 through the stop operators as it does in the measurement, so that the bias that it causes is taken off too. Its extremes
 drag carts, and with them whole legs: what that makes of the legs' mean residuals comes again by itself, and is taken
 out of the residuals lest it count twice. Directions that the records leave open keep the model's values: no resampling
-can tell of them (see `dehyst.latitude`).
+can tell of them (see `dehyst.latitude`). A wider model is treated alike, the grids of its parts held; there nothing is
+kept, and what the records leave open scatters too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import IdentifyError
+from dehyst._errors import IdentifyError, ModelError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.evidence import Evidence
 from dehyst.model import State
 from dehyst.program import Norm, one_thread
 from dehyst.record import Record
-from dehyst.regression import Coefficients
+from dehyst.regression import Coefficients, Regression
 from dehyst.signals import turning_points
 from dehyst.verify import Comparison
+from dehyst.wide_evidence import WideEvidence
+from dehyst.wide_regression import WideCoefficients
 
 # Fewer models have no tails.
 LEAST_REPEATS = 20
@@ -37,6 +40,10 @@ _TRIALS = 10
 # Sets of records that are identified by both norms, and their rows, to see how much more one scatters.
 _PAIRS = 30
 _FEWER_ROWS = 3000
+# Of a wider model, which has a column for each of hundreds of coefficients.
+_WIDE_ROWS, _WIDE_PAIRS, _WIDE_FEWER = 4000, 10, 2000
+_NORMS: tuple[Norm, ...] = ("l2", "l1")
+Found: TypeAlias = "Coefficients | WideCoefficients"
 # A coefficient whose variance is less than this part of the largest is held by a bound.
 _MOVED = 1e-9
 
@@ -78,6 +85,28 @@ class Intervals:
         return ends
 
     @property
+    def creep(self) -> Array | None:
+        """Lowest and highest c_j (2, J) [V/m], never below 0; None without creep."""
+        return self._of_part("creep", "stiffness", 0.0)
+
+    @property
+    def smooth(self) -> Array | None:
+        """Lowest and highest k_l (2, L) [V/m], never below 0; None without smooth elements."""
+        return self._of_part("smooth", "stiffness", 0.0)
+
+    @property
+    def drive(self) -> Array | None:
+        """Lowest and highest tau at its knots (2, K) [V]; None without a transformer."""
+        return self._of_part("transformer", "drive", -np.inf)
+
+    def _of_part(self, part: str, name: str, least: float) -> Array | None:
+        own = getattr(self.actuator, part)
+        if own is None:
+            return None
+        every = [getattr(getattr(a, part), name) for a in self.actuators]
+        return np.maximum(self._basic(getattr(own, name), every), least)
+
+    @property
     def slopes(self) -> Array:
         """Lowest and highest slope of the spring's segments, (2, M - 1) [V/m]."""
         return self._basic(self.actuator.spring.slopes, [a.spring.slopes for a in self.actuators])
@@ -87,10 +116,13 @@ class Intervals:
         """Lowest and highest voltage of the spring at its knots less that of the first, (2, M) [V]."""
         return self._basic(_risen(self.actuator), [_risen(a) for a in self.actuators])
 
-    def prediction(self, voltage: ArrayLike, state: Callable[[Actuator], State]) -> Array:
+    def prediction(
+        self, voltage: ArrayLike, state: Callable[[Actuator], State], time: ArrayLike | None = None
+    ) -> Array:
         """Lowest and highest displacement (2, n) [m] that a voltage (n,) [V] causes, `state` of each model at first."""
-        centre = self.actuator.simulate(voltage, state=state(self.actuator)).displacement
-        return self._basic(centre, [a.simulate(voltage, state=state(a)).displacement for a in self.actuators])
+        centre = self.actuator.simulate(voltage, time=time, state=state(self.actuator)).displacement
+        every = [a.simulate(voltage, time=time, state=state(a)).displacement for a in self.actuators]
+        return self._basic(centre, every)
 
     def _basic(self, centre: Array, resampled: list[Array]) -> Array:
         deviation = np.array(resampled) - centre
@@ -101,7 +133,7 @@ class Intervals:
 
 
 def resample(
-    evidence: Evidence,
+    evidence: Evidence | WideEvidence,
     *,
     level: float = 0.9,
     repeats: int = 100,
@@ -142,9 +174,9 @@ def resample(
         for k in range(repeats):
             if k % 10 == 0:
                 progress(f"identifying resampled cycles, {k} of {repeats}")
-            answer = again.identified([world.resampled(random, share) for world in worlds])
-            if answer.solution.optimal:
-                found.append(evidence.actuator_of(answer))
+            other = again.actuator([world.resampled(random, share) for world in worlds])
+            if other is not None:
+                found.append(other)
     if len(found) < LEAST_REPEATS:
         raise IdentifyError(f"only {len(found)} of {repeats} resampled records could be identified; record more cycles")
     return Intervals(evidence.actuator, tuple(found), level, spread, _few(worlds, level))
@@ -153,11 +185,12 @@ def resample(
 class _Again:
     """Identifies records that were resampled, by least squares."""
 
-    def __init__(self, evidence: Evidence) -> None:
+    def __init__(self, evidence: Evidence | WideEvidence) -> None:
         self._evidence = evidence
         rows = evidence.regression.rows
-        self._step = max(1, len(rows) // _MOST_ROWS)
-        self._held = _open(evidence)
+        self._most = _MOST_ROWS if isinstance(evidence, Evidence) else _WIDE_ROWS
+        self._step = max(1, len(rows) // self._most)
+        self._held = _open(evidence) if isinstance(evidence, Evidence) else None
         cut = np.flatnonzero(np.diff(rows.epoch)) + 1
         self._starts = _legs(rows.voltage, cut)
 
@@ -167,12 +200,49 @@ class _Again:
         options = self._evidence.actuator.provenance
         return options.get("norm") == "l1" and options.get("method") == "record"
 
-    def identified(self, pieces: list[list[Record]], norm: Norm = "l2", most: int = _MOST_ROWS) -> Coefficients:
-        again = self._evidence.with_pieces(pieces)
-        step = max(1, len(again.rows) // most)
-        return replace(again, rows=again.rows.thinned(most)).fit(norm, self._evidence.weights[::step], self._held)
+    @property
+    def wide(self) -> bool:
+        """Whether the model is a wider one."""
+        return isinstance(self._evidence, WideEvidence)
 
-    def slow(self, found: Coefficients) -> float:
+    def numbers(self, found: Found) -> Array:
+        """What is compared of two norms: coefficients, of a wider model the displacements that it misses rows by."""
+        if isinstance(found, Coefficients) or isinstance(self._evidence, Evidence):
+            return np.concatenate([found.stiffness, found.slopes])
+        step = max(1, len(self._evidence.regression.rows) // _WIDE_FEWER)
+        few = self._evidence.regression.thinned(_WIDE_FEWER)
+        left = few.model(found)
+        for epoch in np.unique(few.rows.epoch):
+            left[few.rows.epoch == epoch] -= left[few.rows.epoch == epoch].mean()
+        return left * self._evidence.weights[::step]
+
+    @property
+    def pairs(self) -> tuple[int, int]:
+        """Sets of records to identify by two norms, and their rows."""
+        return (_WIDE_PAIRS, _WIDE_FEWER) if self.wide else (_PAIRS, _FEWER_ROWS)
+
+    def actuator(self, pieces: list[list[Record]]) -> Actuator | None:
+        """The actuator that records give; None if the program was not solved or no voltage would have one answer."""
+        answer = self.identified(pieces)
+        if not answer.solution.optimal:
+            return None
+        try:
+            return self._evidence.actuator_of(answer)  # type: ignore[arg-type]
+        except ModelError:
+            return None
+
+    def identified(self, pieces: list[list[Record]], norm: Norm = "l2", most: int | None = None) -> Found:
+        """Coefficients of resampled records, of about `most` rows."""
+        rows = self._most if most is None else most
+        again = self._evidence.with_pieces(pieces)
+        step = max(1, len(again.rows) // rows)
+        weights = self._evidence.weights[::step]
+        few = replace(again, rows=again.rows.thinned(rows))
+        if isinstance(few, Regression):
+            return few.fit(norm, weights, self._held)
+        return few.fit(norm, weights)
+
+    def slow(self, found: Found) -> float:
         """Mean square of the legs' mean residuals [m2]."""
         weights = self._evidence.weights[:: self._step]
         weighted = found.solution.residual[: weights.size] * weights
@@ -207,7 +277,7 @@ class _World:
     """One record as the model would have made it, and the residuals of its cycles."""
 
     def __init__(self, compared: Comparison, actuator: Actuator) -> None:
-        self._pieces = [piece for _, piece, _ in compared.pieces]
+        self._pieces = compared.measured
         self._parts = [(number, slice(epoch.start, epoch.stop), played[3] - compared.datum, played[2] - played[3])
                        for number, epoch, played in compared.played(actuator)]  # fmt: skip
         self._residual = np.concatenate([residual for *_, residual in self._parts])
@@ -259,14 +329,18 @@ def _spread(again: _Again, worlds: list[_World], share: float, random: np.random
     if not again.by_absolutes:
         return 1.0
     both = []
-    for _ in range(_PAIRS):
+    count, rows = again.pairs
+    for _ in range(count):
         pieces = [world.resampled(random, share) for world in worlds]
-        pair = [again.identified(pieces, norm, _FEWER_ROWS) for norm in ("l2", "l1")]
+        pair = [again.identified(pieces, norm, rows) for norm in _NORMS]
         if all(one.solution.optimal for one in pair):
-            both.append([np.concatenate([one.stiffness, one.slopes]) for one in pair])
+            both.append([again.numbers(one) for one in pair])
     if len(both) < 2:
         return 1.0
     squares, absolutes = np.var(both, axis=0)
+    if again.wide:
+        # Numbers that the records leave open scatter as either norm pleases; what they make of the voltages counts.
+        return float(np.sqrt(max(1.0, absolutes.mean() / squares.mean()))) if squares.any() else 1.0
     moved = squares > _MOVED * squares.max()
     return float(np.sqrt(max(1.0, np.mean(absolutes[moved] / squares[moved])))) if moved.any() else 1.0
 

@@ -36,8 +36,7 @@ def made_of(actuator: Actuator) -> str:
 
 
 _CAPTION = (
-    "The parts that the paper's class has not. A straight line would be drawn as zero, elements of one stiffness as "
-    "even stripes, and an actuator without creep would stay where its rise ended."
+    "The parts that the paper's class has not. It would draw tau as zero, elements as even stripes, and no creep."
 )
 
 

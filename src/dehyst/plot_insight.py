@@ -10,7 +10,8 @@ from dehyst._native import Array
 from dehyst.band import Band
 from dehyst.directions import Directions
 from dehyst.insight import Insight
-from dehyst.plot import FALLING, INK, MEASURED, SIMULATED, inline, length_unit
+from dehyst.plot import FALLING, INK, MEASURED, RISING, SIMULATED, inline, length_unit
+from dehyst.wide_insight import WideInsight
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,6 +82,62 @@ def spring_intervals(found: Insight, *, name: str) -> str:
     return inline(name, draw)
 
 
+def loop_interval(found: WideInsight, *, name: str) -> str:
+    """How far the displacement may be off by noise on the rise and the fall through the limits."""
+    loop = found.loop
+
+    def draw(ax: Axes) -> None:
+        if loop is None:
+            return
+        low, high = (loop.noise - loop.displacement) * 1e9
+        top = int(np.argmax(loop.voltage))
+        for branch, colour, label in ((slice(0, top + 1), RISING, "rising"), (slice(top, None), FALLING, "falling")):
+            ax.fill_between(loop.voltage[branch], low[branch], high[branch], color=colour, alpha=0.5, lw=0, label=label)
+        ax.axhline(0, color=INK, lw=0.8)
+        ax.set(xlabel="voltage (V)", ylabel="displacement, off the model's (nm)")
+        bottom, upper = ax.get_ylim()
+        ax.set_ylim(bottom, upper + 0.25 * (upper - bottom))
+        ax.legend(loc="upper left", ncols=2)
+
+    return inline(name, draw)
+
+
+def drive_interval(found: WideInsight, *, name: str) -> str:
+    """How far tau may be off at its knots by noise."""
+    tau, noise = found.actuator.transformer, found.intervals
+
+    def draw(ax: Axes) -> None:
+        if tau is not None and noise is not None and noise.drive is not None:
+            low, high = noise.drive - tau.drive
+            ax.fill_between(tau.voltage, low, high, color=SIMULATED, alpha=0.6, lw=0,
+                            label=f"{100 * noise.level:.0f} % by noise")  # fmt: skip
+        ax.axhline(0, color=INK, lw=0.8)
+        ax.set(xlabel="voltage (V)", ylabel="tau, off the model's (V)")
+        ax.legend(loc="upper left")
+
+    return inline(name, draw)
+
+
+def creep_intervals(found: WideInsight, *, name: str) -> str:
+    """Stiffness of each creep branch with its interval by noise."""
+    creep, noise = found.actuator.creep, found.intervals
+
+    def draw(ax: Axes) -> None:
+        if creep is None:
+            return
+        if noise is not None and noise.creep is not None:
+            low, high = noise.creep * 1e-6
+            ax.vlines(creep.time_constants, low, high, color=SIMULATED, lw=1.6,
+                      label=f"{100 * noise.level:.0f} % by noise")  # fmt: skip
+        ax.plot(creep.time_constants, creep.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model")
+        ax.set(xscale="log", xlabel="time constant (s)", ylabel="stiffness (V/µm)")
+        low, high = ax.get_ylim()
+        ax.set_ylim(0, 1.3 * high)
+        ax.legend(loc="upper left", ncols=2)
+
+    return inline(name, draw)
+
+
 def band(found: Band, stroke: float, *, name: str) -> str:
     """The error to be expected along a trajectory, part by part, and the trajectory above."""
     factor, unit = length_unit(float(np.ptp(found.displacement)))
@@ -93,8 +150,9 @@ def band(found: Band, stroke: float, *, name: str) -> str:
         upper.plot(sample, found.wanted * factor, color=MEASURED, lw=1)
         upper.set_ylabel(f"displacement ({unit})")
         lower.fill_between(sample, percent(found.lowest), percent(found.highest), color="#E5E5E5", lw=0, label="all")
-        lower.fill_between(sample, percent(found.open[0]), percent(found.open[1]), color="#AAAAAA", lw=0,
-                           label="not contradicted by the records")  # fmt: skip
+        if found.open is not None:
+            lower.fill_between(sample, percent(found.open[0]), percent(found.open[1]), color="#AAAAAA", lw=0,
+                               label="not contradicted by the records")  # fmt: skip
         lower.fill_between(
             sample, percent(found.noise[0]), percent(found.noise[1]), color=SIMULATED, lw=0, label="noise"
         )

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from dehyst.insight import Insight
     from dehyst.model import Fit
     from dehyst.paper import Paper
+    from dehyst.wide_insight import WideInsight
 
 
 # Structures, best first.
@@ -62,12 +63,33 @@ def _print_parts(actuator: Any) -> None:
             click.echo(f"  {part.name + ':':<18}{part.sentence}")
 
 
-def print_insight(found: Insight, output: Path | None, report: Path | None) -> None:
+def print_insight(found: Insight | WideInsight, output: Path | None, report: Path | None) -> None:
     """Print what records tell, in the order in which it matters."""
+    from dehyst.wide_insight import WideInsight
+
     for warning in found.warnings():
         click.echo(f"BEWARE: {warning}\n")
-    told, missed = found.directions, 100 * found.misfit / found.evidence.stroke
+    missed = 100 * found.misfit / found.evidence.stroke
     click.echo(f"The model misses these records by {missed:.3g} % of their range at most.")
+    if isinstance(found, WideInsight):
+        _print_told(found)
+    else:
+        _print_directions(found)
+    click.echo("\nState, if nothing is known before:")
+    for known in found.knowledge:
+        seen, played = (_moment(t) for t in (known.by_displacement, known.by_voltage))
+        click.echo(
+            f"  - {known.record}: known {seen} to one who sees the displacement, "
+            f"{played if known.judged else 'not judged'} from the voltage alone"
+        )
+    _print_homing(found)
+    for name, path in (("Band", output), ("Report", report)):
+        if path is not None:
+            click.echo(f"{name}: {path}")
+
+
+def _print_directions(found: Insight) -> None:
+    told = found.directions
     click.echo(f"Known of the stiffnesses: {told.determined} of {told.of} directions")
     for sentence in _first_few(told.sentences()):
         click.echo(f"  - {sentence}")
@@ -81,21 +103,44 @@ def print_insight(found: Insight, output: Path | None, report: Path | None) -> N
             click.echo(f"  - {one.words}: {one.determined} of {one.of} in {one.seconds:.4g} s\n      {one.command}")
     elif told.determined == told.of:
         click.echo("\nTo record next: nothing; no loop tells more directions.")
-    click.echo("\nState, if nothing is known before:")
-    for known in found.knowledge:
-        seen, played = (_moment(t) for t in (known.by_displacement, known.by_voltage))
-        click.echo(
-            f"  - {known.record}: known {seen} to one who sees the displacement, {played} from the voltage alone"
-        )
-    if found.homing is not None:
-        turns = ", ".join(f"{v:.6g}" for v in found.homing.turns)
-        word = "certified" if found.homing.certified else "NOT certified"
+
+
+def _print_told(found: WideInsight) -> None:
+    """What records tell of each part of a wider model, and how sharp its numbers are."""
+    from dehyst.told import SHARP
+    from dehyst.wide_insight import NOT_JUDGED
+
+    click.echo(f"Known of each part, all else being free, to {100 * SHARP:g} % of the voltages:")
+    for one in found.told:
+        click.echo(f"  - {one.sentence}")
+    if found.intervals is not None:
+        click.echo(f"\nHow far things may be off by noise ({100 * found.intervals.level:.0f} % intervals):")
+        if found.loop is not None:
+            off = found.loop.off
+            share = 100 * off / found.evidence.stroke
+            click.echo(f"  - the displacement on the major loop{share:8.2g} % of the range, {off * 1e9:.3g} nm")
+        for name, (model, noise) in found.numbers().items():
+            if noise is not None and abs(model).max(initial=0.0) > 0:
+                width = 0.5 * (noise[1] - noise[0]).mean() / abs(model).max()
+                click.echo(f"  - {name.split('_')[0]:<33}{100 * width:8.2g} % of its largest number, in the mean")
+    _print_band(found)
+    click.echo(f"\n{NOT_JUDGED}")
+
+
+def _print_homing(found: Insight | WideInsight) -> None:
+    if found.homing is None:
+        return
+    turns = ", ".join(f"{v:.6g}" for v in found.homing.turns)
+    word = "certified" if found.homing.certified else "NOT certified"
+    if found.homing.played is None:
         click.echo(f"  - shortest homing: {turns} V ({word}: from any state to within {found.homing.width:.1g} m)")
-        for remark in found.homing.remarks:
-            click.echo(f"      {remark}")
-    for name, path in (("Band", output), ("Report", report)):
-        if path is not None:
-            click.echo(f"{name}: {path}")
+    else:
+        click.echo(
+            f"  - homing: {turns} V in {found.homing.played.duration:.4g} s ({word}: the displacement is known to "
+            f"{found.homing.error * 1e6:.3g} um after it)"
+        )
+    for remark in found.homing.remarks:
+        click.echo(f"      {remark}")
 
 
 def _first_few(sentences: tuple[str, ...], most: int = 12) -> tuple[str, ...]:
@@ -129,7 +174,7 @@ def _ends(pair: Any) -> str:
     return f"{pair[0] * 1e-6:>8.4g} to {pair[1] * 1e-6:<8.4g}"
 
 
-def _print_band(found: Insight) -> None:
+def _print_band(found: Insight | WideInsight) -> None:
     if found.band is None:
         return
     from dehyst.band import ERRORS

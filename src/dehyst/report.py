@@ -24,6 +24,7 @@ from dehyst.insight_page import sections
 from dehyst.model import Check, Fit, Outcome, RecordErrors, Trace
 from dehyst.page import MINUS, Row, document, figure, length, number, panel, table
 from dehyst.parts_page import made_of
+from dehyst.wide_insight import WideInsight
 
 MOST_RECORDS = 6
 _LABELS = {"program": "Program", "method": "Method", "norm": "Norm", "elements": "Slip elements asked for",
@@ -36,7 +37,7 @@ def write_report(
     fit: Fit,
     *,
     command: str | None = None,
-    insight: Insight | None = None,
+    insight: Insight | WideInsight | None = None,
     comparison: Comparison | None = None,
 ) -> None:
     """Write a report of `fit` to one HTML file that asks for nothing from outside.
@@ -48,7 +49,7 @@ def write_report(
     fit : Fit
     command : str, optional
         The command line that made it, to be shown.
-    insight : Insight, optional
+    insight : Insight or WideInsight, optional
         What the records can and cannot tell, to be shown too.
     comparison : Comparison, optional
         Ours and rival models on the same records, to be shown too.
@@ -64,7 +65,10 @@ def write_report(
 
 
 def render(
-    fit: Fit, command: str | None = None, insight: Insight | None = None, comparison: Comparison | None = None
+    fit: Fit,
+    command: str | None = None,
+    insight: Insight | WideInsight | None = None,
+    comparison: Comparison | None = None,
 ) -> str:
     """Return the text of the report; the same text for the same fit.
 
@@ -253,7 +257,7 @@ def _model(actuator: Actuator) -> str:
     )
     if isinstance(actuator.slip, GradedSlip):
         caption += " These elements are graded: each is shown as stiff as the most that it can hold makes it."
-    return figure("The model", caption, [slip, spring])
+    return figure("Its slip elements and spring" if actuator.wide else "The model", caption, [slip, spring])
 
 
 def _plain(actuator: Actuator) -> MaxwellSlip:

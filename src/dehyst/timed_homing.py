@@ -58,6 +58,8 @@ class Swing:
         [m].
     legs : int
         Visits to either end of the limits, two at least.
+    states : tuple of State
+        Where the actuator may be at the present voltage, after whatever happened within the limits.
     """
 
     actuator: Actuator
@@ -67,6 +69,7 @@ class Swing:
     limits: tuple[float, float]
     tolerance: float
     legs: int
+    states: tuple[State, ...] = ()
 
     @classmethod
     def of(
@@ -81,7 +84,12 @@ class Swing:
         shown = drive or Drive(frequency=0.5 / _leg(actuator))
         shown = replace(shown, base=ends[1], present=ends[0], limits=limits)
         wait = _rest(actuator) if hold is None else float(hold)
-        return cls(actuator, shown, ends, wait, limits, float(least), 2)._enough()
+        found = cls(actuator, shown, ends, wait, limits, float(least), 2)
+        found = replace(found, states=tuple(found._pasts()))
+        if hold is None and found._longest:
+            needed = found.needed
+            found = replace(found, hold=found._longest if needed is None else needed)
+        return found._enough()
 
     def _enough(self) -> Swing:
         """The same with as many legs as are worth it."""
@@ -140,6 +148,8 @@ class Swing:
                 f"not certified to {_micro(self.tolerance)}: {_micro(self.left)} ({100 * self.left / range_:.2g} % of "
                 f"the range) may be left of what was before, for this actuator {moves_on(self.actuator)}; {self._way()}"
             )
+        elif self._longest and self.hold > 0.1 * self._longest:
+            said.append(self._shorter())
         if not self.proven:
             said.append(
                 f"found by simulating {len(self.states)} extreme and random pasts, not proven: the states of an "
@@ -154,27 +164,41 @@ class Swing:
             return f"holds of {wait:.3g} s at both limits in place of {self.hold:.3g} s would do"
         return "no hold would do within these limits; wider ones may, or a larger tolerance"
 
+    def _shorter(self) -> str:
+        """What shorter holds would leave."""
+        waits = [wait for wait in (0.0, 0.1 * self._longest, self._longest) if wait < 0.9 * self.hold]
+        left = [f"{_micro(replace(self, hold=wait)._enough()._roughly)} after {wait:.3g} s" for wait in waits]
+        return f"shorter holds would leave more: {', '.join(left)}"
+
+    @property
+    def _longest(self) -> float:
+        """The longest time constant of creep [s]; 0 without any."""
+        creep = self.actuator.creep
+        return 0.0 if creep is None else float(creep.time_constants.max(initial=0.0))
+
     @cached_property
     def needed(self) -> float | None:
         """The hold [s] after which the tolerance is kept; None if none does."""
-        creep = self.actuator.creep
-        if creep is None or not len(creep):
+        if not self._longest:
             return None
-        low, high = self.hold, _PATIENCE * float(creep.time_constants.max())
+        low, high = 0.0, _PATIENCE * self._longest
 
         def misses(wait: float) -> bool:
             return replace(self, hold=wait)._enough()._roughly > 0.95 * self.tolerance
 
+        if not misses(0.0):
+            return 0.0
         if misses(high):
             return None
+        if not misses(self.hold):
+            high = self.hold
         while high - low > 0.03 * high:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if misses(middle) else (low, middle)
         return high
 
-    @cached_property
-    def states(self) -> list[State]:
-        """Where the actuator may be at the present voltage, after whatever happened within the limits."""
+    def _pasts(self) -> list[State]:
+        """What `states` shall be: the extremes, and where they keep no order, random pasts too."""
         still = replace(self.actuator, dynamics=None, lag=0.0, state=None)  # type: ignore[arg-type]
         found = [self._arrived(still, state, []) for state in self._rested()]
         if not self.proven:
@@ -216,7 +240,10 @@ class Swing:
         """Few samples of legs: voltage and time."""
         voltage, time = [np.array([legs[0].start])], [np.zeros(1)]
         for leg in legs:
-            share = np.geomspace(1e-4, 1, _SAMPLES) if leg.start == leg.end else np.arange(1, _SAMPLES + 1) / _SAMPLES
+            share = np.arange(1, _SAMPLES + 1) / _SAMPLES
+            if leg.start == leg.end:
+                # Creep is fast at first.
+                share = share**3
             voltage.append(leg.start + (leg.end - leg.start) * share)
             time.append(time[-1][-1] + leg.seconds * share)
         return np.concatenate(voltage), np.concatenate(time)
@@ -276,10 +303,8 @@ def _leg(actuator: Actuator) -> float:
 
 
 def _rest(actuator: Actuator) -> float:
-    """Seconds after which what moves on by itself has come to rest, or creep has lost most of it."""
+    """Seconds after which a mass and a lag have come to rest."""
     found = [0.0, _RESTS * actuator.lag]
-    if actuator.creep is not None:
-        found.append(float(actuator.creep.time_constants.max(initial=0.0)))
     dynamics = actuator.dynamics
     if dynamics is not None and dynamics.damping > 0:
         # Beyond critical damping the slower of two rates counts.
