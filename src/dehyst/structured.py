@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from dehyst.preparation import Prepared
 from dehyst.record import Record
 from dehyst.repairs import cycle_time
 from dehyst.rows import RowSource
-from dehyst.selection import PARTS, Trial, select
+from dehyst.selection import Trial, select
 from dehyst.signals import turning_points
 from dehyst.smoothing import without_jitter
 from dehyst.structure import Structure
@@ -87,7 +86,7 @@ class Frame:
             return moved_along(grid, piece, self.training[number].lead)
 
         source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
-        return WideRegression(source.thinned(most), grid, self.floor, self.datum)
+        return WideRegression(source.thinned(most), grid, self.floor, self.datum, smoothing=structure.smoothing)
 
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""
@@ -127,12 +126,12 @@ class Frame:
 
     def chosen(self, start: Structure, tell: Callable[[str], None]) -> tuple[Structure, tuple[Trial, ...], list[str]]:
         """The structure that the records support, the trials, and what they do not support."""
-        parts: list[tuple[str, dict[str, Any]]] = list(PARTS)
+        without: tuple[str, ...] = ()
         remarks = []
         if not self.supports_creep():
-            parts = [part for part in parts if "creep" not in part[1]]
+            without = ("creep",)
             remarks.append("Creep was not looked for: it needs holds or loops at two speeds; add a staircase.")
-        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, parts, tell)
+        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, tell, without=without)
         return best, trials, remarks
 
 

@@ -22,6 +22,7 @@ from dehyst._native import Array
 from dehyst.elements import parts_in_segments, segment_of
 from dehyst.program import Norm, Solution, solve
 from dehyst.regression import AbstractRegression
+from dehyst.roughness import roughness
 from dehyst.rows import Rows
 from dehyst.structure import Grid
 
@@ -82,6 +83,8 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         Records that get a drift.
     strained : tuple of int
         Records whose creep branches may not be at rest as they begin.
+    smoothing : float
+        How much alike neighbours are held, see `dehyst.roughness`; 0: not at all.
     """
 
     rows: Rows
@@ -90,6 +93,7 @@ class WideRegression(AbstractRegression[WideCoefficients]):
     datum: Array
     drifting: tuple[int, ...] = ()
     strained: tuple[int, ...] = ()
+    smoothing: float = 0.0
 
     def thinned(self, most: int) -> WideRegression:
         """The same on fewer rows."""
@@ -156,15 +160,33 @@ class WideRegression(AbstractRegression[WideCoefficients]):
 
     def fit(self, norm: Norm, weights: Array | None = None) -> WideCoefficients:
         """Solve the program, inequalities added round by round where they would be violated."""
-        free, matrix, lower = self.nuisances(), *self._inequalities()
+        free, bounded, target, weights = self._with_smoothing(norm, weights)
+        matrix, lower = self._inequalities()
         for _ in range(_ROUNDS):
-            answer = solve(free, self.bounded, self.target, weights=weights, norm=norm,
+            answer = solve(free, bounded, target, weights=weights, norm=norm,
                            constraints=(matrix, lower) if lower.size else None)  # fmt: skip
             more = self._violated(answer.nonnegative) if self.grid.segments > 1 and answer.optimal else matrix[:0]
             if not len(more):
                 break
             matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))
-        return self._coefficients(answer)
+        return self._coefficients(replace(answer, residual=answer.residual[: len(self.rows)]))
+
+    def _with_smoothing(self, norm: Norm, weights: Array | None) -> tuple[Array, Array, Array, Array]:
+        """Free columns, those that are not negative, target and weights, with rows that hold neighbours alike.
+
+        They weigh as much beside few samples as beside many. The largest residual is no matter of neighbours.
+        """
+        free, n = self.nuisances(), len(self.rows)
+        given = np.ones(n) if weights is None else weights
+        if not self.smoothing or norm == "linf" or n < max(free.shape[1], 1):
+            return free, self.bounded, self.target, given
+        scale = float(np.ptp(self.rows.voltage) / np.ptp(self.knots))
+        rows = self._all_columns(roughness(self.grid, scale))
+        p = len(rows)
+        strength = self.smoothing * scale * (np.sqrt(n) if norm == "l2" else n / np.sqrt(p))
+        return (np.vstack([free, np.zeros((p, free.shape[1]))]), np.vstack([self.bounded, strength * rows]),
+                np.append(self.target, np.zeros(p)),
+                np.append(given, np.full(p, 1.0 if weights is None else 1 / scale)))  # fmt: skip
 
     def slope(self, found: WideCoefficients) -> Array:
         """D tau(v)/dy of the model at each row (n,) [V/m], at the floor at least."""
@@ -234,28 +256,16 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         lower[: bool(lengths.size)] = -(1 - _DRIVE_FLOOR) * float(lengths.sum())
         return np.array(rows).reshape(-1, unknowns), lower
 
-    @cached_property
-    def _rising(self) -> Array:
-        """Slope of the outermost branches above the floor, one row a straight piece, as columns of `bounded`."""
-        grid = self.grid
-        rho, size = grid.breakaway[grid.movable], self.bounded.shape[1]
-        rows = []
-        for sign in (1.0, -1.0):
-            bends = np.unique(np.concatenate([grid.knots, grid.grades, (grid.grades[:, None] + sign * rho).ravel()]))
-            for y in np.concatenate([[bends[0] - 1e-9], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1e-9]]):
-                row = np.zeros(size)
-                blocks = row[: rho.size * grid.segments].reshape(rho.size, grid.segments)
-                blocks[:, segment_of(grid.grades, y)] += 1
-                blocks[np.arange(rho.size), segment_of(grid.grades, y - sign * rho)] -= 1
-                row[rho.size * grid.segments + segment_of(grid.knots, y)] = 1
-                rows.append(row)
-        return np.unique(np.array(rows), axis=0)
-
     def _violated(self, x: Array) -> Array:
         """The inequalities that x violates most."""
-        value = self._rising @ x
+        rising = self.grid.outermost
+        value = rising @ x[: rising.shape[1]]
         worst = np.argsort(value, kind="stable")[:_ADDED]
-        return self._rising[worst[value[worst] < -_VIOLATED * self.floor]]
+        return self._all_columns(rising[worst[value[worst] < -_VIOLATED * self.floor]])
+
+    def _all_columns(self, rows: Array) -> Array:
+        """Rows over the first unknowns, with nothing for the others."""
+        return np.hstack([rows, np.zeros((len(rows), self.bounded.shape[1] - rows.shape[1]))])
 
     def _coefficients(self, answer: Solution) -> WideCoefficients:
         grid, x = self.grid, answer.nonnegative
