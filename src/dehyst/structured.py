@@ -52,6 +52,8 @@ class Frame:
         Least slope [V/m].
     datum : (records,) array
         [m].
+    widest : int
+        Record whose last constant is the spring's.
     """
 
     training: Sequence[Prepared]
@@ -60,6 +62,7 @@ class Frame:
     voltages: tuple[float, float]
     floor: float
     datum: Array
+    widest: int = 0
 
     @property
     def times(self) -> tuple[float, float]:
@@ -78,7 +81,7 @@ class Frame:
         pieces = [
             (q, without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke), drift)
             for q, item in enumerate(self.training)
-            for _, piece, drift in item.delayed(q, self.inertia.delay)
+            for _, piece, drift in item.delayed(q, self.inertia.delay, self.inertia.lag)
         ]
         noise = [self.training[q].noise for q, _, _ in pieces]
 

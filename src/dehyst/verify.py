@@ -144,7 +144,7 @@ class Comparison:
         (_, piece, curve), y = self.pieces[number], self.measured[number].displacement
         drift = self.drift * curve
         level = float(drift[epoch.start : epoch.stop].mean())
-        steady = drifting = self._state_before(actuator, number, epoch).shifted(self.datum)
+        steady = drifting = self.state_before(actuator, number, epoch).shifted(self.datum)
         for start in range(epoch.start, epoch.stop, size):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
             again = int(actuator.needs_time and start > epoch.start)
@@ -153,11 +153,11 @@ class Comparison:
             one = _driven(actuator, piece, run, (offset, drift[run]), steady)
             other = _driven(actuator, piece, run, (offset, level), drifting)
             steady, drifting = one.state, other.state
-            voltage = _less(actuator, piece.voltage[own], offset)
+            voltage = without_offset(actuator, piece.voltage[own], offset)
             yield piece.time[own], voltage, y[own] + self.datum, one.displacement[again:], other.displacement[again:]
 
-    def _state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
-        """The state at an epoch's first sample, which the displacement before it tells."""
+    def state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
+        """The state at an epoch's first sample, which the displacement before it tells, on the record's axis."""
         rho, grid = actuator.slip.breakaway, grid_of(actuator)
         y = self.pieces[number][1].displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
@@ -178,7 +178,7 @@ class Comparison:
 
 def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
-    measured = record.delayed(0, protocol.delay)
+    measured = record.delayed(0, protocol.delay, actuator.lag)
     pieces = [(q, _path(actuator, piece, record.noise, protocol.stroke), drift) for q, piece, drift in measured]
     source, regression, model = _beside(actuator, record, pieces, (0,) if protocol.drifting else ())
     datum = protocol.datum
@@ -262,11 +262,13 @@ class _Sums:
 
 def _driven(actuator: Actuator, piece: Record, span: slice, less: tuple[float, Array | float], state: State) -> Motion:
     """Play samples of a piece from a state, their voltages less offset and drift [V]."""
+    # The piece's voltages are those that act, behind the amplifier.
+    actuator = replace(actuator, lag=0.0) if actuator.lag else actuator
     time = piece.time[span] if actuator.needs_time else None
-    return actuator.simulate(_less(actuator, piece.voltage[span], *less), time=time, state=state)
+    return actuator.simulate(without_offset(actuator, piece.voltage[span], *less), time=time, state=state)
 
 
-def _less(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:
+def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:
     """Voltages (n,) [V] less offset and drift, which a transformer's curve does not bend."""
     tau = actuator.transformer
     if tau is None:
