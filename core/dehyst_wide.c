@@ -244,12 +244,13 @@ static int simulate_on_stack(const dehyst_wide *wide, const dehyst_pace *pace, d
     if (dehyst_stack_encode(&stiff, &state->memory, &room->stack) != DEHYST_OK) return 0;
     dehyst_walk_begin(&walk, &stiff, &room->stack);
     for (t = 0; t < n; t++) {
-        const dehyst_real before = room->stack.y, force = load != NULL ? load[t] : 0;
+        const dehyst_real before = walk.y, force = load != NULL ? load[t] : 0;
         dehyst_real w;
         begin_step(wide, pace, state, before, force, &step);
         w = dehyst_walk_to(&walk, y[t] - step.known + step.stiffness * (before - base));
         y[t] = end_step(wide, pace, state, before, w, force, &step);
     }
+    dehyst_walk_end(&walk);
     dehyst_stack_decode(&stiff, &room->stack, &state->memory);
     return 1;
 }
