@@ -12,6 +12,7 @@ violated go into the program.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -82,6 +83,8 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         Records that get a drift.
     strained : tuple of int
         Records whose creep branches may not be at rest as they begin.
+    lasting : (S J,) bool array, optional
+        Starts of creep that are not forgotten before the first sample that counts; default: told from the rows.
     """
 
     rows: Rows
@@ -90,6 +93,7 @@ class WideRegression(AbstractRegression[WideCoefficients]):
     datum: Array
     drifting: tuple[int, ...] = ()
     strained: tuple[int, ...] = ()
+    lasting: NDArray[np.bool_] | None = None
 
     def thinned(self, most: int) -> WideRegression:
         """The same on fewer rows."""
@@ -121,16 +125,17 @@ class WideRegression(AbstractRegression[WideCoefficients]):
             elements = (parts_in_segments(grades, self.axis)[:, None, :] - held).reshape(n, count * self.grid.segments)
         moved = self.rows.moved[:, : self.grid.moved]
         spring = parts_in_segments(self.knots, self.axis)
-        return np.hstack([elements, spring, moved, -self._drive_columns, self._start_columns, -self._start_columns])
+        return np.hstack([elements, spring, moved, -self._drive_columns, self.start_columns, -self.start_columns])
 
     @property
-    def _start_columns(self) -> Array:
+    def start_columns(self) -> Array:
         """What is left of the creep before strained records, a block of branches a record (n, S J)."""
         fades = self.rows.moved[:, self.grid.moved :]
         blocks = [fades * (self.rows.record == q)[:, None] for q in self.strained]
         columns = np.hstack([np.zeros((len(fades), 0)), *blocks])
         # What was forgotten before the first sample that counts is no column.
-        return np.where(columns.max(axis=0, initial=0.0) < _FORGOTTEN, 0.0, columns)
+        lasting = columns.max(axis=0, initial=0.0) >= _FORGOTTEN if self.lasting is None else self.lasting
+        return np.where(lasting, columns, 0.0)
 
     @cached_property
     def _drive_parts(self) -> Array:
@@ -156,15 +161,22 @@ class WideRegression(AbstractRegression[WideCoefficients]):
 
     def fit(self, norm: Norm, weights: Array | None = None) -> WideCoefficients:
         """Solve the program, inequalities added round by round where they would be violated."""
-        free, matrix, lower = self.nuisances(), *self._inequalities()
+        free = self.nuisances()
+        return self.fitted(lambda limits: solve(free, self.bounded, self.target, weights=weights, norm=norm,
+                                                constraints=limits))  # fmt: skip
+
+    def fitted(
+        self, solved: Callable[[tuple[Array, Array] | None], Solution], epochs: NDArray[np.intp] | None = None
+    ) -> WideCoefficients:
+        """What `solved`, inequalities -> answer, finds in the end; epochs as in `nuisances`."""
+        matrix, lower = self._inequalities()
         for _ in range(_ROUNDS):
-            answer = solve(free, self.bounded, self.target, weights=weights, norm=norm,
-                           constraints=(matrix, lower) if lower.size else None)  # fmt: skip
+            answer = solved((matrix, lower) if lower.size else None)
             more = self._violated(answer.nonnegative) if self.grid.segments > 1 and answer.optimal else matrix[:0]
             if not len(more):
                 break
             matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))
-        return self._coefficients(answer)
+        return self._coefficients(answer, epochs)
 
     def slope(self, found: WideCoefficients) -> Array:
         """D tau(v)/dy of the model at each row (n,) [V/m], at the floor at least."""
@@ -207,7 +219,7 @@ class WideRegression(AbstractRegression[WideCoefficients]):
 
     def nuisances_of(self, found: WideCoefficients) -> WideCoefficients:
         """Fit only the constants and drifts of these rows, for a model that is given."""
-        fades = self._start_columns
+        fades = self.start_columns
         starts = np.hstack([fades, -fades])
         stiffness = np.tile(found.moved[: self.grid.time_constants.size], len(self.strained))
         limits = -np.hstack([np.eye(stiffness.size)] * 2), -float(np.ptp(self.knots)) * stiffness
@@ -257,7 +269,7 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         worst = np.argsort(value, kind="stable")[:_ADDED]
         return self._rising[worst[value[worst] < -_VIOLATED * self.floor]]
 
-    def _coefficients(self, answer: Solution) -> WideCoefficients:
+    def _coefficients(self, answer: Solution, epochs: NDArray[np.intp] | None) -> WideCoefficients:
         grid, x = self.grid, answer.nonnegative
         count, segments, spring = int(np.count_nonzero(grid.movable)), grid.segments, grid.knots.size - 1
         stiffness = np.zeros((grid.movable.size, segments))
@@ -270,7 +282,7 @@ class WideRegression(AbstractRegression[WideCoefficients]):
             drive = _DRIVE_FLOOR + np.append(drive, left)
         starts = x[x.size - 2 * len(self.strained) * grid.time_constants.size :]
         return WideCoefficients(stiffness, rest[:spring] + self.floor, rest[spring : spring + grid.moved], drive,
-                                *self.constants(answer), answer, self._starts(starts))  # fmt: skip
+                                *self.constants(answer, epochs), answer, self._starts(starts))  # fmt: skip
 
     def _starts(self, both: Array) -> dict[int, Array]:
         """By record, from what is added and what is taken away."""
