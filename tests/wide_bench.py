@@ -10,7 +10,7 @@ import bench
 import numpy as np
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
-from dehyst.composition import coefficients_of, moved_along
+from dehyst.composition import coefficients_of
 from dehyst.inertia import Inertia
 from dehyst.preparation import prepare
 from dehyst.rows import collect
@@ -105,6 +105,23 @@ def _transformer(grid, rng):
     rises = np.diff(grid.drive) * rng.uniform(0.7, 1.4, grid.drive.size - 1)
     rises *= np.ptp(grid.drive) / rises.sum()
     return Transformer(grid.drive, grid.drive[0] + np.append(0, np.cumsum(rises)))
+
+
+def moved_along(grid, piece, lead):
+    """What `dehyst.beside.Beside` is, in one piece."""
+    creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
+    smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
+    time, y = piece.time, piece.displacement
+    if lead is not None and lead.time[-1] < time[0] <= lead.time[-1] + 1.5 * lead.sample_time:
+        time, y = np.concatenate([lead.time, time]), np.concatenate([lead.displacement, y])
+    columns = [np.zeros((time.size, 0))]
+    if len(creep):
+        columns.append(creep.strains(time, y))
+    if len(smooth):
+        columns.append(smooth.elongations(y))
+    if len(creep):
+        columns.append(np.exp(-(time[:, None] - time[0]) / grid.time_constants))
+    return np.hstack(columns)[-len(piece) :]
 
 
 def regression(grid, records, *, leads=(), **options):

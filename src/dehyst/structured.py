@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from dehyst._native import Array
-from dehyst.composition import moved_along
+from dehyst.beside import Beside
 from dehyst.inertia import Inertia, find_inertia, undone
 from dehyst.preparation import Prepared
 from dehyst.record import Record
@@ -20,6 +20,7 @@ from dehyst.signals import turning_points
 from dehyst.smoothing import without_jitter
 from dehyst.structure import Structure
 from dehyst.wide_regression import WideRegression
+from dehyst.wide_stream import WideStream
 
 # Rows for a trial, and for the final program.
 _FEW_ROWS = 4000
@@ -72,10 +73,19 @@ class Frame:
 
     def regression(self, structure: Structure, most: int = _MOST_ROWS) -> WideRegression:
         """The rows of all records under a structure, thinned to about `most`."""
-        found = self._rows_of(structure, most)
-        return replace(found, strained=self.strained) if structure.creep else found
+        return self.stream(structure, most).regression
+
+    def stream(self, structure: Structure, most: int = _MOST_ROWS) -> WideStream:
+        """All rows of all records under a structure, about `most` of them in memory."""
+        found = self._stream_of(structure, most)
+        if not structure.creep:
+            return found
+        return replace(found, regression=replace(found.regression, strained=self.strained))
 
     def _rows_of(self, structure: Structure, most: int) -> WideRegression:
+        return self._stream_of(structure, most).regression
+
+    def _stream_of(self, structure: Structure, most: int) -> WideStream:
         grid = structure.grid(self.span, self.voltages, self.times)
         stroke = self.span[1] - self.span[0]
         pieces = [
@@ -85,11 +95,12 @@ class Frame:
         ]
         noise = [self.training[q].noise for q, _, _ in pieces]
 
-        def moved(number: int, piece: Record) -> Array:
-            return moved_along(grid, piece, self.training[number].lead)
+        def moved(number: int, piece: Record) -> Beside:
+            return Beside(grid, piece, self.training[number].lead)
 
         source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
-        return WideRegression(source.thinned(most), grid, self.floor, self.datum, smoothing=structure.smoothing)
+        some = WideRegression(source.thinned(most), grid, self.floor, self.datum, smoothing=structure.smoothing)
+        return WideStream(source, some)
 
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""

@@ -10,7 +10,8 @@ import numpy as np
 
 from dehyst._native import Array, stops
 from dehyst.actuator import Actuator
-from dehyst.composition import coefficients_of, grid_of, moved_along
+from dehyst.beside import Beside
+from dehyst.composition import coefficients_of, grid_of
 from dehyst.inertia import derivatives, undone
 from dehyst.metrics import largest
 from dehyst.model import Motion, RecordErrors, State, Trace
@@ -164,7 +165,7 @@ class Comparison:
         for start in range(0, y.size, _STOPS_AT_A_TIME):
             _, carts = stops(rho, carts, np.ascontiguousarray(y[start : start + _STOPS_AT_A_TIME]))
         carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
-        moved = self.source.moved[number][epoch.start]
+        moved = self.source.moved_at(number, epoch.start)
         creep, smooth, left = np.split(moved, np.cumsum([grid.time_constants.size, grid.lengths.size]))
         if actuator.creep is not None and self.start.size:
             c = actuator.creep.stiffness
@@ -203,7 +204,7 @@ def _beside(
         model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
         return source, regression, model
     grid = grid_of(actuator)
-    source = RowSource.of(pieces, rho, sigma, moved=lambda _, piece: moved_along(grid, piece, record.lead))
+    source = RowSource.of(pieces, rho, sigma, moved=lambda _, piece: Beside(grid, piece, record.lead))
     floor = _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
     wide = WideRegression(source.thinned(_FEW_ROWS), grid, floor, np.zeros(1), drifting, (0,))
     return source, wide, coefficients_of(actuator)

@@ -46,8 +46,8 @@ class Wider:
     @classmethod
     def solve(cls, frame: Frame, structure: Structure, norm: Norm) -> Wider:
         """Solve the program."""
-        regression = frame.regression(structure)
-        found = regression.fit_weighted(norm)
+        stream = frame.stream(structure)
+        regression, found = stream.regression, stream.fit_weighted(norm)
         reference = regression.rows.epoch[regression.rows.record == frame.widest].max()
         actuator = Actuator(
             **parts(regression.grid, found, found.offsets[int(reference)]),
