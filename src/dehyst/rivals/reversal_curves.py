@@ -10,7 +10,7 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.record import Record
-from dehyst.rivals.fitting import Training
+from dehyst.rivals.training import Training
 
 # Part of the range within which an end of it counts as reached, and within which two curves are one.
 _NEAR = 0.01
