@@ -24,8 +24,10 @@ class _Curve:
     voltage: Array
     moved: Array
 
-    def at(self, nodes: Array) -> Array:
-        return np.interp(nodes, self.voltage, self.moved)
+    def at(self, nodes: Array, near: float) -> Array:
+        """E at voltages, not a number where the curve does not come, but for `near` [V]."""
+        reached = (nodes >= self.voltage[0] - near) & (nodes <= self.voltage[-1] + near)
+        return np.where(reached, np.interp(nodes, self.voltage, self.moved), np.nan)
 
 
 def everett_table(ready: Training, n: int, least: float) -> Array:
@@ -75,7 +77,7 @@ def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tupl
 
 
 def _merged(curves: list[_Curve], near: float) -> list[_Curve]:
-    """One curve for each turning point, sorted: repeated ones averaged over the way that all of them went."""
+    """One curve for each turning point, sorted: repeated ones averaged, each as far as it went."""
     groups: list[list[_Curve]] = []
     for curve in sorted(curves, key=lambda one: one.turn):
         if groups and curve.turn - groups[-1][0].turn < near:
@@ -84,9 +86,10 @@ def _merged(curves: list[_Curve], near: float) -> list[_Curve]:
             groups.append([curve])
     merged = []
     for group in groups:
-        shared = np.linspace(max(c.voltage[0] for c in group), min(c.voltage[-1] for c in group), 200)
-        turn = float(np.mean([c.turn for c in group]))
-        merged.append(_Curve(turn, shared, np.mean([c.at(shared) for c in group], axis=0)))
+        shared = np.linspace(min(c.voltage[0] for c in group), max(c.voltage[-1] for c in group), 200)
+        moved = np.array([c.at(shared, near) for c in group])
+        turn, told = float(np.mean([c.turn for c in group])), np.isfinite(moved).any(axis=0)
+        merged.append(_Curve(turn, shared[told], np.nanmean(moved[:, told], axis=0)))
     return merged
 
 
@@ -96,10 +99,10 @@ def _table(curves: list[_Curve], nodes: Array, *, falls: bool) -> Array:
 
     n, near = nodes.size - 1, 0.5 * (nodes[1] - nodes[0])
     turns = np.array([curve.turn for curve in curves])
-    moved = np.array([curve.at(nodes) for curve in curves])
+    moved = np.array([curve.at(nodes, near) for curve in curves])
     table = np.zeros((n + 1, n + 1))
     for j, node in enumerate(nodes):
-        beyond = turns > node + near if falls else turns < node - near
+        beyond = (turns > node + near if falls else turns < node - near) & np.isfinite(moved[:, j])
         places, values = np.append(turns[beyond], node), np.append(moved[beyond, j], 0.0)
         if places.size < 2:
             continue
