@@ -55,7 +55,7 @@ class Generalised(AbstractBankRival):
         segments : int, optional
             Of each curve, over what its play can reach.
         lowpasses : (K,) array_like, optional
-            Time constants [s]; an empty one leaves creep out. By default two a decade from two samples to the length of
+            Time constants [s]; an empty one leaves creep out. By default two a decade from two samples to a third of
             the longest record, or none unless quarters of the records left out of the fit are predicted much better so.
         slope_floor : float, optional
             Least slope just after a reversal, as a fraction of the mean one, without which there is no inverse.
@@ -122,10 +122,10 @@ class _Design:
 
 
 def _times(ready: Training) -> Array:
-    sample = max(piece.sample_time for piece in ready.pieces)
-    longest = max(float(np.ptp(piece.time)) for piece in ready.pieces)
-    decades = np.log10(max(longest / (2 * sample), 1.0))
-    return np.geomspace(2 * sample, max(longest, 2 * sample), max(2, round(2 * decades) + 1))
+    shortest = 2 * max(piece.sample_time for piece in ready.pieces)
+    # A low-pass as slow as a record is a drift to it, and shifts the axis.
+    longest = max(max(float(np.ptp(piece.time)) for piece in ready.pieces) / 3, shortest)
+    return np.geomspace(shortest, longest, max(2, round(2 * np.log10(longest / shortest)) + 1))
 
 
 def _given(lowpasses: ArrayLike) -> Array:
