@@ -55,6 +55,9 @@ def test_seconds_bounds_and_words():
     assert options.seconds(0, "delay") == 0.0
     assert options.between(np.float64(4), "spacing", 0.5, 4) == 4.0
     options.choice("l1", "norm", ("l1", "l2"))
+    np.testing.assert_array_equal(options.numbers((1, 2.5), "breakaway"), [1, 2.5])
+    with pytest.raises(IdentifyError, match=r"breakaway: got an array of shape \(1, 1\), need one dimension"):
+        options.numbers([[1.0]], "breakaway")
     for wrong in (-1e-9, float("inf")):
         with pytest.raises(IdentifyError, match=r"delay: got .*, need a number of seconds, 0 or more"):
             options.seconds(wrong, "delay")

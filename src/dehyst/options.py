@@ -6,7 +6,10 @@ from collections.abc import Collection
 from math import inf, nan
 from numbers import Integral, Real
 
-from dehyst._errors import IdentifyError
+from numpy.typing import ArrayLike
+
+from dehyst._errors import IdentifyError, ModelError
+from dehyst._native import Array, vector
 
 
 def demand(holds: bool, name: str, got: object, needed: str) -> None:
@@ -44,6 +47,14 @@ def seconds(value: object, name: str) -> float:
     """Return seconds, 0 or more; refuse anything else with `IdentifyError`."""
     demand(0 <= _real(value) < inf, name, value, "a number of seconds, 0 or more")
     return _real(value)
+
+
+def numbers(values: ArrayLike, name: str) -> Array:
+    """Return finite numbers (n,); refuse anything else with `IdentifyError`."""
+    try:
+        return vector(values, name)
+    except ModelError as error:
+        raise IdentifyError(str(error)) from error
 
 
 def choice(value: object, name: str, among: Collection[str]) -> None:

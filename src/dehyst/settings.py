@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst import options
-from dehyst._errors import IdentifyError, ModelError
-from dehyst._native import Array, vector
+from dehyst._errors import IdentifyError
+from dehyst._native import Array
 from dehyst.program import NORMS, Norm
 
 Method = Literal["record", "breakpoints", "antisymmetric"]
@@ -56,10 +56,7 @@ class Settings:
             self._check_breakaway(self.breakaway)
 
     def _check_breakaway(self, breakaway: ArrayLike) -> None:
-        try:
-            rho = vector(breakaway, "breakaway")
-        except ModelError as error:
-            raise IdentifyError(str(error)) from error
+        rho = options.numbers(breakaway, "breakaway")
         if self.elements is not None:
             raise IdentifyError("got both elements and breakaway, need one of them")
         if self.method != "record":

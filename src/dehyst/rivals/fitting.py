@@ -122,7 +122,7 @@ def _samples(epochs: list[Epoch]) -> NDArray[np.intp]:
 
 def _given(delay: object, items: list[Prepared]) -> float:
     cycle = min(repairs.cycle_time(item.record) for item in items)
-    if isinstance(delay, Real) and 0 <= float(delay) < 0.25 * cycle:
+    if isinstance(delay, Real) and not isinstance(delay, bool) and 0 <= float(delay) < 0.25 * cycle:
         return float(delay)
     raise IdentifyError(
         f"delay: got {delay!r}, need seconds, 0 or more and less than a quarter of a cycle of {cycle:.4g} s"

@@ -15,9 +15,9 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import IdentifyError, ModelError
-from dehyst._native import Array, vector
-from dehyst.options import count, fraction
+from dehyst._errors import IdentifyError
+from dehyst._native import Array
+from dehyst.options import count, fraction, numbers
 from dehyst.record import Record
 from dehyst.rivals.bank_rival import AbstractBankRival
 from dehyst.rivals.fitting import least_missing
@@ -129,10 +129,7 @@ def _times(ready: Training) -> Array:
 
 
 def _given(lowpasses: ArrayLike) -> Array:
-    try:
-        times = vector(lowpasses, "lowpasses")
-    except ModelError as error:
-        raise IdentifyError(str(error)) from error
+    times = numbers(lowpasses, "lowpasses")
     if np.any(times <= 0):
         raise IdentifyError(f"lowpasses: got {times}, need time constants above 0, in seconds")
     return times

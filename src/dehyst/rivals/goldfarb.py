@@ -13,13 +13,13 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst._errors import IdentifyError, ModelError
-from dehyst._native import Array, vector
+from dehyst._errors import IdentifyError
+from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.branches import Branch, voltage_at
 from dehyst.elements import MaxwellSlip, Spring
 from dehyst.model import State
-from dehyst.options import count
+from dehyst.options import count, numbers
 from dehyst.record import Record
 from dehyst.rivals.base import AbstractRival
 
@@ -135,10 +135,7 @@ def _equal_parts(elements: int, height: float) -> Array:
 
 
 def _given(breakaway: ArrayLike, height: float, name: str) -> Array:
-    try:
-        rho = vector(breakaway, "breakaway")
-    except ModelError as error:
-        raise IdentifyError(str(error)) from error
+    rho = numbers(breakaway, "breakaway")
     if not rho.size or rho[0] <= 0 or np.any(np.diff(rho) <= 0):
         raise IdentifyError(
             f"breakaway: got {rho}, need one or more positive, strictly increasing elongations in metres"
