@@ -137,6 +137,16 @@ def test_a_curve_that_turns_early_tells_only_what_it_went_through():
     np.testing.assert_allclose(both.everett, alone.everett, atol=2e-3 * STROKE)
 
 
+def test_slow_curves_count_where_there_are_slow_and_fast_ones():
+    """The same curves, driven ten times as fast and swollen as by a resonance, leave the table alone."""
+    truth = of(densities(2, 8))
+    slow = recorded(truth, VOLTS * np.arange(7, 0, -1) / 8)
+    fast = Record(slow.time / 10, slow.voltage, 1.05 * slow.displacement)
+    options = {"cells": 8, "slope_floor": 1e-3, "delay": 0.0}
+    alone, both = (Preisach.from_reversal_curves(records, **options) for records in (slow, [slow, fast]))
+    np.testing.assert_allclose(both.everett, alone.everett, atol=1e-12 * STROKE)
+
+
 @pytest.fixture(scope="module")
 def plays():
     truth = PlayActuator(seed=1)

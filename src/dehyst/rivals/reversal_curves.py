@@ -14,15 +14,21 @@ from dehyst.rivals.training import Training
 
 # Part of the range within which an end of it counts as reached, and within which two curves are one.
 _NEAR = 0.01
+# A curve that was driven this many times as fast as another of the same turn does not count beside it.
+_SLOW = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """One curve: the voltage at which it turned off the major loop, and E along it; voltages increase."""
+    """One curve: the voltage at which it turned off the major loop, and E along it; voltages increase.
+
+    `pace` is how fast it was driven [V/s].
+    """
 
     turn: float
     voltage: Array
     moved: Array
+    pace: float
 
     def at(self, nodes: Array, near: float) -> Array:
         """E at voltages, not a number where the curve does not come, but for `near` [V]."""
@@ -73,11 +79,15 @@ def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tupl
             leg = slice(a, b + 1)
             order = np.argsort(v[leg], kind="stable")
             moved = y[a] - y[leg] if falls else y[leg] - y[a]
-            yield falls, _Curve(float(v[a]), v[leg][order], moved[order])
+            pace = float(abs(v[b] - v[a]) / (piece.time[b] - piece.time[a]))
+            yield falls, _Curve(float(v[a]), v[leg][order], moved[order], pace)
 
 
 def _merged(curves: list[_Curve], near: float) -> list[_Curve]:
-    """One curve for each turning point, sorted: repeated ones averaged, each as far as it went."""
+    """One curve for each turning point, sorted: repeated ones averaged, each as far as it went.
+
+    Where some were driven much faster than others, the slow ones count: the model has no time.
+    """
     groups: list[list[_Curve]] = []
     for curve in sorted(curves, key=lambda one: one.turn):
         if groups and curve.turn - groups[-1][0].turn < near:
@@ -88,8 +98,13 @@ def _merged(curves: list[_Curve], near: float) -> list[_Curve]:
     for group in groups:
         shared = np.linspace(min(c.voltage[0] for c in group), max(c.voltage[-1] for c in group), 200)
         moved = np.array([c.at(shared, near) for c in group])
-        turn, told = float(np.mean([c.turn for c in group])), np.isfinite(moved).any(axis=0)
-        merged.append(_Curve(turn, shared[told], np.nanmean(moved[:, told], axis=0)))
+        told, pace = np.isfinite(moved), np.array([c.pace for c in group])
+        slowest = np.where(told, pace[:, None], np.inf).min(axis=0)
+        counts = told & (pace[:, None] <= _SLOW * slowest)
+        mean = np.where(counts, moved, 0.0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
+        known = told.any(axis=0)
+        turn = float(np.mean([c.turn for c in group]))
+        merged.append(_Curve(turn, shared[known], mean[known], float(pace.min())))
     return merged
 
 
