@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dehyst import options
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.elements import segment_of
@@ -64,15 +64,10 @@ class Structure:
     def __post_init__(self) -> None:
         for name, least, most in (("elements", 1, 500), ("grades", 1, 50), ("knots", 2, 500), ("transformer", 0, 200),
                                   ("creep", 0, 50)):  # fmt: skip
-            value = getattr(self, name)
-            if not _is_whole(value) or not least <= value <= most:
-                raise IdentifyError(f"{name}: got {value!r}, need a whole number from {least} to {most}")
-        if not isinstance(self.spacing, Real) or not 0.5 <= self.spacing <= 4:
-            raise IdentifyError(f"spacing: got {self.spacing!r}, need an exponent between 0.5 and 4")
-        if not isinstance(self.smooth, bool):
-            raise IdentifyError(f"smooth: got {self.smooth!r}, need True or False")
-        if not isinstance(self.smoothing, Real) or not 0 <= self.smoothing <= 1:
-            raise IdentifyError(f"smoothing: got {self.smoothing!r}, need a number between 0 and 1")
+            options.count(getattr(self, name), name, least, most)
+        options.between(self.spacing, "spacing", 0.5, 4, "an exponent")
+        options.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
+        options.between(self.smoothing, "smoothing", 0, 1, "a number")
         if self.transformer == 1:
             raise IdentifyError("transformer: got 1, need 0 or two segments at least: one is a straight line")
 
@@ -183,7 +178,3 @@ class Grid:
     def moved(self) -> int:
         """Parts that are driven along the path besides the slip elements: J + L."""
         return self.time_constants.size + self.lengths.size
-
-
-def _is_whole(value: object) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool)
