@@ -28,6 +28,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/accuracy.py
 	$(BIN)/python benchmarks/paper.py
 	$(BIN)/python benchmarks/coverage.py
+	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/size.py
 	$(BIN)/python benchmarks/figure.py
 	$(BIN)/python benchmarks/readme.py

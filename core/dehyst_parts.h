@@ -74,17 +74,20 @@ void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongati
 dehyst_real dehyst_smooth_solve(const dehyst_wide *wide, dehyst_wide_state *state, dehyst_real drive,
                                 dehyst_real stiffness, dehyst_real *likely);
 
-/* A straight piece of the present branch: y = start + (v - v_start) / slope until v reaches v_end. */
+/* A straight piece of the present branch: y = start + (v - v_start) / slope until v reaches v_end; and the way back from
+ * any of its points while no cart moves, down to `bottom`, which is a place times the direction. */
 typedef struct piece {
-    dehyst_real start, v_start, inverse_slope, v_end;
+    dehyst_real start, v_start, inverse_slope, v_end, inverse_elastic, bottom;
     int cell, j;
     int ends_at_knot; /* the next piece lies in the next segment of the spring; else in the next cell */
 } piece;
 
-/* A simulation on the stack whose voltages are not known ahead. */
+/* A simulation on the stack whose voltages are not known ahead. Until it ends, the stack holds the farthest point of its
+ * branch. */
 typedef struct dehyst_walk {
     const dehyst_actuator *actuator;
     dehyst_stack *stack;
+    dehyst_real y, v;
     piece *now, *ahead;
     int on_piece;
     piece pieces[2];
@@ -92,5 +95,6 @@ typedef struct dehyst_walk {
 
 void dehyst_walk_begin(dehyst_walk *walk, const dehyst_actuator *actuator, dehyst_stack *stack);
 dehyst_real dehyst_walk_to(dehyst_walk *walk, dehyst_real v);
+void dehyst_walk_end(dehyst_walk *walk);
 
 #endif

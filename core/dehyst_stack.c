@@ -56,6 +56,17 @@ static const dehyst_reversal *joint(const dehyst_stack *stack)
     return stack->depth >= 3 ? stack->reversal + stack->depth - 2 : NULL;
 }
 
+/* Turn round at y, a point of the present branch in this cell and near this segment of the spring. */
+static void turn_at(const dehyst_actuator *actuator, dehyst_stack *stack, dehyst_real y, int cell, int j)
+{
+    const dehyst_reversal *from = stack->reversal + stack->depth - 1;
+    const dehyst_real stops =
+        from->stops + stack->direction * masing(&actuator->slip, cell, magnitude(y - from->y));
+    stack->y = y;
+    stack->v = stops + on_segment(&actuator->spring, segment(&actuator->spring, y, j), y);
+    turn(&actuator->slip, stack, stops);
+}
+
 dehyst_status dehyst_stack_encode(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_stack *stack)
 {
     const dehyst_slip *slip = &actuator->slip;
@@ -117,41 +128,50 @@ void dehyst_stack_decode(const dehyst_actuator *actuator, const dehyst_stack *st
     state->y = stack->y;
 }
 
+/* While a motion turns back by no more than edge_0 from the farthest point of its branch, nor to where that began, no
+ * cart moves, and it need not be told from the branch: noise on a path costs no reversals. */
 void dehyst_stack_compensate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *y, dehyst_real *v,
                              long n)
 {
     const dehyst_slip *slip = &actuator->slip;
     const dehyst_curve *spring = &actuator->spring;
+    const dehyst_real elastic = slip->stiffness[0], width = slip->edge[0];
     const dehyst_reversal *from = stack->reversal + stack->depth - 1, *to = joint(stack);
     dehyst_real direction = stack->direction, present = stack->y, voltage = stack->v;
-    dehyst_real stops = from->stops + direction * masing(slip, cell_of(slip, magnitude(present - from->y), 0),
-                                                         magnitude(present - from->y));
-    int cell = 0, j = segment(spring, present, 0);
+    /* Places times the direction: where the branch began, how far it got, and where it joins the outer one. */
+    dehyst_real began = direction * from->y, far = direction * present;
+    dehyst_real joins = to != NULL ? direction * to->y : DEHYST_LARGEST;
+    int cell = cell_of(slip, far - began, 0), j = segment(spring, present, 0);
     long t;
     for (t = 0; t < n; t++) {
-        dehyst_real goal = y[t], u;
-        if (!is_finite(goal)) goal = present;
-        if (direction * (goal - present) < 0) {
-            stack->y = present;
-            stack->v = voltage;
-            turn(slip, stack, stops);
+        const dehyst_real goal = is_finite(y[t]) ? y[t] : present;
+        dehyst_real place = direction * goal, stops;
+        if (far - place > width || place < began) {
+            turn_at(actuator, stack, direction * far, cell, j);
             direction = stack->direction;
             from = stack->reversal + stack->depth - 1;
             to = joint(stack);
+            began = far = direction * from->y;
+            joins = to != NULL ? direction * to->y : DEHYST_LARGEST;
+            place = direction * goal;
         }
-        while (to != NULL && direction * (goal - to->y) >= 0) {
+        far = place > far ? place : far;
+        while (far >= joins) {
             stack->depth -= 2;
             from = stack->reversal + stack->depth - 1;
             to = joint(stack);
+            began = direction * from->y;
+            joins = to != NULL ? direction * to->y : DEHYST_LARGEST;
         }
-        u = direction * (goal - from->y);
-        if (u >= slip->edge[cell] || (cell > 0 && u < slip->edge[cell - 1])) cell = cell_of(slip, u, cell);
-        stops = from->stops + direction * masing(slip, cell, u);
+        if (far - began >= slip->edge[cell] || (cell > 0 && far - began < slip->edge[cell - 1]))
+            cell = cell_of(slip, far - began, cell);
+        stops = from->stops + direction * (masing(slip, cell, far - began) - elastic * (far - place));
         j = segment(spring, goal, j);
         voltage = stops + on_segment(spring, j, goal);
         v[t] = voltage;
         present = goal;
     }
+    if (direction * present < far) turn_at(actuator, stack, direction * far, cell, j);
     stack->y = present;
     stack->v = voltage;
 }
@@ -217,7 +237,8 @@ static void piece_in(const dehyst_actuator *actuator, const dehyst_stack *stack,
     const dehyst_real u = cell > 0 ? slip->edge[cell - 1] : 0, start = y_from + direction * u;
     const dehyst_real v_start = from->stops + direction * masing(slip, cell, u) + on_segment(spring, j, start);
     const int forward = direction > 0, last = forward ? j + 2 == spring->size : j == 0;
-    const dehyst_real knot = spring->knot[j + forward];
+    const int first = forward ? j == 0 : j + 2 == spring->size;
+    const dehyst_real knot = spring->knot[j + forward], behind = spring->knot[j + !forward];
     dehyst_real end = y_from + direction * slip->edge[cell];
     found->ends_at_knot = !last && direction * (knot - end) < 0;
     if (found->ends_at_knot) end = knot;
@@ -226,6 +247,8 @@ static void piece_in(const dehyst_actuator *actuator, const dehyst_stack *stack,
     found->start = start;
     found->v_start = v_start;
     found->inverse_slope = 1 / slope;
+    found->inverse_elastic = 1 / (slip->stiffness[0] + spring->slope[j]);
+    found->bottom = direction * (!first && direction * (behind - y_from) > 0 ? behind : y_from);
     found->v_end = direction * DEHYST_LARGEST;
     if (cell < slip->size || found->ends_at_knot) found->v_end = v_start + slope * (end - start);
     if (stack->depth >= 3 && direction * (from[-1].v - found->v_end) < 0) found->v_end = from[-1].v;
@@ -250,16 +273,18 @@ static void look_beyond(const dehyst_actuator *actuator, const dehyst_stack *sta
 
 void dehyst_walk_begin(dehyst_walk *walk, const dehyst_actuator *actuator, dehyst_stack *stack)
 {
-    static const piece nowhere = {0, 0, 0, 0, 0, 0, 0};
+    static const piece nowhere = {0, 0, 0, 0, 0, 0, 0, 0, 0};
     walk->actuator = actuator;
     walk->stack = stack;
     walk->pieces[0] = walk->pieces[1] = nowhere;
     walk->now = walk->pieces;
     walk->ahead = walk->pieces + 1;
     walk->on_piece = 0;
+    walk->y = stack->y;
+    walk->v = stack->v;
 }
 
-/* Put the walk on the piece that holds v, from the stack's present place. */
+/* Put the walk on the piece that holds v, from the farthest point of the stack's branch. */
 static void find_way(dehyst_walk *walk, dehyst_real v)
 {
     const dehyst_actuator *actuator = walk->actuator;
@@ -287,46 +312,76 @@ static void find_way(dehyst_walk *walk, dehyst_real v)
     walk->on_piece = 1;
 }
 
-void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y,
-                           long n)
+/* Where the piece or the elastic way back from the farthest point of its branch, at `far` times the direction, leads to.
+ * Returns whether it does: on the way back no cart moves, and it need not be told from the branch, as in
+ * dehyst_stack_compensate. */
+static inline int onward(const piece *now, dehyst_real direction, dehyst_real width, dehyst_real place, dehyst_real *far,
+                         dehyst_real *y_far, dehyst_real *y)
 {
-    dehyst_walk walk;
-    dehyst_real voltage = stack->v, present = stack->y;
-    long t = 0;
-    dehyst_walk_begin(&walk, actuator, stack);
-    while (t < n) {
-        dehyst_real goal = v[t];
-        if (!is_finite(goal)) goal = voltage;
-        stack->y = present;
-        stack->v = voltage;
-        find_way(&walk, goal);
-        {
-            const dehyst_real start = walk.now->start, v_start = walk.now->v_start;
-            const dehyst_real inverse_slope = walk.now->inverse_slope, v_end = walk.now->v_end;
-            const dehyst_real direction = stack->direction;
-            do {
-                present = start + (goal - v_start) * inverse_slope;
-                voltage = goal;
-                y[t++] = present;
-                if (t == n) break;
-                goal = v[t];
-            } while (direction * (goal - voltage) >= 0 && direction * (goal - v_end) < 0);
-        }
-    }
-    stack->y = present;
-    stack->v = voltage;
+    const dehyst_real ahead = place > *far ? place : *far;
+    const dehyst_real y_ahead = now->start + (direction * ahead - now->v_start) * now->inverse_slope;
+    const dehyst_real back = (ahead - place) * now->inverse_elastic;
+    /* Of comparisons with what is not a number none holds. */
+    if (!(ahead < direction * now->v_end && back <= width && direction * y_ahead - back >= now->bottom)) return 0;
+    *far = ahead;
+    *y_far = y_ahead;
+    *y = y_ahead - direction * back;
+    return 1;
 }
 
 dehyst_real dehyst_walk_to(dehyst_walk *walk, dehyst_real v)
 {
     dehyst_stack *stack = walk->stack;
     const dehyst_real direction = stack->direction;
-    if (!is_finite(v)) return stack->y;
-    if (!walk->on_piece || !(direction * (v - stack->v) >= 0 && direction * (v - walk->now->v_end) < 0))
-        find_way(walk, v);
-    stack->y = walk->now->start + (v - walk->now->v_start) * walk->now->inverse_slope;
+    dehyst_real far = direction * stack->v;
+    if (!is_finite(v)) return walk->y;
+    walk->v = v;
+    if (walk->on_piece &&
+        onward(walk->now, direction, walk->actuator->slip.edge[0], direction * v, &far, &stack->y, &walk->y)) {
+        stack->v = direction * far;
+        return walk->y;
+    }
+    find_way(walk, v);
     stack->v = v;
-    return stack->y;
+    stack->y = walk->y = walk->now->start + (v - walk->now->v_start) * walk->now->inverse_slope;
+    return walk->y;
+}
+
+void dehyst_walk_end(dehyst_walk *walk)
+{
+    dehyst_stack *stack = walk->stack;
+    const dehyst_slip *slip = &walk->actuator->slip;
+    if (stack->direction * (walk->v - stack->v) < 0)
+        turn(slip, stack, branch_stops(slip, stack, stack->y, walk->now->cell));
+    stack->y = walk->y;
+    stack->v = walk->v;
+}
+
+void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y,
+                           long n)
+{
+    dehyst_walk walk;
+    long t = 0;
+    dehyst_walk_begin(&walk, actuator, stack);
+    while (t < n) {
+        y[t] = dehyst_walk_to(&walk, v[t]);
+        if (walk.on_piece) {
+            const piece now = *walk.now;
+            const dehyst_real direction = stack->direction, width = actuator->slip.edge[0];
+            dehyst_real far = direction * stack->v, y_far = stack->y, present = y[t], voltage = walk.v, goal;
+            while (++t < n && (goal = v[t], onward(&now, direction, width, direction * goal, &far, &y_far, &present))) {
+                voltage = goal;
+                y[t] = present;
+            }
+            stack->v = direction * far;
+            stack->y = y_far;
+            walk.y = present;
+            walk.v = voltage;
+        } else {
+            t++;
+        }
+    }
+    dehyst_walk_end(&walk);
 }
 
 typedef dehyst_real step_function(const dehyst_actuator *, dehyst_state *, dehyst_real);

@@ -164,30 +164,39 @@ static dehyst_real solve(const dehyst_wide *wide, dehyst_wide_state *state, dehy
     return w;
 }
 
-/* What creep would hold at the end of a step without motion. */
-static dehyst_real held_over(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_real *strain)
+/* What creep would hold at the end of so many steps without motion, one or two. */
+static dehyst_real held_over(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_real *strain, int steps)
 {
-    dehyst_real even = 0, odd = 0;
-    int j;
-    for (j = 0; j + 1 < wide->branches; j += 2) {
-        even += wide->stiffness[j] * (pace->decay[j] * strain[j]);
-        odd += wide->stiffness[j + 1] * (pace->decay[j + 1] * strain[j + 1]);
+    dehyst_real sum[4] = {0, 0, 0, 0};
+    int j, i;
+    for (j = 0; j + 4 <= wide->branches; j += 4)
+        for (i = 0; i < 4; i++) {
+            const dehyst_real once = pace->decay[j + i] * strain[j + i];
+            sum[i] += wide->stiffness[j + i] * (steps > 1 ? pace->decay[j + i] * once : once);
+        }
+    for (i = 0; j < wide->branches; j++, i++) {
+        const dehyst_real once = pace->decay[j] * strain[j];
+        sum[i] += wide->stiffness[j] * (steps > 1 ? pace->decay[j] * once : once);
     }
-    if (j < wide->branches) even += wide->stiffness[j] * (pace->decay[j] * strain[j]);
-    return even + odd;
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
 /* What a step does, seen from its end: R(w) + known + stiffness (w - w_old) = tau(v), R what the elements and the spring
- * hold, and y = free + lever w. */
+ * hold, and y = free + lever w. What creep will hold after the next step without motion is `after` + carry (w - w_old):
+ * worked out before w is, it need not wait for it. */
 typedef struct balance {
-    dehyst_real stiffness, lever, known, free;
+    dehyst_real stiffness, lever, carry, creep, after, known, free;
 } balance;
 
-static balance balance_of(const dehyst_wide *wide, const dehyst_pace *pace)
+static balance balance_of(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_wide_state *state)
 {
-    balance found = {0, 0, 0, 0};
+    balance found = {0, 0, 0, 0, 0, 0, 0};
     int j;
-    for (j = 0; j < wide->branches; j++) found.stiffness += wide->stiffness[j] * pace->gain[j];
+    for (j = 0; j < wide->branches; j++) {
+        found.stiffness += wide->stiffness[j] * pace->gain[j];
+        found.carry += wide->stiffness[j] * (pace->decay[j] * pace->gain[j]);
+    }
+    found.creep = held_over(wide, pace, state->strain, 1);
     if (wide->inertia) {
         found.lever = pace->transition.after[0] / (1 + wide->share * pace->transition.after[0]);
         found.stiffness += wide->series * (1 - found.lever);
@@ -199,7 +208,8 @@ static void begin_step(const dehyst_wide *wide, const dehyst_pace *pace, const d
                        dehyst_real load, balance *step)
 {
     const dehyst_transition *to = &pace->transition;
-    step->known = held_over(wide, pace, state->strain);
+    step->known = step->creep;
+    step->after = held_over(wide, pace, state->strain, 2);
     if (wide->inertia) {
         step->free = (to->phi[0] * state->y + to->phi[1] * state->rate + to->before[0] * state->input + to->after[0] * load) /
                      (1 + wide->share * to->after[0]);
@@ -209,13 +219,14 @@ static void begin_step(const dehyst_wide *wide, const dehyst_pace *pace, const d
 
 /* Returns the displacement that is seen. */
 static dehyst_real end_step(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
-                            dehyst_real before, dehyst_real w, dehyst_real load, const balance *step)
+                            dehyst_real before, dehyst_real w, dehyst_real load, balance *step)
 {
     const dehyst_transition *to = &pace->transition;
+    const dehyst_real by = w - before;
     dehyst_real y, input;
     int j;
-    for (j = 0; j < wide->branches; j++)
-        state->strain[j] = pace->decay[j] * state->strain[j] + pace->gain[j] * (w - before);
+    step->creep = step->after + step->carry * by;
+    for (j = 0; j < wide->branches; j++) state->strain[j] = pace->decay[j] * state->strain[j] + pace->gain[j] * by;
     if (!wide->inertia) return w;
     y = step->free + step->lever * w;
     input = w - wide->share * y + load;
@@ -232,7 +243,7 @@ static int simulate_on_stack(const dehyst_wide *wide, const dehyst_pace *pace, d
 {
     const dehyst_curve *spring = &wide->plain.spring;
     const dehyst_real base = spring->knot[0];
-    balance step = balance_of(wide, pace);
+    balance step = balance_of(wide, pace, state);
     dehyst_actuator stiff = wide->plain;
     dehyst_walk walk;
     int j;
@@ -244,12 +255,13 @@ static int simulate_on_stack(const dehyst_wide *wide, const dehyst_pace *pace, d
     if (dehyst_stack_encode(&stiff, &state->memory, &room->stack) != DEHYST_OK) return 0;
     dehyst_walk_begin(&walk, &stiff, &room->stack);
     for (t = 0; t < n; t++) {
-        const dehyst_real before = room->stack.y, force = load != NULL ? load[t] : 0;
+        const dehyst_real before = walk.y, force = load != NULL ? load[t] : 0;
         dehyst_real w;
         begin_step(wide, pace, state, before, force, &step);
         w = dehyst_walk_to(&walk, y[t] - step.known + step.stiffness * (before - base));
         y[t] = end_step(wide, pace, state, before, w, force, &step);
     }
+    dehyst_walk_end(&walk);
     dehyst_stack_decode(&stiff, &room->stack, &state->memory);
     return 1;
 }
@@ -258,7 +270,7 @@ static int simulate_on_stack(const dehyst_wide *wide, const dehyst_pace *pace, d
 static void simulate_in_time(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
                              dehyst_room *room, const dehyst_real *load, dehyst_real *y, long n)
 {
-    balance step = balance_of(wide, pace);
+    balance step = balance_of(wide, pace, state);
     const int stack = room->stack.reversal != NULL && wide->grades.size == 0 && wide->smooth.size == 0;
     dehyst_real likely = 1;
     long t;

@@ -298,10 +298,10 @@ std::tuple<Matrix, Output> stops(Input rho, Input cart, Input y) {
     return {own<Matrix>(std::move(out), {n, size}), as_array(own_cart)};
 }
 
-Matrix smooth_elongations(Input length, Input closing, Input y) {
-    std::vector<double> back(length.size()), elongation(length.size());
+Matrix smooth_elongations(Input length, Input closing, Input y, Input start) {
+    std::vector<double> back(length.size()), elongation = copy(start);
     const size_t n = y.size(), size = length.size();
-    if (closing.size() != size) demand(DEHYST_ERR_SIZE);
+    if (closing.size() != size || elongation.size() != size) demand(DEHYST_ERR_SIZE);
     demand(dehyst_smooth_tabulate(int(size), length.data(), closing.data(), back.data()));
     dehyst_smooth smooth{int(size), length.data(), back.data(), nullptr};
     std::unique_ptr<double[]> out(new double[n * size + 1]);

@@ -156,6 +156,28 @@ def test_more_voltage_more_displacement(stack, motion, seed):
     assert np.all(rise[clear] * steps[clear] > 0)
 
 
+@given(our.motions(our.actuators(1, 12), max_samples=0), our.SEEDS, st.sampled_from([0.01, 0.3, 1.0, 2.0, 4.0]))
+def test_jitter_about_the_width_in_which_nothing_slides_changes_no_answer(motion, seed, share):
+    """Below it the stack does not turn at all; at it, every way back is a close question."""
+    actuator, state, _ = motion
+    rng = np.random.default_rng(seed)
+    sweep = np.cumsum(rng.uniform(-1, 1, 12).repeat(25)) * our.span_of(actuator) / 50
+    noise = share * actuator.slip.breakaway[0] * rng.choice([-1, 1, rng.uniform(-1, 1)], sweep.size)
+    path = state.displacement + sweep + noise
+    clips = actuator.compensate(path, state=state, stack=False)
+    stack = actuator.compensate(path, state=state)
+    metres, volts = RANGE * span_with(actuator, state, path), RANGE * volts_with(actuator, clips.voltage)
+    assert_same_motion(stack, clips, metres, volts)
+    came = actuator.simulate(clips.voltage, state=state)
+    assert_same_motion(came, clips, metres, 0.0)
+    # Cut where the way back is under way, the memory must have been put down.
+    cut = int(rng.integers(1, sweep.size))
+    first = actuator.simulate(clips.voltage[:cut], state=state)
+    second = actuator.simulate(clips.voltage[cut:], state=first.state)
+    assert_close(second.displacement, path[cut:], metres)
+    assert_close(second.state.carts, clips.state.carts, metres)
+
+
 @given(our.motions(states=("relaxed", "reached", "turned up"), paths=("decay", "noisy ramp", "walk"), max_samples=3000))
 def test_the_stack_of_reversals_stays_short(motion):
     actuator, state, path = motion
@@ -302,9 +324,11 @@ def test_the_core_stays_within_its_arrays(compiled):
         assert np.isfinite(got).all()
 
 
-def test_the_core_works_in_single_precision(compiled):
+@pytest.mark.parametrize("options", [["-O2", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
+def test_the_core_works_in_single_precision(compiled, options):
     actuator, state, path = bench()
-    compiled.use_float().compile("-O2", "-flto", "-Wdouble-promotion", "main.c", *SOURCES, "-o", "main")
+    strict = [*options, "-fno-sanitize-recover", "-Wdouble-promotion"]
+    compiled.use_float().compile(*strict, "main.c", *SOURCES, "-o", "main")
     got = compiled.run(actuator, state, path)
     span, sent = span_with(actuator, state, path), actuator.compensate(path, state=state)
     for column in (0, 2):

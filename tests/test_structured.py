@@ -9,7 +9,7 @@ import pytest
 import wide_bench as wide
 
 from dehyst import Record, State
-from dehyst.composition import moved_along
+from dehyst.beside import Beside
 from dehyst.preparation import prepare
 from dehyst.structure import Structure
 
@@ -49,6 +49,10 @@ def test_a_record_goes_on_from_its_lead():
     """What a piece moves along its path is what it would have moved had the lead not been cut off."""
     plant = wide.plant(wide.STRUCTURES["all"])
     record = plant.record()
+
+    def moved_along(grid, piece, lead):
+        return np.vstack(list(Beside(grid, piece, lead).blocks(97)))
+
     whole = moved_along(plant.grid, record, None)
     cut = 200
     lead, piece = record.slice(0, cut), record.slice(cut, len(record))

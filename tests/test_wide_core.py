@@ -1,12 +1,13 @@
 """The wider class in C: compiled apart it gives the same bits, stays within its arrays, and NaN moves nothing."""
 
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import strategies as our
 
-from dehyst import Actuator, Dynamics
+from dehyst import Dynamics, SmoothSlip
 from dehyst._native import Pace
 
 SOURCES = ("dehyst.c", "dehyst_stack.c", "dehyst_grades.c", "dehyst_wide.c", "dehyst_smooth.c")
@@ -21,6 +22,7 @@ static dehyst_real rho[MOST], kappa[MOST], knot[MOST], value[MOST], slope[MOST],
 static dehyst_real stiffness[MOST], grade_knot[MOST], grade_value[MOST], grade_slope[MOST], volt[MOST], drive[MOST];
 static dehyst_real tau_slope[MOST], tau_inverse[MOST], creep[MOST], decay[MOST], gain[MOST], to[8], mass[2], motion[2];
 static dehyst_real start[MOST], cart[MOST], first[MOST], strain[MOST], path[MOST], out[4][MOST];
+static dehyst_real length[MOST], closing[MOST], back[MOST], smooth[MOST], before[MOST], elongation[MOST];
 static dehyst_real room_value[MOST], room_slope[MOST], held[MOST];
 static int segment[MOST];
 static dehyst_reversal reversal[DEHYST_STACK_CAPACITY(MOST)];
@@ -41,13 +43,15 @@ int main(void)
     dehyst_wide a = {0};
     dehyst_pace pace;
     dehyst_wide_state state;
-    int n, m, k, l, j, inertia, samples, i, t, column;
-    if (scanf("%d %d %d %d %d %d %d", &n, &m, &k, &l, &j, &inertia, &samples) != 7) return 1;
+    int n, m, k, l, j, q, inertia, samples, i, t, column;
+    if (scanf("%d %d %d %d %d %d %d %d", &n, &m, &k, &l, &j, &q, &inertia, &samples) != 8) return 1;
     if (!read(rho, n) || !read(kappa, n) || !read(knot, k) || !read(value, k)) return 2;
     if (m > 0 && (!read(grade_knot, m + 1) || !read(grade_slope, n * m))) return 2;
     if (!read(volt, l) || !read(drive, l) || !read(creep, j) || !read(decay, j) || !read(gain, j)) return 2;
+    if (!read(length, q) || !read(closing, q) || !read(smooth, q)) return 2;
     if (inertia && (!read(mass, 2) || !read(to, 8) || !read(motion, 2))) return 2;
-    if (!read(&state.memory.y, 1) || !read(start, n) || !read(first, j) || !read(path, samples)) return 2;
+    if (!read(&state.memory.y, 1) || !read(start, n) || !read(first, j) || !read(before, q)) return 2;
+    if (!read(path, samples)) return 2;
     a.plain.slip.size = n, a.plain.slip.rho = rho, a.plain.slip.kappa = kappa, a.plain.slip.edge = edge;
     a.plain.slip.intercept = intercept, a.plain.slip.stiffness = stiffness;
     a.plain.spring.size = k, a.plain.spring.knot = knot, a.plain.spring.value = value, a.plain.spring.slope = slope;
@@ -64,6 +68,8 @@ int main(void)
         a.drive.size = l, a.drive.knot = volt, a.drive.value = drive, a.drive.slope = tau_slope;
         a.voltage.size = l, a.voltage.knot = drive, a.voltage.value = volt, a.voltage.slope = tau_inverse;
     }
+    if (dehyst_smooth_tabulate(q, length, closing, back) != DEHYST_OK) return 8;
+    a.smooth.size = q, a.smooth.length = length, a.smooth.back = back, a.smooth.stiffness = smooth;
     a.branches = j, a.stiffness = creep, a.inertia = inertia, a.series = mass[0], a.share = mass[1];
     pace.decay = decay, pace.gain = gain;
     for (i = 0; i < 4; i++) pace.transition.phi[i] = to[i];
@@ -74,9 +80,11 @@ int main(void)
             dehyst_room room = {{DEHYST_STACK_CAPACITY(MOST), 0, 1, 0, 0, 0}, room_value, room_slope, held, segment};
             if (column < 2) room.stack.reversal = reversal;
             state.memory.y = y, state.memory.cart = cart, state.strain = strain;
+            state.elongation = elongation;
             state.y = motion[0], state.rate = motion[1], state.input = 0;
             for (i = 0; i < n; i++) cart[i] = start[i];
             for (i = 0; i < j; i++) strain[i] = first[i];
+            for (i = 0; i < q; i++) elongation[i] = before[i];
             if (dehyst_wide_check(&a, &state) != DEHYST_OK) return 7;
             if (column % 2 == 0)
                 dehyst_wide_compensate(&a, &pace, &state, &room, path, NULL, out[column], samples);
@@ -96,10 +104,13 @@ def bench(kind, seed):
     plain = our.make_actuator(seed, 9, 9, uniform=seed % 2 == 0)
     parts = {part: part in kind for part in ("graded", "transformer", "creep")}
     actuator = our.make_wider(plain, seed, **parts)
+    slope, stroke = actuator.spring.slopes.min(), np.ptp(actuator.spring.displacement)
+    if "smooth" in kind:
+        # Both closings, lengths in proportion to the stroke.
+        smooth = SmoothSlip(stroke * np.array([0.03, 0.1, 0.4]), [1.0, 0.5, 0.8], slope * np.array([0.5, 0.3, 0.2]))
+        actuator = replace(actuator, smooth=smooth)
     if "mass" in kind:
-        slope = actuator.spring.slopes.min()
-        actuator = Actuator(actuator.slip, actuator.spring, transformer=actuator.transformer, creep=actuator.creep,
-                            dynamics=Dynamics(30.0, 0.3, slope))  # fmt: skip
+        actuator = replace(actuator, dynamics=Dynamics(30.0, 0.3, slope))
     model = actuator.model
     state = model.fitted(our.make_state(plain, seed, "arbitrary"))
     kinds = ("break points", "decay", "jumps", "noisy ramp", "walk")
@@ -111,7 +122,7 @@ def bench(kind, seed):
 
 
 def numbers(model, held, pace, path):
-    slip, tau, creep, mass = model.slip, model.transformer, model.creep, model.dynamics
+    slip, tau, creep, smooth, mass = model.slip, model.transformer, model.creep, model.smooth, model.dynamics
     graded = hasattr(slip, "knots")
     arrays = [
         slip.breakaway,
@@ -122,10 +133,11 @@ def numbers(model, held, pace, path):
     arrays += [slip.knots, slip.stiffness.ravel()] if graded else []
     arrays += [tau.voltage, tau.drive] if tau else []
     arrays += [creep.stiffness, pace.decay[0], pace.gain[0]] if creep else []
+    arrays += [smooth.length, smooth.closing, smooth.stiffness] if smooth else []
     arrays += [[mass.series, mass.share(model.spring)], pace.transition[0], held.motion] if mass else []
     arrays += [[held.w], held.carts, held.strains, path]
     sizes = [len(slip), slip.knots.size - 1 if graded else 0, model.spring.voltage.size, tau.voltage.size if tau else 0,
-             len(creep) if creep else 0, int(mass is not None), len(path)]  # fmt: skip
+             len(creep) if creep else 0, len(smooth) if smooth else 0, int(mass is not None), len(path)]  # fmt: skip
     return " ".join(map(str, sizes)) + "\n" + "\n".join(float(x).hex() for x in np.concatenate(arrays))
 
 
@@ -141,8 +153,9 @@ def compile_apart(compiled, *options):
     compiled.compile(*options, "wide.c", *SOURCES, "-o", "wide")
 
 
-KINDS = ["transformer", "creep", "transformer creep", "graded", "graded transformer creep", "mass",
-         "transformer creep mass", "graded creep mass"]  # fmt: skip
+KINDS = ["transformer", "creep", "transformer creep", "graded", "graded transformer creep", "smooth",
+         "smooth graded transformer creep", "mass", "transformer creep mass", "graded creep mass",
+         "smooth graded transformer creep mass"]  # fmt: skip
 
 
 @pytest.mark.parametrize("options", [["-O2"], ["-O3", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
@@ -158,16 +171,21 @@ def test_c_compiled_apart_gives_the_same_bits(compiled, options):
             assert np.array_equal(got[:, column + 1], back), kind
 
 
-def test_the_wider_core_works_in_single_precision(compiled):
+@pytest.mark.parametrize("options", [["-O2", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
+def test_the_wider_core_works_in_single_precision(compiled, options):
     compiled.use_float()
-    compile_apart(compiled, "-O2", "-flto", "-Wdouble-promotion")
-    for seed, kind in enumerate(KINDS[:5]):
+    compile_apart(compiled, *options, "-fno-sanitize-recover", "-Wdouble-promotion")
+    for seed, kind in enumerate(KINDS):
         model, held, pace, path = bench(kind, seed)
         got = run_apart(compiled, model, held, pace, path)
         sent, _ = model.core.compensate(path, pace, held)
         for column in (0, 2):
             assert np.abs(got[:, column] - sent).max() <= 1e-4 * np.ptp(sent), kind
-            assert np.abs(got[:, column + 1] - path).max() <= 2e-4 * np.ptp(path), kind
+            # With a mass the voltage of a path that jumps is not the one that makes it: the model is asked again.
+            back, _ = model.core.simulate(got[:, column], pace, held)
+            assert np.abs(got[:, column + 1] - back).max() <= 2e-4 * np.ptp(path), kind
+            if "mass" not in kind:
+                assert np.abs(got[:, column + 1] - path).max() <= 2e-4 * np.ptp(path), kind
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -10,7 +10,7 @@ import bench
 import numpy as np
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
-from dehyst.composition import coefficients_of, moved_along
+from dehyst.composition import coefficients_of
 from dehyst.inertia import Inertia
 from dehyst.preparation import prepare
 from dehyst.rows import collect
@@ -107,6 +107,23 @@ def _transformer(grid, rng):
     return Transformer(grid.drive, grid.drive[0] + np.append(0, np.cumsum(rises)))
 
 
+def moved_along(grid, piece, lead):
+    """What `dehyst.beside.Beside` is, in one piece."""
+    creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
+    smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
+    time, y = piece.time, piece.displacement
+    if lead is not None and lead.time[-1] < time[0] <= lead.time[-1] + 1.5 * lead.sample_time:
+        time, y = np.concatenate([lead.time, time]), np.concatenate([lead.displacement, y])
+    columns = [np.zeros((time.size, 0))]
+    if len(creep):
+        columns.append(creep.strains(time, y))
+    if len(smooth):
+        columns.append(smooth.elongations(y))
+    if len(creep):
+        columns.append(np.exp(-(time[:, None] - time[0]) / grid.time_constants))
+    return np.hstack(columns)[-len(piece) :]
+
+
 def regression(grid, records, *, leads=(), **options):
     """The rows of records as they are: no smoothing, no search for anything."""
     leads = leads or [None] * len(records)
@@ -116,15 +133,20 @@ def regression(grid, records, *, leads=(), **options):
     return WideRegression(rows, grid, FLOOR, np.zeros(len(pieces)), **options)
 
 
+def _rough(**parts):
+    """A structure whose neighbours may be as unlike as a random actuator's are: only so is that one met exactly."""
+    return Structure(smoothing=0.0, **parts)
+
+
 STRUCTURES = {
-    "plain": Structure(elements=8, knots=7),
-    "dense": Structure(elements=10, spacing=2.0, knots=7),
-    "graded": Structure(elements=6, grades=3, knots=7),
-    "transformer": Structure(elements=8, knots=7, transformer=6),
-    "creep": Structure(elements=8, knots=7, creep=4),
-    "smooth": Structure(elements=8, knots=7, smooth=True),
-    "graded, transformer": Structure(elements=6, grades=3, knots=7, transformer=5),
-    "all": Structure(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True),
+    "plain": _rough(elements=8, knots=7),
+    "dense": _rough(elements=10, spacing=2.0, knots=7),
+    "graded": _rough(elements=6, grades=3, knots=7),
+    "transformer": _rough(elements=8, knots=7, transformer=6),
+    "creep": _rough(elements=8, knots=7, creep=4),
+    "smooth": _rough(elements=8, knots=7, smooth=True),
+    "graded, transformer": _rough(elements=6, grades=3, knots=7, transformer=5),
+    "all": _rough(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True),
 }
 
 

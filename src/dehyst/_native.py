@@ -232,9 +232,10 @@ def stops(rho: Array, carts: Array | Sequence[float], y: Array) -> tuple[Array, 
     return matrix, moved
 
 
-def smooth_elongations(length: Array, closing: Array, y: Array) -> Array:
-    """Elongations (n, L) of smooth elements driven by y (n,), from none at the first sample."""
-    matrix: Array = checked(_core.smooth_elongations, length, closing, y)
+def smooth_elongations(length: Array, closing: Array, y: Array, start: Array | None = None) -> Array:
+    """Elongations (n, L) of smooth elements driven by y (n,), at its first sample `start` (L,), by default none."""
+    begin = np.zeros(length.size) if start is None else start
+    matrix: Array = checked(_core.smooth_elongations, length, closing, y, begin)
     return matrix
 
 

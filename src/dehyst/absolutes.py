@@ -26,10 +26,13 @@ _EXACT = 1e-14
 _FARTHEST = 0.9995
 # Residuals at the start are no smaller than this part of the targets: the start needs room.
 _LEAST = 1e-3
+# Of what pulls at the coefficients, the part that their limits are taken to hold at the start.
+_PULLED = 0.3
 _BLOCKED = 0.2
 _CENTRING = 0.5
-# Steps without progress before the best point so far is taken: rounding lets no better one be found.
-_PATIENCE = 15
+# Steps without progress before the best point so far is taken, rounding letting no better one be found: while products
+# are left, and once there are none.
+_PATIENCE, _SPENT = 15, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +58,7 @@ def interior(problem: Problem, pull: Array | None = None, start: Array | None = 
     best, least, since, steps = copy(point), point.left(), 0, 0
     # Weights of rows that are met overflow at the very end; such steps are not taken.
     with np.errstate(all="ignore"):
-        while least > 0 and since <= _PATIENCE and steps < _STEPS:
+        while least > 0 and since <= (_SPENT if point.spent() else _PATIENCE) and steps < _STEPS:
             point.step()
             steps += 1
             left, since = point.left(), since + 1
@@ -67,7 +70,7 @@ def interior(problem: Problem, pull: Array | None = None, start: Array | None = 
 
 
 class _Point:
-    """Primal and dual variables, all strictly inside; letters as in the programs above, u - v = b - A x."""
+    """Primal and dual variables, all strictly inside; letters as in the programs above, u - v = b - A x = rest."""
 
     def __init__(self, problem: Problem, pull: Array, start: Array | None) -> None:
         self._p, self._pull = problem, pull
@@ -76,15 +79,19 @@ class _Point:
         x = regularised(a.T @ a)(a.T @ b) if start is None else start.copy()
         size = float(np.abs(x).max(initial=0.0)) or 1.0
         x[self._bounded] = np.maximum(x[self._bounded], 1e-2 * size)
-        self.x, rest = x, b - a @ x
+        self.x, self.rest = x, b - a @ x
+        rest = self.rest
         usual = max(float(np.abs(rest).mean()), _LEAST * float(np.abs(b).mean())) or 1.0
         self.u, self.v = np.maximum(rest, 0) + usual, np.maximum(-rest, 0) + usual
         # Apart from y, lest a row's distance from its limit be lost in rounding.
         self.one, self.other = np.ones(b.size), np.ones(b.size)
         self.s = np.maximum(c @ x - problem.lower, 0.1 * size)
-        self._price = max(usual / size, 1e-2) * b.size / x.size
+        # Limits hold against what rows with these residuals pull: a smaller price would start too near them.
+        pulled = _PULLED * float(np.abs(a.T @ (rest / (np.abs(rest) + usual)) + pull).mean())
+        self._price = max(usual / size * b.size / x.size, 1e-2 * b.size / x.size, pulled)
         self.m, self.w = np.full(c.shape[0], self._price), np.full(x.size - problem.free, self._price)
         self._floor = _EXACT * max(float(np.abs(b).sum()), TINY)
+        self.missed = self._dual_missed()
 
     @property
     def y(self) -> Array:
@@ -93,10 +100,16 @@ class _Point:
 
     def left(self) -> float:
         """Complementarity and what the points' feasibility lacks, priced; 0 once they are within tolerance."""
-        objective = float(np.abs(self._p.goal - self._p.rows @ self.x).sum())
-        left = self._complementarity() + float(np.abs(self._dual_missed()) @ np.abs(self.x))
+        left = self._complementarity() + float(np.abs(self.missed) @ np.abs(self.x))
         left += float(np.abs(self._short()) @ np.maximum(self.m, self._price))
-        return left if left > max(_CLOSE * objective, self._floor) else 0.0
+        return left if left > self._tolerance() else 0.0
+
+    def spent(self) -> bool:
+        """Whether complementarity is within tolerance: what is left is rounding."""
+        return self._complementarity() <= self._tolerance()
+
+    def _tolerance(self) -> float:
+        return max(_CLOSE * float(np.abs(self.rest).sum()), self._floor)
 
     def _short(self) -> Array:
         """What the inequalities lack."""
@@ -126,6 +139,7 @@ class _Point:
             lengths = self._reach(change)
         if all(np.isfinite(part).all() for part in change):
             self.__dict__.update(self._moved(change, *(_FARTHEST * length for length in lengths)).__dict__)
+            self.rest, self.missed = self._p.goal - self._p.rows @ self.x, self._dual_missed()
 
     def _aimed(self, newton: _Newton, aim: float, before: tuple[Array, ...] | None = None) -> tuple[Array, ...]:
         """Changes that bring all complementarities to `aim`, of second order if the predictor's changes are given."""
@@ -166,9 +180,8 @@ class _Newton:
         places = np.arange(problem.free, problem.unknowns)
         normal[places, places] += self._below
         self._solve = regularised(normal)
-        self._missed = at._dual_missed()
-        self._left = problem.goal - problem.rows @ at.x - at.u + at.v
-        self._short = at._short()
+        self._missed, self._short = at.missed, at._short()
+        self._left = at.rest - at.u + at.v
 
     def towards(self, ru: Array, rv: Array, rs: Array, rx: Array) -> tuple[Array, ...]:
         """Changes of u, v, s, x, y, m, w that change the four complementarities by these amounts."""

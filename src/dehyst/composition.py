@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.creep import Creep
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.record import Record
 from dehyst.smooth import SmoothSlip
 from dehyst.structure import Grid
 from dehyst.wide_regression import WideCoefficients
@@ -71,23 +69,3 @@ def coefficients_of(actuator: Actuator) -> WideCoefficients:
         drifts={},
         solution=None,  # type: ignore[arg-type]
     )
-
-
-def moved_along(grid: Grid, piece: Record, lead: Record | None) -> Array:
-    """What a piece moves besides carts, from rest at its first sample or at that of the `lead` that it goes on from.
-
-    Side by side: creep strains (n, J) [m], smooth elongations (n, L) [m], what is left of strains at the start (n, J).
-    """
-    creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
-    smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
-    time, y = piece.time, piece.displacement
-    if lead is not None and lead.time[-1] < time[0] <= lead.time[-1] + 1.5 * lead.sample_time:
-        time, y = np.concatenate([lead.time, time]), np.concatenate([lead.displacement, y])
-    columns = [np.zeros((time.size, 0))]
-    if len(creep):
-        columns.append(creep.strains(time, y))
-    if len(smooth):
-        columns.append(smooth.elongations(y))
-    if len(creep):
-        columns.append(np.exp(-(time[:, None] - time[0]) / grid.time_constants))
-    return np.hstack(columns)[-len(piece) :]

@@ -15,7 +15,6 @@ from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.assumptions import checks
-from dehyst.composition import parts
 from dehyst.directions import directions
 from dehyst.elements import MaxwellSlip, Spring
 from dehyst.inertia import Inertia
@@ -33,6 +32,7 @@ from dehyst.structured import Frame
 from dehyst.verify import MOST_ROWS, Protocol, errors_of
 from dehyst.version import __version__
 from dehyst.wide_regression import WideRegression
+from dehyst.wider import Wider
 
 Progress = Callable[[str], None]
 # A model that misses its own training records by more of the range than this is of no use.
@@ -183,28 +183,26 @@ class _Job:
         plain = self._with_datums(self._regression(self._thresholds(), self.delay))
         voltages = self._limits()
         inertia = Inertia(self.delay, 0.0, 0.0)
-        frame = Frame(self.training, inertia, self.span, voltages, plain.floor, plain.datum)
+        frame = Frame(self.training, inertia, self.span, voltages, plain.floor, plain.datum, self.widest)
         if isinstance(structure, str):
             self.tell("looking for inertia")
             frame = frame.with_inertia()
-            self.delay = frame.inertia.delay
             structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
             self.remarks += remarks
         self.structure = structure
         self.tell(f"solving the program for {structure.words}")
-        regression = frame.regression(structure)
-        found = regression.fit_weighted(self.settings.norm)
-        if not found.solution.optimal:
-            return self._failed(found.solution.status)
-        reference = regression.rows.epoch[regression.rows.record == self.widest].max()
-        actuator = Actuator(
-            **parts(regression.grid, found, found.offsets[int(reference)]),
-            dynamics=frame.inertia.dynamics, limits=voltages, delay=self.delay,
-            name=self.training[self.widest].record.name, provenance=self._provenance(),
-        )  # fmt: skip
+        made = Wider.solve(frame, structure, self.settings.norm)
+        solution = made.found.solution
+        if not solution.optimal:
+            return self._failed(solution.status)
+        if frame.inertia.mass:
+            made = made.tuned(self.tell)
+        self.delay = made.actuator.delay
+        actuator = replace(made.actuator, limits=voltages, name=self.training[self.widest].record.name,
+                           provenance=self._provenance())  # fmt: skip
         self.tell("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
-        return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
+        return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
 
     def by_breakpoints(self) -> Fit:
         """The paper's own method, or Remark 2's closed form."""

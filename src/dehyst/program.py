@@ -31,6 +31,7 @@ Norm = Literal["l1", "l2", "linf"]
 NORMS: tuple[Norm, ...] = ("l1", "l2", "linf")
 _ROWS_AT_A_TIME = 200
 _ROUNDS = 60
+_NO_POINT = "no coefficients that are not negative keep the inequalities"
 
 
 @contextmanager
@@ -103,7 +104,7 @@ def solve(
     matrix, lower = inequalities(constraints, p, scale)
     problem = Problem(columns / scale * w[:, None], target / scale_b * w, p, matrix, lower / scale_b)
     if _impossible(problem):
-        answer = failed(problem, "no coefficients that are not negative keep the inequalities")
+        answer = failed(problem, _NO_POINT)
     elif norm == "l2":
         answer = least_squares(problem)
     else:
@@ -120,7 +121,13 @@ class Table(Protocol):
     def __iter__(self) -> Iterator[tuple[Array, Array, Array, Array]]: ...
 
 
-def solve_blocks(table: Table, like: tuple[Array, Array, Array], *, norm: Norm = "l1") -> Solution:
+def solve_blocks(
+    table: Table,
+    like: tuple[Array, Array, Array],
+    *,
+    norm: Norm = "l1",
+    constraints: tuple[Array, Array] | None = None,
+) -> Solution:
     """Solve the program of rows that need never be in memory all at once.
 
     Parameters
@@ -129,6 +136,8 @@ def solve_blocks(table: Table, like: tuple[Array, Array, Array], *, norm: Norm =
     like : (m, p), (m, q) and (m,) array
         Some of the rows, from which scales are taken: free columns, those not negative, target.
     norm : {"l1", "l2", "linf"}
+    constraints : (c, q) and (c,) array, optional
+        As for `solve`.
 
     Returns
     -------
@@ -137,10 +146,10 @@ def solve_blocks(table: Table, like: tuple[Array, Array, Array], *, norm: Norm =
     """
     p, columns = like[0].shape[1], np.hstack(like[:2])
     scale, scale_b = _scales(columns, like[2])
-    q = scale.size
-    frame = Problem(np.zeros((0, q)), np.zeros(0), p, np.zeros((0, q)), np.zeros(0))
+    matrix, lower = inequalities(constraints, p, scale)
+    frame = Problem(np.zeros((0, scale.size)), np.zeros(0), p, matrix, lower / scale_b)
     blocks = _Scaled(table, scale, scale_b)
-    answer = _BY_BLOCKS[norm](blocks, frame)
+    answer = failed(frame, _NO_POINT) if _impossible(frame) else _BY_BLOCKS[norm](blocks, frame)
     x = answer.x / scale * scale_b
     return Solution(x[:p], x[p:], np.zeros(0), answer.optimal, answer.status, answer.gap)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,40 @@ from numpy.typing import NDArray
 from dehyst._native import Array, stops
 from dehyst.record import Record, white_noise
 
-Moved = Callable[[int, Record], Array]
 _SHORTEST_EPOCH = 16
 # Samples whose elongations are in memory at a time.
 _BLOCK = 32_768
+
+
+class Moving(Protocol):
+    """What other parts than carts do along a piece, made when it is asked for."""
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        ...
+
+    def blocks(self, size: int) -> Iterator[Array]:
+        """Rows of all samples in order, (size, width) at a time but for the last."""
+        ...
+
+
+Moved = Callable[[int, Record], "Array | Moving"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Rows in memory."""
+
+    rows: Array
+
+    @property
+    def width(self) -> int:
+        return int(self.rows.shape[1])
+
+    def blocks(self, size: int) -> Iterator[Array]:
+        for begin in range(0, len(self.rows), size):
+            yield self.rows[begin : begin + size]
 
 
 @dataclass(frozen=True)
@@ -137,14 +167,14 @@ class RowSource:
         rho [m].
     epochs : list of list of Epoch
         Of each piece.
-    moved : list of (n, E) array
+    moved : list of Moving
         What other parts do along each piece, at all its samples.
     """
 
     pieces: list[tuple[int, Record, Array]]
     breakaway: Array
     epochs: list[list[Epoch]]
-    moved: list[Array]
+    moved: list[Moving]
 
     @classmethod
     def of(
@@ -163,7 +193,8 @@ class RowSource:
             first = float(piece.displacement[0])
             found.append([Epoch(0, 0, len(piece), np.inf, first)] if number in rested else epochs(piece, sigma))
             rested.discard(number)
-        return cls(pieces, breakaway, found, [moved(number, piece) for number, piece, _ in pieces])
+        others = [moved(number, piece) for number, piece, _ in pieces]
+        return cls(pieces, breakaway, found, [_Known(one) if isinstance(one, np.ndarray) else one for one in others])
 
     def __len__(self) -> int:
         return sum(epoch.stop - epoch.start for own in self.epochs for epoch in own)
@@ -184,7 +215,7 @@ class RowSource:
             numbered = list(enumerate(own, count))
             count += len(own)
             carts = np.full(self.breakaway.size, piece.displacement[0])
-            for begin in range(0, own[-1].stop if own else 0, _BLOCK):
+            for begin, others in zip(range(0, own[-1].stop if own else 0, _BLOCK), moved.blocks(_BLOCK), strict=False):
                 y = np.ascontiguousarray(piece.displacement[begin : begin + _BLOCK])
                 elongation, carts = stops(self.breakaway, carts, y)
                 for k, epoch in numbered:
@@ -194,7 +225,15 @@ class RowSource:
                     at = np.arange(first + -place % step, last, step)
                     place += last - first
                     if at.size:
-                        yield self._rows(piece, drift[at], elongation[at - begin], moved[at], at, epoch, number, k)
+                        local = at - begin
+                        yield self._rows(piece, drift[at], elongation[local], others[local], at, epoch, number, k)
+
+    def moved_at(self, number: int, sample: int) -> Array:
+        """What other parts do at a sample of a piece (E,)."""
+        for first, block in zip(range(0, sample + 1, _BLOCK), self.moved[number].blocks(_BLOCK), strict=False):
+            if sample < first + len(block):
+                return np.asarray(block[sample - first])
+        raise IndexError(sample)
 
     def _rows(
         self, piece: Record, drift: Array, elongation: Array, moved: Array, at: NDArray[np.intp], epoch: Epoch,
@@ -209,7 +248,7 @@ class RowSource:
         parts = list(self.blocks(step))
         if not parts:
             empty, none = np.zeros(0), np.zeros((0, self.breakaway.size))
-            numbers, moved = empty.astype(int), np.zeros((0, self.moved[0].shape[1] if self.moved else 0))
+            numbers, moved = empty.astype(int), np.zeros((0, self.moved[0].width if self.moved else 0))
             return Rows(none, none > 0, empty, empty, empty, numbers, numbers, moved)
         names = Rows.__dataclass_fields__
         return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
@@ -235,7 +274,7 @@ def collect(
     relaxed : collection of int, optional
         Records that start with no element strained: all their samples count, up to the first gap.
     moved : callable, optional
-        Record number and piece -> (n, E): what else moves along its path.
+        Record number and piece -> (n, E) array or Moving: what else moves along its path.
 
     Returns
     -------

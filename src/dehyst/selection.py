@@ -1,4 +1,4 @@
-"""How much model a record supports: parts are added one by one while the error on held-out cycles falls."""
+"""How much model records support: parts are added one by one while the error on held-out cycles falls."""
 
 from __future__ import annotations
 
@@ -31,6 +31,12 @@ PARTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("creep", {"creep": 9}),
     ("smooth elements", {"smooth": True}),
 )
+# What is tried then, on what was found.
+TUNING: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("finer grades", {"grades": 16}),
+    ("more smoothing", {"smoothing": 1e-2}),
+    ("less smoothing", {"smoothing": 1e-3}),
+)
 
 
 @dataclass(frozen=True)
@@ -59,36 +65,46 @@ class Trial:
 
 
 def select(
-    build: Build, start: Structure, parts: Sequence[tuple[str, dict[str, Any]]], tell: Callable[[str], None]
+    build: Build, start: Structure, tell: Callable[[str], None], *, without: Sequence[str] = ()
 ) -> tuple[Structure, tuple[Trial, ...]]:
-    """Add the part that helps most on held-out cycles, again and again, until none is worth it.
+    """Add the part that helps most on held-out cycles, again and again, until none is worth it; then tune.
 
     Parameters
     ----------
     build : callable
         Structure -> regression on the same samples, thinned.
     start : Structure
-    parts : sequence of (str, dict)
-        Words and changes of the structure.
     tell : callable
         Called with a few words at each trial.
+    without : sequence of str
+        Fields of a structure that are left as they are.
 
     Returns
     -------
     Structure, tuple of Trial
         The chosen one, and all that were tried in order.
     """
-    best = _tried(build, start, tell)
-    trials, left = [best], list(parts)
+    trials = [_tried(build, start, tell)]
+    best = _climbed(build, trials[0], [change for _, change in PARTS if not set(change) & set(without)], trials, tell)
+    tuning = [change for _, change in TUNING if "grades" not in change or best.structure.grades > 1]
+    best = _climbed(build, best, tuning, trials, tell)
+    return best.structure, tuple(trials)
+
+
+def _climbed(
+    build: Build, best: Trial, left: list[dict[str, Any]], trials: list[Trial], tell: Callable[[str], None]
+) -> Trial:
+    """The best after one change at a time; what is tried is added to the trials."""
     while left:
-        found = [_tried(build, replace(best.structure, **change), tell) for _, change in left]
+        found = [_tried(build, replace(best.structure, **change), tell) for change in left]
         trials += found
         first = int(np.argmin([one.held_out for one in found]))
         if not found[first].held_out < _WORTH * best.held_out:
             break
-        best = found[first]
-        del left[first]
-    return best.structure, tuple(trials)
+        best, taken = found[first], set(left[first])
+        # Another value of the same field was tried beside it.
+        left = [change for change in left if not taken & set(change)]
+    return best
 
 
 def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> Trial:

@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from dehyst._native import Array
-from dehyst.composition import moved_along
+from dehyst.beside import Beside
 from dehyst.inertia import Inertia, find_inertia, undone
 from dehyst.preparation import Prepared
 from dehyst.record import Record
 from dehyst.repairs import cycle_time
 from dehyst.rows import RowSource
-from dehyst.selection import PARTS, Trial, select
+from dehyst.selection import Trial, select
 from dehyst.signals import turning_points
 from dehyst.smoothing import without_jitter
 from dehyst.structure import Structure
 from dehyst.wide_regression import WideRegression
+from dehyst.wide_stream import WideStream
 
 # Rows for a trial, and for the final program.
 _FEW_ROWS = 4000
@@ -53,6 +53,8 @@ class Frame:
         Least slope [V/m].
     datum : (records,) array
         [m].
+    widest : int
+        Record whose last constant is the spring's.
     """
 
     training: Sequence[Prepared]
@@ -61,6 +63,7 @@ class Frame:
     voltages: tuple[float, float]
     floor: float
     datum: Array
+    widest: int = 0
 
     @property
     def times(self) -> tuple[float, float]:
@@ -70,24 +73,34 @@ class Frame:
 
     def regression(self, structure: Structure, most: int = _MOST_ROWS) -> WideRegression:
         """The rows of all records under a structure, thinned to about `most`."""
-        found = self._rows_of(structure, most)
-        return replace(found, strained=self.strained) if structure.creep else found
+        return self.stream(structure, most).regression
+
+    def stream(self, structure: Structure, most: int = _MOST_ROWS) -> WideStream:
+        """All rows of all records under a structure, about `most` of them in memory."""
+        found = self._stream_of(structure, most)
+        if not structure.creep:
+            return found
+        return replace(found, regression=replace(found.regression, strained=self.strained))
 
     def _rows_of(self, structure: Structure, most: int) -> WideRegression:
+        return self._stream_of(structure, most).regression
+
+    def _stream_of(self, structure: Structure, most: int) -> WideStream:
         grid = structure.grid(self.span, self.voltages, self.times)
         stroke = self.span[1] - self.span[0]
         pieces = [
             (q, without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke), drift)
             for q, item in enumerate(self.training)
-            for _, piece, drift in item.delayed(q, self.inertia.delay)
+            for _, piece, drift in item.delayed(q, self.inertia.delay, self.inertia.lag)
         ]
         noise = [self.training[q].noise for q, _, _ in pieces]
 
-        def moved(number: int, piece: Record) -> Array:
-            return moved_along(grid, piece, self.training[number].lead)
+        def moved(number: int, piece: Record) -> Beside:
+            return Beside(grid, piece, self.training[number].lead)
 
         source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
-        return WideRegression(source.thinned(most), grid, self.floor, self.datum)
+        some = WideRegression(source.thinned(most), grid, self.floor, self.datum, smoothing=structure.smoothing)
+        return WideStream(source, some)
 
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""
@@ -127,12 +140,12 @@ class Frame:
 
     def chosen(self, start: Structure, tell: Callable[[str], None]) -> tuple[Structure, tuple[Trial, ...], list[str]]:
         """The structure that the records support, the trials, and what they do not support."""
-        parts: list[tuple[str, dict[str, Any]]] = list(PARTS)
+        without: tuple[str, ...] = ()
         remarks = []
         if not self.supports_creep():
-            parts = [part for part in parts if "creep" not in part[1]]
+            without = ("creep",)
             remarks.append("Creep was not looked for: it needs holds or loops at two speeds; add a staircase.")
-        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, parts, tell)
+        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, tell, without=without)
         return best, trials, remarks
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from dehyst._native import Array, stops
 from dehyst.actuator import Actuator
-from dehyst.composition import coefficients_of, grid_of, moved_along
+from dehyst.beside import Beside
+from dehyst.composition import coefficients_of, grid_of
 from dehyst.inertia import derivatives, undone
 from dehyst.metrics import largest
 from dehyst.model import Motion, RecordErrors, State, Trace
@@ -144,7 +145,7 @@ class Comparison:
         (_, piece, curve), y = self.pieces[number], self.measured[number].displacement
         drift = self.drift * curve
         level = float(drift[epoch.start : epoch.stop].mean())
-        steady = drifting = self._state_before(actuator, number, epoch).shifted(self.datum)
+        steady = drifting = self.state_before(actuator, number, epoch).shifted(self.datum)
         for start in range(epoch.start, epoch.stop, size):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
             again = int(actuator.needs_time and start > epoch.start)
@@ -153,18 +154,18 @@ class Comparison:
             one = _driven(actuator, piece, run, (offset, drift[run]), steady)
             other = _driven(actuator, piece, run, (offset, level), drifting)
             steady, drifting = one.state, other.state
-            voltage = _less(actuator, piece.voltage[own], offset)
+            voltage = without_offset(actuator, piece.voltage[own], offset)
             yield piece.time[own], voltage, y[own] + self.datum, one.displacement[again:], other.displacement[again:]
 
-    def _state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
-        """The state at an epoch's first sample, which the displacement before it tells."""
+    def state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
+        """The state at an epoch's first sample, which the displacement before it tells, on the record's axis."""
         rho, grid = actuator.slip.breakaway, grid_of(actuator)
         y = self.pieces[number][1].displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
         for start in range(0, y.size, _STOPS_AT_A_TIME):
             _, carts = stops(rho, carts, np.ascontiguousarray(y[start : start + _STOPS_AT_A_TIME]))
         carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
-        moved = self.source.moved[number][epoch.start]
+        moved = self.source.moved_at(number, epoch.start)
         creep, smooth, left = np.split(moved, np.cumsum([grid.time_constants.size, grid.lengths.size]))
         if actuator.creep is not None and self.start.size:
             c = actuator.creep.stiffness
@@ -178,7 +179,7 @@ class Comparison:
 
 def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
-    measured = record.delayed(0, protocol.delay)
+    measured = record.delayed(0, protocol.delay, actuator.lag)
     pieces = [(q, _path(actuator, piece, record.noise, protocol.stroke), drift) for q, piece, drift in measured]
     source, regression, model = _beside(actuator, record, pieces, (0,) if protocol.drifting else ())
     datum = protocol.datum
@@ -203,7 +204,7 @@ def _beside(
         model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
         return source, regression, model
     grid = grid_of(actuator)
-    source = RowSource.of(pieces, rho, sigma, moved=lambda _, piece: moved_along(grid, piece, record.lead))
+    source = RowSource.of(pieces, rho, sigma, moved=lambda _, piece: Beside(grid, piece, record.lead))
     floor = _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
     wide = WideRegression(source.thinned(_FEW_ROWS), grid, floor, np.zeros(1), drifting, (0,))
     return source, wide, coefficients_of(actuator)
@@ -262,11 +263,13 @@ class _Sums:
 
 def _driven(actuator: Actuator, piece: Record, span: slice, less: tuple[float, Array | float], state: State) -> Motion:
     """Play samples of a piece from a state, their voltages less offset and drift [V]."""
+    # The piece's voltages are those that act, behind the amplifier.
+    actuator = replace(actuator, lag=0.0) if actuator.lag else actuator
     time = piece.time[span] if actuator.needs_time else None
-    return actuator.simulate(_less(actuator, piece.voltage[span], *less), time=time, state=state)
+    return actuator.simulate(without_offset(actuator, piece.voltage[span], *less), time=time, state=state)
 
 
-def _less(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:
+def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:
     """Voltages (n,) [V] less offset and drift, which a transformer's curve does not bend."""
     tau = actuator.transformer
     if tau is None:

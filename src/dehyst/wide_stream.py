@@ -1,0 +1,75 @@
+"""The wider regression of records of any length: its rows are made again for each pass, and never exist all at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dehyst._native import Array
+from dehyst.program import Norm, solve_blocks
+from dehyst.rows import RowSource
+from dehyst.wide_regression import WideCoefficients, WideRegression
+
+
+@dataclass(frozen=True, eq=False)
+class WideStream:
+    """All rows of a wider regression; see `dehyst.stream.Stream`.
+
+    Attributes
+    ----------
+    source : RowSource
+    regression : WideRegression
+        On some of the rows: everything but the rows counts, and they give the scales.
+    """
+
+    source: RowSource
+    regression: WideRegression
+
+    @property
+    def whole(self) -> bool:
+        """Whether the regression has all rows already."""
+        return len(self.regression.rows) == len(self.source)
+
+    def fit_weighted(self, norm: Norm) -> WideCoefficients:
+        """As `WideRegression.fit_weighted`; the gap is that of all rows."""
+        if self.whole:
+            return self.regression.fit_weighted(norm)
+        return self._fit(norm, self._fit("l2", None))
+
+    def _fit(self, norm: Norm, before: WideCoefficients | None) -> WideCoefficients:
+        """Fit with the weights that a model found before gives."""
+        epochs, some = np.arange(self.source.count), self.regression
+        like = some.nuisances(epochs), some.bounded, some.target
+        table = _Columns(self, before, norm)
+        return some.fitted(lambda limits: solve_blocks(table, like, norm=norm, constraints=limits), epochs)
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """The program's columns; rows weighted by the inverse slope of a model, if there is one."""
+
+    stream: WideStream
+    model: WideCoefficients | None
+    norm: Norm
+
+    def __len__(self) -> int:
+        return len(self.stream.source) + len(self._alike[3])
+
+    @cached_property
+    def _alike(self) -> tuple[Array, Array, Array, Array]:
+        some, source = self.stream.regression, self.stream.source
+        weight = 1.0 if self.model is None else some.floor / some.mean_slope
+        return some.held_alike(self.norm, len(source), source.count + len(some.drifting), weight)
+
+    def __iter__(self) -> Iterator[tuple[Array, Array, Array, Array]]:
+        some, epochs = self.stream.regression, np.arange(self.stream.source.count)
+        lasting = np.asarray(some.start_columns.any(axis=0))
+        for rows in self.stream.source.blocks():
+            block = replace(some, rows=rows, lasting=lasting)
+            weights = np.ones(len(rows)) if self.model is None else block.floor / block.slope(self.model)
+            yield block.nuisances(epochs), block.bounded, block.target, weights
+        if len(self._alike[3]):
+            yield self._alike
