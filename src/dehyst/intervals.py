@@ -66,6 +66,9 @@ class Intervals:
     few : float
         By which deviations are widened because few cycles tell their own scatter badly: Student's quantile over the
         normal one.
+    own : tuple of Actuator
+        Of a wider model that was not identified by least squares, what its own norm makes of some resampled records:
+        they tell the bias, which neighbours held alike by one norm or the other do not share.
     """
 
     actuator: Actuator
@@ -73,12 +76,13 @@ class Intervals:
     level: float
     spread: float
     few: float = 1.0
+    own: tuple[Actuator, ...] = ()
 
     @property
     def stiffness(self) -> Array:
         """Lowest and highest kappa_i, (2, N) [V/m]; never below 0."""
         centre, every = self.actuator.slip.stiffness, np.array([a.slip.stiffness for a in self.actuators])
-        ends = np.maximum(self._basic(centre, list(every)), 0.0)
+        ends = np.maximum(self._basic(lambda a: a.slip.stiffness), 0.0)
         # At the bound all deviations are upward, and turning them round would say that it cannot be anything else.
         bound, factor = centre == 0, self.spread * self.few
         ends[0, bound], ends[1, bound] = 0.0, factor * np.quantile(every[:, bound], 0.5 * (1 + self.level), axis=0)
@@ -100,35 +104,37 @@ class Intervals:
         return self._of_part("transformer", "drive", -np.inf)
 
     def _of_part(self, part: str, name: str, least: float) -> Array | None:
-        own = getattr(self.actuator, part)
-        if own is None:
+        if getattr(self.actuator, part) is None:
             return None
-        every = [getattr(getattr(a, part), name) for a in self.actuators]
-        return np.maximum(self._basic(getattr(own, name), every), least)
+        return np.maximum(self._basic(lambda a: getattr(getattr(a, part), name)), least)
 
     @property
     def slopes(self) -> Array:
         """Lowest and highest slope of the spring's segments, (2, M - 1) [V/m]."""
-        return self._basic(self.actuator.spring.slopes, [a.spring.slopes for a in self.actuators])
+        return self._basic(lambda a: a.spring.slopes)
 
     @property
     def spring(self) -> Array:
         """Lowest and highest voltage of the spring at its knots less that of the first, (2, M) [V]."""
-        return self._basic(_risen(self.actuator), [_risen(a) for a in self.actuators])
+        return self._basic(_risen)
 
     def prediction(
         self, voltage: ArrayLike, state: Callable[[Actuator], State], time: ArrayLike | None = None
     ) -> Array:
         """Lowest and highest displacement (2, n) [m] that a voltage (n,) [V] causes, `state` of each model at first."""
-        centre = self.actuator.simulate(voltage, time=time, state=state(self.actuator)).displacement
-        every = [a.simulate(voltage, time=time, state=state(a)).displacement for a in self.actuators]
-        return self._basic(centre, every)
+        return self._basic(lambda a: a.simulate(voltage, time=time, state=state(a)).displacement)
 
-    def _basic(self, centre: Array, resampled: list[Array]) -> Array:
-        deviation = np.array(resampled) - centre
-        middle = deviation.mean(axis=0)
+    def _basic(self, value: Callable[[Actuator], Array]) -> Array:
+        centre = value(self.actuator)
+        deviation = np.array([value(a) for a in self.actuators]) - centre
+        scatter = deviation - deviation.mean(axis=0)
+        middle, more = deviation.mean(axis=0), 1.0
+        if self.own:
+            middle = np.mean([value(a) for a in self.own], axis=0) - centre
+            # The mean of so few scatters, too.
+            more = float(np.sqrt(1 + 1 / len(self.own)))
         tails = 0.5 * (1 - self.level), 0.5 * (1 + self.level)
-        low, high = middle + self.spread * self.few * np.quantile(deviation - middle, tails, axis=0)
+        low, high = middle + self.spread * self.few * more * np.quantile(scatter, tails, axis=0)
         return np.array([centre - high, centre - low])
 
 
@@ -169,8 +175,9 @@ def resample(
     again = _Again(evidence)
     found: list[Actuator] = []
     with one_thread():
-        share = _unexplained(again, worlds, random)
-        spread = _spread(again, worlds, share, random)
+        # A wider model's path is freed of jitter before it drags anything: its legs' means come from nowhere else.
+        share = 1.0 if again.wide else _unexplained(again, worlds, random)
+        spread, own = _spread(again, worlds, share, random)
         for k in range(repeats):
             if k % 10 == 0:
                 progress(f"identifying resampled cycles, {k} of {repeats}")
@@ -179,7 +186,7 @@ def resample(
                 found.append(other)
     if len(found) < LEAST_REPEATS:
         raise IdentifyError(f"only {len(found)} of {repeats} resampled records could be identified; record more cycles")
-    return Intervals(evidence.actuator, tuple(found), level, spread, _few(worlds, level))
+    return Intervals(evidence.actuator, tuple(found), level, spread, _few(worlds, level), own)
 
 
 class _Again:
@@ -223,7 +230,10 @@ class _Again:
 
     def actuator(self, pieces: list[list[Record]]) -> Actuator | None:
         """The actuator that records give; None if the program was not solved or no voltage would have one answer."""
-        answer = self.identified(pieces)
+        return self.made(self.identified(pieces))
+
+    def made(self, answer: Found) -> Actuator | None:
+        """The actuator of coefficients, None as in `actuator`."""
         if not answer.solution.optimal:
             return None
         try:
@@ -324,21 +334,33 @@ def _open(evidence: Evidence) -> tuple[Array, Array] | None:
     return (combinations, combinations @ evidence.actuator.slip.stiffness[told.movable]) if len(combinations) else None
 
 
-def _spread(again: _Again, worlds: list[_World], share: float, random: np.random.Generator) -> float:
-    """How much more the model's own norm scatters than least squares, of the same resampled records; at least 1."""
+def _spread(
+    again: _Again, worlds: list[_World], share: float, random: np.random.Generator
+) -> tuple[float, tuple[Actuator, ...]]:
+    """How much more the model's own norm scatters than least squares, of the same resampled records; at least 1.
+
+    Of a wider model, also what its own norm finds.
+    """
     if not again.by_absolutes:
-        return 1.0
-    both = []
+        return 1.0, ()
+    both, own = [], []
     count, rows = again.pairs
     for _ in range(count):
         pieces = [world.resampled(random, share) for world in worlds]
         pair = [again.identified(pieces, norm, rows) for norm in _NORMS]
         if all(one.solution.optimal for one in pair):
             both.append([again.numbers(one) for one in pair])
+            own.append(again.made(pair[1]) if again.wide else None)
+    kept = tuple(one for one in own if one is not None)
     if len(both) < 2:
-        return 1.0
+        return 1.0, kept
     squares, absolutes = np.var(both, axis=0)
-    if again.wide:
+    return _more(squares, absolutes, again.wide), kept
+
+
+def _more(squares: Array, absolutes: Array, wide: bool) -> float:
+    """Standard deviations by one norm over those by the other, from their variances; at least 1."""
+    if wide:
         # Numbers that the records leave open scatter as either norm pleases; what they make of the voltages counts.
         return float(np.sqrt(max(1.0, absolutes.mean() / squares.mean()))) if squares.any() else 1.0
     moved = squares > _MOVED * squares.max()

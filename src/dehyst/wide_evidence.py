@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,30 +11,34 @@ import numpy as np
 
 from dehyst._native import Array
 from dehyst.actuator import Actuator
-from dehyst.composition import coefficients_of, grid_of, moved_along
+from dehyst.beside import Beside
+from dehyst.composition import coefficients_of, grid_of
 from dehyst.creep import Creep
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.inertia import Inertia, undone
-from dehyst.preparation import Prepared, as_list, prepare
+from dehyst.inertia import undone
+from dehyst.metrics import rms
+from dehyst.preparation import as_list, prepare
 from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.rows import RowSource
 from dehyst.smooth import SmoothSlip
 from dehyst.smoothing import without_jitter
-from dehyst.structured import Frame
+from dehyst.structure import Structure
 from dehyst.verify import Comparison, Protocol, compare
 from dehyst.wide_regression import WideCoefficients, WideRegression
 
 # A row has a column for each coefficient, of which there may be hundreds.
 _MOST_ROWS = 8000
+# A start that is not at rest must lower the RMS residual of its record to this part.
+_WORTH_OF_START = 0.9
 
 
 @dataclass(frozen=True, eq=False)
 class WideEvidence:
     """Records beside a wider model, as `dehyst.evidence.Evidence` puts them beside a plain one.
 
-    The grids of all parts, delay and inertia are those of the model. Branches of creep and smooth elements that got no
-    stiffness are not looked for again.
+    The grids of all parts, delay, lag and inertia are those of the model, and neighbours are held as much alike.
+    Branches of creep and smooth elements that got no stiffness are not looked for again.
 
     Attributes
     ----------
@@ -68,10 +72,9 @@ class WideEvidence:
         floor = float(np.ptp(prepared[widest].record.voltage)) / stroke * float(options.get("slope_floor", 0.2))
         datums = np.array([one.datum for one in compared])
         rows = _rows(actuator, compared, stroke, [one.measured for one in compared])
-        regression = WideRegression(rows, grid_of(actuator), floor, datums)
+        regression = WideRegression(rows, grid_of(actuator), floor, datums, smoothing=_smoothing(options))
         if actuator.creep is not None:
-            strained = _frame(actuator, prepared, spans[widest], floor, datums).strained
-            regression = replace(regression, strained=strained)
+            regression = replace(regression, strained=tuple(q for q, one in enumerate(compared) if _strained(one)))
         return cls(actuator, compared, regression, stroke)
 
     @cached_property
@@ -129,19 +132,24 @@ def _rows(actuator: Actuator, compared: Sequence[Comparison], stroke: float, pie
             noise.append(one.record.noise)
         leads.append(one.record.lead)
 
-    def moved(number: int, piece: Record) -> Array:
-        return moved_along(grid, piece, leads[number])
+    def moved(number: int, piece: Record) -> Beside:
+        return Beside(grid, piece, leads[number])
 
     return RowSource.of(stacked, actuator.slip.breakaway, noise, moved=moved).thinned(_MOST_ROWS)
 
 
-def _frame(
-    actuator: Actuator, prepared: list[Prepared], span: tuple[float, float], floor: float, datum: Array
-) -> Frame:
-    dynamics = actuator.dynamics
-    inertia = Inertia(actuator.delay, 0.0, 0.0)
-    if dynamics is not None:
-        omega = dynamics.frequency
-        inertia = Inertia(actuator.delay, 2 * dynamics.damping / omega, 1 / omega**2)
-    volts = np.array([item.record.voltage_range for item in prepared])
-    return Frame(prepared, inertia, span, (float(volts[:, 0].min()), float(volts[:, 1].max())), floor, datum)
+def _smoothing(options: Mapping[str, Any]) -> float:
+    """How much alike neighbours were held as the model was identified."""
+    structure = options.get("structure")
+    known = isinstance(structure, Mapping) and "smoothing" in structure
+    return float(structure["smoothing"]) if known else Structure().smoothing  # type: ignore[index]
+
+
+def _strained(compared: Comparison) -> bool:
+    """Whether a record creeps as if it had not been at rest as it began: the model says much worse of it without."""
+    regression, found = compared.regression, compared.found
+    if not isinstance(regression, WideRegression) or not isinstance(found, WideCoefficients):
+        return False
+    weights = 1 / regression.slope(found)
+    rested = replace(regression, strained=()).nuisances_of(found)
+    return bool(rms(found.solution.residual * weights) < _WORTH_OF_START * rms(rested.solution.residual * weights))
