@@ -21,6 +21,7 @@ from dehyst.elements import GradedSlip, MaxwellSlip
 from dehyst.files import write_atomically
 from dehyst.insight import Insight
 from dehyst.insight_page import sections
+from dehyst.leftovers import leftovers
 from dehyst.model import Check, Fit, Outcome, RecordErrors, Trace
 from dehyst.page import MINUS, Row, document, figure, length, number, panel, table
 from dehyst.parts_page import made_of
@@ -85,7 +86,7 @@ def render(
         _outcome(fit.outcome),
         _errors(fit.errors),
         _trials(fit),
-        _checks(fit.checks),
+        _checks(fit, actuator),
         _sentences("What was repaired or left out", fit.repairs, "Nothing was repaired or left out."),
         _sentences("What to know", fit.remarks, "No remarks."),
         _loops(fit),
@@ -172,7 +173,11 @@ def _trials(fit: Fit) -> str:
     return f'<h2>How much model</h2>\n<p class="muted">{why}</p>\n{table(head, rows, texts=1)}'
 
 
-def _checks(checks: Sequence[Check]) -> str:
+def _checks(fit: Fit, actuator: Actuator | None) -> str:
+    wide = actuator is not None and actuator.wide
+    checks: Sequence[Check] = fit.checks
+    if actuator is not None and wide and not checks and fit.traces:
+        checks = leftovers(actuator, fit.traces, fit.errors)
     if not checks:
         return ""
     rows: list[Row] = [
@@ -183,10 +188,14 @@ def _checks(checks: Sequence[Check]) -> str:
         for check in checks
     ]
     head = ("Taken for granted", "Verdict", "What was found", "Value", "Floor")
+    where, slope = "the records", "Assumption I"
+    if wide:
+        where = "what it leaves of the records (it needs neither symmetry nor closed loops, as the plain class does)"
+        slope = "rising branches"
     return (
         "<h2>Assumptions</h2>\n"
-        '<p class="muted">What the model takes for granted, looked for in the records. Floor: what noise alone gives, '
-        "with 95 % probability no more; for Assumption I the least slope that was allowed. Less than 0.1 % of the "
+        f'<p class="muted">What the model takes for granted, looked for in {where}. Floor: what noise alone gives, '
+        f"with 95 % probability no more; for {slope} the least slope that was allowed. Less than 0.1 % of the "
         f"range passes in any case.</p>\n{table(head, rows, texts=3)}"
     )
 
