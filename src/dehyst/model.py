@@ -84,8 +84,8 @@ class Outcome(Enum):
 
     IDENTIFIED = "Identified: the program was solved to optimality, and the records determine every stiffness."
     WIDER = (
-        "Identified: the program was solved to optimality, in a wider class than the paper's. How far the records "
-        "determine single coefficients was not judged."
+        "Identified: the program was solved to optimality, in a wider class than the paper's. How far to trust it, "
+        "dehyst insight tells."
     )
     UNDETERMINED = (
         "Identified, but the records leave directions of the stiffnesses open: other motions than the recorded ones "

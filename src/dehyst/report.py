@@ -25,6 +25,7 @@ from dehyst.leftovers import leftovers
 from dehyst.model import Check, Fit, Outcome, RecordErrors, Trace
 from dehyst.page import MINUS, Row, document, figure, length, number, panel, table
 from dehyst.parts_page import made_of
+from dehyst.structure import Structure
 from dehyst.wide_insight import WideInsight
 
 MOST_RECORDS = 6
@@ -161,7 +162,7 @@ def _trials(fit: Fit) -> str:
     best = min(fit.trials, key=lambda one: one.structure.as_dict() != fit.options.get("structure"))
     first = fit.trials[0]
     rows: list[Row] = [
-        (one.structure.words + (" (chosen)" if one is best else ""), str(one.structure.parameters),
+        (_tried(one.structure, fit) + (" (chosen)" if one is best else ""), str(one.structure.parameters),
          length(one.held_out), length(one.training))
         for one in sorted(fit.trials, key=lambda one: one.held_out)
     ]  # fmt: skip
@@ -171,6 +172,12 @@ def _trials(fit: Fit) -> str:
         times = number(first.held_out / best.held_out)
         why += f" The plain class that was tried first, {first.structure.words}, misses them {times} times as far."
     return f'<h2>How much model</h2>\n<p class="muted">{why}</p>\n{table(head, rows, texts=1)}'
+
+
+def _tried(structure: Structure, fit: Fit) -> str:
+    """A structure in words, with its smoothing where that alone tells it from another."""
+    like = {one.structure.smoothing for one in fit.trials if one.structure.words == structure.words}
+    return structure.words if len(like) < 2 else f"{structure.words}; smoothing {structure.smoothing:g}"
 
 
 def _checks(fit: Fit, actuator: Actuator | None) -> str:
@@ -316,7 +323,14 @@ def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
     records = [*options.pop("records", ()), *options.pop("validation", ())]
     delay = options.pop("delay_s", actuator.delay if actuator else None)
     stroke = options.pop("stroke_m", None)
+    structure = options.pop("structure", None)
+    if isinstance(structure, Mapping):
+        # It has elements of its own.
+        options.pop("elements", None)
     entries = [(_LABELS.get(str(key), str(key)), _value(value)) for key, value in options.items()]
+    if isinstance(structure, Mapping):
+        made = Structure(**structure)
+        entries.append(("Structure", f"{made.words}; smoothing {made.smoothing:g}"))
     if isinstance(delay, int | float):
         entries.append(("Delay of the displacement", f"{number(1e3 * delay, 4)} ms"))
     if isinstance(stroke, int | float):

@@ -51,11 +51,11 @@ def state(found: Insight | WideInsight) -> str:
     head = ("Record", "to one who sees the displacement", "from the voltage alone")
     parts = ["<h2>From when on the state is known</h2>", table(head, rows, texts=1)]
     if found.homing is not None:
-        parts.append(_homing(found.homing))
+        parts.append(_homing(found.homing, creeps=found.actuator.creep is not None))
     return "\n".join(parts)
 
 
-def _homing(homing: Homing) -> str:
+def _homing(homing: Homing, *, creeps: bool) -> str:
     turns = ", ".join(number(v, 6) for v in homing.turns)
     remarks = escape(" ".join(homing.remarks))
     if homing.played is None:
@@ -64,8 +64,8 @@ def _homing(homing: Homing) -> str:
     word = "certified" if homing.certified else "not certified"
     way = ", ".join(f"{v:.6g}" for v in homing.turns)
     said = escape(
-        f"{way} V in {number(homing.played.duration)} s, holds at both limits among it ({word}): whatever was before "
-        f"within the limits, the displacement is known to {length(homing.error)} after it."
+        f"{way} V in {number(homing.played.duration)} s{', with holds at both limits' if creeps else ''} ({word}): "
+        f"whatever was before within the limits, the displacement is known to {length(homing.error)} after it."
     )
     items = "\n".join(f"<li>{escape(remark.replace(' um', ' µm'))}</li>" for remark in homing.remarks)
     return f"<p>Homing: {said}</p>\n<ul>\n{items}\n</ul>"
