@@ -67,10 +67,11 @@ main.add_command(excite)
 )
 @click.option(
     "--structure",
-    type=click.Choice(["paper", "auto"]),
-    default="paper",
+    type=click.Choice(["auto", "paper"]),
+    default="auto",
     show_default=True,
-    help="The paper's class, or the wider one that held-out cycles ask for: transformer, graded elements, creep, ...",
+    help="What held-out cycles ask for (transformer, graded elements, creep, ...), or the paper's class, for which "
+    "--elements, --knots and another --method ask, too.",
 )
 @click.option("--norm", type=click.Choice(["l1", "l2", "linf"]), default="l1", show_default=True)
 @click.option("--knots", type=int, metavar="M", help="Knots of the spring.  [default: N + 1]")

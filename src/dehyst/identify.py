@@ -58,7 +58,7 @@ def identify(
     shared_datum: bool = False,
     drift: bool = True,
     branch: Direction = "descending",
-    structure: Structure | Literal["auto", "paper"] = "paper",
+    structure: Structure | Literal["auto", "paper"] = "auto",
     throw: bool = True,
     progress: Progress | None = None,
 ) -> Fit:
@@ -93,8 +93,9 @@ def identify(
     branch : {"descending", "ascending"}, optional
         "antisymmetric" only.
     structure : {"auto", "paper"} or Structure, optional
-        How much model: the paper's class, or a wider one that is given, or the one that cycles held out in turn ask for
-        (more elements, a transformer, graded elements, creep, smooth elements). "record" only.
+        How much model: what cycles held out in turn ask for (default: more elements, a transformer, graded elements,
+        creep, smooth elements, inertia), the paper's class, or a class that is given. What only the paper's class knows
+        (elements, breakaway, knots, another method) asks for that class.
     throw : bool, optional
         Raise if the solver finds no optimum (default), or return a Fit with `Outcome.FAILED`.
     progress : callable, optional
@@ -116,7 +117,10 @@ def identify(
     training, held_out = as_list(records), as_list(validate)
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
-    _refuse_structure(structure, settings, elements is not None or knots is not None)
+    counted = elements is not None or knots is not None or settings.breakaway is not None
+    if structure == "auto" and (counted or method != "record"):
+        structure = "paper"
+    _refuse_structure(structure, settings, counted)
     tell("checking the records")
     with one_thread():
         job = _Job(settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell)
@@ -137,7 +141,7 @@ def _refuse_structure(structure: object, settings: Settings, counted: bool) -> N
         raise IdentifyError(f"structure: got {structure!r}, need 'auto', 'paper' or a dehyst.structure.Structure")
     if settings.method != "record":
         raise IdentifyError(f"structure: method {settings.method!r} knows the paper's class only; leave one out")
-    if counted or settings.breakaway is not None:
+    if counted:
         raise IdentifyError("structure: it has elements and knots of its own; leave elements, breakaway and knots out")
 
 
@@ -183,12 +187,15 @@ class _Job:
         plain = self._with_datums(self._regression(self._thresholds(), self.delay))
         voltages = self._limits()
         inertia = Inertia(self.delay, 0.0, 0.0)
-        frame = Frame(self.training, inertia, self.span, voltages, plain.floor, plain.datum, self.widest)
+        frame = Frame(self.training, inertia, self.span, voltages, plain.floor, plain.datum, self.widest,
+                      tuple(self._can_drift()))  # fmt: skip
         if isinstance(structure, str):
             self.tell("looking for inertia")
             frame = frame.with_inertia()
             structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
             self.remarks += remarks
+            if structure.plain and not frame.inertia.mass:
+                return self._plainly(frame, structure)
         self.structure = structure
         self.tell(f"solving the program for {structure.words}")
         made = Wider.solve(frame, structure, self.settings.norm)
@@ -203,6 +210,13 @@ class _Job:
         self.tell("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
         return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
+
+    def _plainly(self, frame: Frame, structure: Structure) -> Fit:
+        """The paper's class on a grid of thresholds that was chosen: what it determines can be judged."""
+        rho = None if structure.spacing == 1 else structure.grid(self.span, frame.voltages, frame.times).breakaway
+        elements = structure.elements if rho is None else None
+        self.settings = replace(self.settings, elements=elements, breakaway=rho, knots=structure.knots)
+        return self.by_records()
 
     def by_breakpoints(self) -> Fit:
         """The paper's own method, or Remark 2's closed form."""

@@ -13,7 +13,7 @@ from dehyst.beside import Beside
 from dehyst.inertia import Inertia, find_inertia, undone
 from dehyst.preparation import Prepared
 from dehyst.record import Record
-from dehyst.repairs import cycle_time
+from dehyst.repairs import cycle_time, worthwhile
 from dehyst.rows import RowSource
 from dehyst.selection import Trial, select
 from dehyst.signals import turning_points
@@ -55,6 +55,8 @@ class Frame:
         [m].
     widest : int
         Record whose last constant is the spring's.
+    can_drift : tuple of int
+        Records that may creep by a logarithm of time since their start, where no branches tell creep.
     """
 
     training: Sequence[Prepared]
@@ -64,6 +66,7 @@ class Frame:
     floor: float
     datum: Array
     widest: int = 0
+    can_drift: tuple[int, ...] = ()
 
     @property
     def times(self) -> tuple[float, float]:
@@ -78,9 +81,8 @@ class Frame:
     def stream(self, structure: Structure, most: int = _MOST_ROWS) -> WideStream:
         """All rows of all records under a structure, about `most` of them in memory."""
         found = self._stream_of(structure, most)
-        if not structure.creep:
-            return found
-        return replace(found, regression=replace(found.regression, strained=self.strained))
+        strained, drifting = (self.strained, ()) if structure.creep else ((), self.drifting)
+        return replace(found, regression=replace(found.regression, strained=strained, drifting=drifting))
 
     def _rows_of(self, structure: Structure, most: int) -> WideRegression:
         return self._stream_of(structure, most).regression
@@ -116,6 +118,14 @@ class Frame:
         if min(build(one).rms() for one in masses) > _WORTH_OF_MASS * without:
             return self
         return replace(self, inertia=find_inertia(build, self.inertia.delay, step, cycle))
+
+    @cached_property
+    def drifting(self) -> tuple[int, ...]:
+        """Records that drift, seen from plain elements; none if branches can tell creep."""
+        if self.supports_creep():
+            return ()
+        few, stroke = self._rows_of(Structure(), _FEW_ROWS), self.span[1] - self.span[0]
+        return worthwhile(lambda drifting: replace(few, drifting=drifting).rms(), self.can_drift, stroke)
 
     @cached_property
     def strained(self) -> tuple[int, ...]:

@@ -15,7 +15,7 @@ from dehyst.composition import coefficients_of, grid_of
 from dehyst.inertia import derivatives, undone
 from dehyst.metrics import largest
 from dehyst.model import Motion, RecordErrors, State, Trace
-from dehyst.preparation import Prepared
+from dehyst.preparation import Prepared, prepare
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.repairs import find_datum
@@ -189,6 +189,31 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Compari
     found = (regression if actuator.wide else Stream(source, regression)).nuisances_of(model)
     base = float(actuator.spring.voltage[0])
     return Comparison(record, source, [piece for _, piece, _ in measured], regression, found, base)
+
+
+def told(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:
+    """The state at a record's last sample, and the offset of its voltages [V], as its displacements tell them.
+
+    The offset is by least squares over the samples that count; where none does, for the record is too short or has no
+    full cycle, it is that of its last sample, and what the record does not tell of the carts is none.
+    """
+    try:
+        record = prepare(lead)
+        beside = compare(actuator, record, Protocol("validation", actuator.delay, 0.0, False, stroke))
+        number, own = len(beside.pieces) - 1, beside.epochs[-1]
+    except ValueError:
+        own = []
+    if own:
+        last = replace(own[-1], start=len(beside.pieces[number][1]) - 1)
+        return beside.state_before(actuator, number, last), beside.last_offsets()[-1]
+    y = lead.displacement
+    _, carts = stops(actuator.slip.breakaway, np.full(len(actuator.slip), y[0]), np.ascontiguousarray(y))
+    creep = () if actuator.creep is None else actuator.creep.strains(lead.time, y)[-1]
+    smooth = () if actuator.smooth is None else actuator.smooth.elongations(y)[-1]
+    state = State(float(y[-1]), carts, creep, smooth=smooth)
+    held, given = actuator.voltage(state), float(lead.voltage[-1])
+    tau = actuator.transformer
+    return state, given - held if tau is None else float(tau(given) - tau(held))
 
 
 def _beside(
