@@ -24,7 +24,6 @@ from dehyst import (
     Transformer,
 )
 from dehyst._native import Held, Pace
-from dehyst.actuator import demand_plain
 from dehyst.bracket import Bracket
 
 EXACT = 1e-12
@@ -377,7 +376,6 @@ def test_a_compensator_clamps_with_them():
         (lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[0.0])), "got 1 smooth elongations, .* has 0 smooth"),
         (lambda: ACTUATOR.voltage(State(0, [0, 0], smooth=[0, -3.1e-6])),
          "state: smooth element 1 is elongated by -3.1e-06 m, its length is 3e-06 m"),
-        (lambda: demand_plain(ACTUATOR, "a band"), "a band takes plain .*, this actuator has smooth elements; leave"),
         (lambda: Bracket.at_rest(ACTUATOR), "this actuator has smooth elements"),
         (lambda: ACTUATOR.model.core.voltage(Held(0.0, np.zeros(2), np.zeros(1), NONE)), "arrays of different lengths"),
         (lambda: ACTUATOR.model.core.voltage(Held(0.0, np.zeros(2), np.ones(2), NONE)),

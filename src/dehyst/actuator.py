@@ -380,22 +380,6 @@ class Actuator(AbstractModel):
             clock(time, samples)
 
 
-def demand_plain(actuator: Actuator, what: str) -> Actuator:
-    """Return the actuator if it is plain: slip elements of constant stiffness and a spring.
-
-    Raises
-    ------
-    ModelError
-        If it is none, or has other parts, which `what` does not take into account.
-    """
-    if not isinstance(actuator, Actuator):
-        raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
-    if actuator.wide:
-        there = " and ".join(_wider_parts(actuator))
-        raise ModelError(f"{what} takes plain slip elements and a spring only, this actuator has {there}; leave it out")
-    return actuator
-
-
 def _wider_parts(actuator: Actuator) -> list[str]:
     parts = {
         "graded elements": isinstance(actuator.slip, GradedSlip),

@@ -65,14 +65,18 @@ class WideEvidence:
         widest = int(np.argmax([high - low for low, high in spans]))
         stroke = spans[widest][1] - spans[widest][0]
         datum = 0.0 if options.get("shared_datum") else None
+        # Where branches creep, a drift of the record would be told twice.
+        drift = bool(options.get("drift", True)) and actuator.creep is None
         with one_thread():
             compared = tuple(
-                compare(actuator, item, Protocol("training", actuator.delay, datum, False, stroke)) for item in prepared
+                compare(actuator, item, Protocol("training", actuator.delay, datum, drift and item.can_drift, stroke))
+                for item in prepared
             )
         floor = float(np.ptp(prepared[widest].record.voltage)) / stroke * float(options.get("slope_floor", 0.2))
         datums = np.array([one.datum for one in compared])
         rows = _rows(actuator, compared, stroke, [one.measured for one in compared])
-        regression = WideRegression(rows, grid_of(actuator), floor, datums, smoothing=_smoothing(options))
+        drifting = tuple(q for q, one in enumerate(compared) if one.regression.drifting)
+        regression = WideRegression(rows, grid_of(actuator), floor, datums, drifting, smoothing=_smoothing(options))
         if actuator.creep is not None:
             regression = replace(regression, strained=tuple(q for q, one in enumerate(compared) if _strained(one)))
         return cls(actuator, compared, regression, stroke)
