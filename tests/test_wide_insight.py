@@ -120,6 +120,20 @@ def test_a_lone_loop_tells_less():
     assert less[0].sentence == f"graded elements: {less[0].known} of {less[0].of} combinations known."
 
 
+def test_a_lone_loop_is_something_to_beware_of():
+    plant = truth("graded, transformer")
+    short = wide_bench.wandering(legs=0, samples=200)
+    lone, whole = replace(plant, path=short).record(noise=NOISE), plant.record(noise=NOISE)
+    model = replace(plant.actuator, limits=(0.0, bench.VOLTS))
+    found = insight(model, lone, repeats=0)
+    # As the table of identifiability has it: a major loop tells five of ten directions, the last is never told.
+    assert (found.probed.determined, found.probed.of) == (5, 9)
+    assert not found.trustworthy
+    assert "leave 4 of 9 directions of plain elements open" in found.warnings()[0]
+    assert "dehyst excite descending-tops 200 -o voltage.csv" in found.warnings()[0]
+    assert insight(model, whole, repeats=0).trustworthy
+
+
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_a_look_at_a_wider_model(name):
     found, fit, _ = looked(name)

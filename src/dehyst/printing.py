@@ -110,6 +110,8 @@ def _print_told(found: WideInsight) -> None:
     from dehyst.told import SHARP
     from dehyst.wide_insight import NOT_JUDGED
 
+    probed = found.probed
+    click.echo(f"Their turning points tell {probed.determined} of {probed.of} directions of plain elements.")
     click.echo(f"Known of each part, all else being free, to {100 * SHARP:g} % of the voltages:")
     for one in found.told:
         click.echo(f"  - {one.sentence}")

@@ -13,13 +13,14 @@ from dehyst.actuator import Actuator
 from dehyst.band import Band, homed, rise, risen
 from dehyst.cautions import beyond, misfit_of, not_homed, of_another
 from dehyst.compensator import Compensator
+from dehyst.directions import Directions
 from dehyst.homing import Homing, shortest_homing
 from dehyst.intervals import Intervals, resample
 from dehyst.knowledge import Knowledge
 from dehyst.model import State
 from dehyst.record import Record
 from dehyst.repairs import cycle_time
-from dehyst.told import SHARP, Told, told
+from dehyst.told import SHARP, Told, probed, told
 from dehyst.wide_evidence import WideEvidence
 
 NOT_JUDGED = (
@@ -78,6 +79,8 @@ class WideInsight:
     evidence : WideEvidence
     told : tuple of Told
         What the records tell of each part.
+    probed : Directions
+        What their turning points tell of ten plain elements: whether there are inner loops enough.
     intervals : Intervals or None
         From resampled cycles; None if they were not asked for.
     loop : Loop or None
@@ -96,6 +99,7 @@ class WideInsight:
     actuator: Actuator
     evidence: WideEvidence
     told: tuple[Told, ...]
+    probed: Directions
     intervals: Intervals | None
     loop: Loop | None
     knowledge: tuple[Knowledge, ...]
@@ -106,10 +110,27 @@ class WideInsight:
 
     def warnings(self) -> tuple[str, ...]:
         """What must be known before the model is used."""
-        found = [of_another(self.actuator, self.misfit, self.evidence.stroke), beyond(self.actuator, self.limits)]
+        found = [of_another(self.actuator, self.misfit, self.evidence.stroke), self._open(),
+                 beyond(self.actuator, self.limits)]  # fmt: skip
         if self.band is not None:
             found += [*self.band.warnings, not_homed(self.homing)]
         return tuple(one for one in found if one)
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the records have inner loops enough to tell ten plain elements apart."""
+        return self.probed.determined == self.probed.of
+
+    def _open(self) -> str | None:
+        if self.trustworthy:
+            return None
+        open_, of = self.probed.of - self.probed.determined, self.probed.of
+        top = "" if self.limits is None else f" (dehyst excite descending-tops {self.limits[1]:.6g} -o voltage.csv)"
+        return (
+            f"The turning points of these records leave {open_} of {of} directions of plain elements open, let alone "
+            "of this model's: motions that turn elsewhere than the records do may be predicted wrongly. Add tops that "
+            f"descend{top}."
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """JSON values; lengths in metres."""
@@ -118,6 +139,7 @@ class WideInsight:
             "warnings": list(self.warnings()),
             "not_judged": NOT_JUDGED,
             "misfit_m": self.misfit,
+            "probed": {"determined": self.probed.determined, "of": self.probed.of},
             "told": {"allowed_deviation_of_the_voltages": SHARP, "parts": [one.as_dict() for one in self.told]},
             "parts": {name: {"model": model.tolist(), "noise": None if noise is None else noise.tolist()}
                       for name, (model, noise) in self.numbers().items()},
@@ -176,4 +198,6 @@ def look(
         band = Band.of(trajectory, command, intervals, None, misfit=misfit, limits=limits, time=clock, played=played)
     progress("counting what is told")
     known = tuple(Knowledge.of(actuator, one) for one in evidence.comparisons)
-    return WideInsight(actuator, evidence, told(evidence), intervals, loop, known, homing, band, misfit, limits)
+    return WideInsight(
+        actuator, evidence, told(evidence), probed(evidence), intervals, loop, known, homing, band, misfit, limits
+    )

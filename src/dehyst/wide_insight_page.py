@@ -28,6 +28,8 @@ def _told(found: WideInsight) -> str:
     ]
     head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
     said = (
+        f"The turning points of the records tell {found.probed.determined} of {found.probed.of} directions of plain "
+        "elements: whether there are inner loops enough. "
         "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
         f"deviation is {100 * SHARP:g} % of the voltages at most, all other parts being free to make up for it. "
         "What is not known by itself may be sharp together with other parts: what counts for a motion is the band "
