@@ -80,7 +80,7 @@ def test_a_held_out_error_is_that_of_a_fit_without_its_block():
     whole = regression()
     weights = np.ones(len(whole.rows))
     errors = held_out_errors(whole, weights)
-    fold = blocks(whole.rows) % 3
+    fold = blocks(whole.rows.voltage, whole.rows.epoch) % 3
     for k in range(3):
         spoilt = np.where(fold == k, 1000.0, 0.0)
         other = replace(whole, rows=replace(whole.rows, voltage=whole.rows.voltage + spoilt))
@@ -93,7 +93,7 @@ def test_a_held_out_error_is_that_of_a_fit_without_its_block():
 
 def test_blocks_are_cycles_and_long_legs_are_cut():
     rows = wide.regression(wide.plant(wide.STRUCTURES["plain"]).grid, [bench.loops(bench.plant(8), (1, 0) * 40)]).rows
-    number = blocks(rows)
+    number = blocks(rows.voltage, rows.epoch)
     assert np.all(np.diff(number) >= 0)
     starts = np.flatnonzero(np.diff(number)) + 1
     # Cycles of 200 samples, each from a maximum or each from a minimum.
@@ -101,7 +101,7 @@ def test_blocks_are_cycles_and_long_legs_are_cut():
     slow = wide.regression(
         wide.plant(wide.STRUCTURES["plain"]).grid, [bench.loops(bench.plant(8), (1, 0, 1, 0), samples=600)]
     )
-    counts = np.bincount(blocks(slow.rows))
+    counts = np.bincount(blocks(slow.rows.voltage, slow.rows.epoch))
     assert counts.max() <= len(slow.rows) // 12 + 1
     assert np.count_nonzero(counts) >= 12
 
@@ -111,7 +111,7 @@ def test_epochs_are_not_mixed():
     plant = wide.plant(wide.STRUCTURES["plain"])
     records = [plant.record(), plant.record()]
     rows = wide.regression(plant.grid, records).rows
-    number = blocks(rows)
+    number = blocks(rows.voltage, rows.epoch)
     first, second = (set(number[rows.record == q].tolist()) for q in (0, 1))
     assert not first & second
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst import breakpoints, repairs
+from dehyst import breakpoints, refinement, repairs
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
@@ -59,6 +59,7 @@ def identify(
     drift: bool = True,
     branch: Direction = "descending",
     structure: Structure | Literal["auto", "paper"] = "auto",
+    refine: bool = False,
     throw: bool = True,
     progress: Progress | None = None,
 ) -> Fit:
@@ -96,6 +97,9 @@ def identify(
         How much model: what cycles held out in turn ask for (default: more elements, a transformer, graded elements,
         creep, smooth elements, inertia), the paper's class, or a class that is given. What only the paper's class knows
         (elements, breakaway, knots, another method) asks for that class.
+    refine : bool, optional
+        Try Gauss-Newton steps that make the error of simulation small, thresholds free, and keep them if they are
+        better on cycles held out; not for the paper's class ("paper").
     throw : bool, optional
         Raise if the solver finds no optimum (default), or return a Fit with `Outcome.FAILED`.
     progress : callable, optional
@@ -121,11 +125,15 @@ def identify(
     if structure == "auto" and (counted or method != "record"):
         structure = "paper"
     _refuse_structure(structure, settings, counted)
+    if refine and structure == "paper":
+        raise IdentifyError(
+            "refine: the paper's class is fitted as it is; give a dehyst.structure.Structure, or 'auto'"
+        )
     tell("checking the records")
     with one_thread():
         job = _Job(settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell)
         if structure != "paper":
-            fit = job.by_structure(structure)
+            fit = job.by_structure(structure, refine)
         else:
             fit = job.by_records() if method == "record" else job.by_breakpoints()
     if fit.outcome is Outcome.FAILED and throw:
@@ -181,7 +189,7 @@ class _Job:
         outcome = self._outcome(rho, regression, found)
         return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
 
-    def by_structure(self, structure: Structure | Literal["auto"]) -> Fit:
+    def by_structure(self, structure: Structure | Literal["auto"], refine: bool) -> Fit:
         """A wider class, given or chosen."""
         self.tell("estimating delay and datums")
         plain = self._with_datums(self._regression(self._thresholds(), self.delay))
@@ -194,7 +202,7 @@ class _Job:
             frame = frame.with_inertia()
             structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
             self.remarks += remarks
-            if structure.plain and not frame.inertia.mass:
+            if structure.plain and not frame.inertia.mass and not refine:
                 return self._plainly(frame, structure)
         self.structure = structure
         self.tell(f"solving the program for {structure.words}")
@@ -204,12 +212,22 @@ class _Job:
             return self._failed(solution.status)
         if frame.inertia.mass:
             made = made.tuned(self.tell)
-        self.delay = made.actuator.delay
-        actuator = replace(made.actuator, limits=voltages, name=self.training[self.widest].record.name,
+        refined = self._refined(made) if refine else made.actuator
+        self.delay = refined.delay
+        actuator = replace(refined, limits=voltages, name=self.training[self.widest].record.name,
                            provenance=self._provenance())  # fmt: skip
         self.tell("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
         return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
+
+    def _refined(self, made: Wider) -> Actuator:
+        found = refinement.refine(made, self.tell)
+        what = "kept" if found.kept else "not better, and left out"
+        self.remarks.append(
+            f"Refined by simulation: RMS error of cycles held out {found.after * 1e9:.4g} nm, without "
+            f"{found.before * 1e9:.4g} nm; {what}."
+        )
+        return found.actuator
 
     def _plainly(self, frame: Frame, structure: Structure) -> Fit:
         """The paper's class on a grid of thresholds that was chosen: what it determines can be judged."""

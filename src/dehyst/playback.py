@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._native import Array
 from dehyst.actuator import Actuator
@@ -40,11 +41,15 @@ class Stretch:
     state: State
     offset: float
     datum: float
+    _known: dict[tuple[float, float], Record] = field(default_factory=dict, init=False, repr=False)
 
     def piece(self, delay: float, lag: float = 0.0) -> Record:
         """Its samples, the voltages those that act, their offset left in."""
-        _, whole, _ = self.record.delayed(0, delay, lag)[self.number]
-        return whole.slice(self.epoch.start, self.epoch.stop)
+        if (delay, lag) not in self._known:
+            _, whole, _ = self.record.delayed(0, delay, lag)[self.number]
+            self._known.clear()
+            self._known[delay, lag] = whole.slice(self.epoch.start, self.epoch.stop)
+        return self._known[delay, lag]
 
     def error(self, actuator: Actuator) -> Array:
         """Measured less simulated (n,) [m], but for a constant."""
@@ -84,3 +89,12 @@ class Playback:
     def errors(self, actuator: Actuator) -> Array:
         """Of every sample (n,) [m], each stretch but for a constant."""
         return np.concatenate([one.error(actuator) for one in self.stretches])
+
+    def voltage(self, delay: float = 0.0) -> Array:
+        """Of every sample (n,) [V]."""
+        return np.concatenate([one.piece(delay).voltage for one in self.stretches])
+
+    def stretch(self) -> NDArray[np.intp]:
+        """Number of the stretch of every sample (n,)."""
+        sizes = [one.epoch.stop - one.epoch.start for one in self.stretches]
+        return np.repeat(np.arange(len(sizes)), sizes)

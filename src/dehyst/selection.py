@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from dehyst._native import Array
 from dehyst.metrics import rms
-from dehyst.rows import Rows
 from dehyst.signals import turning_points
 from dehyst.structure import Structure
 from dehyst.wide_regression import WideCoefficients, WideRegression
@@ -121,7 +120,7 @@ def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> T
 
 def held_out_errors(regression: WideRegression, weights: Array) -> Array:
     """Error of each row [m] from a fit without its cycle and every third other."""
-    fold = blocks(regression.rows) % _FOLDS
+    fold = blocks(regression.rows.voltage, regression.rows.epoch) % _FOLDS
     errors = np.empty(len(fold))
     for k in range(_FOLDS):
         out = fold == k
@@ -131,14 +130,13 @@ def held_out_errors(regression: WideRegression, weights: Array) -> Array:
     return errors
 
 
-def blocks(rows: Rows) -> NDArray[np.intp]:
-    """Number of the cycle of each row (n,); long monotone legs are cut."""
-    v = rows.voltage
-    cut = np.zeros(len(rows), dtype=bool)
-    cut[1:] = np.diff(rows.epoch) != 0
-    cut[turning_points(v, 0.02 * float(np.ptp(v)))[::2]] = True
-    starts = np.append(np.flatnonzero(cut), len(rows))
-    longest = max(len(rows) // _BLOCKS, 2)
+def blocks(voltage: Array, epoch: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Number of the cycle of each row (n,), from its voltage and its epoch's number; long monotone legs are cut."""
+    cut = np.zeros(voltage.size, dtype=bool)
+    cut[1:] = np.diff(epoch) != 0
+    cut[turning_points(voltage, 0.02 * float(np.ptp(voltage)))[::2]] = True
+    starts = np.append(np.flatnonzero(cut), voltage.size)
+    longest = max(voltage.size // _BLOCKS, 2)
     for a, b in zip(np.append(0, starts[:-1]), starts, strict=True):
         cut[a + longest : b : longest] = True
     return np.cumsum(cut)

@@ -36,6 +36,9 @@ _VIOLATED = 1e-6
 _FORGOTTEN = 0.01
 
 
+Solver = Callable[[tuple[Array, Array] | None], Solution]
+
+
 @dataclass(frozen=True, eq=False)
 class WideCoefficients:
     """What a regression found.
@@ -193,10 +196,12 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         """Of voltage over displacement [V/m]."""
         return float(np.ptp(self.rows.voltage) / np.ptp(self.knots))
 
-    def fitted(
-        self, solved: Callable[[tuple[Array, Array] | None], Solution], epochs: NDArray[np.intp] | None = None
-    ) -> WideCoefficients:
-        """What `solved`, inequalities -> answer, finds in the end; epochs as in `nuisances`."""
+    def fitted(self, solved: Solver, epochs: NDArray[np.intp] | None = None) -> WideCoefficients:
+        """What `solved` finds in the end; epochs as in `nuisances`."""
+        return self.coefficients(self.settled(solved), epochs)
+
+    def settled(self, solved: Solver) -> Solution:
+        """The answer of `solved`, inequalities -> answer, when no other inequality is violated."""
         matrix, lower = self._inequalities()
         for _ in range(_ROUNDS):
             answer = solved((matrix, lower) if lower.size else None)
@@ -204,7 +209,7 @@ class WideRegression(AbstractRegression[WideCoefficients]):
             if not len(more):
                 break
             matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))
-        return self._coefficients(answer, epochs)
+        return answer
 
     def slope(self, found: WideCoefficients) -> Array:
         """D tau(v)/dy of the model at each row (n,) [V/m], at the floor at least."""
@@ -285,8 +290,16 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         """Rows over the first unknowns, with nothing for the others."""
         return np.hstack([rows, np.zeros((len(rows), self.bounded.shape[1] - rows.shape[1]))])
 
-    def _coefficients(self, answer: Solution, epochs: NDArray[np.intp] | None) -> WideCoefficients:
-        grid, x = self.grid, answer.nonnegative
+    def coefficients(self, answer: Solution, epochs: NDArray[np.intp] | None = None) -> WideCoefficients:
+        """An answer's coefficients; epochs as in `nuisances`."""
+        x = answer.nonnegative
+        starts = x[x.size - 2 * len(self.strained) * self.grid.time_constants.size :]
+        offsets, drifts = self.constants(answer, epochs)
+        return replace(self.at(x), offsets=offsets, drifts=drifts, solution=answer, starts=self._starts(starts))
+
+    def at(self, x: Array) -> WideCoefficients:
+        """The coefficients of the program's unknowns (q,) that are not negative, without constants and starts."""
+        grid = self.grid
         count, segments, spring = int(np.count_nonzero(grid.movable)), grid.segments, grid.knots.size - 1
         stiffness = np.zeros((grid.movable.size, segments))
         stiffness[grid.movable] = x[: count * segments].reshape(count, segments)
@@ -296,9 +309,13 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         if lengths.size:
             left = max((1 - _DRIVE_FLOOR) * lengths.sum() - drive @ lengths[:-1], 0.0) / lengths[-1]
             drive = _DRIVE_FLOOR + np.append(drive, left)
-        starts = x[x.size - 2 * len(self.strained) * grid.time_constants.size :]
-        return WideCoefficients(stiffness, rest[:spring] + self.floor, rest[spring : spring + grid.moved], drive,
-                                *self.constants(answer, epochs), answer, self._starts(starts))  # fmt: skip
+        moved = rest[spring : spring + grid.moved]
+        return WideCoefficients(stiffness, rest[:spring] + self.floor, moved, drive, {}, {}, None)  # type: ignore[arg-type]
+
+    def unknowns(self, found: WideCoefficients) -> tuple[Array, ...]:
+        """The program's unknowns that make coefficients, kind by kind: elements, spring, what moves, transformer."""
+        elements = found.stiffness[self.grid.movable].ravel()
+        return elements, found.slopes - self.floor, found.moved, found.drive[:-1] - _DRIVE_FLOOR
 
     def _starts(self, both: Array) -> dict[int, Array]:
         """By record, from what is added and what is taken away."""
