@@ -329,21 +329,25 @@ static inline int onward(const piece *now, dehyst_real direction, dehyst_real wi
     return 1;
 }
 
+/* Go on to a piece that holds v, which the present one does not. */
+static void leap(dehyst_walk *walk, dehyst_real v)
+{
+    find_way(walk, v);
+    walk->stack->v = walk->v = v;
+    walk->stack->y = walk->y = walk->now->start + (v - walk->now->v_start) * walk->now->inverse_slope;
+}
+
 dehyst_real dehyst_walk_to(dehyst_walk *walk, dehyst_real v)
 {
     dehyst_stack *stack = walk->stack;
-    const dehyst_real direction = stack->direction;
+    const dehyst_real direction = stack->direction, width = walk->actuator->slip.edge[0];
     dehyst_real far = direction * stack->v;
-    if (!is_finite(v)) return walk->y;
-    walk->v = v;
-    if (walk->on_piece &&
-        onward(walk->now, direction, walk->actuator->slip.edge[0], direction * v, &far, &stack->y, &walk->y)) {
+    if (walk->on_piece && onward(walk->now, direction, width, direction * v, &far, &stack->y, &walk->y)) {
         stack->v = direction * far;
-        return walk->y;
+        walk->v = v;
+    } else if (is_finite(v)) {
+        leap(walk, v);
     }
-    find_way(walk, v);
-    stack->v = v;
-    stack->y = walk->y = walk->now->start + (v - walk->now->v_start) * walk->now->inverse_slope;
     return walk->y;
 }
 
@@ -360,16 +364,24 @@ void dehyst_walk_end(dehyst_walk *walk)
 void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y,
                            long n)
 {
+    const dehyst_real width = actuator->slip.edge[0];
     dehyst_walk walk;
     long t = 0;
     dehyst_walk_begin(&walk, actuator, stack);
     while (t < n) {
-        y[t] = dehyst_walk_to(&walk, v[t]);
-        if (walk.on_piece) {
+        if (!is_finite(v[t])) {
+            y[t++] = walk.y;
+            continue;
+        }
+        leap(&walk, v[t]);
+        y[t++] = walk.y;
+        {
             const piece now = *walk.now;
-            const dehyst_real direction = stack->direction, width = actuator->slip.edge[0];
-            dehyst_real far = direction * stack->v, y_far = stack->y, present = y[t], voltage = walk.v, goal;
-            while (++t < n && (goal = v[t], onward(&now, direction, width, direction * goal, &far, &y_far, &present))) {
+            const dehyst_real direction = stack->direction;
+            dehyst_real far = direction * stack->v, y_far = stack->y, present = walk.y, voltage = walk.v;
+            for (; t < n; t++) {
+                const dehyst_real goal = v[t];
+                if (!onward(&now, direction, width, direction * goal, &far, &y_far, &present)) break;
                 voltage = goal;
                 y[t] = present;
             }
@@ -377,8 +389,6 @@ void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack,
             stack->y = y_far;
             walk.y = present;
             walk.v = voltage;
-        } else {
-            t++;
         }
     }
     dehyst_walk_end(&walk);
