@@ -192,8 +192,7 @@ class _Job:
             self.remarks += remarks
         self.structure = structure
         self.tell(f"solving the program for {structure.words}")
-        stream = frame.stream(structure)
-        regression, found = stream.regression, stream.fit_weighted(self.settings.norm)
+        regression, found = frame.fitted(structure, self.settings.norm)
         if not found.solution.optimal:
             return self._failed(found.solution.status)
         reference = regression.rows.epoch[regression.rows.record == self.widest].max()

@@ -18,7 +18,7 @@ from dehyst.record import Record, white_noise
 
 _SHORTEST_EPOCH = 16
 # Samples whose elongations are in memory at a time.
-_BLOCK = 32_768
+_BLOCK = 8_192
 
 
 class Moving(Protocol):

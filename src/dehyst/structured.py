@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,6 +13,7 @@ from dehyst._native import Array
 from dehyst.beside import Beside
 from dehyst.inertia import Inertia, find_inertia, undone
 from dehyst.preparation import Prepared
+from dehyst.program import Norm
 from dehyst.record import Record
 from dehyst.repairs import cycle_time
 from dehyst.rows import RowSource
@@ -20,7 +21,7 @@ from dehyst.selection import PARTS, Trial, select
 from dehyst.signals import turning_points
 from dehyst.smoothing import without_jitter
 from dehyst.structure import Structure
-from dehyst.wide_regression import WideRegression
+from dehyst.wide_regression import WideCoefficients, WideRegression
 from dehyst.wide_stream import WideStream
 
 # Rows for a trial, and for the final program.
@@ -80,6 +81,11 @@ class Frame:
             return found
         return replace(found, regression=replace(found.regression, strained=self.strained))
 
+    def fitted(self, structure: Structure, norm: Norm) -> tuple[WideRegression, WideCoefficients]:
+        """The program of all rows solved, beside the regression of those in memory."""
+        stream = self.stream(structure)
+        return stream.regression, stream.fit_weighted(norm)
+
     def _rows_of(self, structure: Structure, most: int) -> WideRegression:
         return self._stream_of(structure, most).regression
 
@@ -87,9 +93,14 @@ class Frame:
         grid = structure.grid(self.span, self.voltages, self.times)
         stroke = self.span[1] - self.span[0]
         pieces = [
-            (q, without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke), drift)
+            # No drift: creep branches are there for that.
+            (
+                q,
+                without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke),
+                np.broadcast_to(0.0, len(piece)),
+            )
             for q, item in enumerate(self.training)
-            for _, piece, drift in item.delayed(q, self.inertia.delay)
+            for _, piece, _ in item.delayed(q, self.inertia.delay)
         ]
         noise = [self.training[q].noise for q, _, _ in pieces]
 
@@ -98,6 +109,11 @@ class Frame:
 
         source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
         return WideStream(source, WideRegression(source.thinned(most), grid, self.floor, self.datum))
+
+    def _paths(self, item: Prepared, stroke: float) -> Iterator[Record]:
+        """The pieces of a record, voltages delayed and displacements those that hysteresis makes."""
+        for _, piece, _ in item.delayed(0, self.inertia.delay):
+            yield without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke)
 
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""
