@@ -4,7 +4,7 @@ Compensate and simulate, on the stack of reversals and on clipped elements, for 
 slow (swept loops of falling height), noisy (the same with sensor noise: every other sample reverses) and random
 (uniformly distributed samples); beside them the same elements with a transformer and 8 branches of creep. On the slow
 path other parts of the wider class too: 20 graded elements of 8 segments, and a mass; time is even. Repeats are
-interleaved and the least time counts. Writes `speed.json`.
+interleaved and the least time of the processor counts. Writes `speed.json`.
 """
 
 import json

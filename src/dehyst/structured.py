@@ -76,10 +76,9 @@ class Frame:
 
     def stream(self, structure: Structure, most: int = _MOST_ROWS) -> WideStream:
         """All rows of all records under a structure, about `most` of them in memory."""
+        strained = self.strained if structure.creep else ()
         found = self._stream_of(structure, most)
-        if not structure.creep:
-            return found
-        return replace(found, regression=replace(found.regression, strained=self.strained))
+        return replace(found, regression=replace(found.regression, strained=strained))
 
     def fitted(self, structure: Structure, norm: Norm) -> tuple[WideRegression, WideCoefficients]:
         """The program of all rows solved, beside the regression of those in memory."""
@@ -92,16 +91,9 @@ class Frame:
     def _stream_of(self, structure: Structure, most: int) -> WideStream:
         grid = structure.grid(self.span, self.voltages, self.times)
         stroke = self.span[1] - self.span[0]
-        pieces = [
-            # No drift: creep branches are there for that.
-            (
-                q,
-                without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke),
-                np.broadcast_to(0.0, len(piece)),
-            )
-            for q, item in enumerate(self.training)
-            for _, piece, _ in item.delayed(q, self.inertia.delay)
-        ]
+        # No drift: creep branches are there for that.
+        pieces = [(q, path, np.broadcast_to(0.0, len(path))) for q, item in enumerate(self.training)
+                  for path in self._paths(item, stroke)]  # fmt: skip
         noise = [self.training[q].noise for q, _, _ in pieces]
 
         def moved(number: int, piece: Record) -> Beside:
@@ -112,8 +104,10 @@ class Frame:
 
     def _paths(self, item: Prepared, stroke: float) -> Iterator[Record]:
         """The pieces of a record, voltages delayed and displacements those that hysteresis makes."""
-        for _, piece, _ in item.delayed(0, self.inertia.delay):
-            yield without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke)
+        delay, dynamics = self.inertia.delay, self.inertia.dynamics
+        for piece in item.pieces:
+            late = piece.delayed(delay) if delay else piece
+            yield without_jitter(undone(late, dynamics), item.noise, stroke)
 
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""
