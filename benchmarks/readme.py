@@ -64,10 +64,16 @@ def speed(data: dict) -> list[str]:
             "| --- | --- | --- | --- |"]  # fmt: skip
     for path, what in (("slow", "swept loops"), ("noisy", "the same, a reversal at every other sample"),
                        ("random", "uniformly distributed samples")):  # fmt: skip
+        rows += [f"| {job}, {what} | {ratios(data, path, job)} |" for job in ("compensate", "simulate")]
+    for path, what in (("slow", "swept loops"), ("noisy", "the same, a reversal at every other sample")):
         for job in ("compensate", "simulate"):
-            cells = " | ".join(f"{data['paths'][path][f'{job} {n}']['ratio']:.2f}" for n in (10, 100, 1000))
-            rows.append(f"| {job}, {what} | {cells} |")
+            wider = ratios(data, path, f"{job} with transformer and 8 creep")
+            rows.append(f"| {job} with a transformer and 8 branches of creep, {what} | {wider} |")
     return rows
+
+
+def ratios(data: dict, path: str, job: str) -> str:
+    return " | ".join(f"{data['paths'][path][f'{job} {n}']['ratio']:.2f}" for n in (10, 100, 1000))
 
 
 def table() -> str:

@@ -4,6 +4,8 @@
 
 #include "dehyst.h"
 
+#include <stddef.h>
+
 static inline int is_finite(dehyst_real a) { return a - a == 0; }
 
 static inline dehyst_real magnitude(dehyst_real a) { return a < 0 ? -a : a; }
@@ -40,6 +42,30 @@ static inline dehyst_real on_segment(const dehyst_curve *curve, int j, dehyst_re
 {
     return curve->value[j] + curve->slope[j] * (x - curve->knot[j]);
 }
+
+/* The index of the cell of 2 phi(u / 2) that holds u >= 0. */
+static inline int cell_of(const dehyst_slip *slip, dehyst_real u, int hint)
+{
+    if (slip->inverse_step > 0) {
+        dehyst_real guess = u * slip->inverse_step;
+        hint = guess < slip->size ? (int)guess : slip->size;
+    }
+    return count_below(slip->edge, slip->size, u, hint);
+}
+
+static inline dehyst_real masing(const dehyst_slip *slip, int cell, dehyst_real u)
+{
+    return slip->intercept[cell] + slip->stiffness[cell] * u;
+}
+
+/* The reversal at which the present branch joins the outer one again, or NULL on an outermost branch. */
+static inline const dehyst_reversal *joint(const dehyst_stack *stack)
+{
+    return stack->depth >= 3 ? stack->reversal + stack->depth - 2 : NULL;
+}
+
+/* Turn round at the stack's place, where the elements hold `stops`. */
+void dehyst_stack_turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real stops);
 
 /* What a motion in one direction meets at y: voltage, slope, and the place of the next change of slope. */
 typedef struct outlook {

@@ -157,7 +157,7 @@ def test_the_measured_lag_is_said_and_can_be_put_in(folder):
 def test_the_way_to_the_first_voltage_is_said(folder):
     _, out, err = run("compensate", "model.json", "path.csv", "-o", "slow.csv", "--slew", "1e4", cwd=folder)
     assert "ramp there within the slew rate before you play the file" in err
-    assert "coming from the top, 199.9 V" in out
+    assert re.search(r"coming from the top, (199\.9|200) V", out)
 
 
 def test_a_wide_limit_does_not_hide_extrapolation(folder):
@@ -225,8 +225,7 @@ def test_insight_of_loops_that_tell_all_finds_nothing_to_beware_of(folder):
     arguments = ["model.json", "loops.csv", "--trajectory", "path.csv", "-o", "band.csv", "--report", "i.html"]
     status, out, err = run("insight", *arguments, "--repeats", "20", cwd=folder)
     assert status == 0, err
-    assert "19 of 19 directions" in out
-    assert "certified" in out
+    assert "Their turning points tell 9 of 9 directions of plain elements" in out
     band = read_table(folder / "band.csv")
     names = ("lowest_um", "wanted_um", "highest_um")
     lowest, wanted, highest = (band.column("displacement", name) for name in names)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst import rows, signals, verify
+from dehyst import rows, signals, smoothing, verify
 from dehyst.creep import Creep
 from dehyst.dynamics import Dynamics
 from dehyst.elements import Transformer
@@ -167,6 +167,27 @@ def test_interpolation_in_blocks_is_interpolation(monkeypatch):
     one = signals.interpolate(x, y, asked, "pchip")
     monkeypatch.setattr(signals, "_BLOCK", 64)
     np.testing.assert_allclose(signals.interpolate(x, y, asked, "pchip"), one, rtol=1e-12, atol=1e-12)
+
+
+def test_what_a_long_signal_tells_is_told_from_parts_of_it(monkeypatch):
+    rng = np.random.default_rng(0)
+    values = np.sin(np.arange(40_000) / 300) + 1e-3 * rng.normal(size=40_000)
+    noise, turns = signals.white_noise(values), signals.turning_points(values, 0.1)
+    monkeypatch.setattr(signals, "_STRETCH", 1000)
+    monkeypatch.setattr(signals, "_BLOCK", 97)
+    assert signals.white_noise(values) == pytest.approx(noise, rel=0.05)
+    assert signals.white_noise(values) != noise
+    np.testing.assert_array_equal(signals.turning_points(values, 0.1), turns)
+    assert len(turns) == round(40_000 / 300 / np.pi)
+
+
+@pytest.mark.parametrize("size", [1, 97])
+def test_a_path_is_made_monotone_in_blocks_too(monkeypatch, size):
+    record = wide_record(bench.plant(12), 0.9 * bench.VOLTS).record
+    held = replace(record, voltage=np.maximum(record.voltage, 20.0))
+    one = smoothing.monotone(held).displacement
+    monkeypatch.setattr(smoothing, "_BLOCK", size)
+    np.testing.assert_array_equal(smoothing.monotone(held).displacement, one)
 
 
 def test_a_record_is_not_copied_by_its_slices_but_its_maker_may_go_on_writing():

@@ -83,6 +83,17 @@ def test_a_record_may_be_cut_at_any_sample(motion, cut):
         bench.close(joined, getattr(run(drive, time=time, state=state), out), allowance)
 
 
+@given(our.wider_motions({"graded": False, "transformer": True, "creep": False}, states=("turned up", "relaxed")))
+def test_beside_a_transformer_alone_the_stack_puts_down_the_memory_of_the_clips(motion):
+    """The core maps voltages in place: the stack reads a sample before it writes there."""
+    actuator, state, _, path = motion
+    _, metres = scales(actuator, state, path)
+    voltage = actuator.compensate(path, state=state).voltage
+    stack, clips = (actuator.simulate(voltage, state=state, stack=stack) for stack in (True, False))
+    bench.close(stack.displacement, clips.displacement, metres)
+    same_state(stack.state, clips.state, metres)
+
+
 @given(motion=our.motions(our.actuators(1, 20)), seed=our.SEEDS)
 def test_one_grade_is_a_plain_element(motion, seed):
     actuator, state, path = motion

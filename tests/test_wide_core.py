@@ -10,7 +10,7 @@ import strategies as our
 from dehyst import Dynamics, SmoothSlip
 from dehyst._native import Pace
 
-SOURCES = ("dehyst.c", "dehyst_stack.c", "dehyst_grades.c", "dehyst_wide.c", "dehyst_smooth.c")
+SOURCES = ("dehyst.c", "dehyst_stack.c", "dehyst_walk.c", "dehyst_grades.c", "dehyst_wide.c", "dehyst_smooth.c")
 
 # Reads an actuator, one pace, a state and a path; prints, a line a sample, the voltages and what they lead back to: on
 # the stack, then on the carts.

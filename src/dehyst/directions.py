@@ -14,13 +14,15 @@ from dehyst import program
 from dehyst._native import Array
 from dehyst.record import Record
 from dehyst.regression import Regression
-from dehyst.rows import collect
+from dehyst.rows import Rows, collect
 from dehyst.signals import turning_points
 
 _MOST_ROWS = 20_000
 # Singular values below this share of the largest, over N squared, count as nothing known: those of directions that an
 # excitation tells fall with the square of N (0.013 at N = 10, 0.0007 at 40, tops descending in N steps).
 _TOLD = 0.1
+# Plain elements with which turning points are probed.
+_PROBES = 10
 # Less than this [V/V] is rounding: a record that tells nothing must not be measured by it.
 _ROUNDING = 1e-9
 # A coefficient of a combination that is smaller than this is left out of its sentence.
@@ -142,6 +144,28 @@ def directions(
     found = np.zeros(count)
     found[: values.size] = values / np.sqrt(len(rows))
     return Directions(breakaway, movable, found, vectors)
+
+
+def probed(records: list[Record], rows: Rows, span: tuple[float, float]) -> Directions:
+    """What the turning points of records tell of ten plain elements over a stroke: whether inner loops are there.
+
+    A wider class has more coefficients than any records tell, which smoothing settles; but where ten plain elements are
+    left open no smoothing knows what loops that turn elsewhere do.
+
+    Parameters
+    ----------
+    records : list of Record
+        Pieces without gaps, on one displacement axis.
+    rows : Rows
+        Theirs; of which nothing counts.
+    span : (float, float)
+        Ends of the stroke [m].
+    """
+    stroke = span[1] - span[0]
+    rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
+    movable = 2 * rho < stroke * (1 - 1e-9)
+    knots = np.linspace(*span, _PROBES + 1)
+    return directions(records, rho, Regression(rows, knots, 0.0, movable, np.zeros(len(records))))
 
 
 def _turns(record: Record, spacing: float, ends: Array) -> list[float]:

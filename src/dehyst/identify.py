@@ -15,9 +15,10 @@ from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.assumptions import checks
-from dehyst.directions import directions
+from dehyst.directions import directions, probed
 from dehyst.elements import MaxwellSlip, Spring
 from dehyst.inertia import Inertia
+from dehyst.leftovers import leftovers
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.program import Norm, one_thread
@@ -197,6 +198,8 @@ class _Job:
         inertia = Inertia(self.delay, 0.0, 0.0)
         frame = Frame(self.training, inertia, self.span, voltages, plain.floor, plain.datum, self.widest,
                       tuple(self._can_drift()))  # fmt: skip
+        if isinstance(structure, str) and not self._tells_inner_loops(plain):
+            return self.by_records()
         if isinstance(structure, str):
             self.tell("looking for inertia")
             frame = frame.with_inertia()
@@ -219,6 +222,21 @@ class _Job:
         self.tell("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
         return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
+
+    def _tells_inner_loops(self, plain: Regression) -> bool:
+        """Whether turning points leave none of a few plain elements open: else nothing can be held out."""
+        told = probed(self._on_axis(plain.datum), plain.rows, self.span)
+        if told.determined < told.of:
+            self.remarks.append(
+                f"Wider structures were not tried: the turning points tell {told.determined} of {told.of} directions of "
+                "ten plain elements. They need loops within loops; add minor loops with other turning points."
+            )
+        return told.determined == told.of
+
+    def _on_axis(self, datum: Array) -> list[Record]:
+        """All pieces, displacements on the model's axis."""
+        return [replace(piece, displacement=piece.displacement + datum[q])
+                for q, item in enumerate(self.training) for piece in item.pieces]  # fmt: skip
 
     def _refined(self, made: Wider) -> Actuator:
         found = refinement.refine(made, self.tell)
@@ -355,9 +373,7 @@ class _Job:
         }
 
     def _outcome(self, rho: Array, regression: Regression, found: Coefficients) -> Outcome:
-        pieces = [replace(piece, displacement=piece.displacement + regression.datum[q])
-                  for q, item in enumerate(self.training) for piece in item.pieces]  # fmt: skip
-        told = directions(pieces, rho, regression)
+        told = directions(self._on_axis(regression.datum), rho, regression)
         if told.determined < told.of:
             self.remarks.append(
                 f"The records determine {told.determined} of {told.of} directions of the stiffnesses; minor loops with "
@@ -403,7 +419,10 @@ class _Job:
         actuator = replace(actuator, provenance={**actuator.provenance, "largest_error_m": missed})
         imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
         floor = regression.floor if self.settings.method == "record" or imposed else None
-        checked = () if actuator.wide else checks(actuator, records, errors, floor=floor, imposed=imposed)
+        if actuator.wide:
+            checked = leftovers(actuator, traces, errors)
+        else:
+            checked = checks(actuator, records, errors, floor=floor, imposed=imposed)
         if max(error.largest_percent for error in errors) > _USELESS_PERCENT:
             outcome = Outcome.VALIDATION_MISSED
         if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -67,16 +67,16 @@ class Prepared:
             )
         return min(float(y.min()) for y in counted), max(float(y.max()) for y in counted)
 
-    def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[tuple[int, Record, Array]]:
-        """(record number, piece, drift curve) of each piece, for `rows.collect`; voltages as they act.
+    def acting(self, delay: float, lag: float = 0.0) -> Iterator[Record]:
+        """The pieces, their voltages as they act: `delay` [s] late, through an amplifier of time constant `lag` [s]."""
+        for piece in self.pieces:
+            late = piece.delayed(delay) if delay else piece
+            yield _amplified(late, lag) if lag else late
 
-        They come `delay` [s] late and through an amplifier of time constant `lag` [s], at rest as a piece begins.
-        """
-        pieces = [piece.delayed(delay) if delay else piece for piece in self.pieces]
-        if lag:
-            pieces = [_amplified(piece, lag) for piece in pieces]
+    def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[tuple[int, Record, Array]]:
+        """(record number, piece as it acts, drift curve) of each piece, for `rows.collect`."""
         whole = repairs.drift_curve(self.record, self.start)
-        return [(number, piece, np.interp(piece.time, self.record.time, whole)) for piece in pieces]
+        return [(number, piece, np.interp(piece.time, self.record.time, whole)) for piece in self.acting(delay, lag)]
 
     def coarser(self, cycle: int, most: int) -> Prepared:
         """The same in fewer samples, for searches.

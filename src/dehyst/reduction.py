@@ -22,7 +22,7 @@ from dehyst.problem import OPTIMAL, TINY, Answer, Problem, failed
 # Up to so many rows for each coefficient a sample gains nothing.
 _WHOLE = 60
 # Numbers that rows in memory may have: 8 bytes each, and an interior point copies them two or three times.
-_MOST_NUMBERS = 12_000_000
+_MOST_NUMBERS = 8_000_000
 _ROUNDS = 12
 # A sample is followed by all rows only if they are not more than so many times as many.
 _LEAP = 10

@@ -21,8 +21,7 @@ from dehyst.elements import GradedSlip, MaxwellSlip
 from dehyst.files import write_atomically
 from dehyst.insight import Insight
 from dehyst.insight_page import sections
-from dehyst.leftovers import leftovers
-from dehyst.model import Check, Fit, Outcome, RecordErrors, Trace
+from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.page import MINUS, Row, document, figure, length, number, panel, table
 from dehyst.parts_page import made_of
 from dehyst.structure import Structure
@@ -181,10 +180,7 @@ def _tried(structure: Structure, fit: Fit) -> str:
 
 
 def _checks(fit: Fit, actuator: Actuator | None) -> str:
-    wide = actuator is not None and actuator.wide
-    checks: Sequence[Check] = fit.checks
-    if actuator is not None and wide and not checks and fit.traces:
-        checks = leftovers(actuator, fit.traces, fit.errors)
+    wide, checks = actuator is not None and actuator.wide, fit.checks
     if not checks:
         return ""
     rows: list[Row] = [

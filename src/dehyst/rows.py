@@ -18,7 +18,9 @@ from dehyst.record import Record, white_noise
 
 _SHORTEST_EPOCH = 16
 # Samples whose elongations are in memory at a time.
-_BLOCK = 32_768
+_BLOCK = 8_192
+# Samples whose voltages are compared at a time.
+_AT_A_TIME = 1 << 19
 
 
 class Moving(Protocol):
@@ -143,7 +145,10 @@ def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
 def _grows(v: Array, tolerance: float) -> NDArray[np.bool_]:
     """Samples of the runs near the running maximum that raise it by more than the tolerance."""
     highest = np.maximum.accumulate(v)
-    near = np.concatenate([[False], v >= highest - tolerance, [False]])
+    near = np.zeros(len(v) + 2, dtype=bool)
+    for begin in range(0, len(v), _AT_A_TIME):
+        span = slice(begin, begin + _AT_A_TIME)
+        near[1:-1][span] = v[span] >= highest[span] - tolerance
     starts, stops_ = np.flatnonzero(~near[:-1] & near[1:]), np.flatnonzero(near[:-1] & ~near[1:])
     grown = np.zeros(len(v), dtype=bool)
     for start, stop in zip(starts, stops_, strict=True):

@@ -16,12 +16,15 @@ _ORDER = 6
 # Samples gone through at a time, lest what a long record makes fill the memory; and neighbours of those interpolated.
 _BLOCK = 1 << 19
 _NEIGHBOURS = 4
+# What a long signal's noise is told from.
+_STRETCHES, _STRETCH = 16, 1 << 17
 
 
 def white_noise(values: FloatArray) -> float:
     """Estimate the standard deviation of white noise on a smooth, evenly sampled signal.
 
-    The median absolute difference of order 6, so that the signal itself, its corners and outliers do not count.
+    The median absolute difference of order 6, so that the signal itself, its corners and outliers do not count; of a
+    long signal, in stretches spread evenly over it.
 
     Parameters
     ----------
@@ -35,7 +38,11 @@ def white_noise(values: FloatArray) -> float:
     """
     if len(values) < _ORDER + 2:
         return 0.0
-    spread = float(np.median(np.abs(np.diff(values, _ORDER))))
+    parts = [values]
+    if len(values) > _STRETCHES * _STRETCH:
+        starts = np.linspace(0, len(values) - _STRETCH, _STRETCHES).astype(int)
+        parts = [values[start : start + _STRETCH] for start in starts.tolist()]
+    spread = float(np.median(np.abs(np.concatenate([np.diff(part, _ORDER) for part in parts]))))
     return spread / 0.6744897501960817 / sqrt(comb(2 * _ORDER, _ORDER))
 
 
@@ -66,9 +73,7 @@ def _pchip(x: FloatArray, y: FloatArray, asked: FloatArray) -> FloatArray:
 
 def turning_points(values: FloatArray, band: float) -> NDArray[np.intp]:
     """Find the extremes from which the signal goes back by more than `band`, see `Record.reversals`."""
-    # Only local extremes (and the last sample of a plateau) can be turning points or complete a way back.
-    steps = np.sign(np.diff(values))
-    kept = np.concatenate(([0], np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + 1, [len(values) - 1]))
+    kept = np.concatenate(([0], *_extremes(values), [len(values) - 1]))
     turns: list[int] = []
     low = high = float(values[0])
     at_low = at_high = direction = 0
@@ -86,6 +91,13 @@ def turning_points(values: FloatArray, band: float) -> NDArray[np.intp]:
                 turns.append(at_low)
             direction, high, at_high = 1, level, i
     return kept[turns]
+
+
+def _extremes(values: FloatArray) -> Iterator[NDArray[np.intp]]:
+    """Inner local extremes and samples of plateaus: only they can be turning points or complete a way back."""
+    for begin in range(0, len(values) - 2, _BLOCK):
+        steps = np.sign(np.diff(values[begin : begin + _BLOCK + 2]))
+        yield np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + begin + 1
 
 
 def _numbered(values: FloatArray, places: NDArray[np.intp]) -> Iterator[tuple[int, float]]:

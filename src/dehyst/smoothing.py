@@ -19,6 +19,8 @@ _HOLD = 8
 # Noise below this part of the range drags no element that counts; a parabola fits this part of a cycle.
 _QUIET = 3e-4
 _PART_OF_CYCLE, _WIDEST = 16, 12
+# Samples gone through at a time.
+_BLOCK = 1 << 19
 
 
 def without_jitter(piece: Record, noise: float, stroke: float) -> Record:
@@ -53,6 +55,7 @@ def monotone(piece: Record) -> Record:
     for start, stop, rising in _legs(piece):
         upward = _drifts_up(y[start:stop]) if rising is None else rising
         y[start:stop] = isotonic_regression(y[start:stop], increasing=upward).x
+    y.flags.writeable = False
     return replace(piece, displacement=y)
 
 
@@ -79,6 +82,8 @@ def _holds(v: Array, least: float) -> NDArray[np.intp]:
         return np.zeros(0, dtype=np.intp)
     # The range, for at a turn the ends of a window are equal; within noise nothing moves.
     still_range = max(0.1 * least, 6 * white_noise(v))
-    ahead = np.ptp(np.lib.stride_tricks.sliding_window_view(v, _HOLD + 1), axis=1) < still_range
+    windows = np.lib.stride_tricks.sliding_window_view(v, _HOLD + 1)
+    parts = [np.ptp(windows[start : start + _BLOCK], axis=1) < still_range for start in range(0, len(windows), _BLOCK)]
+    ahead = np.concatenate(parts)
     still = np.concatenate([ahead, np.full(_HOLD, ahead[-1])]) | np.concatenate([np.full(_HOLD, ahead[0]), ahead])
-    return np.flatnonzero(np.diff(still.astype(int))) + 1
+    return np.flatnonzero(still[1:] != still[:-1]) + 1

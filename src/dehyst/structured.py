@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,6 +12,7 @@ from dehyst._native import Array
 from dehyst.beside import Beside
 from dehyst.inertia import Inertia, find_inertia, undone
 from dehyst.preparation import Prepared
+from dehyst.program import Norm
 from dehyst.record import Record
 from dehyst.repairs import cycle_time, worthwhile
 from dehyst.rows import RowSource
@@ -19,7 +20,7 @@ from dehyst.selection import Trial, select
 from dehyst.signals import turning_points
 from dehyst.smoothing import without_jitter
 from dehyst.structure import Structure
-from dehyst.wide_regression import WideRegression
+from dehyst.wide_regression import WideCoefficients, WideRegression
 from dehyst.wide_stream import WideStream
 
 # Rows for a trial, and for the final program.
@@ -84,17 +85,20 @@ class Frame:
         strained, drifting = (self.strained, ()) if structure.creep else ((), self.drifting)
         return replace(found, regression=replace(found.regression, strained=strained, drifting=drifting))
 
+    def fitted(self, structure: Structure, norm: Norm) -> tuple[WideRegression, WideCoefficients]:
+        """The program of all rows solved, beside the regression of those in memory."""
+        stream = self.stream(structure)
+        return stream.regression, stream.fit_weighted(norm)
+
     def _rows_of(self, structure: Structure, most: int) -> WideRegression:
         return self._stream_of(structure, most).regression
 
     def _stream_of(self, structure: Structure, most: int) -> WideStream:
         grid = structure.grid(self.span, self.voltages, self.times)
         stroke = self.span[1] - self.span[0]
-        pieces = [
-            (q, without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke), drift)
-            for q, item in enumerate(self.training)
-            for _, piece, drift in item.delayed(q, self.inertia.delay, self.inertia.lag)
-        ]
+        # No drift where creep branches are there for that: its curves take room.
+        paths = self._drifting_paths if self.can_drift and not self.supports_creep() else self._paths
+        pieces = [(q, path, drift) for q, item in enumerate(self.training) for path, drift in paths(item, stroke)]
         noise = [self.training[q].noise for q, _, _ in pieces]
 
         def moved(number: int, piece: Record) -> Beside:
@@ -103,6 +107,17 @@ class Frame:
         source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
         some = WideRegression(source.thinned(most), grid, self.floor, self.datum, smoothing=structure.smoothing)
         return WideStream(source, some)
+
+    def _paths(self, item: Prepared, stroke: float) -> Iterator[tuple[Record, Array]]:
+        """The pieces of a record as they act, displacements those that hysteresis makes; no drift."""
+        for piece in item.acting(self.inertia.delay, self.inertia.lag):
+            path = without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke)
+            yield path, np.broadcast_to(0.0, len(path))
+
+    def _drifting_paths(self, item: Prepared, stroke: float) -> Iterator[tuple[Record, Array]]:
+        curves = item.delayed(0, self.inertia.delay)
+        for (path, _), (_, _, curve) in zip(self._paths(item, stroke), curves, strict=True):
+            yield path, curve
 
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""

@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 
 from dehyst._native import Array
-from dehyst.directions import Directions, directions
 from dehyst.metrics import rms
 from dehyst.program import triangle_of
 from dehyst.record import Record
-from dehyst.regression import Regression
 from dehyst.signals import turning_points
 from dehyst.wide_evidence import WideEvidence
 from dehyst.wide_regression import WideRegression
@@ -28,10 +26,6 @@ from dehyst.wide_regression import WideRegression
 SHARP = 0.01
 # Less than this [V/V] is rounding.
 _ROUNDING = 1e-7
-
-
-# Plain elements with which turning points are probed.
-_PROBES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,21 +91,6 @@ def told(evidence: WideEvidence) -> tuple[Told, ...]:
         deviations = np.divide(scatter, seen, out=np.full(seen.size, np.inf), where=seen > _ROUNDING)
         found.append(Told(part, deviations, allowed))
     return tuple(found)
-
-
-def probed(evidence: WideEvidence) -> Directions:
-    """What the turning points of the records tell of ten plain elements over the stroke: whether inner loops are there.
-
-    A wider class has more coefficients than any records tell, which smoothing settles; but where ten plain elements are
-    left open no smoothing knows what loops that turn elsewhere do.
-    """
-    own, stroke = evidence.regression, float(np.ptp(evidence.regression.knots))
-    rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
-    knots = np.linspace(own.knots[0], own.knots[-1], _PROBES + 1)
-    movable = 2 * rho < stroke * (1 - 1e-9)
-    pieces = [replace(piece, displacement=piece.displacement + one.datum)
-              for one in evidence.comparisons for _, piece, _ in one.pieces]  # fmt: skip
-    return directions(pieces, rho, Regression(own.rows, knots, own.floor, movable, np.zeros(len(own.datum))))
 
 
 def _parts(regression: WideRegression) -> list[tuple[str, slice]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,14 +13,14 @@ from dehyst.actuator import Actuator
 from dehyst.band import Band, homed, rise, risen
 from dehyst.cautions import beyond, misfit_of, not_homed, of_another
 from dehyst.compensator import Compensator
-from dehyst.directions import Directions
+from dehyst.directions import Directions, probed
 from dehyst.homing import Homing, shortest_homing
 from dehyst.intervals import Intervals, resample
 from dehyst.knowledge import Knowledge
 from dehyst.model import State
 from dehyst.record import Record
 from dehyst.repairs import cycle_time
-from dehyst.told import SHARP, Told, probed, told
+from dehyst.told import SHARP, Told, told
 from dehyst.wide_evidence import WideEvidence
 
 NOT_JUDGED = (
@@ -199,5 +199,12 @@ def look(
     progress("counting what is told")
     known = tuple(Knowledge.of(actuator, one) for one in evidence.comparisons)
     return WideInsight(
-        actuator, evidence, told(evidence), probed(evidence), intervals, loop, known, homing, band, misfit, limits
+        actuator, evidence, told(evidence), _probed(evidence), intervals, loop, known, homing, band, misfit, limits
     )
+
+
+def _probed(evidence: WideEvidence) -> Directions:
+    own = evidence.regression
+    pieces = [replace(piece, displacement=piece.displacement + one.datum)
+              for one in evidence.comparisons for _, piece, _ in one.pieces]  # fmt: skip
+    return probed(pieces, own.rows, (float(own.knots[0]), float(own.knots[-1])))

@@ -46,8 +46,7 @@ class Wider:
     @classmethod
     def solve(cls, frame: Frame, structure: Structure, norm: Norm) -> Wider:
         """Solve the program."""
-        stream = frame.stream(structure)
-        regression, found = stream.regression, stream.fit_weighted(norm)
+        regression, found = frame.fitted(structure, norm)
         reference = regression.rows.epoch[regression.rows.record == frame.widest].max()
         actuator = Actuator(
             **parts(regression.grid, found, found.offsets[int(reference)]),
