@@ -1,19 +1,39 @@
 """Errors of identified models, and of the voltage they compute, in % of the stroke. Writes `accuracy.json`.
 
-The virtual actuator is `dehyst.truths.PlayActuator`, no instance of the model. The measured records (a PICMA stack in a
-micromanipulator) are read from `../shared/data/p885` beside the repository, or from the folder given as an argument.
+Three parts; without one named, all:
+
+main      ours: the demo's virtual actuator, and every method on the measured records
+tracking  every model of `dehyst compare` on every virtual actuator of `dehyst.trials`: fitted to its records once, then
+          compensated along random paths, a path for each seed
+measured  every model on the measured records: fitted to the major loop and the first ramps, judged on the other ramps
+
+    python benchmarks/accuracy.py [PART ...] [--only MODEL ...] [--seeds N] [--data FOLDER]
+
+What was not run again keeps its figures. No virtual actuator is an instance of the model. The measured records (a PICMA
+stack in a micromanipulator) are read from `../shared/data/p885` beside the repository, or from FOLDER.
 """
 
+import argparse
 import json
-import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import dehyst
 from dehyst import demo
+from dehyst.compare import Row, compare, contenders
+from dehyst.model import AbstractModel
+from dehyst.trials import TRIALS, Trial
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
+OUTPUT = Path(__file__).with_suffix(".json")
 METHODS = ("record", "breakpoints", "antisymmetric")
+PARTS = ("main", "tracking", "measured")
+SPLIT, FIRST_SEED = 4500, 7
+# Largest and RMS error asked of ours, in % of the stroke.
+ASKED = {"play": (0.15, 0.05), "creep": (0.25, 0.09), "preisach": (0.5, 0.2), "boucwen": (1.0, 0.4)}
+ASKED_MEASURED = (0.85, 0.22)
+FAILURES = (ValueError, ArithmeticError, RuntimeError)
 
 
 def virtual() -> dict:
@@ -21,17 +41,50 @@ def virtual() -> dict:
     return {key: found[key] for key in ("linear", "compensated", "paper")} | {"errors": found["fit"]["errors"]}
 
 
-def measured(folder: Path) -> dict:
+def p885(folder: Path) -> tuple[dehyst.Record, dehyst.Record]:
     columns = {"voltage": "drive_V", "displacement": "displacement_um"}
     major, ramps = (dehyst.read(folder / name, **columns) for name in ("major.csv", "ramps.csv"))
+    return major, ramps
+
+
+def measured(folder: Path) -> dict:
+    major, ramps = p885(folder)
     results = {}
     for method in METHODS:
         start = time.perf_counter()
         fit = dehyst.identify([major, ramps], method=method)
         results[method] = {"seconds": time.perf_counter() - start, "errors": [error.as_dict() for error in fit.errors]}
-    split = dehyst.identify([major, ramps[:4500]], validate=ramps[4500:].with_name("ramps, held out"))
+    split = dehyst.identify([major, ramps[:SPLIT]], validate=ramps[SPLIT:].with_name("ramps, held out"))
     results["held out"] = {"errors": [error.as_dict() for error in split.errors]}
     return results
+
+
+def compared_on(one: Trial, name: str, identification: Any, seeds: int) -> dict:
+    """A model's row on a virtual actuator's records, and how it tracks each path."""
+    kept: list[AbstractModel] = []
+
+    def fit(records: Any) -> AbstractModel:
+        kept.append(identification(records))
+        return kept[0]
+
+    row = compare(one.records(), validate=one.held_out(), models={name: fit}).rows[0]
+    found = row.as_dict() | {"tracking": {}}
+    for seed in range(FIRST_SEED, FIRST_SEED + seeds) if kept else ():
+        try:
+            error = one.track(kept[0], seed)
+            found["tracking"][str(seed)] = {
+                "largest_percent": error.largest, "rms_percent": error.rms, "beyond_voltage_percent": error.beyond
+            }  # fmt: skip
+        except FAILURES as failure:
+            found["said"] = f"{found['said'] or ''} Seed {seed}: {failure}".strip()
+    return found
+
+
+def on_measured(folder: Path, name: str, identification: Any) -> tuple[Row, float]:
+    major, ramps = p885(folder)
+    found = compare([major, ramps[:SPLIT].with_name("first ramps")], validate=ramps[SPLIT:].with_name("other ramps"),
+                    models={name: identification})  # fmt: skip
+    return found.rows[0], found.stroke
 
 
 def show(title: str, errors: list[dict]) -> None:
@@ -41,18 +94,89 @@ def show(title: str, errors: list[dict]) -> None:
               f"{error['largest_with_drift_percent']:10.3f}{error['rms_with_drift_percent']:8.3f}")  # fmt: skip
 
 
-def main() -> None:
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else DATA
-    results = {"virtual": virtual(), "measured": measured(folder) if folder.is_dir() else None}
+def show_main(results: dict) -> None:
     show("virtual actuator", results["virtual"]["errors"])
     for name in ("linear", "compensated"):
         row = results["virtual"][name]
         print(f"  tracking, {name:<34}{row['largest_percent']:10.3f}{row['rms_percent']:10.3f}")
     for name, found in (results["measured"] or {}).items():
         show(f"P-885, {name}", found["errors"])
-    if results["measured"] is None:
-        print(f"\nno measured data in {folder.name}: left out; the README's table keeps needing them")
-    Path(__file__).with_suffix(".json").write_text(json.dumps(results, indent=1) + "\n")
+
+
+def pair(figures: tuple[float, float] | None) -> str:
+    return f"{'-':>16}" if figures is None else f"{figures[0]:>9.3f}{figures[1]:7.3f}"
+
+
+def worst(row: dict | None) -> tuple[float, float] | None:
+    """Largest and RMS error of the seed with the largest error."""
+    figures = [(one["largest_percent"], one["rms_percent"]) for one in ((row or {}).get("tracking") or {}).values()]
+    return max(figures, default=None)
+
+
+def held_out(row: dict | None) -> list[tuple[float, float] | None]:
+    """With one constant removed and without."""
+    errors = [error for error in (row or {}).get("errors", ()) if error["role"] == "validation"]
+    return [(errors[0][f"largest{way}_percent"], errors[0][f"rms{way}_percent"]) if errors else None
+            for way in ("", "_without_constant")]  # fmt: skip
+
+
+def show_compared(tracking: dict, rows: dict) -> None:
+    names = [name for name in contenders() if any(name in part for part in (*tracking.values(), rows))]
+    titles = [*ASKED, "P-885", "no constant"]
+    print(f"\n{'largest and RMS error, %':<34}" + "".join(f"{title:>16}" for title in titles))
+    print(f"{'asked of ours':<34}" + "".join(map(pair, (*ASKED.values(), ASKED_MEASURED))))
+    for name in names:
+        figures = [worst(tracking.get(truth, {}).get(name)) for truth in ASKED] + held_out(rows.get(name))
+        print(f"{name:<34}" + "".join(map(pair, figures)))
+    for where, part in (*tracking.items(), ("P-885", rows)):
+        for name, row in part.items():
+            if row["said"]:
+                print(f"{name}, {where}: {row['said']}")
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Measure accuracy; see the top of this file.")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
+    parser.add_argument("--only", action="append", metavar="MODEL", choices=list(contenders()),
+                        help="of tracking and measured; may be repeated")  # fmt: skip
+    parser.add_argument("--truth", action="append", choices=list(TRIALS), help="of tracking; may be repeated")
+    parser.add_argument("--seeds", type=int, default=3, help="paths for each virtual actuator; default: 3")
+    parser.add_argument("--data", type=Path, default=DATA, help="folder of the measured records")
+    parser.add_argument("--output", type=Path, default=OUTPUT, help="default: accuracy.json beside this file")
+    given = parser.parse_args()
+    for part in given.parts:
+        if part not in PARTS:
+            parser.error(f"no part '{part}'; try {', '.join(PARTS)}")
+    return given
+
+
+def main() -> None:
+    given = arguments()
+    parts, data = given.parts or PARTS, given.data.is_dir()
+    results = json.loads(given.output.read_text()) if given.output.exists() else {}
+    rivals = results.setdefault("compared", {"tracking": {}, "measured": {}})
+    rivals |= {"asked": {truth: {"largest_percent": a, "rms_percent": b}
+                         for truth, (a, b) in (ASKED | {"measured": ASKED_MEASURED}).items()}}  # fmt: skip
+    if not data:
+        print(f"no measured data in {given.data.name}: left out; the README's table keeps needing them")
+    if "main" in parts:
+        results |= {"virtual": virtual(), "measured": measured(given.data) if data else None}
+        show_main(results)
+    for name, identification in contenders().items():
+        if given.only and name not in given.only:
+            continue
+        for truth in given.truth or TRIALS if "tracking" in parts else ():
+            print(f"{name} on {truth}", flush=True)
+            rivals["tracking"].setdefault(truth, {})[name] = compared_on(
+                TRIALS[truth], name, identification, given.seeds
+            )
+        if "measured" in parts and data:
+            print(f"{name} on P-885", flush=True)
+            row, stroke = on_measured(given.data, name, identification)
+            rivals["measured"][name] = row.as_dict() | {"stroke_m": stroke}
+    if rivals["tracking"] or rivals["measured"]:
+        show_compared(rivals["tracking"], rivals["measured"])
+    given.output.write_text(json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -78,7 +78,7 @@ def test_duhem_follows_its_equation(seed):
     y = integrated(
         lambda v, y, s: (model.rate * s * (f(v / VOLTS) - y) + g(v / VOLTS)) / VOLTS,
         v,
-        model.start.displacement / STROKE,
+        model.state.displacement / STROKE,
     )
     np.testing.assert_allclose(model.simulate(v).displacement, y * STROKE, rtol=0, atol=1e-8 * STROKE)
 
@@ -105,7 +105,7 @@ def test_the_start_of_duhem_lies_on_its_closed_major_loop(seed):
     model = duhem(seed)
     loop = model.simulate([VOLTS, 0.0, VOLTS, 0.0]).displacement
     assert loop[0] == pytest.approx(loop[2], abs=1e-12 * STROKE)
-    assert loop[1] == pytest.approx(model.start.displacement, abs=1e-12 * STROKE)
+    assert loop[1] == pytest.approx(model.state.displacement, abs=1e-12 * STROKE)
 
 
 def test_minor_loops_do_not_close_as_the_literature_says():
@@ -129,7 +129,7 @@ def record_of(model, turns=(0, 1, 0, 1, 0, 0.8, 0, 0.5, 0.2, 0.7, 0, 0.3, 0)):
 def test_boucwen_is_recovered(seed):
     # Seeds whose state forgets within a cycle: a start that is not known stays in the records of slower ones.
     # One cubic over all that the records reach: beyond its limits a map is straight.
-    truth = replace(boucwen(seed), limits=(-100.0, 200.0), start=None)
+    truth = replace(boucwen(seed), limits=(-100.0, 200.0), state=None)
     found = BoucWen.fit(record_of(truth), slope_floor=0.01, delay=0.0)
     for name in ("alpha", "beta", "gamma"):
         assert getattr(found, name) == pytest.approx(getattr(truth, name), rel=1e-6), name

@@ -123,6 +123,30 @@ def test_its_own_class_is_recovered_both_ways(seed):
     assert fitted.parameters == read.parameters == 37
 
 
+def test_a_curve_that_turns_early_tells_only_what_it_went_through():
+    """A fall from the top that ends half-way, as in a staircase, leaves the rest to the falls that go on."""
+    cells = 8
+    truth = of(densities(1, cells))
+    record = recorded(truth, VOLTS * np.arange(cells - 1, 0, -1) / cells)
+    short = excite.raised_cosine([VOLTS, VOLTS], cycles=1, drive=Drive(sample_rate=4.0)).voltage
+    down = VOLTS * (0.75 + 0.25 * np.cos(np.pi * np.arange(1, 101) / 100))
+    voltage = np.concatenate([short, short[: short.size // 4 + 1], down, down[::-1], down])
+    stairs = Record(np.arange(voltage.size) / 100, voltage, truth.simulate(voltage).displacement)
+    options = {"cells": cells, "slope_floor": 1e-3, "delay": 0.0}
+    alone, both = (Preisach.from_reversal_curves(records, **options) for records in (record, [record, stairs]))
+    np.testing.assert_allclose(both.everett, alone.everett, atol=2e-3 * STROKE)
+
+
+def test_slow_curves_count_where_there_are_slow_and_fast_ones():
+    """The same curves, driven ten times as fast and swollen as by a resonance, leave the table alone."""
+    truth = of(densities(2, 8))
+    slow = recorded(truth, VOLTS * np.arange(7, 0, -1) / 8)
+    fast = Record(slow.time / 10, slow.voltage, 1.05 * slow.displacement)
+    options = {"cells": 8, "slope_floor": 1e-3, "delay": 0.0}
+    alone, both = (Preisach.from_reversal_curves(records, **options) for records in (slow, [slow, fast]))
+    np.testing.assert_allclose(both.everett, alone.everett, atol=1e-12 * STROKE)
+
+
 @pytest.fixture(scope="module")
 def plays():
     truth = PlayActuator(seed=1)

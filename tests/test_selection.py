@@ -24,10 +24,10 @@ def test_parts_are_added_while_one_is_worth_it(monkeypatch):
         return 1.0 - 0.5 * bool(one.transformer) - 0.2 * (one.grades > 1) - 0.001 * one.smooth
 
     errors_by(monkeypatch, error)
-    best, trials = select(None, START, PARTS, None)
+    best, trials = select(None, START, None)
     assert best == replace(START, transformer=20, grades=8)
-    # One by itself, five parts, the four left, the three left, none of them worth it.
-    assert len(trials) == 1 + 5 + 4 + 3
+    # One by itself, five parts, the four left, the three left, none of them worth it, and what is tuned.
+    assert len(trials) == 1 + 5 + 4 + 3 + 3
     assert trials[0].structure == START
     assert len({trial.structure for trial in trials}) == len(trials)
 
@@ -35,14 +35,14 @@ def test_parts_are_added_while_one_is_worth_it(monkeypatch):
 @pytest.mark.parametrize(("gain", "taken"), [(0.029, False), (0.031, True)])
 def test_a_part_must_be_worth_three_percent(monkeypatch, gain, taken):
     errors_by(monkeypatch, lambda one: 1.0 - gain * bool(one.creep))
-    best, _ = select(None, START, PARTS, None)
+    best, _ = select(None, START, None)
     assert bool(best.creep) is taken
 
 
 def test_what_cannot_be_told_apart_is_not_added(monkeypatch):
     """A held-out error that is no number is worse than any."""
     errors_by(monkeypatch, lambda one: float("nan") if one != START else 1.0)
-    assert select(None, START, PARTS, None)[0] == START
+    assert select(None, START, None)[0] == START
 
 
 def test_every_part_can_be_added(monkeypatch):
@@ -50,10 +50,24 @@ def test_every_part_can_be_added(monkeypatch):
         return 0.5 ** sum([one.elements == 40, one.transformer > 0, one.grades > 1, one.creep > 0, one.smooth])
 
     errors_by(monkeypatch, error)
-    best, trials = select(None, START, PARTS, None)
-    assert len(trials) == 1 + 5 + 4 + 3 + 2 + 1
+    best, trials = select(None, START, None)
+    assert len(trials) == 1 + 5 + 4 + 3 + 2 + 1 + 3
     assert best == Structure(elements=40, spacing=2.0, knots=41, transformer=20, grades=8, creep=9, smooth=True)
     assert best == Structure(**{key: value for _, change in PARTS for key, value in change.items()})
+
+
+def test_what_was_found_is_tuned(monkeypatch):
+    """Smoothing goes one way only, and plain elements get no finer grades."""
+    errors_by(monkeypatch, lambda one: 1.0 - 0.1 * (one.grades == 8) - one.smoothing)
+    best, trials = select(None, START, None, without=("creep",))
+    assert best == replace(START, grades=8, smoothing=3e-3)
+    assert all(not trial.structure.creep for trial in trials)
+    errors_by(monkeypatch, lambda one: 1.0 - 0.1 * (one.grades > 1) - 0.1 * (one.grades == 16) - 10 * one.smoothing)
+    best, trials = select(None, START, None)
+    assert best == replace(START, grades=16, smoothing=1e-2)
+    assert len({trial.structure for trial in trials}) == len(trials)
+    errors_by(monkeypatch, lambda one: 1.0)
+    assert {trial.structure.grades for trial in select(None, START, None)[1]} == {1, 8}
 
 
 def regression():
@@ -66,7 +80,7 @@ def test_a_held_out_error_is_that_of_a_fit_without_its_block():
     whole = regression()
     weights = np.ones(len(whole.rows))
     errors = held_out_errors(whole, weights)
-    fold = blocks(whole.rows) % 3
+    fold = blocks(whole.rows.voltage, whole.rows.epoch) % 3
     for k in range(3):
         spoilt = np.where(fold == k, 1000.0, 0.0)
         other = replace(whole, rows=replace(whole.rows, voltage=whole.rows.voltage + spoilt))
@@ -79,7 +93,7 @@ def test_a_held_out_error_is_that_of_a_fit_without_its_block():
 
 def test_blocks_are_cycles_and_long_legs_are_cut():
     rows = wide.regression(wide.plant(wide.STRUCTURES["plain"]).grid, [bench.loops(bench.plant(8), (1, 0) * 40)]).rows
-    number = blocks(rows)
+    number = blocks(rows.voltage, rows.epoch)
     assert np.all(np.diff(number) >= 0)
     starts = np.flatnonzero(np.diff(number)) + 1
     # Cycles of 200 samples, each from a maximum or each from a minimum.
@@ -87,7 +101,7 @@ def test_blocks_are_cycles_and_long_legs_are_cut():
     slow = wide.regression(
         wide.plant(wide.STRUCTURES["plain"]).grid, [bench.loops(bench.plant(8), (1, 0, 1, 0), samples=600)]
     )
-    counts = np.bincount(blocks(slow.rows))
+    counts = np.bincount(blocks(slow.rows.voltage, slow.rows.epoch))
     assert counts.max() <= len(slow.rows) // 12 + 1
     assert np.count_nonzero(counts) >= 12
 
@@ -97,7 +111,7 @@ def test_epochs_are_not_mixed():
     plant = wide.plant(wide.STRUCTURES["plain"])
     records = [plant.record(), plant.record()]
     rows = wide.regression(plant.grid, records).rows
-    number = blocks(rows)
+    number = blocks(rows.voltage, rows.epoch)
     first, second = (set(number[rows.record == q].tolist()) for q in (0, 1))
     assert not first & second
 
@@ -109,7 +123,7 @@ def test_a_plain_actuator_keeps_the_plain_structure(noise):
                bench.loops(plant, bench.THREE_LOOPS, noise=noise * bench.STROKE, seed=1, name="loops")]  # fmt: skip
     frame = wide.frame(records)
     best, _, _ = frame.chosen(Structure(), lambda _: None)
-    assert best == Structure()
+    assert replace(best, smoothing=START.smoothing) == START
 
 
 def test_a_trial_says_what_it_was():

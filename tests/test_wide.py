@@ -345,9 +345,13 @@ def test_charge_balances_power(motion):
 def test_what_knows_plain_actuators_only_says_so():
     from dehyst.bracket import Bracket
     from dehyst.equilibria import Equilibria
-    from dehyst.homing import shortest_homing
+    from dehyst.first_rise import state_from_first_rise
 
     wider = Actuator(GRADED, SPRING, transformer=TAU, creep=CREEP, limits=(0, 100))
-    for ask in (lambda: Bracket.at_rest(wider), lambda: Equilibria(wider), lambda: shortest_homing(wider)):
-        with pytest.raises(ModelError, match="has graded elements and a transformer and creep; leave it out"):
+    for ask, message in (
+        (lambda: Bracket.at_rest(wider), "this actuator creeps; use dehyst.homing.shortest_homing"),
+        (lambda: Equilibria(wider).vertex(np.ones(len(GRADED))), "no polytope of elongations; .*bounds it"),
+        (lambda: state_from_first_rise(wider, None), "plain slip elements and a spring only; home a wider actuator"),
+    ):
+        with pytest.raises(ModelError, match=message):
             ask()

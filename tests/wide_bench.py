@@ -133,15 +133,20 @@ def regression(grid, records, *, leads=(), **options):
     return WideRegression(rows, grid, FLOOR, np.zeros(len(pieces)), **options)
 
 
+def _rough(**parts):
+    """A structure whose neighbours may be as unlike as a random actuator's are: only so is that one met exactly."""
+    return Structure(smoothing=0.0, **parts)
+
+
 STRUCTURES = {
-    "plain": Structure(elements=8, knots=7),
-    "dense": Structure(elements=10, spacing=2.0, knots=7),
-    "graded": Structure(elements=6, grades=3, knots=7),
-    "transformer": Structure(elements=8, knots=7, transformer=6),
-    "creep": Structure(elements=8, knots=7, creep=4),
-    "smooth": Structure(elements=8, knots=7, smooth=True),
-    "graded, transformer": Structure(elements=6, grades=3, knots=7, transformer=5),
-    "all": Structure(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True),
+    "plain": _rough(elements=8, knots=7),
+    "dense": _rough(elements=10, spacing=2.0, knots=7),
+    "graded": _rough(elements=6, grades=3, knots=7),
+    "transformer": _rough(elements=8, knots=7, transformer=6),
+    "creep": _rough(elements=8, knots=7, creep=4),
+    "smooth": _rough(elements=8, knots=7, smooth=True),
+    "graded, transformer": _rough(elements=6, grades=3, knots=7, transformer=5),
+    "all": _rough(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True),
 }
 
 

@@ -9,6 +9,8 @@ import numpy as np
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.compensator import Command
+from dehyst.excitation import Excitation
+from dehyst.homing import shortest_homing
 from dehyst.intervals import Intervals
 from dehyst.latitude import Latitude
 from dehyst.metrics import largest
@@ -96,9 +98,27 @@ class Band:
 
 
 def homed(actuator: Actuator, limits: tuple[float, float] | None) -> State:
-    """The state at the top of the limits, after a rise through all of them; at that of the spring without limits."""
+    """The state at the top of the limits, after a rise through all of them; at that of the spring without limits.
+
+    Where time has a say, after the homing that ends there (`dehyst.homing.shortest_homing`).
+    """
     ends = actuator.spring.displacement[[0, -1]]
     if limits is None:
         return actuator.turned(float(ends[1]))
-    after: State = actuator.simulate(np.array(limits), state=actuator.turned(float(ends[0]), rising=False)).state
-    return after
+    return risen(actuator, limits, rise(actuator, limits))
+
+
+def rise(actuator: Actuator, limits: tuple[float, float]) -> Excitation | None:
+    """The voltage in time that homes to the top of the limits; None where time has no say."""
+    return shortest_homing(actuator, limits=limits, present=limits[0], end=limits[1]).played if actuator.wide else None
+
+
+def risen(actuator: Actuator, limits: tuple[float, float], played: Excitation | None) -> State:
+    """The state after a rise through the limits, played as it is given, or at any pace."""
+    start = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
+    if played is None:
+        after: State = actuator.simulate(np.array(limits), state=start).state
+        return after
+    time = played.time if actuator.needs_time else None
+    homed_: State = actuator.simulate(played.voltage, time=time, state=start).state
+    return homed_

@@ -1,7 +1,8 @@
 """What is known of the state: brackets about every cart.
 
 Nothing is assumed of the past but that it ended at rest. With y known, each element stands alone; with v known the
-displacement depends on all of them, so the carts are bracketed by two simulations (theory section 11).
+displacement depends on all of them, so the carts are bracketed by two simulations (theory section 11). A transformer
+keeps the order of voltages, and elements may be graded: a higher state stays the higher one.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, number, stops, vector
-from dehyst.actuator import Actuator, demand_plain
+from dehyst.actuator import Actuator
 from dehyst.elements import MaxwellSlip
 from dehyst.model import State
+from dehyst.outermost import Outermost
 
 Counts = NDArray[np.intp]
 Mask = NDArray[np.bool_]
@@ -127,8 +129,8 @@ class Bracket:
     def at_rest(cls, actuator: Actuator, voltage: float = 0.0) -> Bracket:
         """Bracket every state the actuator can rest in at `voltage` [V]: its two extreme equilibria.
 
-        They lie at ``eta^-1(v - F)`` with every s_i = rho_i and at ``eta^-1(v + F)`` with every s_i = -rho_i, where
-        F = sum kappa_i rho_i.
+        They lie on the outermost branches; of a plain actuator at ``eta^-1(v - F)`` with every s_i = rho_i and at
+        ``eta^-1(v + F)`` with every s_i = -rho_i, where F = sum kappa_i rho_i.
 
         Raises
         ------
@@ -136,8 +138,8 @@ class Bracket:
             If `actuator` is none, or the voltage is not finite.
         """
         v, slip = number(voltage, "voltage"), checked_actuator(actuator).slip
-        inverse, friction = actuator.core.spring_inverse, friction_of(actuator)
-        lowest, highest = inverse(v - friction), inverse(v + friction)
+        branch = Outermost(actuator)
+        lowest, highest = branch.displacement(v, 1), branch.displacement(v, -1)
         return cls(State(lowest, lowest - slip.breakaway), State(highest, highest + slip.breakaway))
 
     def drive(self, actuator: Actuator, voltage: ArrayLike, *, tolerance: float | None = None) -> KnownState:
@@ -184,7 +186,8 @@ class Bracket:
     def middle(self) -> State:
         """The state halfway: off by half the width at most."""
         lower, upper = self.lower, self.upper
-        return State(0.5 * (lower.displacement + upper.displacement), 0.5 * (lower.carts + upper.carts))
+        more = (0.5 * (getattr(lower, name) + getattr(upper, name)) for name in ("creep", "motion", "smooth"))
+        return State(0.5 * (lower.displacement + upper.displacement), 0.5 * (lower.carts + upper.carts), *more)
 
     def known(self, tolerance: float) -> bool:
         """Whether every cart and the displacement are known to `tolerance` [m]."""
@@ -233,7 +236,8 @@ def first_move_error(bracket: Bracket) -> float:
 def least_range(actuator: Actuator, lowest: float, highest: float) -> float:
     """Range [m] that the displacement covers at least while the voltage covers `lowest` to `highest` [V].
 
-    D = eta^-1(highest - F) - eta^-1(lowest + F), F = sum kappa_i rho_i; it may be negative. From total ignorance the
+    D = eta^-1(highest - F) - eta^-1(lowest + F), F = sum kappa_i rho_i; it may be negative. In general the first is the
+    displacement on the outermost rising branch, the second that on the falling one. From total ignorance the
     widest bracket of a cart is exactly max(0, 2 rho_N - D) after any path that covers just these voltages: where it is
     highest the lower extreme state has every s_i = rho_i, where it is lowest the upper one has every s_i = -rho_i, and
     cart N stands where these two extremes of y put it. Neither the order nor the number of turns matters.
@@ -243,13 +247,27 @@ def least_range(actuator: Actuator, lowest: float, highest: float) -> float:
     ModelError
         If `actuator` is none, or a voltage is not finite.
     """
-    inverse, friction = checked_actuator(actuator).core.spring_inverse, friction_of(actuator)
-    return inverse(number(highest, "highest") - friction) - inverse(number(lowest, "lowest") + friction)
+    branch = Outermost(checked_actuator(actuator))
+    return branch.displacement(number(highest, "highest"), 1) - branch.displacement(number(lowest, "lowest"), -1)
 
 
 def checked_actuator(actuator: Actuator) -> Actuator:
-    """Refuse what is no plain Actuator: with other parts the order of the carts is not known to hold."""
-    return demand_plain(actuator, "a bracket of the state")
+    """Refuse what is no Actuator, and one whose states do not keep their order by the voltage alone."""
+    if not isinstance(actuator, Actuator):
+        raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
+    if moves_on(actuator):
+        raise ModelError(
+            f"a bracket of the state follows the voltage alone, this actuator {moves_on(actuator)}; use "
+            "dehyst.homing.shortest_homing, which plays a voltage in time and says how much stays unknown"
+        )
+    return actuator
+
+
+def moves_on(actuator: Actuator) -> str:
+    """Why the order of voltages does not tell the state, in words; empty if it does."""
+    parts = {"creeps": actuator.creep is not None, "has inertia": actuator.dynamics is not None,
+             "lags": actuator.lag > 0, "has smooth elements": actuator.smooth is not None}  # fmt: skip
+    return " and ".join(words for words, there in parts.items() if there)
 
 
 def _positive(tolerance: float | None, default: float) -> float:
@@ -267,11 +285,6 @@ def least_width(actuator: Actuator, tolerance: float | None) -> float:
 
 def _first(known: Mask) -> int | None:
     return int(known.argmax()) if known.any() else None
-
-
-def friction_of(actuator: Actuator) -> float:
-    """The sum of kappa_i rho_i [V]."""
-    return float(actuator.slip.friction.sum())
 
 
 def _ordered(a: State, b: State) -> Bracket:

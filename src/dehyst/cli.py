@@ -67,11 +67,13 @@ main.add_command(excite)
 )
 @click.option(
     "--structure",
-    type=click.Choice(["paper", "auto"]),
-    default="paper",
+    type=click.Choice(["auto", "paper"]),
+    default="auto",
     show_default=True,
-    help="The paper's class, or the wider one that held-out cycles ask for: transformer, graded elements, creep, ...",
+    help="What held-out cycles ask for (transformer, graded elements, creep, ...), or the paper's class, for which "
+    "--elements, --knots and another --method ask, too.",
 )
+@click.option("--refine", is_flag=True, help="Try to make the error of simulation smaller; slow.")
 @click.option("--norm", type=click.Choice(["l1", "l2", "linf"]), default="l1", show_default=True)
 @click.option("--knots", type=int, metavar="M", help="Knots of the spring.  [default: N + 1]")
 @click.option(
@@ -84,8 +86,8 @@ main.add_command(excite)
 @json_option
 def identify(
     records: tuple[Path, ...], output: Path | None, validate: tuple[Path, ...], report: Path | None, method: Any,
-    elements: int | None, structure: Any, norm: Any, knots: int | None, slope_floor: float, delay: float | None,
-    shared_datum: bool, no_drift: bool, as_json: bool, **columns: Any,
+    elements: int | None, structure: Any, refine: bool, norm: Any, knots: int | None, slope_floor: float,
+    delay: float | None, shared_datum: bool, no_drift: bool, as_json: bool, **columns: Any,
 ) -> None:  # fmt: skip
     """Identify an actuator from RECORDs of voltage and displacement."""
     from dehyst.identify import identify as run
@@ -97,7 +99,7 @@ def identify(
     training = read_records(records, columns)
     fit = run(
         training, validate=read_records(validate, columns), method=method, elements=elements,
-        structure=structure, norm=norm, knots=knots, slope_floor=slope_floor, delay=delay,
+        structure=structure, refine=refine, norm=norm, knots=knots, slope_floor=slope_floor, delay=delay,
         shared_datum=shared_datum, drift=not no_drift, throw=False, progress=tell,
     )  # fmt: skip
     if output is not None and fit.actuator is not None:

@@ -118,8 +118,11 @@ def staircase(highest: float, steps: int, hold: float, ramp: float | None, back:
 @click.option(
     "--model", type=PATH, help="The shortest waveform that is certified to end in a known state of this model."
 )
+@click.option(
+    "--hold", type=float, metavar="S", help="With a model that creeps: time at either limit.  [default: as it creeps]"
+)
 @_play_options
-def homing(highest: float | None, model: Path | None, **options: Any) -> None:
+def homing(highest: float | None, model: Path | None, hold: float | None, **options: Any) -> None:
     """Up to HIGHEST [V] and back; or, with --model, the shortest certified way to a known state."""
     from dehyst import excite as kinds
     from dehyst._errors import ModelError
@@ -134,33 +137,45 @@ def homing(highest: float | None, model: Path | None, **options: Any) -> None:
 
     refuse_overwriting([model], options["output"])
     actuator = Actuator.load(model)
-    present = options["base"] if options["present"] is None else options["present"]
-    limits = options["limits"]
-    way = shortest_homing(actuator, limits=limits, present=present, end=options["base"], stiff_only=True)
-    options["limits"] = limits or actuator.limits
-    if not way.certified:
+    options["limits"] = options["limits"] or actuator.limits
+    drive = _drive(options)
+    way = shortest_homing(actuator, limits=options["limits"], present=drive.start, end=options["base"], stiff_only=True,
+                          drive=drive, hold=hold)  # fmt: skip
+    if not way.certified or way.played is not None:
         for remark in way.remarks:
             click.echo(f"dehyst: {remark}", err=True)
     if len(way.turns) < 2:
         click.echo("homing: the state is known already, nothing to play and nothing written")
         return
-    word = "certified to end in a known state" if way.certified else "NOT certified: the state stays unknown"
-    _write(lambda drive: kinds.homing(turns=way.turns, drive=drive), options, word)
+    if way.played is None:
+        word = "certified to end in a known state" if way.certified else "NOT certified: the state stays unknown"
+        made = kinds.homing(turns=way.turns, drive=drive)
+    else:
+        made, sure = way.played, "certified" if way.certified else "NOT certified"
+        word = f"{sure}: the displacement is known to {way.error * 1e6:.3g} um after it"
+    _save(made, options, word)
     sys.exit(0 if way.certified else 1)
 
 
-def _write(make: Callable[[Drive], Excitation], options: dict[str, Any], word: str = "") -> None:
-    from dehyst.drive import Drive
-    from dehyst.files import write_columns
+def _write(make: Callable[[Drive], Excitation], options: dict[str, Any]) -> None:
+    refuse_overwriting([], options["output"])
+    _save(make(_drive(options)), options, "")
 
-    output = options["output"]
-    refuse_overwriting([], output)
-    drive = Drive(
+
+def _drive(options: dict[str, Any]) -> Drive:
+    from dehyst.drive import Drive
+
+    return Drive(
         frequency=options["frequency"], sample_rate=options["sample_rate"], base=options["base"],
         present=options["present"], limits=options["limits"], slew_rate=options["slew"], shape=options["shape"],
         pace=options["pace"],
     )  # fmt: skip
-    made = make(drive)
+
+
+def _save(made: Excitation, options: dict[str, Any], word: str) -> None:
+    from dehyst.files import write_columns
+
+    output = options["output"]
     write_columns(output, {"time_s": made.time, "voltage_V": made.voltage})
     for warning in made.warnings:
         click.echo(f"dehyst: {warning}", err=True)

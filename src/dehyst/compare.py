@@ -10,6 +10,7 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
@@ -22,6 +23,7 @@ from dehyst.record import Record
 from dehyst.rivals import RIVALS, Identification
 from dehyst.rows import epochs
 from dehyst.trials import Tracking, Trial, simulated, timed, trial
+from dehyst.verify import told, without_offset
 
 OURS = "dehyst"
 _SAMPLES_TO_TIME = 20_000
@@ -271,15 +273,28 @@ def _sentence(error: Exception) -> str:
 
 def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke: float) -> Score:
     delay = float(getattr(model, "delay", 0.0))
-    residuals = []
-    for piece, kept in _counted(item, lead, delay):
-        residuals.append((piece.displacement - simulated(model, piece.voltage, piece.time).displacement)[kept])
+    residuals = [_missed(model, piece, kept, stroke) for piece, kept in _counted(item, lead, delay)]
     error = np.concatenate([np.zeros(0), *residuals])
     if not np.isfinite(error).all():
         raise IdentifyError(f"{item.name}: the simulation diverges")
     free = error - error.mean() if error.size else error
     figures = (percent(figure(e), stroke) for e in (free, error) for figure in (largest, rms))
     return Score(item.name, role, error.size, item.samples - error.size, *figures)
+
+
+def _missed(model: AbstractModel, piece: Record, kept: NDArray[np.bool_], stroke: float) -> Array:
+    """Measured less simulated displacement of the samples that count.
+
+    What was measured before them tells ours its state; other models know the voltage only.
+    """
+    before = int(np.argmax(kept))
+    if not isinstance(model, Actuator) or not before:
+        return np.asarray((piece.displacement - simulated(model, piece.voltage, piece.time).displacement)[kept])
+    state, offset = told(replace(model, delay=0.0), piece.slice(0, before + 1), stroke)
+    rest = piece.slice(before, len(piece))
+    voltage = without_offset(model, rest.voltage, offset)
+    played = model.simulate(voltage, state=state, **timed(model, rest.time)).displacement
+    return np.asarray((rest.displacement - played)[kept[before:]])
 
 
 def _counted(item: Prepared, lead: float, delay: float = 0.0) -> list[tuple[Record, Any]]:

@@ -17,10 +17,13 @@ from dehyst.wide_regression import WideCoefficients
 _NOTHING = 1e-9
 
 
-def parts(grid: Grid, found: WideCoefficients, first: float) -> dict[str, Any]:
-    """Arguments of `Actuator` from coefficients; `first` is the spring's voltage at its first knot [V]."""
+def parts(grid: Grid, found: WideCoefficients, first: float, nothing: float = _NOTHING) -> dict[str, Any]:
+    """Arguments of `Actuator` from coefficients; `first` is the spring's voltage at its first knot [V].
+
+    Branches and smooth elements that hold no more than `nothing` of the voltage are left out.
+    """
     branches = grid.time_constants.size
-    least = _NOTHING * float(found.slopes @ np.diff(grid.knots)) / float(np.ptp(grid.knots))
+    least = nothing * float(found.slopes @ np.diff(grid.knots)) / float(np.ptp(grid.knots))
     creep, smooth = found.moved[:branches] > least, found.moved[branches:] > least
     plain = grid.segments == 1
     slip = (

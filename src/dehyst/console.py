@@ -70,8 +70,9 @@ def json_option(command: Callable[..., None]) -> Callable[..., None]:
 def start_option(command: Callable[..., None]) -> Callable[..., None]:
     """The option that says in what state a model starts."""
     return click.option(
-        "--start", type=click.Choice(["top", "bottom", "relaxed"]), default="top", show_default=True,
-        help="State before the first sample: turned at the top or bottom of the identified range, or relaxed at 0 V.",
+        "--start", type=click.Choice(["top", "bottom", "relaxed", "homed"]), default="top", show_default=True,
+        help="State before the first sample: turned at the top or bottom of the identified range, relaxed at 0 V, or "
+        "as 'dehyst excite homing --model' leaves it.",
     )(command)  # fmt: skip
 
 
@@ -125,13 +126,26 @@ def start_state(actuator: Actuator, start: str) -> State:
     knots = actuator.spring.displacement
     if start == "relaxed":
         return actuator.relaxed()
+    if start == "homed":
+        return _homed(actuator)
     return actuator.turned(float(knots[-1])) if start == "top" else actuator.turned(float(knots[0]), rising=False)
+
+
+def _homed(actuator: Actuator) -> State:
+    """The state that the homing's own voltage, played as the command makes it by default, leads to."""
+    from dehyst.drive import Drive
+    from dehyst.homing import shortest_homing
+
+    low, high = actuator.limits or (0.0, 0.0)
+    end = min(max(0.0, low), high)
+    return shortest_homing(actuator, present=end, stiff_only=True, drive=Drive()).state
 
 
 def came_from(actuator: Actuator, start: str) -> str:
     """What the first sample takes for granted."""
     voltage = f"{actuator.voltage(start_state(actuator, start)):.4g} V"
-    return f"(from rest, relaxed, at {voltage})" if start == "relaxed" else f"(coming from the {start}, {voltage})"
+    said = {"relaxed": f"(from rest, relaxed, at {voltage})", "homed": f"(homed, at {voltage})"}
+    return said.get(start, f"(coming from the {start}, {voltage})")
 
 
 def state_dict(state: State) -> dict[str, Any]:

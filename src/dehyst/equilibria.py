@@ -4,6 +4,9 @@ At rest at a voltage V the elements may be strained: any elongations within thei
 y = eta^-1(V - sum_i kappa_i s_i). The paper leaves g(x(0)) unknown and gets a polytope in (x, s, g). For an identified
 actuator on its own axis g is known; since eta strictly increases y follows from s, and the set is one polytope in s
 (in (y, s) it is a union of polytopes, one for each segment of the spring).
+
+A transformer bends the voltage only; creep, inertia and lag are at rest. With graded or smooth elements the set is no
+polytope in s: its range is known, and whether a state belongs to it.
 """
 
 from __future__ import annotations
@@ -17,8 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst import program
 from dehyst._errors import ModelError
 from dehyst._native import Array, number, vector
-from dehyst.actuator import Actuator, demand_plain
+from dehyst.actuator import Actuator
+from dehyst.elements import GradedSlip
 from dehyst.model import State
+from dehyst.outermost import Outermost
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
@@ -58,8 +63,12 @@ class Equilibria:
     def range(self) -> tuple[float, float]:
         """Lowest and highest displacement [m] on the model's axis, by two linear programs.
 
-        They are ``eta^-1(V - sum f_i)`` and ``eta^-1(V + sum f_i)``, f_i = kappa_i rho_i, with and without `reachable`.
+        They are ``eta^-1(V - sum f_i)`` and ``eta^-1(V + sum f_i)``, f_i = kappa_i rho_i, with and without `reachable`:
+        those of the two outermost branches.
         """
+        if self._bent:
+            branch = Outermost(self.actuator)
+            return branch.displacement(self.voltage, 1), branch.displacement(self.voltage, -1)
         kappa = self.actuator.slip.stiffness
         return self._at(self._farthest(kappa)).displacement, self._at(self._farthest(-kappa)).displacement
 
@@ -130,13 +139,32 @@ class Equilibria:
         demand_state(self.actuator, state)
         rho, y = self.actuator.slip.breakaway, state.displacement
         allowed = tolerance * size_of(self.actuator)
-        at_rest = abs(self._at(y - state.carts).displacement - y) <= allowed
+        at_rest = self._off(state) <= allowed
         gaps = np.abs(np.diff(state.carts, prepend=y)) - np.diff(rho, prepend=0.0)
         return at_rest and (not self.reachable or bool(np.all(gaps <= allowed)))
 
+    @property
+    def _bent(self) -> bool:
+        """Whether the set is no polytope."""
+        return isinstance(self.actuator.slip, GradedSlip) or self.actuator.smooth is not None
+
+    def _off(self, state: State) -> float:
+        """How far a state lies from rest at the voltage [m]."""
+        if not self._bent:
+            return abs(self._at(state.displacement - state.carts).displacement - state.displacement)
+        spring = self.actuator.spring
+        mean = float(np.ptp(spring.voltage) / np.ptp(spring.displacement))
+        return abs(self.actuator.voltage(state) - self.voltage) / mean
+
     def _at(self, elongation: Array) -> State:
-        held = float(self.actuator.slip.stiffness @ elongation)
-        y = self.actuator.relaxed(self.voltage - held).displacement
+        if self._bent:
+            raise ModelError(
+                "equilibria: with graded or smooth elements the set is no polytope of elongations; range() bounds it, "
+                "holds(state) tells whether a state belongs to it"
+            )
+        held, tau = float(self.actuator.slip.stiffness @ elongation), self.actuator.transformer
+        drive = self.voltage if tau is None else float(tau(self.voltage))
+        y = self.actuator.core.spring_inverse(drive - held)
         return State(y, y - elongation)
 
     def _farthest(self, direction: Array) -> Array:
@@ -205,10 +233,9 @@ def size_of(actuator: Actuator) -> float:
 
 
 def demand_actuator(actuator: object) -> None:
-    """Refuse what is no plain Actuator."""
+    """Refuse what is no Actuator."""
     if not isinstance(actuator, Actuator):
         raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator, such as the one of a Fit")
-    demand_plain(actuator, "the set of equilibria")
 
 
 def demand_state(actuator: Actuator, state: object) -> float:

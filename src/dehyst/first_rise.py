@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from dehyst import program
-from dehyst._errors import RecordError
+from dehyst._errors import ModelError, RecordError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.elements import segment_of
@@ -81,11 +81,16 @@ def state_from_first_rise(actuator: Actuator, record: Record) -> FirstRise:
     Raises
     ------
     ModelError
-        If the actuator is none.
+        If the actuator is none, or a wider one.
     RecordError
         If the record cannot be used, falls first, or has no full loop after its first rise.
     """
     demand_actuator(actuator)
+    if actuator.wide:
+        raise ModelError(
+            "the state from a first rise is sought for plain slip elements and a spring only; home a wider actuator "
+            "before it is used (dehyst.homing.shortest_homing), which needs no record"
+        )
     if not isinstance(record, Record):
         raise RecordError(f"got {type(record).__name__}, need a Record; read a file with dehyst.read(path)")
     record.check_usable()

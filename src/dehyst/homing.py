@@ -1,9 +1,14 @@
-"""The shortest homing: the voltage of least travel that leads from any state at rest to a known one, certified."""
+"""The shortest homing: the voltage of least travel that leads from any state at rest to a known one, certified.
+
+Where the order of voltages tells the state it follows in closed form. Where time has a say, or smooth elements have, a
+swing through all of the limits is played in time, see `dehyst.timed_homing`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -11,8 +16,13 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._native import Array, number
 from dehyst.actuator import Actuator, interval
-from dehyst.bracket import Bracket, Mask, checked_actuator, first_move_error, friction_of, least_range, least_width
+from dehyst.bracket import Bracket, Mask, first_move_error, least_width, moves_on
+from dehyst.drive import Drive
+from dehyst.elements import GradedSlip
+from dehyst.excitation import Excitation
 from dehyst.model import State
+from dehyst.outermost import Outermost
+from dehyst.timed_homing import Swing
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +42,11 @@ class Homing:
         Whether the displacement and every element with stiffness are known at the end, hence all later motion too.
     remarks : tuple of str
         What else the user should know, in sentences.
+    played : Excitation or None
+        The voltage in time, holds among it, where time has a say: it is certified at this pace only.
+    left : float or None
+        With `played`: how far apart the displacement may be [m] at the end and along a further cycle through the
+        limits, whatever was before. It is this that `certified` speaks of.
     """
 
     turns: tuple[float, ...]
@@ -39,6 +54,8 @@ class Homing:
     unknown: tuple[int, ...]
     certified: bool
     remarks: tuple[str, ...] = ()
+    played: Excitation | None = None
+    left: float | None = None
 
     @property
     def state(self) -> State:
@@ -49,6 +66,11 @@ class Homing:
     def width(self) -> float:
         """The widest bracket [m] at the end, elements without stiffness among them."""
         return self.bracket.width
+
+    @property
+    def error(self) -> float:
+        """Error bar [m] of a displacement after it: `left`, or the width of the bracket."""
+        return self.width if self.left is None else self.left
 
     @property
     def travel(self) -> float:
@@ -64,6 +86,8 @@ def shortest_homing(
     end: float | None = None,
     tolerance: float | None = None,
     stiff_only: bool = False,
+    drive: Drive | None = None,
+    hold: float | None = None,
 ) -> Homing:
     """Find the voltage of least travel that leads from any state at rest to a known one.
 
@@ -81,32 +105,58 @@ def shortest_homing(
     present, end : float, optional
         Where the voltage is and where it shall end [V]; default 0 and back to the present one.
     tolerance : float, optional
-        Width [m] to which the state shall be known; default 1e-12 of the range of the spring's knots.
+        Width [m] to which the state shall be known; default 1e-12 of the range of the spring's knots. Where time has a
+        say, that to which the displacement shall be known; default 1e-3 of that range.
     stiff_only : bool, optional
         Leave out elements without stiffness from the start. They never move the actuator; by default they are homed
         too where the limits allow it, so that the state is known whole.
+    drive : Drive, optional
+        Pace and shape of the legs, where time has a say; default: legs of a twentieth of the longest creep time
+        constant, and no shorter than fifty periods of a resonance.
+    hold : float, optional
+        Seconds to wait at either end of the limits at the last visit, where time has a say; default: the longest time
+        constant of creep, or what inertia and lag need to come to rest.
 
     Returns
     -------
     Homing
-        If the limits are too narrow, the best within them, not certified, with a remark on what would do.
+        If the limits are too narrow, the best within them, not certified, with a remark on what would do. What creep
+        leaves is told as an error bar, and how long a hold would do.
 
     Raises
     ------
     ModelError
         If there are no limits, present or end lie outside them, or a number is impossible.
     """
-    bounds = _limits(checked_actuator(actuator), limits)
+    if not isinstance(actuator, Actuator):
+        raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
+    bounds = _limits(actuator, limits)
     start = _inside(present, "present", bounds)
     stop = start if end is None else _inside(end, "end", bounds)
+    if moves_on(actuator):
+        return _in_time(Swing.of(actuator, bounds, (start, stop), drive=drive, hold=hold, tolerance=tolerance))
     task = _Task(actuator, bounds, start, stop, least_width(actuator, tolerance))
     turns = task.turns(task.stiff if stiff_only or not task.can(task.whole) else task.whole)
     bracket = Bracket.at_rest(actuator, start).drive(actuator, turns).bracket
     unknown = bracket.widths > task.tolerance
-    loose = unknown & (actuator.slip.stiffness > 0)
+    loose = unknown & _stiff(actuator)
     certified = not loose.any() and first_move_error(bracket) <= task.tolerance
     remark = task.remark(turns, bracket, unknown, loose, certified)
     return Homing(turns, bracket, tuple(map(int, np.flatnonzero(unknown))), certified, (remark,) if remark else ())
+
+
+def _in_time(swing: Swing) -> Homing:
+    """What a swing played in time is worth."""
+    unknown = swing.bracket.widths > swing.tolerance
+    certified = swing.left <= swing.tolerance
+    return Homing(swing.turns, swing.bracket, tuple(map(int, np.flatnonzero(unknown))), certified, swing.remarks(),
+                  swing.excitation, swing.left)  # fmt: skip
+
+
+def _stiff(actuator: Actuator) -> Mask:
+    """Elements with stiffness anywhere (N,)."""
+    kappa = actuator.slip.stiffness
+    return np.asarray((kappa > 0).any(axis=1) if isinstance(actuator.slip, GradedSlip) else kappa > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +175,7 @@ class _Task:
 
     @property
     def stiff(self) -> float:
-        return self._reach(self.actuator.slip.breakaway[self.actuator.slip.stiffness > 0])
+        return self._reach(self.actuator.slip.breakaway[_stiff(self.actuator)])
 
     @property
     def slack(self) -> float:
@@ -140,16 +190,20 @@ class _Task:
 
     def _enough(self, low: float, high: float, reach: float) -> bool:
         # An identified model's largest element breaks away over the full excursion exactly: rounding must not decide.
-        return least_range(self.actuator, low, high) >= reach - 0.5 * self.slack
+        return self.branch.displacement(high, 1) - self.branch.displacement(low, -1) >= reach - 0.5 * self.slack
 
     def top(self, bottom: float, reach: float) -> float:
         """Highest voltage [V] that, with `bottom` the lowest, makes the least range `reach`."""
-        friction = friction_of(self.actuator)
-        return friction + float(self.actuator.spring(self.actuator.core.spring_inverse(bottom + friction) + reach))
+        branch = self.branch
+        return branch.voltage(branch.displacement(bottom, -1) + reach, 1)
 
     def bottom(self, top: float, reach: float) -> float:
-        friction = friction_of(self.actuator)
-        return float(self.actuator.spring(self.actuator.core.spring_inverse(top - friction) - reach)) - friction
+        branch = self.branch
+        return branch.voltage(branch.displacement(top, 1) - reach, -1)
+
+    @cached_property
+    def branch(self) -> Outermost:
+        return Outermost(self.actuator)
 
     def extremes(self, reach: float) -> tuple[float, float]:
         """Lowest and highest voltage [V], as close together as `reach` allows; the limits if they do not allow it."""
@@ -161,8 +215,8 @@ class _Task:
             return low, high
         latest = near if self._enough(near, high, reach) else max(low, self.bottom(high, reach))
         # The top is piecewise linear in the bottom: the least difference lies where the slope of either changes.
-        knots = self.actuator.spring.displacement
-        corners = self.actuator.spring(np.concatenate([knots, knots - reach])) - friction_of(self.actuator)
+        places = np.concatenate([self.branch.bends(-1), self.branch.bends(1) - reach])
+        corners = [self.branch.voltage(float(place), -1) for place in places]
         bottoms = np.clip([latest, low, self.bottom(far, reach), *corners], low, latest)
         tops = np.array([far if self._enough(b, far, reach) else min(high, self.top(b, reach)) for b in bottoms])
         # Of equals the one that goes down least: a piezo stack is better pushed than pulled.

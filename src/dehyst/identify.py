@@ -10,12 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst import breakpoints, repairs
+from dehyst import breakpoints, refinement, repairs
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.assumptions import checks
-from dehyst.composition import parts
 from dehyst.directions import directions
 from dehyst.elements import MaxwellSlip, Spring
 from dehyst.inertia import Inertia
@@ -33,6 +32,7 @@ from dehyst.structured import Frame
 from dehyst.verify import MOST_ROWS, Protocol, errors_of
 from dehyst.version import __version__
 from dehyst.wide_regression import WideRegression
+from dehyst.wider import Wider
 
 Progress = Callable[[str], None]
 # A model that misses its own training records by more of the range than this is of no use.
@@ -58,7 +58,8 @@ def identify(
     shared_datum: bool = False,
     drift: bool = True,
     branch: Direction = "descending",
-    structure: Structure | Literal["auto", "paper"] = "paper",
+    structure: Structure | Literal["auto", "paper"] = "auto",
+    refine: bool = False,
     throw: bool = True,
     progress: Progress | None = None,
 ) -> Fit:
@@ -93,8 +94,12 @@ def identify(
     branch : {"descending", "ascending"}, optional
         "antisymmetric" only.
     structure : {"auto", "paper"} or Structure, optional
-        How much model: the paper's class, or a wider one that is given, or the one that cycles held out in turn ask for
-        (more elements, a transformer, graded elements, creep, smooth elements). "record" only.
+        How much model: what cycles held out in turn ask for (default: more elements, a transformer, graded elements,
+        creep, smooth elements, inertia), the paper's class, or a class that is given. What only the paper's class knows
+        (elements, breakaway, knots, another method) asks for that class.
+    refine : bool, optional
+        Try Gauss-Newton steps that make the error of simulation small, thresholds free, and keep them if they are
+        better on cycles held out; not for the paper's class ("paper").
     throw : bool, optional
         Raise if the solver finds no optimum (default), or return a Fit with `Outcome.FAILED`.
     progress : callable, optional
@@ -116,12 +121,19 @@ def identify(
     training, held_out = as_list(records), as_list(validate)
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
-    _refuse_structure(structure, settings, elements is not None or knots is not None)
+    counted = elements is not None or knots is not None or settings.breakaway is not None
+    if structure == "auto" and (counted or method != "record"):
+        structure = "paper"
+    _refuse_structure(structure, settings, counted)
+    if refine and structure == "paper":
+        raise IdentifyError(
+            "refine: the paper's class is fitted as it is; give a dehyst.structure.Structure, or 'auto'"
+        )
     tell("checking the records")
     with one_thread():
         job = _Job(settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell)
         if structure != "paper":
-            fit = job.by_structure(structure)
+            fit = job.by_structure(structure, refine)
         else:
             fit = job.by_records() if method == "record" else job.by_breakpoints()
     if fit.outcome is Outcome.FAILED and throw:
@@ -137,7 +149,7 @@ def _refuse_structure(structure: object, settings: Settings, counted: bool) -> N
         raise IdentifyError(f"structure: got {structure!r}, need 'auto', 'paper' or a dehyst.structure.Structure")
     if settings.method != "record":
         raise IdentifyError(f"structure: method {settings.method!r} knows the paper's class only; leave one out")
-    if counted or settings.breakaway is not None:
+    if counted:
         raise IdentifyError("structure: it has elements and knots of its own; leave elements, breakaway and knots out")
 
 
@@ -177,33 +189,52 @@ class _Job:
         outcome = self._outcome(rho, regression, found)
         return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
 
-    def by_structure(self, structure: Structure | Literal["auto"]) -> Fit:
+    def by_structure(self, structure: Structure | Literal["auto"], refine: bool) -> Fit:
         """A wider class, given or chosen."""
         self.tell("estimating delay and datums")
         plain = self._with_datums(self._regression(self._thresholds(), self.delay))
         voltages = self._limits()
         inertia = Inertia(self.delay, 0.0, 0.0)
-        frame = Frame(self.training, inertia, self.span, voltages, plain.floor, plain.datum)
+        frame = Frame(self.training, inertia, self.span, voltages, plain.floor, plain.datum, self.widest,
+                      tuple(self._can_drift()))  # fmt: skip
         if isinstance(structure, str):
             self.tell("looking for inertia")
             frame = frame.with_inertia()
-            self.delay = frame.inertia.delay
             structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
             self.remarks += remarks
+            if structure.plain and not frame.inertia.mass and not refine:
+                return self._plainly(frame, structure)
         self.structure = structure
         self.tell(f"solving the program for {structure.words}")
-        regression, found = frame.fitted(structure, self.settings.norm)
-        if not found.solution.optimal:
-            return self._failed(found.solution.status)
-        reference = regression.rows.epoch[regression.rows.record == self.widest].max()
-        actuator = Actuator(
-            **parts(regression.grid, found, found.offsets[int(reference)]),
-            dynamics=frame.inertia.dynamics, limits=voltages, delay=self.delay,
-            name=self.training[self.widest].record.name, provenance=self._provenance(),
-        )  # fmt: skip
+        made = Wider.solve(frame, structure, self.settings.norm)
+        solution = made.found.solution
+        if not solution.optimal:
+            return self._failed(solution.status)
+        if frame.inertia.mass:
+            made = made.tuned(self.tell)
+        refined = self._refined(made) if refine else made.actuator
+        self.delay = refined.delay
+        actuator = replace(refined, limits=voltages, name=self.training[self.widest].record.name,
+                           provenance=self._provenance())  # fmt: skip
         self.tell("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
-        return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
+        return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
+
+    def _refined(self, made: Wider) -> Actuator:
+        found = refinement.refine(made, self.tell)
+        what = "kept" if found.kept else "not better, and left out"
+        self.remarks.append(
+            f"Refined by simulation: RMS error of cycles held out {found.after * 1e9:.4g} nm, without "
+            f"{found.before * 1e9:.4g} nm; {what}."
+        )
+        return found.actuator
+
+    def _plainly(self, frame: Frame, structure: Structure) -> Fit:
+        """The paper's class on a grid of thresholds that was chosen: what it determines can be judged."""
+        rho = None if structure.spacing == 1 else structure.grid(self.span, frame.voltages, frame.times).breakaway
+        elements = structure.elements if rho is None else None
+        self.settings = replace(self.settings, elements=elements, breakaway=rho, knots=structure.knots)
+        return self.by_records()
 
     def by_breakpoints(self) -> Fit:
         """The paper's own method, or Remark 2's closed form."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._native import Array
+from dehyst.actuator import Actuator
 from dehyst.dynamics import Dynamics
 from dehyst.record import Record
 from dehyst.wide_regression import WideRegression
@@ -32,11 +33,23 @@ class Inertia:
         2 zeta / omega [s].
     mass : float
         1 / omega^2 [s2].
+    lag : float
+        Time constant of the amplifier [s].
     """
 
     delay: float
     damping: float
     mass: float
+    lag: float = 0.0
+
+    @classmethod
+    def of(cls, actuator: Actuator) -> Inertia:
+        """That of an actuator."""
+        dynamics = actuator.dynamics
+        if dynamics is None:
+            return cls(actuator.delay, 0.0, 0.0, actuator.lag)
+        omega = dynamics.frequency
+        return cls(actuator.delay, 2 * dynamics.damping / omega, 1 / omega**2, actuator.lag)
 
     @property
     def dynamics(self) -> Dynamics | None:

@@ -11,6 +11,7 @@ import numpy as np
 from dehyst import repairs
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
+from dehyst.creep import Creep
 from dehyst.record import Record
 from dehyst.rows import epochs
 
@@ -66,9 +67,17 @@ class Prepared:
             )
         return min(float(y.min()) for y in counted), max(float(y.max()) for y in counted)
 
-    def delayed(self, number: int, delay: float) -> list[tuple[int, Record, Array]]:
-        """(record number, piece, drift curve) of each piece, for `rows.collect`."""
+    def acting(self, delay: float, lag: float = 0.0) -> list[Record]:
+        """The pieces with voltages as they act.
+
+        They come `delay` [s] late and through an amplifier of time constant `lag` [s], at rest as a piece begins.
+        """
         pieces = [piece.delayed(delay) if delay else piece for piece in self.pieces]
+        return [_amplified(piece, lag) for piece in pieces] if lag else pieces
+
+    def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[tuple[int, Record, Array]]:
+        """(record number, piece, drift curve) of each piece, for `rows.collect`; voltages as in `acting`."""
+        pieces = self.acting(delay, lag)
         whole = repairs.drift_curve(self.record, self.start)
         return [(number, piece, np.interp(piece.time, self.record.time, whole)) for piece in pieces]
 
@@ -93,6 +102,11 @@ class Prepared:
         """Where the record came from: name, file and hash."""
         meta = self.record.meta
         return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256") if key in meta}}
+
+
+def _amplified(piece: Record, lag: float) -> Record:
+    behind = Creep([lag], [0.0]).strains(piece.time, piece.voltage)[:, 0]
+    return replace(piece, voltage=piece.voltage - behind)
 
 
 def _every(record: Record, step: int, stop: int) -> Record:

@@ -39,6 +39,7 @@ def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
         click.echo("\nStructures tried, RMS error of cycles held out in turn:")
         for trial in sorted(fit.trials, key=lambda one: one.held_out)[:_SHOWN]:
             click.echo(f"  {trial.held_out * 1e9:>7.1f} nm  {trial.structure.words}")
+    _print_parts(fit.actuator)
     for title, sentences in (("Repaired or left out", fit.repairs), ("To know", fit.remarks)):
         if sentences:
             click.echo(f"\n{title}:")
@@ -48,6 +49,17 @@ def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
     for name, path in (("Model", output if fit.actuator is not None else None), ("Report", report)):
         if path is not None:
             click.echo(f"{name}: {path}")
+
+
+def _print_parts(actuator: Any) -> None:
+    """What a wider actuator is made of."""
+    from dehyst.actuator import Actuator
+    from dehyst.anatomy import parts_of
+
+    if isinstance(actuator, Actuator) and actuator.wide:
+        click.echo("\nThe model is made of:")
+        for part in parts_of(actuator):
+            click.echo(f"  {part.name + ':':<18}{part.sentence}")
 
 
 def print_insight(found: Insight, output: Path | None, report: Path | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -102,17 +102,35 @@ def find_delay(build: Callable[[float], Regression], longest: float, sample_time
     def cost(delay: float) -> float:
         return _rms(build(float(delay)).thinned(_SEARCH_ROWS))
 
-    best = _search(cost, 0.0, longest, 13, 0.01 * sample_time)
     none = build(0.0)
-    share = _WORTH_OF_DELAY if _one_height(none) else _WORTH
-    return best if abs(best) > 0.02 * sample_time and _worth(cost(best), cost(0.0), none, share) else 0.0
+    return searched_delay(cost, longest, sample_time, none.rows.voltage, _stroke(none))
 
 
-def _one_height(regression: Regression) -> bool:
+def searched_delay(
+    cost: Callable[[float], float], longest: float, sample_time: float, voltage: Array, stroke: float
+) -> float:
+    """Seconds at which a cost, an RMS residual [m], is least; 0 unless that is worth it.
+
+    Parameters
+    ----------
+    cost : callable
+        Delay [s] -> [m].
+    longest, sample_time : float
+        As those of `find_delay`.
+    voltage : (n,) array
+        Of the samples that count [V]: loops of one height have to tell more.
+    stroke : float
+        [m].
+    """
+    best = _search(cost, 0.0, longest, 13, 0.01 * sample_time)
+    share = _WORTH_OF_DELAY if _one_height(voltage) else _WORTH
+    return best if abs(best) > 0.02 * sample_time and _worth(cost(best), cost(0.0), stroke, share) else 0.0
+
+
+def _one_height(voltage: Array) -> bool:
     """Whether all legs of the voltage are of one height."""
-    v = regression.rows.voltage
-    turns = turning_points(v, 0.02 * float(np.ptp(v)))
-    legs = np.abs(np.diff(v[turns]))
+    turns = turning_points(voltage, 0.02 * float(np.ptp(voltage)))
+    legs = np.abs(np.diff(voltage[turns]))
     return legs.size < 2 or bool(legs.min() > 0.9 * legs.max())
 
 
@@ -158,24 +176,33 @@ def find_datum(regression: Regression, record: int, stroke: float, given: Coeffi
         return _rms(replace(few, datum=datum), given)
 
     best = _search(cost, -0.6 * stroke, 0.6 * stroke, 25, 1e-9 * stroke)
-    return best if _worth(cost(best), cost(0.0), few, _WORTH_OF_DATUM) else 0.0
+    return best if _worth(cost(best), cost(0.0), _stroke(few), _WORTH_OF_DATUM) else 0.0
 
 
 def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...]:
     """Records among the candidates whose creep since the start is worth a coefficient."""
     few = regression.thinned(_SEARCH_ROWS)
+    return worthwhile(lambda drifting: _rms(replace(few, drifting=drifting)), candidates, _stroke(few))
+
+
+def worthwhile(cost: Callable[[tuple[int, ...]], float], candidates: Sequence[int], stroke: float) -> tuple[int, ...]:
+    """Those of the candidates that make a cost, an RMS residual [m], worthily smaller, one after another."""
     kept: tuple[int, ...] = ()
-    cost = _rms(few)
+    best = cost(kept)
     for q in candidates:
-        trial = _rms(replace(few, drifting=(*kept, q)))
-        if _worth(trial, cost, few):
-            kept, cost = (*kept, q), trial
+        trial = cost((*kept, q))
+        if _worth(trial, best, stroke):
+            kept, best = (*kept, q), trial
     return kept
 
 
-def _worth(after: float, before: float, regression: Regression, share: float = _WORTH) -> bool:
-    """Whether a repair makes the RMS residual smaller, by more than a hundred-thousandth of the range."""
-    return after < share * before and before - after > 1e-5 * float(np.ptp(regression.knots))
+def _worth(after: float, before: float, stroke: float, share: float = _WORTH) -> bool:
+    """Whether a repair makes the RMS residual smaller, by more than a hundred-thousandth of the stroke."""
+    return after < share * before and before - after > 1e-5 * stroke
+
+
+def _stroke(regression: Regression) -> float:
+    return float(np.ptp(regression.knots))
 
 
 def _rms(regression: Regression, given: Coefficients | None = None) -> float:

@@ -23,6 +23,7 @@ from dehyst.insight import Insight
 from dehyst.insight_page import sections
 from dehyst.model import Check, Fit, Outcome, RecordErrors, Trace
 from dehyst.page import MINUS, Row, document, figure, length, number, panel, table
+from dehyst.parts_page import made_of
 
 MOST_RECORDS = 6
 _LABELS = {"program": "Program", "method": "Method", "norm": "Norm", "elements": "Slip elements asked for",
@@ -85,7 +86,7 @@ def render(
         _sentences("What to know", fit.remarks, "No remarks."),
         _loops(fit),
         _residuals(fit),
-        *([_model(actuator), _numbers(actuator)] if actuator else []),
+        *([made_of(actuator), _model(actuator), _numbers(actuator)] if actuator else []),
         *(sections(insight) if insight else []),
         *(comparison_sections(comparison) if comparison else []),
         _reproduce(fit, actuator, command),
@@ -94,7 +95,8 @@ def render(
 
 
 def _facts(fit: Fit, actuator: Actuator | None) -> str:
-    facts = ["Identification of a Maxwell-slip model of hysteresis"]
+    kind = "wider " if actuator and actuator.wide else ""
+    facts = [f"Identification of a {kind}Maxwell-slip model of hysteresis"]
     if actuator:
         count = len(actuator.slip)
         facts.append(f"{count} slip element{'s' if count != 1 else ''}, {actuator.spring.voltage.size} spring knots")
@@ -152,6 +154,7 @@ def _trials(fit: Fit) -> str:
     if not fit.trials:
         return ""
     best = min(fit.trials, key=lambda one: one.structure.as_dict() != fit.options.get("structure"))
+    first = fit.trials[0]
     rows: list[Row] = [
         (one.structure.words + (" (chosen)" if one is best else ""), str(one.structure.parameters),
          length(one.held_out), length(one.training))
@@ -159,6 +162,9 @@ def _trials(fit: Fit) -> str:
     ]  # fmt: skip
     head = ("Structure", "Coefficients", "RMS error of cycles held out", "of the records themselves")
     why = "A part is added where it lowers the error of cycles held out in turn by 3 % at least."
+    if best is not first and first.structure.plain:
+        times = number(first.held_out / best.held_out)
+        why += f" The plain class that was tried first, {first.structure.words}, misses them {times} times as far."
     return f'<h2>How much model</h2>\n<p class="muted">{why}</p>\n{table(head, rows, texts=1)}'
 
 

@@ -1,4 +1,4 @@
-"""How much model a record supports: parts are added one by one while the error on held-out cycles falls."""
+"""How much model records support: parts are added one by one while the error on held-out cycles falls."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from dehyst._native import Array
 from dehyst.metrics import rms
-from dehyst.rows import Rows
 from dehyst.signals import turning_points
 from dehyst.structure import Structure
 from dehyst.wide_regression import WideCoefficients, WideRegression
@@ -30,6 +29,12 @@ PARTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("graded elements", {"grades": 8}),
     ("creep", {"creep": 9}),
     ("smooth elements", {"smooth": True}),
+)
+# What is tried then, on what was found.
+TUNING: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("finer grades", {"grades": 16}),
+    ("more smoothing", {"smoothing": 1e-2}),
+    ("less smoothing", {"smoothing": 1e-3}),
 )
 
 
@@ -59,36 +64,46 @@ class Trial:
 
 
 def select(
-    build: Build, start: Structure, parts: Sequence[tuple[str, dict[str, Any]]], tell: Callable[[str], None]
+    build: Build, start: Structure, tell: Callable[[str], None], *, without: Sequence[str] = ()
 ) -> tuple[Structure, tuple[Trial, ...]]:
-    """Add the part that helps most on held-out cycles, again and again, until none is worth it.
+    """Add the part that helps most on held-out cycles, again and again, until none is worth it; then tune.
 
     Parameters
     ----------
     build : callable
         Structure -> regression on the same samples, thinned.
     start : Structure
-    parts : sequence of (str, dict)
-        Words and changes of the structure.
     tell : callable
         Called with a few words at each trial.
+    without : sequence of str
+        Fields of a structure that are left as they are.
 
     Returns
     -------
     Structure, tuple of Trial
         The chosen one, and all that were tried in order.
     """
-    best = _tried(build, start, tell)
-    trials, left = [best], list(parts)
+    trials = [_tried(build, start, tell)]
+    best = _climbed(build, trials[0], [change for _, change in PARTS if not set(change) & set(without)], trials, tell)
+    tuning = [change for _, change in TUNING if "grades" not in change or best.structure.grades > 1]
+    best = _climbed(build, best, tuning, trials, tell)
+    return best.structure, tuple(trials)
+
+
+def _climbed(
+    build: Build, best: Trial, left: list[dict[str, Any]], trials: list[Trial], tell: Callable[[str], None]
+) -> Trial:
+    """The best after one change at a time; what is tried is added to the trials."""
     while left:
-        found = [_tried(build, replace(best.structure, **change), tell) for _, change in left]
+        found = [_tried(build, replace(best.structure, **change), tell) for change in left]
         trials += found
         first = int(np.argmin([one.held_out for one in found]))
         if not found[first].held_out < _WORTH * best.held_out:
             break
-        best = found[first]
-        del left[first]
-    return best.structure, tuple(trials)
+        best, taken = found[first], set(left[first])
+        # Another value of the same field was tried beside it.
+        left = [change for change in left if not taken & set(change)]
+    return best
 
 
 def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> Trial:
@@ -105,7 +120,7 @@ def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> T
 
 def held_out_errors(regression: WideRegression, weights: Array) -> Array:
     """Error of each row [m] from a fit without its cycle and every third other."""
-    fold = blocks(regression.rows) % _FOLDS
+    fold = blocks(regression.rows.voltage, regression.rows.epoch) % _FOLDS
     errors = np.empty(len(fold))
     for k in range(_FOLDS):
         out = fold == k
@@ -115,14 +130,13 @@ def held_out_errors(regression: WideRegression, weights: Array) -> Array:
     return errors
 
 
-def blocks(rows: Rows) -> NDArray[np.intp]:
-    """Number of the cycle of each row (n,); long monotone legs are cut."""
-    v = rows.voltage
-    cut = np.zeros(len(rows), dtype=bool)
-    cut[1:] = np.diff(rows.epoch) != 0
-    cut[turning_points(v, 0.02 * float(np.ptp(v)))[::2]] = True
-    starts = np.append(np.flatnonzero(cut), len(rows))
-    longest = max(len(rows) // _BLOCKS, 2)
+def blocks(voltage: Array, epoch: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Number of the cycle of each row (n,), from its voltage and its epoch's number; long monotone legs are cut."""
+    cut = np.zeros(voltage.size, dtype=bool)
+    cut[1:] = np.diff(epoch) != 0
+    cut[turning_points(voltage, 0.02 * float(np.ptp(voltage)))[::2]] = True
+    starts = np.append(np.flatnonzero(cut), voltage.size)
+    longest = max(voltage.size // _BLOCKS, 2)
     for a, b in zip(np.append(0, starts[:-1]), starts, strict=True):
         cut[a + longest : b : longest] = True
     return np.cumsum(cut)

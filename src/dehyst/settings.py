@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Integral, Real
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import IdentifyError, ModelError
-from dehyst._native import Array, vector
+from dehyst import options
+from dehyst._errors import IdentifyError
+from dehyst._native import Array
 from dehyst.program import NORMS, Norm
 
 Method = Literal["record", "breakpoints", "antisymmetric"]
@@ -42,23 +42,21 @@ class Settings:
     branch: Direction = "descending"
 
     def __post_init__(self) -> None:
-        _demand(self.method in METHODS, "method", self.method, f"one of {', '.join(METHODS)}")
-        _demand(self.norm in NORMS, "norm", self.norm, f"one of {', '.join(NORMS)}")
-        _demand(self.branch in ("descending", "ascending"), "branch", self.branch, "'descending' or 'ascending'")
-        _demand(_is_count(self.elements, 1), "elements", self.elements, "a whole number from 1 to 500")
-        _demand(_is_count(self.knots, 2), "knots", self.knots, "a whole number from 2 to 500")
-        _demand(_is_number(self.slope_floor) and 0 < self.slope_floor < 1, "slope_floor", self.slope_floor,
-                "a fraction between 0 and 1")  # fmt: skip
-        _demand(self.delay is None or (_is_number(self.delay) and self.delay >= 0), "delay", self.delay,
-                "a number of seconds, 0 or more")  # fmt: skip
+        options.choice(self.method, "method", METHODS)
+        options.choice(self.norm, "norm", NORMS)
+        options.demand(self.branch in ("descending", "ascending"), "branch", self.branch, "'descending' or 'ascending'")
+        if self.elements is not None:
+            options.count(self.elements, "elements")
+        if self.knots is not None:
+            options.count(self.knots, "knots", least=2)
+        options.fraction(self.slope_floor, "slope_floor")
+        if self.delay is not None:
+            options.seconds(self.delay, "delay")
         if self.breakaway is not None:
             self._check_breakaway(self.breakaway)
 
     def _check_breakaway(self, breakaway: ArrayLike) -> None:
-        try:
-            rho = vector(breakaway, "breakaway")
-        except ModelError as error:
-            raise IdentifyError(str(error)) from error
+        rho = options.numbers(breakaway, "breakaway")
         if self.elements is not None:
             raise IdentifyError("got both elements and breakaway, need one of them")
         if self.method != "record":
@@ -78,16 +76,3 @@ class Settings:
         """JSON values of what bears on the result."""
         return {"method": self.method, "norm": self.norm, "elements": self.count, "slope_floor": self.slope_floor,
                 "shared_datum": self.shared_datum, "drift": self.drift}  # fmt: skip
-
-
-def _is_count(value: object, least: int) -> bool:
-    return value is None or (isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) <= 500)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool) and abs(float(value)) < np.inf
-
-
-def _demand(holds: bool, name: str, got: object, needed: str) -> None:
-    if not holds:
-        raise IdentifyError(f"{name}: got {got!r}, need {needed}")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dehyst import options
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
+from dehyst.elements import segment_of
 
 # Lengths of smooth elements as parts of the stroke, each with both closings: they forget over a few lengths, so that
 # longer ones would still remember how a record began.
@@ -42,6 +43,8 @@ class Structure:
         Branches, their time constants log-spaced from a few samples to the longest record; 0: none.
     smooth : bool
         Whether there are elements that let go gradually, on five lengths.
+    smoothing : float
+        How much alike neighbouring stiffnesses and slopes are held; 0: not at all. See `dehyst.roughness`.
 
     Raises
     ------
@@ -56,17 +59,15 @@ class Structure:
     transformer: int = 0
     creep: int = 0
     smooth: bool = False
+    smoothing: float = 3e-3
 
     def __post_init__(self) -> None:
         for name, least, most in (("elements", 1, 500), ("grades", 1, 50), ("knots", 2, 500), ("transformer", 0, 200),
                                   ("creep", 0, 50)):  # fmt: skip
-            value = getattr(self, name)
-            if not _is_whole(value) or not least <= value <= most:
-                raise IdentifyError(f"{name}: got {value!r}, need a whole number from {least} to {most}")
-        if not isinstance(self.spacing, Real) or not 0.5 <= self.spacing <= 4:
-            raise IdentifyError(f"spacing: got {self.spacing!r}, need an exponent between 0.5 and 4")
-        if not isinstance(self.smooth, bool):
-            raise IdentifyError(f"smooth: got {self.smooth!r}, need True or False")
+            options.count(getattr(self, name), name, least, most)
+        options.between(self.spacing, "spacing", 0.5, 4, "an exponent")
+        options.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
+        options.between(self.smoothing, "smoothing", 0, 1, "a number")
         if self.transformer == 1:
             raise IdentifyError("transformer: got 1, need 0 or two segments at least: one is a straight line")
 
@@ -98,7 +99,8 @@ class Structure:
     def as_dict(self) -> dict[str, Any]:
         """JSON values."""
         return {"elements": self.elements, "spacing": self.spacing, "grades": self.grades, "knots": self.knots,
-                "transformer": self.transformer, "creep": self.creep, "smooth": self.smooth}  # fmt: skip
+                "transformer": self.transformer, "creep": self.creep, "smooth": self.smooth,
+                "smoothing": self.smoothing}  # fmt: skip
 
     def grid(self, span: tuple[float, float], voltages: tuple[float, float], times: tuple[float, float]) -> Grid:
         """Thresholds and knots for loops over these displacements [m], voltages [V] and times [s], low and high."""
@@ -150,6 +152,23 @@ class Grid:
         """(N,) elements that can slide both ways within the knots of the spring."""
         return np.asarray(2 * self.breakaway < np.ptp(self.knots) * (1 - 1e-9))
 
+    @cached_property
+    def outermost(self) -> Array:
+        """Slopes of the outermost branches (p, q), a row a straight piece: sums of stiffnesses and of the spring's."""
+        rho = self.breakaway[self.movable]
+        elements = rho.size * self.segments
+        rows = []
+        for sign in (1.0, -1.0):
+            bends = np.unique(np.concatenate([self.knots, self.grades, (self.grades[:, None] + sign * rho).ravel()]))
+            for y in np.concatenate([[bends[0] - 1e-9], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1e-9]]):
+                row = np.zeros(elements + self.knots.size - 1)
+                blocks = row[:elements].reshape(rho.size, self.segments)
+                blocks[:, segment_of(self.grades, y)] += 1
+                blocks[np.arange(rho.size), segment_of(self.grades, y - sign * rho)] -= 1
+                row[elements + segment_of(self.knots, y)] = 1
+                rows.append(row)
+        return np.unique(np.array(rows), axis=0)
+
     @property
     def segments(self) -> int:
         """M."""
@@ -159,7 +178,3 @@ class Grid:
     def moved(self) -> int:
         """Parts that are driven along the path besides the slip elements: J + L."""
         return self.time_constants.size + self.lengths.size
-
-
-def _is_whole(value: object) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -13,15 +12,14 @@ from dehyst._native import Array
 from dehyst.beside import Beside
 from dehyst.inertia import Inertia, find_inertia, undone
 from dehyst.preparation import Prepared
-from dehyst.program import Norm
 from dehyst.record import Record
-from dehyst.repairs import cycle_time
+from dehyst.repairs import cycle_time, worthwhile
 from dehyst.rows import RowSource
-from dehyst.selection import PARTS, Trial, select
+from dehyst.selection import Trial, select
 from dehyst.signals import turning_points
 from dehyst.smoothing import without_jitter
 from dehyst.structure import Structure
-from dehyst.wide_regression import WideCoefficients, WideRegression
+from dehyst.wide_regression import WideRegression
 from dehyst.wide_stream import WideStream
 
 # Rows for a trial, and for the final program.
@@ -55,6 +53,10 @@ class Frame:
         Least slope [V/m].
     datum : (records,) array
         [m].
+    widest : int
+        Record whose last constant is the spring's.
+    can_drift : tuple of int
+        Records that may creep by a logarithm of time since their start, where no branches tell creep.
     """
 
     training: Sequence[Prepared]
@@ -63,6 +65,8 @@ class Frame:
     voltages: tuple[float, float]
     floor: float
     datum: Array
+    widest: int = 0
+    can_drift: tuple[int, ...] = ()
 
     @property
     def times(self) -> tuple[float, float]:
@@ -76,14 +80,9 @@ class Frame:
 
     def stream(self, structure: Structure, most: int = _MOST_ROWS) -> WideStream:
         """All rows of all records under a structure, about `most` of them in memory."""
-        strained = self.strained if structure.creep else ()
+        strained, drifting = (self.strained, ()) if structure.creep else ((), self.drifting)
         found = self._stream_of(structure, most)
-        return replace(found, regression=replace(found.regression, strained=strained))
-
-    def fitted(self, structure: Structure, norm: Norm) -> tuple[WideRegression, WideCoefficients]:
-        """The program of all rows solved, beside the regression of those in memory."""
-        stream = self.stream(structure)
-        return stream.regression, stream.fit_weighted(norm)
+        return replace(found, regression=replace(found.regression, strained=strained, drifting=drifting))
 
     def _rows_of(self, structure: Structure, most: int) -> WideRegression:
         return self._stream_of(structure, most).regression
@@ -91,23 +90,26 @@ class Frame:
     def _stream_of(self, structure: Structure, most: int) -> WideStream:
         grid = structure.grid(self.span, self.voltages, self.times)
         stroke = self.span[1] - self.span[0]
-        # No drift: creep branches are there for that.
-        pieces = [(q, path, np.broadcast_to(0.0, len(path))) for q, item in enumerate(self.training)
-                  for path in self._paths(item, stroke)]  # fmt: skip
+        pieces = [
+            (q, without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke), drift)
+            for q, item in enumerate(self.training)
+            for piece, drift in self._acting(item, bool(structure.creep))
+        ]
         noise = [self.training[q].noise for q, _, _ in pieces]
 
         def moved(number: int, piece: Record) -> Beside:
             return Beside(grid, piece, self.training[number].lead)
 
         source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
-        return WideStream(source, WideRegression(source.thinned(most), grid, self.floor, self.datum))
+        some = WideRegression(source.thinned(most), grid, self.floor, self.datum, smoothing=structure.smoothing)
+        return WideStream(source, some)
 
-    def _paths(self, item: Prepared, stroke: float) -> Iterator[Record]:
-        """The pieces of a record, voltages delayed and displacements those that hysteresis makes."""
-        delay, dynamics = self.inertia.delay, self.inertia.dynamics
-        for piece in item.pieces:
-            late = piece.delayed(delay) if delay else piece
-            yield without_jitter(undone(late, dynamics), item.noise, stroke)
+    def _acting(self, item: Prepared, creeping: bool) -> Iterator[tuple[Record, Array]]:
+        """The pieces of a record, voltages as they act, and their drift curves; creep branches need none."""
+        delay, lag = self.inertia.delay, self.inertia.lag
+        if creeping:
+            return ((piece, np.broadcast_to(0.0, len(piece))) for piece in item.acting(delay, lag))
+        return ((piece, drift) for _, piece, drift in item.delayed(0, delay, lag))
 
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""
@@ -123,6 +125,14 @@ class Frame:
         if min(build(one).rms() for one in masses) > _WORTH_OF_MASS * without:
             return self
         return replace(self, inertia=find_inertia(build, self.inertia.delay, step, cycle))
+
+    @cached_property
+    def drifting(self) -> tuple[int, ...]:
+        """Records that drift, seen from plain elements; none if branches can tell creep."""
+        if self.supports_creep():
+            return ()
+        few, stroke = self._rows_of(Structure(), _FEW_ROWS), self.span[1] - self.span[0]
+        return worthwhile(lambda drifting: replace(few, drifting=drifting).rms(), self.can_drift, stroke)
 
     @cached_property
     def strained(self) -> tuple[int, ...]:
@@ -147,12 +157,12 @@ class Frame:
 
     def chosen(self, start: Structure, tell: Callable[[str], None]) -> tuple[Structure, tuple[Trial, ...], list[str]]:
         """The structure that the records support, the trials, and what they do not support."""
-        parts: list[tuple[str, dict[str, Any]]] = list(PARTS)
+        without: tuple[str, ...] = ()
         remarks = []
         if not self.supports_creep():
-            parts = [part for part in parts if "creep" not in part[1]]
+            without = ("creep",)
             remarks.append("Creep was not looked for: it needs holds or loops at two speeds; add a staircase.")
-        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, parts, tell)
+        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, tell, without=without)
         return best, trials, remarks
 
 

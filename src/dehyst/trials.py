@@ -173,10 +173,13 @@ def timed(model: AbstractModel, time: Array) -> dict[str, Any]:
 def beginning(model: AbstractModel, voltage: Array) -> Any:
     """Where a model starts before a voltage (n,): its own default, or of an actuator the end of its loop nearest by.
 
-    A start far away would set a mass swinging.
+    A start far away would set a mass swinging. What creeps has stood relaxed, as before the records: what it does long
+    after depends on where it stood.
     """
     if not isinstance(model, Actuator) or not voltage.size:
         return None
+    if model.creep is not None:
+        return model.relaxed(float(voltage[0]))
     low, high = (float(end) for end in model.spring.displacement[[0, -1]])
     ends = [model.turned(high), model.turned(low, rising=False)]
     return min(ends, key=lambda state: abs(model.voltage(state) - float(voltage[0])))

@@ -15,7 +15,7 @@ from dehyst.composition import coefficients_of, grid_of
 from dehyst.inertia import derivatives, undone
 from dehyst.metrics import largest
 from dehyst.model import Motion, RecordErrors, State, Trace
-from dehyst.preparation import Prepared
+from dehyst.preparation import Prepared, prepare
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.repairs import find_datum
@@ -145,7 +145,7 @@ class Comparison:
         (_, piece, curve), y = self.pieces[number], self.measured[number].displacement
         drift = self.drift * curve
         level = float(drift[epoch.start : epoch.stop].mean())
-        steady = drifting = self._state_before(actuator, number, epoch).shifted(self.datum)
+        steady = drifting = self.state_before(actuator, number, epoch).shifted(self.datum)
         for start in range(epoch.start, epoch.stop, size):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
             again = int(actuator.needs_time and start > epoch.start)
@@ -154,11 +154,11 @@ class Comparison:
             one = _driven(actuator, piece, run, (offset, drift[run]), steady)
             other = _driven(actuator, piece, run, (offset, level), drifting)
             steady, drifting = one.state, other.state
-            voltage = _less(actuator, piece.voltage[own], offset)
+            voltage = without_offset(actuator, piece.voltage[own], offset)
             yield piece.time[own], voltage, y[own] + self.datum, one.displacement[again:], other.displacement[again:]
 
-    def _state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
-        """The state at an epoch's first sample, which the displacement before it tells."""
+    def state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
+        """The state at an epoch's first sample, which the displacement before it tells, on the record's axis."""
         rho, grid = actuator.slip.breakaway, grid_of(actuator)
         y = self.pieces[number][1].displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
@@ -179,7 +179,7 @@ class Comparison:
 
 def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
-    measured = record.delayed(0, protocol.delay)
+    measured = record.delayed(0, protocol.delay, actuator.lag)
     pieces = [(q, _path(actuator, piece, record.noise, protocol.stroke), drift) for q, piece, drift in measured]
     source, regression, model = _beside(actuator, record, pieces, (0,) if protocol.drifting else ())
     datum = protocol.datum
@@ -189,6 +189,31 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Compari
     found = (regression if actuator.wide else Stream(source, regression)).nuisances_of(model)
     base = float(actuator.spring.voltage[0])
     return Comparison(record, source, [piece for _, piece, _ in measured], regression, found, base)
+
+
+def told(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:
+    """The state at a record's last sample, and the offset of its voltages [V], as its displacements tell them.
+
+    The offset is by least squares over the samples that count; where none does, for the record is too short or has no
+    full cycle, it is that of its last sample, and what the record does not tell of the carts is none.
+    """
+    try:
+        record = prepare(lead)
+        beside = compare(actuator, record, Protocol("validation", actuator.delay, 0.0, False, stroke))
+        number, own = len(beside.pieces) - 1, beside.epochs[-1]
+    except ValueError:
+        own = []
+    if own:
+        last = replace(own[-1], start=len(beside.pieces[number][1]) - 1)
+        return beside.state_before(actuator, number, last), beside.last_offsets()[-1]
+    y = lead.displacement
+    _, carts = stops(actuator.slip.breakaway, np.full(len(actuator.slip), y[0]), np.ascontiguousarray(y))
+    creep = () if actuator.creep is None else actuator.creep.strains(lead.time, y)[-1]
+    smooth = () if actuator.smooth is None else actuator.smooth.elongations(y)[-1]
+    state = State(float(y[-1]), carts, creep, smooth=smooth)
+    held, given = actuator.voltage(state), float(lead.voltage[-1])
+    tau = actuator.transformer
+    return state, given - held if tau is None else float(tau(given) - tau(held))
 
 
 def _beside(
@@ -263,11 +288,13 @@ class _Sums:
 
 def _driven(actuator: Actuator, piece: Record, span: slice, less: tuple[float, Array | float], state: State) -> Motion:
     """Play samples of a piece from a state, their voltages less offset and drift [V]."""
+    # The piece's voltages are those that act, behind the amplifier.
+    actuator = replace(actuator, lag=0.0) if actuator.lag else actuator
     time = piece.time[span] if actuator.needs_time else None
-    return actuator.simulate(_less(actuator, piece.voltage[span], *less), time=time, state=state)
+    return actuator.simulate(without_offset(actuator, piece.voltage[span], *less), time=time, state=state)
 
 
-def _less(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:
+def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:
     """Voltages (n,) [V] less offset and drift, which a transformer's curve does not bend."""
     tau = actuator.transformer
     if tau is None:

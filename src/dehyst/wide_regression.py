@@ -23,6 +23,7 @@ from dehyst._native import Array
 from dehyst.elements import parts_in_segments, segment_of
 from dehyst.program import Norm, Solution, solve
 from dehyst.regression import AbstractRegression
+from dehyst.roughness import roughness
 from dehyst.rows import Rows
 from dehyst.structure import Grid
 
@@ -33,6 +34,9 @@ _ADDED = 40
 _VIOLATED = 1e-6
 # Of the creep before a record, what is less than this at its first sample that counts is nothing.
 _FORGOTTEN = 0.01
+
+
+Solver = Callable[[tuple[Array, Array] | None], Solution]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +87,8 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         Records that get a drift.
     strained : tuple of int
         Records whose creep branches may not be at rest as they begin.
+    smoothing : float
+        How much alike neighbours are held, see `dehyst.roughness`; 0: not at all.
     lasting : (S J,) bool array, optional
         Starts of creep that are not forgotten before the first sample that counts; default: told from the rows.
     """
@@ -93,6 +99,7 @@ class WideRegression(AbstractRegression[WideCoefficients]):
     datum: Array
     drifting: tuple[int, ...] = ()
     strained: tuple[int, ...] = ()
+    smoothing: float = 0.0
     lasting: NDArray[np.bool_] | None = None
 
     def thinned(self, most: int) -> WideRegression:
@@ -161,14 +168,40 @@ class WideRegression(AbstractRegression[WideCoefficients]):
 
     def fit(self, norm: Norm, weights: Array | None = None) -> WideCoefficients:
         """Solve the program, inequalities added round by round where they would be violated."""
-        free = self.nuisances()
-        return self.fitted(lambda limits: solve(free, self.bounded, self.target, weights=weights, norm=norm,
-                                                constraints=limits))  # fmt: skip
+        free, n = self.nuisances(), len(self.rows)
+        given = np.ones(n) if weights is None else weights
+        table = [free, self.bounded, self.target, given]
+        if n >= max(free.shape[1], 1):
+            alike = self.held_alike(norm, n, free.shape[1], 1.0 if weights is None else 1 / self.mean_slope)
+            table = [np.concatenate(pair) for pair in zip(table, alike, strict=True)]
+        *program, weight = table
+        found = self.fitted(lambda limits: solve(*program, weights=weight, norm=norm, constraints=limits))
+        return replace(found, solution=replace(found.solution, residual=found.solution.residual[:n]))
 
-    def fitted(
-        self, solved: Callable[[tuple[Array, Array] | None], Solution], epochs: NDArray[np.intp] | None = None
-    ) -> WideCoefficients:
-        """What `solved`, inequalities -> answer, finds in the end; epochs as in `nuisances`."""
+    def held_alike(self, norm: Norm, count: int, free: int, weight: float) -> tuple[Array, Array, Array, Array]:
+        """Rows that hold neighbours alike, as a block of a table of `count` others: see `dehyst.roughness`.
+
+        `free` columns are not theirs, and `weight` is that of a row where the slope is the mean one. They weigh as much
+        beside few samples as beside many. The largest residual is no matter of neighbours: for that there are none.
+        """
+        if not self.smoothing or norm == "linf":
+            return np.zeros((0, free)), self.bounded[:0], np.zeros(0), np.zeros(0)
+        rows = self._all_columns(roughness(self.grid, self.mean_slope))
+        p = len(rows)
+        strength = self.smoothing * self.mean_slope * (np.sqrt(count) if norm == "l2" else count / np.sqrt(p))
+        return np.zeros((p, free)), strength * rows, np.zeros(p), np.full(p, weight)
+
+    @property
+    def mean_slope(self) -> float:
+        """Of voltage over displacement [V/m]."""
+        return float(np.ptp(self.rows.voltage) / np.ptp(self.knots))
+
+    def fitted(self, solved: Solver, epochs: NDArray[np.intp] | None = None) -> WideCoefficients:
+        """What `solved` finds in the end; epochs as in `nuisances`."""
+        return self.coefficients(self.settled(solved), epochs)
+
+    def settled(self, solved: Solver) -> Solution:
+        """The answer of `solved`, inequalities -> answer, when no other inequality is violated."""
         matrix, lower = self._inequalities()
         for _ in range(_ROUNDS):
             answer = solved((matrix, lower) if lower.size else None)
@@ -176,7 +209,7 @@ class WideRegression(AbstractRegression[WideCoefficients]):
             if not len(more):
                 break
             matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))
-        return self._coefficients(answer, epochs)
+        return answer
 
     def slope(self, found: WideCoefficients) -> Array:
         """D tau(v)/dy of the model at each row (n,) [V/m], at the floor at least."""
@@ -246,31 +279,27 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         lower[: bool(lengths.size)] = -(1 - _DRIVE_FLOOR) * float(lengths.sum())
         return np.array(rows).reshape(-1, unknowns), lower
 
-    @cached_property
-    def _rising(self) -> Array:
-        """Slope of the outermost branches above the floor, one row a straight piece, as columns of `bounded`."""
-        grid = self.grid
-        rho, size = grid.breakaway[grid.movable], self.bounded.shape[1]
-        rows = []
-        for sign in (1.0, -1.0):
-            bends = np.unique(np.concatenate([grid.knots, grid.grades, (grid.grades[:, None] + sign * rho).ravel()]))
-            for y in np.concatenate([[bends[0] - 1e-9], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1e-9]]):
-                row = np.zeros(size)
-                blocks = row[: rho.size * grid.segments].reshape(rho.size, grid.segments)
-                blocks[:, segment_of(grid.grades, y)] += 1
-                blocks[np.arange(rho.size), segment_of(grid.grades, y - sign * rho)] -= 1
-                row[rho.size * grid.segments + segment_of(grid.knots, y)] = 1
-                rows.append(row)
-        return np.unique(np.array(rows), axis=0)
-
     def _violated(self, x: Array) -> Array:
         """The inequalities that x violates most."""
-        value = self._rising @ x
+        rising = self.grid.outermost
+        value = rising @ x[: rising.shape[1]]
         worst = np.argsort(value, kind="stable")[:_ADDED]
-        return self._rising[worst[value[worst] < -_VIOLATED * self.floor]]
+        return self._all_columns(rising[worst[value[worst] < -_VIOLATED * self.floor]])
 
-    def _coefficients(self, answer: Solution, epochs: NDArray[np.intp] | None) -> WideCoefficients:
-        grid, x = self.grid, answer.nonnegative
+    def _all_columns(self, rows: Array) -> Array:
+        """Rows over the first unknowns, with nothing for the others."""
+        return np.hstack([rows, np.zeros((len(rows), self.bounded.shape[1] - rows.shape[1]))])
+
+    def coefficients(self, answer: Solution, epochs: NDArray[np.intp] | None = None) -> WideCoefficients:
+        """An answer's coefficients; epochs as in `nuisances`."""
+        x = answer.nonnegative
+        starts = x[x.size - 2 * len(self.strained) * self.grid.time_constants.size :]
+        offsets, drifts = self.constants(answer, epochs)
+        return replace(self.at(x), offsets=offsets, drifts=drifts, solution=answer, starts=self._starts(starts))
+
+    def at(self, x: Array) -> WideCoefficients:
+        """The coefficients of the program's unknowns (q,) that are not negative, without constants and starts."""
+        grid = self.grid
         count, segments, spring = int(np.count_nonzero(grid.movable)), grid.segments, grid.knots.size - 1
         stiffness = np.zeros((grid.movable.size, segments))
         stiffness[grid.movable] = x[: count * segments].reshape(count, segments)
@@ -280,9 +309,13 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         if lengths.size:
             left = max((1 - _DRIVE_FLOOR) * lengths.sum() - drive @ lengths[:-1], 0.0) / lengths[-1]
             drive = _DRIVE_FLOOR + np.append(drive, left)
-        starts = x[x.size - 2 * len(self.strained) * grid.time_constants.size :]
-        return WideCoefficients(stiffness, rest[:spring] + self.floor, rest[spring : spring + grid.moved], drive,
-                                *self.constants(answer, epochs), answer, self._starts(starts))  # fmt: skip
+        moved = rest[spring : spring + grid.moved]
+        return WideCoefficients(stiffness, rest[:spring] + self.floor, moved, drive, {}, {}, None)  # type: ignore[arg-type]
+
+    def unknowns(self, found: WideCoefficients) -> tuple[Array, ...]:
+        """The program's unknowns that make coefficients, kind by kind: elements, spring, what moves, transformer."""
+        elements = found.stiffness[self.grid.movable].ravel()
+        return elements, found.slopes - self.floor, found.moved, found.drive[:-1] - _DRIVE_FLOOR
 
     def _starts(self, both: Array) -> dict[int, Array]:
         """By record, from what is added and what is taken away."""

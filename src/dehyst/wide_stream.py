@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class WideStream:
         """Fit with the weights that a model found before gives."""
         epochs, some = np.arange(self.source.count), self.regression
         like = some.nuisances(epochs), some.bounded, some.target
-        table = _Columns(self, before)
+        table = _Columns(self, before, norm)
         return some.fitted(lambda limits: solve_blocks(table, like, norm=norm, constraints=limits), epochs)
 
 
@@ -52,9 +53,16 @@ class _Columns:
 
     stream: WideStream
     model: WideCoefficients | None
+    norm: Norm
 
     def __len__(self) -> int:
-        return len(self.stream.source)
+        return len(self.stream.source) + len(self._alike[3])
+
+    @cached_property
+    def _alike(self) -> tuple[Array, Array, Array, Array]:
+        some, source = self.stream.regression, self.stream.source
+        weight = 1.0 if self.model is None else some.floor / some.mean_slope
+        return some.held_alike(self.norm, len(source), source.count + len(some.drifting), weight)
 
     def __iter__(self) -> Iterator[tuple[Array, Array, Array, Array]]:
         some, epochs = self.stream.regression, np.arange(self.stream.source.count)
@@ -63,3 +71,5 @@ class _Columns:
             block = replace(some, rows=rows, lasting=lasting)
             weights = np.ones(len(rows)) if self.model is None else block.floor / block.slope(self.model)
             yield block.nuisances(epochs), block.bounded, block.target, weights
+        if len(self._alike[3]):
+            yield self._alike

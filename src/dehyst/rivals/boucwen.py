@@ -11,19 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Integral
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst import _native_fields
-from dehyst._errors import IdentifyError, ModelError
+from dehyst import _native_fields, options
+from dehyst._errors import ModelError
 from dehyst._native import Array, number, vector
 from dehyst.metrics import rms
-from dehyst.model import AbstractModel, Motion
-from dehyst.program import Solution, one_thread, solve
+from dehyst.program import Solution, solve
 from dehyst.record import Record
-from dehyst.rivals.fitting import Training, least_missing
+from dehyst.rivals.base import AbstractRival
+from dehyst.rivals.fitting import least_missing
+from dehyst.rivals.training import Training
 
 _SEARCH_ROWS = 2000
 # Of alpha, of the part of v that a reversal hides at first, and of (beta + gamma) times the range of v.
@@ -41,8 +42,9 @@ class Lag:
     hidden: float
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class BoucWen(AbstractModel):
+class BoucWen(AbstractRival):
     """Bouc and Wen's model; exact while the voltage is monotone.
 
     ``y = c_0 + c_1 t + c_2 t^2 + c_3 t^3`` with t from 0 to 1 between the limits of w, and linear beyond.
@@ -57,7 +59,7 @@ class BoucWen(AbstractModel):
         Lowest and highest w [V] of the cubic map.
     cubic : (4,) array_like
         c [m]; it increases from 0 to 1.
-    start : Lag, optional
+    state : Lag, optional
         Where a motion starts if it is not told: at the lower limit, as a long fall leaves it.
     delay : float, optional
         Seconds by which the measured displacement lagged the voltage; the model itself has no time.
@@ -73,7 +75,7 @@ class BoucWen(AbstractModel):
     gamma: float
     limits: tuple[float, float]
     cubic: Array
-    start: Lag = None  # type: ignore[assignment]
+    state: Lag = None  # type: ignore[assignment]
     delay: float = 0.0
 
     def __post_init__(self) -> None:
@@ -96,43 +98,23 @@ class BoucWen(AbstractModel):
             )
         cubic.flags.writeable = False
         object.__setattr__(self, "cubic", cubic)
-        if self.start is None:
+        if self.state is None:
             hidden = -self.alpha / total
-            object.__setattr__(self, "start", Lag(low + hidden, hidden))
+            object.__setattr__(self, "state", Lag(low + hidden, hidden))
 
     @property
     def parameters(self) -> int:
         """Number of coefficients: three of the equation, four of the map."""
         return 7
 
-    def simulate(self, voltage: ArrayLike, *, state: Lag | None = None, time: ArrayLike | None = None) -> Motion:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes; `time` is not looked at.
+    def _displaced(self, v: Array, state: Lag, time: ArrayLike | None) -> tuple[Array, Lag]:
+        return self._run(v, state, _SIMULATE)
 
-        Raises
-        ------
-        ModelError
-            If the voltage is no path of finite numbers, or the state is none of this model.
-        """
-        v = vector(voltage, "voltage")
-        y, after = self._run(v, state, _SIMULATE)
-        return Motion(v, y, after)
+    def _driven(self, y: Array, state: Lag, time: ArrayLike | None) -> tuple[Array, Lag]:
+        # Each sample solves one equation in v, which increases: by Newton's method within a bracket.
+        return self._run(y, state, _COMPENSATE)
 
-    def compensate(self, displacement: ArrayLike, *, state: Lag | None = None, time: ArrayLike | None = None) -> Motion:
-        """Voltage (n,) [V] for a displacement (n,) [m], to rounding; `time` is not looked at.
-
-        Each sample solves one equation in v, which increases: by Newton's method within a bracket.
-
-        Raises
-        ------
-        ModelError
-            If the displacement is no path of finite numbers, or the state is none of this model.
-        """
-        y = vector(displacement, "displacement")
-        v, after = self._run(y, state, _COMPENSATE)
-        return Motion(v, y, after)
-
-    def _run(self, drive: Array, state: Lag | None, what: int) -> tuple[Array, Lag]:
-        begin = self.start if state is None else state
+    def _run(self, drive: Array, begin: Lag, what: int) -> tuple[Array, Lag]:
         most = self.alpha / (self.beta + self.gamma) * (1 + 1e-9)
         if not isinstance(begin, Lag) or not abs(begin.hidden) <= most:
             raise ModelError(f"state: got {begin!r}, need a Lag whose hidden part is {most:g} V at most")
@@ -174,19 +156,16 @@ class BoucWen(AbstractModel):
         IdentifyError
             If no sample counts, or an option is impossible.
         """
-        if not isinstance(starts, Integral) or isinstance(starts, bool) or starts < 1:
-            raise IdentifyError(f"starts: got {starts!r}, need a whole number from 1")
-        if not 0 < slope_floor < 1:
-            raise IdentifyError(f"slope_floor: got {slope_floor!r}, need a fraction above 0 and below 1")
-        begins = np.random.default_rng(seed).uniform(_LEAST, _MOST, (int(starts), 3))
+        options.count(starts, "starts", most=None)
+        options.fraction(slope_floor, "slope_floor")
+        begins = np.random.default_rng(seed).uniform(_LEAST, _MOST, (starts, 3))
 
         def solved(ready: Training) -> tuple[BoucWen, float]:
             best = _Problem(ready.thinned(_SEARCH_ROWS), slope_floor).polished(begins)
             problem = _Problem(ready, slope_floor)
             return cls(*problem.equation(best), *problem.map(best), delay=ready.delay), rms(problem.residual(best))
 
-        with one_thread():
-            return least_missing(records, delay, solved)
+        return least_missing(records, delay, solved)
 
 
 @dataclass(frozen=True, eq=False)

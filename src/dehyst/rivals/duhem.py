@@ -12,19 +12,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Integral
+from typing import final
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
-from dehyst import _native_fields
+from dehyst import _native_fields, options
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._native import Array, number, vector
-from dehyst.model import AbstractModel, Motion
-from dehyst.program import one_thread
 from dehyst.record import Record
-from dehyst.rivals.fitting import Training, least_missing
+from dehyst.rivals.base import AbstractRival
+from dehyst.rivals.fitting import least_missing
+from dehyst.rivals.training import Training
 
 _SEARCH_ROWS = 3000
 _RATES = np.geomspace(0.2, 40.0, 25)
@@ -40,8 +40,9 @@ class Point:
     displacement: float
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class Duhem(AbstractModel):
+class Duhem(AbstractRival):
     """Coleman and Hodgdon's model with polynomials of t, 0 to 1 between the limits; exact while v is monotone.
 
     With polynomials, each branch is one polynomial, which depends on the direction alone, and what is left of the
@@ -56,7 +57,7 @@ class Duhem(AbstractModel):
         a times the range of the voltage, above 0.
     anhysteretic, reversible : (k,) array_like
         Coefficients [m] of f, and of g times the range, the constant first.
-    start : Point, optional
+    state : Point, optional
         Where a motion starts if it is not told: at the lowest voltage, at the bottom of the major loop.
     delay : float, optional
         Seconds by which the measured displacement lagged the voltage; the model itself has no time.
@@ -71,7 +72,7 @@ class Duhem(AbstractModel):
     rate: float
     anhysteretic: Array
     reversible: Array
-    start: Point = None  # type: ignore[assignment]
+    state: Point = None  # type: ignore[assignment]
     delay: float = 0.0
 
     def __post_init__(self) -> None:
@@ -88,9 +89,9 @@ class Duhem(AbstractModel):
                 "anhysteretic and reversible: displacement would fall somewhere while the voltage rises; need a "
                 "reversible share above the rate times half of the loop's width"
             )
-        if self.start is None:
+        if self.state is None:
             bottom = _major_loop(self.rate, *_branches(self.rate, self.anhysteretic, self.reversible))[0][0]
-            object.__setattr__(self, "start", Point(low, float(bottom)))
+            object.__setattr__(self, "state", Point(low, float(bottom)))
 
     @property
     def parameters(self) -> int:
@@ -105,36 +106,14 @@ class Duhem(AbstractModel):
         mean = float(np.ptp(_major_loop(self.rate, rise, fall)[0])) / (high - low)
         return np.array([low, high - low, self.rate, mean, mean]), rise, fall
 
-    def simulate(self, voltage: ArrayLike, *, state: Point | None = None, time: ArrayLike | None = None) -> Motion:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes; `time` is not looked at.
+    def _displaced(self, v: Array, state: Point, time: ArrayLike | None) -> tuple[Array, Point]:
+        return self._run(v, state, inverse=False)
 
-        Raises
-        ------
-        ModelError
-            If the voltage is no path of finite numbers, or the state is none of this model.
-        """
-        v = vector(voltage, "voltage")
-        y, after = self._run(v, state, inverse=False)
-        return Motion(v, y, after)
+    def _driven(self, y: Array, state: Point, time: ArrayLike | None) -> tuple[Array, Point]:
+        # Each sample solves one equation in v, which increases: by Newton's method within a bracket.
+        return self._run(y, state, inverse=True)
 
-    def compensate(
-        self, displacement: ArrayLike, *, state: Point | None = None, time: ArrayLike | None = None
-    ) -> Motion:
-        """Voltage (n,) [V] for a displacement (n,) [m], to rounding; `time` is not looked at.
-
-        Each sample solves one equation in v, which increases: by Newton's method within a bracket.
-
-        Raises
-        ------
-        ModelError
-            If the displacement is no path of finite numbers, or the state is none of this model.
-        """
-        y = vector(displacement, "displacement")
-        v, after = self._run(y, state, inverse=True)
-        return Motion(v, y, after)
-
-    def _run(self, drive: Array, state: Point | None, *, inverse: bool) -> tuple[Array, Point]:
-        begin = self.start if state is None else state
+    def _run(self, drive: Array, begin: Point, *, inverse: bool) -> tuple[Array, Point]:
         if not isinstance(begin, Point):
             raise ModelError(f"state: got {type(begin).__name__}, need a Point that a motion of this model left")
         numbers, rise, fall = self._tables
@@ -173,18 +152,15 @@ class Duhem(AbstractModel):
         IdentifyError
             If no sample counts, or an option is impossible.
         """
-        if not isinstance(degree, Integral) or isinstance(degree, bool) or not 1 <= degree <= _HIGHEST_DEGREE:
-            raise IdentifyError(f"degree: got {degree!r}, need a whole number from 1 to {_HIGHEST_DEGREE}")
-        if not 0 < slope_floor < 1:
-            raise IdentifyError(f"slope_floor: got {slope_floor!r}, need a fraction above 0 and below 1")
+        options.count(degree, "degree", most=_HIGHEST_DEGREE)
+        options.fraction(slope_floor, "slope_floor")
 
         def solved(ready: Training) -> tuple[Duhem, float]:
-            rate = _searched(ready.thinned(_SEARCH_ROWS), int(degree), slope_floor)
-            f, g, miss = _solved(ready, rate, int(degree), slope_floor)
+            rate = _searched(ready.thinned(_SEARCH_ROWS), degree, slope_floor)
+            f, g, miss = _solved(ready, rate, degree, slope_floor)
             return cls(ready.limits, rate, f, g, delay=ready.delay), miss
 
-        with one_thread():
-            return least_missing(records, delay, solved)
+        return least_missing(records, delay, solved)
 
 
 def _branches(rate: float, f: Array, g: Array) -> tuple[Array, Array]:

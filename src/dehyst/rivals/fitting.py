@@ -1,15 +1,13 @@
 """Records made ready for a rival that maps voltage to displacement: what `dehyst.identify` leaves out is left out too.
 
 Start-up transients, gaps, the delay, a drift: all as in `dehyst.identify`. A sample counts once the voltage has been
-through its range, for from then on relays and states that the range does not move add a constant; each such stretch has
-one of its own, so that no record's offset enters the fit.
+through its range, for from then on plays, relays and states that the range does not move add a constant; each such
+stretch has one of its own, so that no record's offset enters the fit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from math import isfinite
 from numbers import Real
 from typing import TypeVar
 
@@ -18,74 +16,32 @@ from numpy.typing import NDArray
 
 from dehyst import repairs
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
 from dehyst.preparation import Prepared, as_list, prepare
+from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.regression import Regression
-from dehyst.rows import Epoch, Rows, collect
+from dehyst.rivals.play_rows import PlayRows, even_thresholds
+from dehyst.rivals.training import Training
+from dehyst.rows import Epoch, collect
 
 Model = TypeVar("Model")
 
-
-@dataclass(frozen=True, eq=False)
-class Training:
-    """Pieces of records to be played from their first sample, and their samples that count.
-
-    Attributes
-    ----------
-    pieces : tuple of Record
-        Voltages delayed.
-    kept : tuple of (k,) int array
-        Samples of each piece that count.
-    displacement : (n,) array
-        Of the samples that count, of all pieces [m].
-    nuisances : (n, m) array
-        Columns that every fit is free to use: one constant for each epoch, then drifts.
-    reference : int
-        Column whose coefficient is the model's own constant: that of the widest record's last epoch.
-    limits : (float, float)
-        Lowest and highest voltage [V].
-    stroke : float
-        Range of the widest record's loops [m].
-    delay : float
-        Seconds by which the displacement lags the voltage.
-    """
-
-    pieces: tuple[Record, ...]
-    kept: tuple[NDArray[np.intp], ...]
-    displacement: Array
-    nuisances: Array
-    reference: int
-    limits: tuple[float, float]
-    stroke: float
-    delay: float
-
-    def __len__(self) -> int:
-        return self.displacement.size
-
-    def played(self, run: Callable[[Array], Array]) -> Array:
-        """What `run` makes of the voltage of each piece, at the samples that count: (n,) or (n, columns)."""
-        return np.concatenate([run(piece.voltage)[rows] for piece, rows in zip(self.pieces, self.kept, strict=True)])
-
-    def thinned(self, most: int) -> Training:
-        """The same with about `most` samples that count, evenly; voltages stay whole."""
-        step = max(1, len(self) // most)
-        if step == 1:
-            return self
-        ends = np.cumsum([0, *(rows.size for rows in self.kept)])
-        chosen = np.arange(0, len(self), step)
-        kept = tuple(rows[chosen[(chosen >= a) & (chosen < b)] - a]
-                     for rows, a, b in zip(self.kept, ends[:-1], ends[1:], strict=True))  # fmt: skip
-        return Training(self.pieces, kept, self.displacement[chosen], self.nuisances[chosen], self.reference,
-                        self.limits, self.stroke, self.delay)  # fmt: skip
+_SEARCH_ROWS = 4000
+# Plays and segments of each play's curve by which a delay is looked for.
+_PLAYS, _SEGMENTS = 30, 4
 
 
+@one_thread()
 def least_missing(
-    records: Record | Sequence[Record], delay: float | None, fit: Callable[[Training], tuple[Model, float]]
+    records: Record | Sequence[Record],
+    delay: float | None,
+    fit: Callable[[Training], tuple[Model, float]],
+    *,
+    drift: bool = True,
 ) -> Model:
     """Fit on records prepared with a given delay; with none given, with the estimated one and without, the better one.
 
-    The estimate is made with slip elements, and can mistake for a delay what another model explains.
+    The estimate is made with plays, and can mistake for a delay what another model explains.
 
     Parameters
     ----------
@@ -97,10 +53,10 @@ def least_missing(
     RecordError, IdentifyError
         Those of `training`.
     """
-    ready = training(records, delay=delay)
+    ready = training(records, delay=delay, drift=drift)
     model, miss = fit(ready)
     if delay is None and ready.delay:
-        undelayed, without = fit(training(records, delay=0.0))
+        undelayed, without = fit(training(records, delay=0.0, drift=drift))
         if without <= miss:
             return undelayed
     return model
@@ -114,7 +70,7 @@ def training(records: Record | Sequence[Record], *, delay: float | None = None, 
     records : Record or sequence of Record
         One loop at least.
     delay : float, optional
-        Seconds by which the displacement lags the voltage; default: estimated as `dehyst.identify` does.
+        Seconds by which the displacement lags the voltage; default: estimated, and 0 unless one is worth it.
     drift : bool, optional
         Whether a record may creep by a logarithm of the time since its start, which is then set aside.
 
@@ -130,22 +86,33 @@ def training(records: Record | Sequence[Record], *, delay: float | None = None, 
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
     spans = [item.span() for item in items]
     widest = int(np.argmax([high - low for low, high in spans]))
-    stroke = spans[widest][1] - spans[widest][0]
-    lag = _estimated(items, stroke, drift) if delay is None else _given(delay, items)
-    rows, epochs, pieces = _collected(items, lag, np.zeros(0))
-    knots = np.linspace(*spans[widest], 31)
-    drifting = _drifts(items, lag, stroke, knots) if drift else ()
-    nuisances = Regression(rows, knots, 0.0, np.zeros(0, bool), np.zeros(len(items)), drifting).nuisances()
+    able = [q for q, item in enumerate(items) if item.can_drift] if drift else []
+    lag = _estimated(items, widest, able) if delay is None else _given(delay, items)
+    return _ready(items, widest, lag, _drifting(items, widest, lag, able))
+
+
+def _ready(items: list[Prepared], widest: int, lag: float, drifting: Sequence[int]) -> Training:
+    parts = [part for q, item in enumerate(items) for part in item.delayed(q, lag)]
+    rows, epochs = collect(parts, np.zeros(0), [items[q].noise for q, _, _ in parts])
+    pieces = [piece for _, piece, _ in parts]
+    low, high = items[widest].span()
+    none = np.zeros(0, dtype=np.bool_)
+    nuisances = Regression(rows, np.array([low, high]), 0.0, none, np.zeros(len(items)), tuple(drifting)).nuisances()
     voltages = np.concatenate([piece.voltage for piece in pieces])
+    found = [(piece, epoch) for piece, own in zip(pieces, epochs, strict=True) for epoch in own]
+    reach = [np.full(epoch.stop - epoch.start, np.ptp(piece.voltage[: epoch.start])) for piece, epoch in found]
     return Training(
         pieces=tuple(pieces),
         kept=tuple(_samples(own) for own in epochs),
         displacement=rows.displacement,
+        reach=np.concatenate(reach),
         nuisances=nuisances,
+        epochs=nuisances.shape[1] - len(drifting),
         reference=int(rows.epoch[rows.record == widest].max()),
         limits=(float(voltages.min()), float(voltages.max())),
-        stroke=stroke,
+        stroke=high - low,
         delay=lag,
+        sentences=tuple(sentence for item in items for sentence in item.sentences),
     )
 
 
@@ -153,43 +120,40 @@ def _samples(epochs: list[Epoch]) -> NDArray[np.intp]:
     return np.concatenate([np.zeros(0, np.intp), *(np.arange(epoch.start, epoch.stop) for epoch in epochs)])
 
 
-def _collected(items: list[Prepared], lag: float, rho: Array) -> tuple[Rows, list[list[Epoch]], list[Record]]:
-    parts = [part for q, item in enumerate(items) for part in item.delayed(q, lag)]
-    rows, epochs = collect(parts, rho, [items[q].noise for q, _, _ in parts])
-    return rows, epochs, [piece for _, piece, _ in parts]
-
-
 def _given(delay: object, items: list[Prepared]) -> float:
     cycle = min(repairs.cycle_time(item.record) for item in items)
-    if not isinstance(delay, Real) or not isfinite(delay) or abs(float(delay)) > 0.25 * cycle:
-        raise IdentifyError(f"delay: got {delay!r}, need seconds, less than a quarter of a cycle of {cycle:.4g} s")
-    return float(delay)
+    if isinstance(delay, Real) and not isinstance(delay, bool) and 0 <= float(delay) < 0.25 * cycle:
+        return float(delay)
+    raise IdentifyError(
+        f"delay: got {delay!r}, need seconds, 0 or more and less than a quarter of a cycle of {cycle:.4g} s"
+    )
 
 
-def _with_stops(items: list[Prepared], lag: float, stroke: float, knots: Array) -> Regression:
-    """The regression on Maxwell-slip elements by which `dehyst.identify` looks for delay and drift."""
-    rho = stroke / 60 * np.arange(1.0, 31.0)
-    rows, _, _ = _collected(items, lag, rho)
-    floor = 0.01 * float(np.ptp(rows.voltage)) / stroke
-    return Regression(rows, knots, floor, 2 * rho < stroke * (1 - 1e-9), np.zeros(len(items)))
+def _missed(ready: Training) -> float:
+    """RMS residual [m] of plays, which map voltage to displacement as rivals do; records' offsets do not matter."""
+    rows = PlayRows.of(ready, even_thresholds(ready, _PLAYS), most=_SEARCH_ROWS)
+    low, high = ready.limits
+    knots = [np.linspace(low + r, high - r, _SEGMENTS + 1)[1:-1] for r in rows.thresholds]
+    return rows.solved(rows.ramps(knots)).rms
 
 
-def _can_drift(items: list[Prepared]) -> list[int]:
-    return [q for q, item in enumerate(items) if item.can_drift]
-
-
-def _estimated(items: list[Prepared], stroke: float, drift: bool) -> float:
+def _estimated(items: list[Prepared], widest: int, able: Sequence[int]) -> float:
+    """The delay [s] at which plays leave least."""
     longest = 0.05 * min(repairs.cycle_time(item.record) for item in items)
     sample = min(item.record.sample_time for item in items)
-    low, high = max((item.span() for item in items), key=lambda span: span[1] - span[0])
-    drifting = tuple(_can_drift(items)) if drift else ()
+    plain = _ready(items, widest, 0.0, ())
 
-    def build(lag: float) -> Regression:
-        found = _with_stops(items, lag, stroke, np.linspace(low, high, 31))
-        return Regression(found.rows, found.knots, found.floor, found.movable, found.datum, drifting)
+    def cost(delay: float) -> float:
+        return _missed(_ready(items, widest, delay, able))
 
-    return repairs.find_delay(build, longest, sample)
+    return repairs.searched_delay(cost, longest, sample, plain.played(lambda v: v), plain.stroke)
 
 
-def _drifts(items: list[Prepared], lag: float, stroke: float, knots: Array) -> tuple[int, ...]:
-    return repairs.find_drifts(_with_stops(items, lag, stroke, knots), _can_drift(items))
+def _drifting(items: list[Prepared], widest: int, lag: float, able: Sequence[int]) -> tuple[int, ...]:
+    """Records among those that can drift whose creep is worth a coefficient."""
+
+    def cost(drifting: Sequence[int]) -> float:
+        return _missed(_ready(items, widest, lag, drifting))
+
+    low, high = items[widest].span()
+    return repairs.worthwhile(cost, able, high - low) if able else ()

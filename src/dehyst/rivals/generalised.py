@@ -10,92 +10,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import IdentifyError, ModelError
-from dehyst._native import Array, vector
-from dehyst.model import AbstractModel, Motion
-from dehyst.program import one_thread
+from dehyst._errors import IdentifyError
+from dehyst._native import Array
+from dehyst.options import count, fraction, numbers
 from dehyst.record import Record
-from dehyst.rivals.least_squares import Rows, differences, left_out, nonnegative
-from dehyst.rivals.plays import PlayBank, PlayState
-from dehyst.rivals.training import Training, count, share
+from dehyst.rivals.bank_rival import AbstractBankRival
+from dehyst.rivals.fitting import least_missing
+from dehyst.rivals.least_squares import differences
+from dehyst.rivals.play_rows import PlayRows, even_thresholds, from_anywhere, left_out
+from dehyst.rivals.plays import PlayBank
+from dehyst.rivals.training import Training
 
 # Low-passes fitted to what is no creep do harm elsewhere: they have to predict what was left out this much better.
 _WORTH = 0.8
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class Generalised(AbstractModel):
+class Generalised(AbstractBankRival):
     """``y = offset + sum_i phi_i(play_i[v]) + sum_k c_k lowpass_k[v]``, phi_i increasing and piecewise linear.
 
     Its inverse is walked exactly from one place where a slope changes to the next.
-
-    Attributes
-    ----------
-    bank : PlayBank
-        Its operators.
-    state : PlayState
-        Where it starts: by default after a long descent to the lowest voltage of its records.
-    delay : float
-        Seconds by which the displacement lags the voltage; `simulate` and `compensate` leave it to the caller.
-    remarks : tuple of str
-        Sentences: what was repaired in the records.
     """
 
-    bank: PlayBank
-    state: PlayState
-    delay: float = 0.0
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def parameters(self) -> int:
-        """Numbers that the fit chose."""
-        return self.bank.parameters
-
-    def simulate(self, voltage: ArrayLike, *, state: PlayState | None = None, time: ArrayLike | None = None) -> Motion:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes.
-
-        Parameters
-        ----------
-        voltage : (n,) array_like
-            [V].
-        state : PlayState, optional
-            Before the first sample; by default the model's own.
-        time : (n,) array_like, optional
-            [s], increasing; needed with low-passes. A time that begins after the state's goes on from there; another
-            follows it by its own first interval, and a state without time at once.
-
-        Raises
-        ------
-        ModelError
-            If a value is not finite, the time is missing or does not increase, or the state is not this model's.
-        """
-        v = vector(voltage, "voltage")
-        y, after = self.bank.simulate(v, self.state if state is None else state, time)
-        return Motion(v, y, after)
-
-    def compensate(
-        self, displacement: ArrayLike, *, state: PlayState | None = None, time: ArrayLike | None = None
-    ) -> Motion:
-        """Voltage (n,) [V] for a displacement (n,) [m]; arguments and errors as `simulate`.
-
-        Raises
-        ------
-        ModelError
-            Also if no voltage reaches a displacement.
-        """
-        y = vector(displacement, "displacement")
-        v, after = self.bank.compensate(y, self.state if state is None else state, time)
-        return Motion(v, y, after)
-
     @classmethod
-    @one_thread()
     def fit(
-        cls, records: Record | Sequence[Record], *, plays: int = 20, segments: int = 10,
-        lowpasses: ArrayLike | None = None, slope_floor: float = 0.05, smoothing: float = 1e-6,
+        cls, records: Record | Sequence[Record], *, plays: int = 30, segments: int = 12,
+        lowpasses: ArrayLike | None = None, slope_floor: float = 0.05, smoothing: float = 1e-5,
         delay: float | None = None, drift: bool = True,
     ) -> Generalised:  # fmt: skip
         """Fit the slopes of all curves and the low-passes' shares by nonnegative least squares.
@@ -109,7 +55,7 @@ class Generalised(AbstractModel):
         segments : int, optional
             Of each curve, over what its play can reach.
         lowpasses : (K,) array_like, optional
-            Time constants [s]; an empty one leaves creep out. By default two a decade from two samples to the length of
+            Time constants [s]; an empty one leaves creep out. By default two a decade from two samples to a third of
             the longest record, or none unless quarters of the records left out of the fit are predicted much better so.
         slope_floor : float, optional
             Least slope just after a reversal, as a fraction of the mean one, without which there is no inverse.
@@ -118,7 +64,8 @@ class Generalised(AbstractModel):
         delay : float, optional
             Seconds by which the displacement lags the voltage; by default looked for.
         drift : bool, optional
-            Whether a record may creep by a logarithm of the time since its start, which is then set aside.
+            Whether a record may creep by a logarithm of the time since its start, which is then set aside; low-passes
+            stand for it where there are any.
 
         Raises
         ------
@@ -127,63 +74,62 @@ class Generalised(AbstractModel):
         """
         count(plays, "plays")
         count(segments, "segments")
-        share(slope_floor, "slope_floor")
-        training = Training.of(records)
-        lag = training.lag(delay)
-        choices = [_times(training), np.zeros(0)] if lowpasses is None else [_given(lowpasses)]
-        designs = [_Design.of(training, plays, segments, times, lag, drift, slope_floor) for times in choices]
-        if len(designs) > 1 and designs[0].missed(smoothing) > _WORTH * designs[1].missed(smoothing):
-            del designs[0]
-        bank, state = training.placed(designs[0].fitted(smoothing))
-        return cls(bank, state, lag, training.sentences)
+        fraction(slope_floor, "slope_floor")
+        given = None if lowpasses is None else _given(lowpasses)
+
+        def solved(ready: Training) -> tuple[Generalised, float]:
+            choices = [_times(ready), np.zeros(0)] if given is None else [given]
+            designs = [_Design.of(ready, plays, segments, times, slope_floor, smoothing) for times in choices]
+            if len(designs) > 1 and designs[0].missed() > _WORTH * designs[1].missed():
+                del designs[0]
+            bank, miss = designs[0].fitted()
+            return cls._of(bank, ready), miss
+
+        return least_missing(records, delay, solved, drift=drift)
 
 
 @dataclass(frozen=True, eq=False)
 class _Design:
     """Columns of slopes and low-passes, floors below them, and how they hang together."""
 
-    thresholds: Array
+    rows: PlayRows
     knots: list[Array]
     times: Array
-    rows: Rows
     columns: Array
     floors: Array
     rough: Array
+    smoothing: float
 
     @classmethod
-    def of(
-        cls, training: Training, plays: int, segments: int, times: Array, delay: float, drift: bool, floor: float
-    ) -> _Design:
-        thresholds = training.thresholds(plays)
-        knots = [np.linspace(training.low + r, training.high - r, segments + 1)[1:-1] for r in thresholds]
-        rows = training.rows(thresholds, times, delay, drift)
+    def of(cls, ready: Training, plays: int, segments: int, times: Array, floor: float, smoothing: float) -> _Design:
+        rows = PlayRows.of(from_anywhere(ready, times) if times.size else ready, even_thresholds(ready, plays), times)
+        low, high = ready.limits
+        knots = [np.linspace(low + r, high - r, segments + 1)[1:-1] for r in rows.thresholds]
         floors = np.zeros(plays * segments + times.size)
-        floors[:segments] = floor * training.slope
+        floors[:segments] = floor * ready.slope
         rough = np.pad(differences([segments] * plays), ((0, 0), (0, times.size)))
-        return cls(thresholds, knots, times, rows, rows.ramps(knots), floors, rough)
+        return cls(rows, knots, times, rows.ramps(knots), floors, rough, smoothing)
 
-    def missed(self, smoothing: float) -> float:
-        return left_out(self.rows, self.columns, self.floors, self.rough, smoothing)
+    def missed(self) -> float:
+        return left_out(self.rows.training, self.columns, self.floors, self.rough, self.smoothing)
 
-    def fitted(self, smoothing: float) -> PlayBank:
-        rows = self.rows
-        weights, _ = nonnegative(self.columns, rows.nuisance, rows.displacement, self.floors, self.rough, smoothing)
-        count = self.thresholds.size * (self.knots[0].size + 1)
-        slopes = weights[:count].reshape(self.thresholds.size, -1)
-        return PlayBank(self.thresholds, self.knots, list(slopes), 0.0, self.times, weights[count:])
+    def fitted(self) -> tuple[PlayBank, float]:
+        weights, free, miss = self.rows.solved(self.columns, self.floors, self.rough, self.smoothing)
+        thresholds, offset = self.rows.thresholds, float(free[self.rows.training.reference])
+        count = self.columns.shape[1] - self.times.size
+        slopes = weights[:count].reshape(thresholds.size, -1)
+        return PlayBank(thresholds, self.knots, list(slopes), offset, self.times, weights[count:]), miss
 
 
-def _times(training: Training) -> Array:
-    sample, longest = training.seconds
-    decades = np.log10(max(longest / (2 * sample), 1.0))
-    return np.geomspace(2 * sample, max(longest, 2 * sample), max(2, round(2 * decades) + 1))
+def _times(ready: Training) -> Array:
+    shortest = 2 * max(piece.sample_time for piece in ready.pieces)
+    # A low-pass as slow as a record is a drift to it, and shifts the axis.
+    longest = max(max(float(np.ptp(piece.time)) for piece in ready.pieces) / 3, shortest)
+    return np.geomspace(shortest, longest, max(2, round(2 * np.log10(longest / shortest)) + 1))
 
 
 def _given(lowpasses: ArrayLike) -> Array:
-    try:
-        times = vector(lowpasses, "lowpasses")
-    except ModelError as error:
-        raise IdentifyError(str(error)) from error
+    times = numbers(lowpasses, "lowpasses")
     if np.any(times <= 0):
         raise IdentifyError(f"lowpasses: got {times}, need time constants above 0, in seconds")
     return times

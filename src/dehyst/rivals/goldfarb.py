@@ -7,23 +7,26 @@ behavior of piezoelectric actuators", ASME J. Dyn. Syst. Meas. Control 119, 1997
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from numbers import Integral
+from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst._errors import IdentifyError, ModelError
-from dehyst._native import Array, vector
+from dehyst._errors import IdentifyError
+from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.branches import Branch, voltage_at
 from dehyst.elements import MaxwellSlip, Spring
-from dehyst.model import AbstractModel, Motion, State
+from dehyst.model import State
+from dehyst.options import count, numbers
 from dehyst.record import Record
+from dehyst.rivals.base import AbstractRival
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class Goldfarb(AbstractModel):
+class Goldfarb(AbstractRival):
     """A relaxed actuator with a linear spring, whose loops follow from its first rise alone (Masing's rule).
 
     Attributes
@@ -36,16 +39,19 @@ class Goldfarb(AbstractModel):
 
     actuator: Actuator
     remarks: tuple[str, ...] = ()
+    state: State = field(init=False, repr=False)
+    delay: float = field(init=False, default=0.0)
 
-    def simulate(self, voltage: ArrayLike, *, time: ArrayLike | None = None, state: State | None = None) -> Motion:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes, by default from relaxation; see `Actuator.simulate`."""
-        return self.actuator.simulate(voltage, time=time, state=state)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "state", self.actuator.state)
 
-    def compensate(
-        self, displacement: ArrayLike, *, time: ArrayLike | None = None, state: State | None = None
-    ) -> Motion:
-        """Voltage (n,) [V] for a displacement (n,) [m], by default from relaxation; see `Actuator.compensate`."""
-        return self.actuator.compensate(displacement, time=time, state=state)
+    def _displaced(self, v: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
+        motion = self.actuator.simulate(v, time=time, state=state)
+        return motion.displacement, motion.state
+
+    def _driven(self, y: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
+        motion = self.actuator.compensate(y, time=time, state=state)
+        return motion.voltage, motion.state
 
     @classmethod
     def fit(cls, record: Record, *, elements: int = 10, breakaway: ArrayLike | None = None) -> Goldfarb:
@@ -124,16 +130,12 @@ def _first_rise(record: Record) -> tuple[Branch, float, float]:
 
 def _equal_parts(elements: int, height: float) -> Array:
     """Break points that cut the rise in N + 1 equal parts, the last of which is the spring's."""
-    if not isinstance(elements, Integral) or isinstance(elements, bool) or elements < 1:
-        raise IdentifyError(f"elements: got {elements!r}, need a whole number from 1")
+    count(elements, "elements", most=None)
     return np.asarray(height / (elements + 1) * np.arange(1, elements + 1), dtype=np.float64)
 
 
 def _given(breakaway: ArrayLike, height: float, name: str) -> Array:
-    try:
-        rho = vector(breakaway, "breakaway")
-    except ModelError as error:
-        raise IdentifyError(str(error)) from error
+    rho = numbers(breakaway, "breakaway")
     if not rho.size or rho[0] <= 0 or np.any(np.diff(rho) <= 0):
         raise IdentifyError(
             f"breakaway: got {rho}, need one or more positive, strictly increasing elongations in metres"

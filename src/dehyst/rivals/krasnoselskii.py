@@ -9,44 +9,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from dehyst._native import Array, vector
-from dehyst.model import AbstractModel, Motion
-from dehyst.program import one_thread
+from dehyst._native import Array
+from dehyst.options import count, fraction
 from dehyst.record import Record
-from dehyst.rivals.least_squares import differences, nonnegative
-from dehyst.rivals.plays import PlayBank, PlayState
-from dehyst.rivals.training import Training, count, share
+from dehyst.rivals.bank_rival import AbstractBankRival
+from dehyst.rivals.fitting import least_missing
+from dehyst.rivals.least_squares import differences
+from dehyst.rivals.play_rows import PlayRows, even_thresholds
+from dehyst.rivals.plays import PlayBank
+from dehyst.rivals.training import Training
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class Krasnoselskii(AbstractModel):
+class Krasnoselskii(AbstractBankRival):
     """``y = offset + sum_p w_p k_p[v]``, p = (p1, p2) on a grid with p1 <= p2, all w_p >= 0.
 
     With r a ramp from 0 at 0 to 1 at the grid's spacing a, the kernel is
     ``k_p <- min(max(k_p, r(v - p2)), r(v - p1))``. For clips commute with ramps, this is the ramp of a play of
     threshold (p2 - p1) / 2, ``r(z - (p1 + p2) / 2)``: kernels of one threshold are the segments of one curve, and the
     inverse is walked exactly. Beyond the grid the kernels with p1 = p2 go on linearly, so that there is an inverse.
-
-    Attributes
-    ----------
-    bank : PlayBank
-        One play for each diagonal of the grid.
-    state : PlayState
-        Where it starts: by default after a long descent to the lowest voltage of its records.
-    delay : float
-        Seconds by which the displacement lags the voltage; `simulate` and `compensate` leave it to the caller.
-    remarks : tuple of str
-        Sentences: what was repaired in the records.
     """
-
-    bank: PlayBank
-    state: PlayState
-    delay: float = 0.0
-    remarks: tuple[str, ...] = ()
 
     @property
     def parameters(self) -> int:
@@ -54,28 +41,7 @@ class Krasnoselskii(AbstractModel):
         levels = self.bank.thresholds.size
         return levels * (levels + 1) // 2 + 1
 
-    def simulate(self, voltage: ArrayLike, *, state: PlayState | None = None, time: ArrayLike | None = None) -> Motion:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes; `time` is not looked at.
-
-        Raises
-        ------
-        ModelError
-            If a value is not finite or the state is not this model's.
-        """
-        v = vector(voltage, "voltage")
-        y, after = self.bank.simulate(v, self.state if state is None else state, time)
-        return Motion(v, y, after)
-
-    def compensate(
-        self, displacement: ArrayLike, *, state: PlayState | None = None, time: ArrayLike | None = None
-    ) -> Motion:
-        """Voltage (n,) [V] for a displacement (n,) [m]; arguments and errors as `simulate`."""
-        y = vector(displacement, "displacement")
-        v, after = self.bank.compensate(y, self.state if state is None else state, time)
-        return Motion(v, y, after)
-
     @classmethod
-    @one_thread()
     def fit(
         cls, records: Record | Sequence[Record], *, levels: int = 30, slope_floor: float = 0.05,
         smoothing: float = 1e-5, delay: float | None = None, drift: bool = True,
@@ -102,23 +68,24 @@ class Krasnoselskii(AbstractModel):
         RecordError, IdentifyError
             If a record cannot be used, or an option is impossible.
         """
-        count(levels, "levels", 60)
-        share(slope_floor, "slope_floor")
-        training = Training.of(records)
-        thresholds = training.thresholds(levels)
-        knots = _knots(training.low, training.high, levels)
-        lag = training.lag(delay)
-        rows = training.rows(thresholds, np.zeros(0), lag, drift)
-        # Every segment between knots is a kernel; what lies below the first and beyond the last is none.
-        columns = rows.ramps(knots)[:, _kernels(levels)]
-        floors = np.zeros(columns.shape[1])
-        floors[:levels] = slope_floor * training.slope
-        rough = differences(range(levels, 0, -1), beside=((0, 1), (1, 0), (1, -1)))
-        weights, _ = nonnegative(columns, rows.nuisance, rows.displacement, floors, rough, smoothing)
-        parts = np.split(weights, np.cumsum(np.arange(levels, 1, -1)))
-        slopes = [parts[0][[0, *range(levels), -1]], *(np.pad(part, 1) for part in parts[1:])]
-        bank, state = training.placed(PlayBank(thresholds, knots, slopes))
-        return cls(bank, state, lag, training.sentences)
+        count(levels, "levels", most=60)
+        fraction(slope_floor, "slope_floor")
+
+        def solved(ready: Training) -> tuple[Krasnoselskii, float]:
+            rows = PlayRows.of(ready, even_thresholds(ready, levels))
+            knots = _knots(*ready.limits, levels)
+            # Every segment between knots is a kernel; what lies below the first and beyond the last is none.
+            columns = rows.ramps(knots)[:, _kernels(levels)]
+            floors = np.zeros(columns.shape[1])
+            floors[:levels] = slope_floor * ready.slope
+            rough = differences(range(levels, 0, -1), beside=((0, 1), (1, 0), (1, -1)))
+            weights, free, miss = rows.solved(columns, floors, rough, smoothing)
+            parts = np.split(weights, np.cumsum(np.arange(levels, 1, -1)))
+            slopes = [parts[0][[0, *range(levels), -1]], *(np.pad(part, 1) for part in parts[1:])]
+            bank = PlayBank(rows.thresholds, knots, slopes, float(free[ready.reference]))
+            return cls._of(bank, ready), miss
+
+        return least_missing(records, delay, solved, drift=drift)
 
 
 def _knots(low: float, high: float, levels: int) -> list[Array]:
@@ -128,5 +95,5 @@ def _knots(low: float, high: float, levels: int) -> list[Array]:
 
 
 def _kernels(levels: int) -> Array:
-    """Which of the columns of `Rows.ramps` are kernels, (p,) bool."""
+    """Which of the columns of `PlayRows.ramps` are kernels, (p,) bool."""
     return np.concatenate([[False, *[True] * (levels - i), False] for i in range(levels)])

@@ -8,27 +8,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, vector
-from dehyst.model import AbstractModel, Motion
-from dehyst.program import one_thread
+from dehyst.elements import on_curve
+from dehyst.metrics import rms
+from dehyst.options import count, fraction
 from dehyst.record import Record
+from dehyst.rivals.base import AbstractRival
+from dehyst.rivals.fitting import least_missing
 from dehyst.rivals.inverse import PlayInverse
-from dehyst.rivals.least_squares import Rows, nonnegative, ramps
+from dehyst.rivals.least_squares import nonnegative, ramps
+from dehyst.rivals.play_rows import PlayRows, even_thresholds
 from dehyst.rivals.plays import PlayBank, PlayState
-from dehyst.rivals.training import Training, count, share
+from dehyst.rivals.training import Training
 
 _PASSES = 30
 # A pass that makes the residual smaller by less than this part is the last one.
 _SETTLED = 1e-4
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class Kuhnen(AbstractModel):
+class Kuhnen(AbstractRival):
     """``y = S(x)``, ``x = offset + sum_i w_i play_i[v]``, all w_i >= 0; S is increasing and piecewise linear.
 
     S is Kuhnen's superposition of one-sided dead zones: its slope changes at each dead zone's threshold.
@@ -81,29 +87,14 @@ class Kuhnen(AbstractModel):
         """Numbers that the fit chose: weights, slopes and the offset; one scale is in both."""
         return self.weights.size + self.places.size - 1
 
-    def simulate(self, voltage: ArrayLike, *, state: PlayState | None = None, time: ArrayLike | None = None) -> Motion:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes; `time` is not looked at.
+    def _displaced(self, v: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
+        x, after = self.bank.simulate(v, state, time)
+        return on_curve(self.places, self.values, x), after
 
-        Raises
-        ------
-        ModelError
-            If a value is not finite or the state is not this model's.
-        """
-        v = vector(voltage, "voltage")
-        x, after = self.bank.simulate(v, self.state if state is None else state, time)
-        return Motion(v, _curve(x, self.places, self.values), after)
-
-    def compensate(
-        self, displacement: ArrayLike, *, state: PlayState | None = None, time: ArrayLike | None = None
-    ) -> Motion:
-        """Voltage (n,) [V] for a displacement (n,) [m], in closed form; arguments and errors as `simulate`."""
-        y = vector(displacement, "displacement")
-        x = _curve(y, self.values, self.places)
-        v, after = self.inverse.compensate(x, self.state if state is None else state)
-        return Motion(v, y, after)
+    def _driven(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
+        return self.inverse.compensate(on_curve(self.values, self.places, y), state)
 
     @classmethod
-    @one_thread()
     def fit(
         cls, records: Record | Sequence[Record], *, plays: int = 20, segments: int = 10, slope_floor: float = 0.05,
         delay: float | None = None, drift: bool = True,
@@ -136,48 +127,40 @@ class Kuhnen(AbstractModel):
         """
         count(plays, "plays")
         count(segments, "segments")
-        share(slope_floor, "slope_floor")
-        training = Training.of(records)
-        thresholds = training.thresholds(plays)
-        lag = training.lag(delay)
-        rows = training.rows(thresholds, np.zeros(0), lag, drift)
-        problem = _Problem(training, rows, thresholds, segments, slope_floor)
-        weights, slopes = problem.solved()
-        lowest = float(weights @ (training.low + thresholds))
-        bank = PlayBank(thresholds, [()] * plays, list(weights[:, None]), training.low - lowest)
-        values = np.concatenate([[0.0], np.cumsum(slopes * problem.spacing)])
-        own = PlayBank(thresholds, [()] * plays, list(weights[:, None] * training.slope))
-        placed, state = training.placed(own)
-        return cls(bank, problem.places, values + placed.level(state), state, lag, training.sentences)
+        fraction(slope_floor, "slope_floor")
 
+        def solved(ready: Training) -> tuple[Kuhnen, float]:
+            problem = _Problem(PlayRows.of(ready, even_thresholds(ready, plays)), segments, slope_floor)
+            weights, values, miss = problem.solved()
+            low, thresholds = ready.limits[0], problem.thresholds
+            bank = PlayBank(thresholds, [()] * plays, list(weights[:, None]), low - float(weights @ (low + thresholds)))
+            return cls(bank, problem.places, values, bank.descended(low), ready.delay, ready.sentences), miss
 
-def _curve(x: Array, places: Array, values: Array) -> Array:
-    """Piecewise linear through the places, going on linearly beyond."""
-    j = np.clip(np.searchsorted(places, x, side="right") - 1, 0, places.size - 2)
-    slopes = np.diff(values) / np.diff(places)
-    return np.asarray(values[j] + slopes[j] * (x - places[j]))
+        return least_missing(records, delay, solved, drift=drift)
 
 
 class _Problem:
     """Weights and slopes that fit rows; x runs from the lowest to the highest voltage on the major loop."""
 
-    def __init__(self, training: Training, rows: Rows, thresholds: Array, segments: int, floor: float) -> None:
-        self.spacing = (training.high - training.low) / segments
-        self.places: Array = np.asarray(training.low + self.spacing * np.arange(segments + 1), dtype=np.float64)
-        self._rows, self._low, self._reach = rows, training.low, training.high - training.low - 2 * thresholds
-        self._z = (rows.plays - training.low - thresholds) * rows.known
-        self._floors = np.full(thresholds.size + segments, floor * training.slope)
+    def __init__(self, rows: PlayRows, segments: int, floor: float) -> None:
+        ready, thresholds = rows.training, rows.thresholds
+        low, high = ready.limits
+        self.thresholds = thresholds
+        self.spacing = (high - low) / segments
+        self.places: Array = np.asarray(low + self.spacing * np.arange(segments + 1), dtype=np.float64)
+        self._ready, self._low, self._reach = ready, low, high - low - 2 * thresholds
+        self._z = (rows.plays - low - thresholds) * rows.known
+        self._floors = np.full(thresholds.size + segments, floor * ready.slope)
         self._floors[0], self._floors[1 : thresholds.size] = floor, 0.0
-        # A play that stands still adds a constant to x, for which each stretch that has one gets an unknown.
-        still = (rows.plays - training.low - thresholds) * ~rows.known
-        open_ = (rows.offsets.T @ np.any(~rows.known, axis=1)) > 0
-        self._stretches, self._still = rows.offsets[:, open_], still
+        # A play that stands still adds a constant to x, for which each epoch that has one gets an unknown.
+        still = (rows.plays - low - thresholds) * ~rows.known
+        open_ = (ready.offsets.T @ np.any(~rows.known, axis=1)) > 0
+        self._stretches, self._still = ready.offsets[:, open_], still
 
-    def solved(self) -> tuple[Array, Array]:
-        """Weights (N,) and slopes (M,) [m/V]."""
-        weights, _ = nonnegative(self._z, self._rows.nuisance, self._rows.displacement, self._scaled_floors())
-        slopes = np.full(self.places.size - 1, 1.0)
-        weights, slopes = self._normal(weights, slopes)
+    def solved(self) -> tuple[Array, Array, float]:
+        """Weights (N,), S at the places (M + 1,) [m], and the RMS residual [m]."""
+        weights = nonnegative(self._z, self._ready.nuisances, self._ready.displacement, self._scaled_floors()).weights
+        weights, slopes = self._normal(weights, np.ones(self.places.size - 1))
         shifts = self._first_shifts(weights)
         best = self._cost(weights, slopes, shifts)
         for _ in range(_PASSES):
@@ -193,7 +176,8 @@ class _Problem:
             (weights, slopes), shifts, best = self._normal(trial[0], trial[1]), trial[2] * self._gauge(trial[0]), cost
             if settled:
                 break
-        return weights, slopes
+        values = ramps(self.places, self.places[1:-1]) @ slopes
+        return weights, values + self._left(weights, slopes, shifts)[1][self._ready.reference], best
 
     def _scaled_floors(self) -> Array:
         floors = np.zeros(self._z.shape[1])
@@ -219,23 +203,24 @@ class _Problem:
         j = np.clip(((x - self._low) / self.spacing).astype(int), 0, slopes.size - 1)
         return columns, columns @ slopes, slopes[j]
 
+    def _left(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array]:
+        """Residual (n,) [m], and what the nuisances take of it."""
+        left = self._ready.displacement - self._bent(weights, slopes, shifts)[1]
+        taken = np.asarray(np.linalg.lstsq(self._ready.nuisances, left, rcond=None)[0], dtype=np.float64)
+        return left - self._ready.nuisances @ taken, taken
+
     def _cost(self, weights: Array, slopes: Array, shifts: Array) -> float:
-        _, bent, _ = self._bent(weights, slopes, shifts)
-        left = self._rows.displacement - bent
-        nuisance = self._rows.nuisance
-        found = np.linalg.lstsq(nuisance, left, rcond=None)[0]
-        return float(np.linalg.norm(left - nuisance @ found))
+        return rms(self._left(weights, slopes, shifts)[0])
 
     def _improved(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array, Array]:
         """Weights, slopes and shifts that are best where S bends as it does now (Gauss-Newton)."""
         columns, bent, steep = self._bent(weights, slopes, shifts)
         of_weights, of_shifts = self._z * steep[:, None], self._stretches * steep[:, None]
-        target = self._rows.displacement - bent + of_weights @ weights + columns @ slopes + of_shifts @ shifts
-        nuisance = np.concatenate([self._rows.nuisance, of_shifts], axis=1)
+        target = self._ready.displacement - bent + of_weights @ weights + columns @ slopes + of_shifts @ shifts
+        nuisance = np.concatenate([self._ready.nuisances, of_shifts], axis=1)
         # Volts beside metres: slopes are as large as weights where both are in units of their mean.
         units = np.concatenate([np.ones(weights.size), np.full(slopes.size, slopes.mean())])
         both = np.concatenate([of_weights, columns], axis=1)
-        found, _ = nonnegative(both * units, nuisance, target, self._floors / units)
-        found = found * units
+        found = nonnegative(both * units, nuisance, target, self._floors / units).weights * units
         rest = np.linalg.lstsq(nuisance, target - both @ found, rcond=None)[0]
-        return found[: weights.size], found[weights.size :], rest[self._rows.nuisance.shape[1] :]
+        return found[: weights.size], found[weights.size :], rest[self._ready.nuisances.shape[1] :]

@@ -3,60 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst._native import Array
+from dehyst.metrics import rms
 
-_QUARTERS = 4
 
+class Solved(NamedTuple):
+    """Weights (p,), coefficients of the nuisances (B,) and the RMS residual."""
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Samples that count, of all records, stacked.
-
-    Attributes
-    ----------
-    plays : (n, N) array
-        Outputs z_i [V].
-    known : (n, N) bool array
-        Whether play i is in a known state: else it stands still.
-    lowpasses : (n, K) array
-        Outputs [V].
-    offsets, drifts : (n, E) and (n, D) array
-        Columns of what records cannot be told without: a constant for each stretch, creep since a record's start.
-    displacement : (n,) array
-        [m].
-    """
-
-    plays: Array
-    known: NDArray[np.bool_]
-    lowpasses: Array
-    offsets: Array
-    drifts: Array
-    displacement: Array
-
-    def __len__(self) -> int:
-        return len(self.displacement)
-
-    @property
-    def nuisance(self) -> Array:
-        """Offsets and drifts."""
-        return np.concatenate([self.offsets, self.drifts], axis=1)
-
-    def ramps(self, knots: Sequence[Array]) -> Array:
-        """Columns (n, p) of the slopes of each play's curve, and of the low-passes; plays not known are left out."""
-        curves = [ramps(z, k) * known[:, None] for z, k, known in zip(self.plays.T, knots, self.known.T, strict=True)]
-        return np.concatenate([*curves, self.lowpasses], axis=1)
-
-    def thinned(self, most: int) -> Rows:
-        """About `most` of the rows, evenly."""
-        step = max(1, len(self) // most)
-        if step == 1:
-            return self
-        return Rows(*(getattr(self, name)[::step] for name in self.__dataclass_fields__))
+    weights: Array
+    free: Array
+    rms: float
 
 
 def ramps(z: Array, knots: Array) -> Array:
@@ -73,7 +33,7 @@ def nonnegative(
     floors: Array | None = None,
     rough: Array | None = None,
     smoothing: float = 0.0,
-) -> tuple[Array, float]:
+) -> Solved:
     """Weights of columns, each at its floor or above, beside nuisances of any sign: least squares.
 
     Parameters
@@ -90,9 +50,7 @@ def nonnegative(
 
     Returns
     -------
-    weights : (p,) array
-    rms : float
-        Of the residual, the nuisances at their best.
+    Solved
     """
     from scipy.optimize import nnls
 
@@ -106,8 +64,10 @@ def nonnegative(
     penalty = np.sqrt(smoothing * target.size) * (np.eye(count) if rough is None else rough)
     bent = -penalty @ least * scale / y_scale
     found, _ = nnls(np.concatenate([r[:, :-1], penalty]), np.append(r[:, -1], bent), maxiter=30 * count)
-    miss = float(np.linalg.norm(r[:, :-1] @ found - r[:, -1]))
-    return least + found * y_scale / scale, miss * y_scale / np.sqrt(target.size)
+    weights = least + found * y_scale / scale
+    left = target - columns @ weights
+    free = np.asarray(np.linalg.lstsq(nuisance, left, rcond=None)[0], dtype=np.float64)
+    return Solved(weights, free, rms(left - nuisance @ free))
 
 
 def differences(shape: Sequence[int], *, beside: Sequence[tuple[int, int]] = ((0, 1), (1, 0))) -> Array:
@@ -123,19 +83,3 @@ def differences(shape: Sequence[int], *, beside: Sequence[tuple[int, int]] = ((0
     for row, (a, b) in zip(rows, pairs, strict=True):
         row[[a, b]] = 1.0, -1.0
     return rows
-
-
-def left_out(rows: Rows, columns: Array, floors: Array, rough: Array, smoothing: float) -> float:
-    """RMS [m] over quarters of the stretches, each left out of a fit that then predicts it, but for its offset."""
-    blocks = np.zeros(len(rows), dtype=np.intp)
-    for offset in rows.offsets.T:
-        stretch = np.flatnonzero(offset)
-        blocks[stretch] = np.arange(stretch.size) * _QUARTERS // max(stretch.size, 1)
-    squares = 0.0
-    for block in range(_QUARTERS):
-        kept, out = blocks != block, blocks == block
-        weights, _ = nonnegative(columns[kept], rows.nuisance[kept], rows.displacement[kept], floors, rough, smoothing)
-        left, offsets = rows.displacement[out] - columns[out] @ weights, rows.offsets[out]
-        missed = left - offsets @ np.linalg.lstsq(offsets, left, rcond=None)[0]
-        squares += float(missed @ missed)
-    return float(np.sqrt(squares / len(rows)))

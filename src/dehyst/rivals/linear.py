@@ -6,20 +6,25 @@ y = y_0 + stroke (v - v_low) / (v_high - v_low)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import number, vector
-from dehyst.model import AbstractModel, Motion, State
+from dehyst._native import Array, number
+from dehyst.metrics import rms
+from dehyst.model import State
 from dehyst.record import Record
-from dehyst.rivals.fitting import Training, least_missing
+from dehyst.rivals.base import AbstractRival
+from dehyst.rivals.fitting import least_missing
+from dehyst.rivals.training import Training
 
 
+@final
 @dataclass(frozen=True)
-class Linear(AbstractModel):
+class Linear(AbstractRival):
     """A straight line; its state is its displacement, which it does not need.
 
     Parameters
@@ -40,29 +45,28 @@ class Linear(AbstractModel):
     slope: float
     offset: float = 0.0
     delay: float = 0.0
+    state: State = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         number(self.offset, "offset")
         if number(self.slope, "slope") <= 0:
             raise ModelError(f"slope: got {self.slope}, need metres a volt, above 0")
+        object.__setattr__(self, "state", State(self.offset, []))
 
     @property
     def parameters(self) -> int:
         """Number of coefficients."""
         return 2
 
-    def simulate(self, voltage: ArrayLike, *, state: State | None = None, time: ArrayLike | None = None) -> Motion:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes; neither `state` nor `time` matters."""
-        v = vector(voltage, "voltage")
+    def _displaced(self, v: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
         y = self.offset + self.slope * v
-        return Motion(v, y, State(float(y[-1]) if y.size else self.offset, []))
+        return y, self._after(y)
 
-    def compensate(
-        self, displacement: ArrayLike, *, state: State | None = None, time: ArrayLike | None = None
-    ) -> Motion:
-        """Voltage (n,) [V] for a displacement (n,) [m]; neither `state` nor `time` matters."""
-        y = vector(displacement, "displacement")
-        return Motion((y - self.offset) / self.slope, y, State(float(y[-1]) if y.size else self.offset, []))
+    def _driven(self, y: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
+        return (y - self.offset) / self.slope, self._after(y)
+
+    def _after(self, y: Array) -> State:
+        return State(float(y[-1]) if y.size else self.offset, [])
 
     @classmethod
     def fit(cls, records: Record | Sequence[Record], *, delay: float | None = None) -> Linear:
@@ -81,7 +85,7 @@ class Linear(AbstractModel):
             slope = ready.stroke / (high - low)
             rest = ready.displacement - slope * ready.played(lambda v: v)
             constants = np.linalg.lstsq(ready.nuisances, rest, rcond=None)[0]
-            miss = float(np.sqrt(np.mean((rest - ready.nuisances @ constants) ** 2)))
+            miss = rms(rest - ready.nuisances @ constants)
             return cls(slope, float(constants[ready.reference]), ready.delay), miss
 
         return least_missing(records, delay, solved)

@@ -132,12 +132,6 @@ class PlayBank:
         v, plays, passed = self._core.compensate(y, steps, state.voltage, state.plays, state.lowpasses)
         return v, replace(after, voltage=float(v[-1]) if v.size else state.voltage, plays=plays, lowpasses=passed)
 
-    def level(self, state: PlayState) -> float:
-        """Displacement [m] in a state."""
-        steps = np.zeros(min(self.times.size, 1))
-        y, _, _ = self._core.simulate(np.array([state.voltage]), steps, state.voltage, state.plays, state.lowpasses)
-        return float(y[0])
-
     def check(self, state: PlayState) -> None:
         """Refuse a state that is not this bank's.
 

@@ -10,22 +10,23 @@ being reversible. F. Preisach, Z. Phys. 94, 1935, 277-302; I. D. Mayergoyz, Math
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from numbers import Integral
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst import _native_fields
-from dehyst._errors import IdentifyError, ModelError
-from dehyst._native import Array, number, vector
+from dehyst import _native_fields, options
+from dehyst._errors import ModelError
+from dehyst._native import Array, number
 from dehyst.metrics import rms
-from dehyst.model import AbstractModel, Motion
-from dehyst.program import one_thread, solve
+from dehyst.program import solve
 from dehyst.record import Record
-from dehyst.rivals.fitting import Training, least_missing
+from dehyst.rivals.base import AbstractRival
+from dehyst.rivals.fitting import least_missing
 from dehyst.rivals.reversal_curves import everett_table
+from dehyst.rivals.training import Training
 
 _MOST_ROWS = 8000
 _MOST_CELLS = 80
@@ -47,8 +48,9 @@ class Staircase:
     turns: Array
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class Preisach(AbstractModel):
+class Preisach(AbstractRival):
     """Preisach's model by its Everett function on a square grid of voltages.
 
     Between nodes E is bilinear, which is a constant density in each square cell; in the triangles on the diagonal it is
@@ -79,6 +81,7 @@ class Preisach(AbstractModel):
     bottom: float = 0.0
     delay: float = 0.0
     remarks: tuple[str, ...] = ()
+    state: Staircase = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         table = np.array(self.everett, dtype=np.float64)
@@ -99,6 +102,8 @@ class Preisach(AbstractModel):
         object.__setattr__(self, "everett", table)
         object.__setattr__(self, "bottom", number(self.bottom, "bottom"))
         table.flags.writeable = False
+        # Every relay down, at the lowest voltage.
+        object.__setattr__(self, "state", Staircase(low, self.bottom, np.array([[low, self.bottom]])))
 
     @property
     def parameters(self) -> int:
@@ -106,45 +111,19 @@ class Preisach(AbstractModel):
         n = len(self.everett) - 1
         return n * (n + 1) // 2 + 1
 
-    @property
-    def state(self) -> Staircase:
-        """Where a motion starts if it is not told: every relay down, at the lowest voltage."""
-        return Staircase(self.limits[0], self.bottom, np.array([[self.limits[0], self.bottom]]))
-
     @cached_property
     def _numbers(self) -> Array:
         low, high = self.limits
         mean = float(self.everett[-1, 0]) / (high - low)
         return np.array([low, (high - low) / (len(self.everett) - 1), self.bottom, mean, mean])
 
-    def simulate(self, voltage: ArrayLike, *, state: Staircase | None = None, time: ArrayLike | None = None) -> Motion:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes; `time` is not looked at.
+    def _displaced(self, v: Array, state: Staircase, time: ArrayLike | None) -> tuple[Array, Staircase]:
+        return self._run(v, state, inverse=False)
 
-        Raises
-        ------
-        ModelError
-            If the voltage is no path of finite numbers, or the state is none of this model.
-        """
-        v = vector(voltage, "voltage")
-        y, after = self._run(v, state, inverse=False)
-        return Motion(v, y, after)
+    def _driven(self, y: Array, state: Staircase, time: ArrayLike | None) -> tuple[Array, Staircase]:
+        return self._run(y, state, inverse=True)
 
-    def compensate(
-        self, displacement: ArrayLike, *, state: Staircase | None = None, time: ArrayLike | None = None
-    ) -> Motion:
-        """Voltage (n,) [V] for a displacement (n,) [m], exact; `time` is not looked at.
-
-        Raises
-        ------
-        ModelError
-            If the displacement is no path of finite numbers, or the state is none of this model.
-        """
-        y = vector(displacement, "displacement")
-        v, after = self._run(y, state, inverse=True)
-        return Motion(v, y, after)
-
-    def _run(self, drive: Array, state: Staircase | None, *, inverse: bool) -> tuple[Array, Staircase]:
-        start = self.state if state is None else state
+    def _run(self, drive: Array, start: Staircase, *, inverse: bool) -> tuple[Array, Staircase]:
         if not isinstance(start, Staircase) or not _nested(start, *self.limits):
             raise ModelError(f"state: got {type(start).__name__}, need a Staircase that a motion of this model left")
         out, turns, v, y = _native_fields.preisach(
@@ -187,17 +166,16 @@ class Preisach(AbstractModel):
         IdentifyError
             If no sample counts, or an option is impossible.
         """
-        n = _cells(cells)
-        _fraction(smoothing, "smoothing", 0.0)
-        _fraction(slope_floor, "slope_floor", 1e-6)
+        n = options.count(cells, "cells", 2, _MOST_CELLS)
+        options.fraction(smoothing, "smoothing", 0.0)
+        options.fraction(slope_floor, "slope_floor", 1e-6)
 
         def solved(ready: Training) -> tuple[Preisach, float]:
             few = ready.thinned(_MOST_ROWS)
             table, constants, miss = _densities(few, n, smoothing, slope_floor * few.stroke / n)
             return cls(few.limits, table, float(constants[few.reference]), few.delay), miss
 
-        with one_thread():
-            return least_missing(records, delay, solved)
+        return least_missing(records, delay, solved)
 
     @classmethod
     def from_reversal_curves(
@@ -223,8 +201,8 @@ class Preisach(AbstractModel):
         IdentifyError
             If there are fewer than three curves, or an option is impossible.
         """
-        n = _cells(cells)
-        _fraction(slope_floor, "slope_floor", 1e-6)
+        n = options.count(cells, "cells", 2, _MOST_CELLS)
+        options.fraction(slope_floor, "slope_floor", 1e-6)
 
         def solved(ready: Training) -> tuple[Preisach, float]:
             table = everett_table(ready, n, slope_floor * ready.stroke / n)
@@ -245,17 +223,6 @@ def _nested(start: Staircase, low: float, high: float) -> bool:
     last = min(max(start.voltage, low), high)
     order = np.concatenate([at[::2], [last], at[1::2][::-1]])
     return bool(at[0] == low and at.max() <= high and np.all(np.diff(order) >= 0))
-
-
-def _cells(cells: object) -> int:
-    if not isinstance(cells, Integral) or isinstance(cells, bool) or not 2 <= int(cells) <= _MOST_CELLS:
-        raise IdentifyError(f"cells: got {cells!r}, need a whole number from 2 to {_MOST_CELLS}")
-    return int(cells)
-
-
-def _fraction(value: float, what: str, least: float) -> None:
-    if not least <= value < 1:
-        raise IdentifyError(f"{what}: got {value!r}, need a number from {least:g} to below 1")
 
 
 def _columns(ready: Training, n: int) -> Array:

@@ -10,22 +10,30 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.record import Record
-from dehyst.rivals.fitting import Training
+from dehyst.rivals.training import Training
 
 # Part of the range within which an end of it counts as reached, and within which two curves are one.
 _NEAR = 0.01
+# A curve that was driven this many times as fast as another of the same turn does not count beside it.
+_SLOW = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """One curve: the voltage at which it turned off the major loop, and E along it; voltages increase."""
+    """One curve: the voltage at which it turned off the major loop, and E along it; voltages increase.
+
+    `pace` is how fast it was driven [V/s].
+    """
 
     turn: float
     voltage: Array
     moved: Array
+    pace: float
 
-    def at(self, nodes: Array) -> Array:
-        return np.interp(nodes, self.voltage, self.moved)
+    def at(self, nodes: Array, near: float) -> Array:
+        """E at voltages, not a number where the curve does not come, but for `near` [V]."""
+        reached = (nodes >= self.voltage[0] - near) & (nodes <= self.voltage[-1] + near)
+        return np.where(reached, np.interp(nodes, self.voltage, self.moved), np.nan)
 
 
 def everett_table(ready: Training, n: int, least: float) -> Array:
@@ -71,11 +79,15 @@ def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tupl
             leg = slice(a, b + 1)
             order = np.argsort(v[leg], kind="stable")
             moved = y[a] - y[leg] if falls else y[leg] - y[a]
-            yield falls, _Curve(float(v[a]), v[leg][order], moved[order])
+            pace = float(abs(v[b] - v[a]) / (piece.time[b] - piece.time[a]))
+            yield falls, _Curve(float(v[a]), v[leg][order], moved[order], pace)
 
 
 def _merged(curves: list[_Curve], near: float) -> list[_Curve]:
-    """One curve for each turning point, sorted: repeated ones averaged over the way that all of them went."""
+    """One curve for each turning point, sorted: repeated ones averaged, each as far as it went.
+
+    Where some were driven much faster than others, the slow ones count: the model has no time.
+    """
     groups: list[list[_Curve]] = []
     for curve in sorted(curves, key=lambda one: one.turn):
         if groups and curve.turn - groups[-1][0].turn < near:
@@ -84,9 +96,15 @@ def _merged(curves: list[_Curve], near: float) -> list[_Curve]:
             groups.append([curve])
     merged = []
     for group in groups:
-        shared = np.linspace(max(c.voltage[0] for c in group), min(c.voltage[-1] for c in group), 200)
+        shared = np.linspace(min(c.voltage[0] for c in group), max(c.voltage[-1] for c in group), 200)
+        moved = np.array([c.at(shared, near) for c in group])
+        told, pace = np.isfinite(moved), np.array([c.pace for c in group])
+        slowest = np.where(told, pace[:, None], np.inf).min(axis=0)
+        counts = told & (pace[:, None] <= _SLOW * slowest)
+        mean = np.where(counts, moved, 0.0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
+        known = told.any(axis=0)
         turn = float(np.mean([c.turn for c in group]))
-        merged.append(_Curve(turn, shared, np.mean([c.at(shared) for c in group], axis=0)))
+        merged.append(_Curve(turn, shared[known], mean[known], float(pace.min())))
     return merged
 
 
@@ -96,10 +114,10 @@ def _table(curves: list[_Curve], nodes: Array, *, falls: bool) -> Array:
 
     n, near = nodes.size - 1, 0.5 * (nodes[1] - nodes[0])
     turns = np.array([curve.turn for curve in curves])
-    moved = np.array([curve.at(nodes) for curve in curves])
+    moved = np.array([curve.at(nodes, near) for curve in curves])
     table = np.zeros((n + 1, n + 1))
     for j, node in enumerate(nodes):
-        beyond = turns > node + near if falls else turns < node - near
+        beyond = (turns > node + near if falls else turns < node - near) & np.isfinite(moved[:, j])
         places, values = np.append(turns[beyond], node), np.append(moved[beyond, j], 0.0)
         if places.size < 2:
             continue
