@@ -1,5 +1,6 @@
 """Least absolute deviations: proven by duality, and against HiGHS on the same programs, hundreds of them."""
 
+import re
 import time
 from dataclasses import replace
 
@@ -91,6 +92,18 @@ def test_inequalities_are_kept_by_whole_and_reduced_programs(kind, seed, columns
         assert np.all(c @ found.nonnegative >= low - 1e-7 * (1 + np.abs(found.nonnegative / size).max()))
         best = least(a, b, 0, c, low)
         assert np.abs(found.residual).sum() == pytest.approx(best, rel=2e-6, abs=1e-8 * np.abs(b).sum())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_few_rows_that_outweigh_thousands_are_never_left_to_chance(seed):
+    """They hold neighbouring coefficients alike, as hard as all other rows together pull them apart."""
+    a, b, _ = table("random", seed, 20_000, 12)
+    alike = 3000 * (np.eye(11, 12) - np.eye(11, 12, 1))
+    a, b = np.vstack([a, alike]), np.append(b, np.zeros(11))
+    found = solve(a[:, :0], a, b, norm="l1")
+    assert found.optimal, found.status
+    assert re.search(r"on \d+ of 20011 rows in round [12]\)", found.status), found.status
+    assert np.abs(found.residual).sum() == pytest.approx(least(a, b, 0), rel=2e-6)
 
 
 def test_a_gap_over_all_rows_is_never_below_the_true_one():

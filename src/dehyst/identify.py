@@ -228,8 +228,8 @@ class _Job:
         told = probed(self._on_axis(plain.datum), plain.rows, self.span)
         if told.determined < told.of:
             self.remarks.append(
-                f"Wider structures were not tried: the turning points tell {told.determined} of {told.of} directions of "
-                "ten plain elements. They need loops within loops; add minor loops with other turning points."
+                f"Wider structures were not tried: the turning points tell {told.determined} of {told.of} directions "
+                "of ten plain elements. They need loops within loops; add minor loops with other turning points."
             )
         return told.determined == told.of
 

@@ -30,6 +30,8 @@ _LEAP = 10
 _CLOSE = 0.1 * OPTIMAL
 _EXACT = 1e-12
 _UNSEEN = 1e-10
+# Rows with numbers so many times as large as usual stand for themselves alone, up to so many for each coefficient.
+_HEAVY, _MOST_HEAVY = 20.0, 10
 
 
 class Blocks(Protocol):
@@ -56,7 +58,7 @@ class Whole:
 
 @dataclass(frozen=True, eq=False)
 class _Every:
-    """Every step-th row of others."""
+    """Every step-th row of others, as `_thin` thins them; their number leaves the heavy ones out."""
 
     blocks: Blocks
     step: int
@@ -65,12 +67,32 @@ class _Every:
         return len(range(0, len(self.blocks), self.step))
 
     def __iter__(self) -> Iterator[tuple[Array, Array]]:
-        place = 0
+        place, usual = 0, 0.0
         for rows, goal in self.blocks:
-            first = -place % self.step
+            usual = usual or _usual(rows)
+            some = _thin(rows, goal, place, self.step, usual)
             place += goal.size
-            if first < goal.size:
-                yield rows[first :: self.step], goal[first :: self.step]
+            if some[1].size:
+                yield some
+
+
+def _usual(rows: Array) -> float:
+    """Largest number of a row, as it is in most of them."""
+    return max(float(np.median(np.abs(rows[:: len(rows) // 4096 + 1]).max(axis=1))), TINY)
+
+
+def _thin(rows: Array, goal: Array, place: int, step: int, usual: float) -> tuple[Array, Array]:
+    """Of a block that begins at a place, every step-th row, and all heavy ones at a step-th of their weight.
+
+    A few heavy rows may decide as much as all others: chance must not leave them out, nor weigh them for others.
+    """
+    every = np.zeros(goal.size, dtype=bool)
+    every[-place % step :: step] = True
+    heavy = np.maximum(rows.max(axis=1), -rows.min(axis=1)) > _HEAVY * usual
+    if step == 1 or not heavy.any() or np.count_nonzero(heavy) > max(_MOST_HEAVY * rows.shape[1], goal.size // step):
+        return rows[every], goal[every]
+    every &= ~heavy
+    return np.concatenate([rows[every], rows[heavy] / step]), np.concatenate([goal[every], goal[heavy] / step])
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,16 +152,17 @@ def _judged(frame: Problem, found: Deviations, gap: float, unit: float, how: str
 
 
 def _sample(blocks: Blocks, frame: Problem, step: int) -> tuple[Problem, float]:
-    """Every step-th row, and the sum of absolute targets of all."""
-    rows, goals, place, unit = [], [], 0, TINY
+    """Every step-th row, as `_thin` thins them, and the sum of absolute targets of all."""
+    rows, goals, place, unit, usual = [], [], 0, TINY, 0.0
     for block, goal in blocks:
-        first = -place % step
-        rows.append(block[first::step] if step == 1 else block[first::step].copy())
-        goals.append(goal[first::step].copy())
+        usual = usual or _usual(block)
+        some, those = (block, goal) if step == 1 else _thin(block, goal, place, step, usual)
+        rows.append(some)
+        goals.append(those)
         place += goal.size
         unit += float(np.abs(goal).sum())
-    some = np.concatenate(rows) if len(rows) > 1 else rows[0]
-    return replace(frame, rows=some, goal=np.concatenate(goals)), unit
+    whole = np.concatenate(rows) if len(rows) > 1 else rows[0]
+    return replace(frame, rows=whole, goal=np.concatenate(goals)), unit
 
 
 def _reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, unit: float) -> Answer:
