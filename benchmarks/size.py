@@ -29,7 +29,8 @@ OUTPUT = Path(__file__).parent / "size.json"
 STROKE, NOISE = 10e-6, 2e-9
 
 
-WIDE = Structure(elements=20, knots=21, transformer=10, creep=8)
+# Neighbouring stiffnesses of the actuator below are unlike: little smoothing.
+WIDE = Structure(elements=20, knots=21, transformer=10, creep=8, smoothing=1e-3)
 
 
 def actuator(wide: bool) -> dehyst.Actuator:
