@@ -81,8 +81,10 @@ def compared_on(one: Trial, name: str, identification: Any, seeds: int) -> dict:
 
 
 def on_measured(folder: Path, name: str, identification: Any) -> tuple[Row, float]:
+    """Trained on what comes before a hold, every model is taken over that again and predicts what comes after it."""
     major, ramps = p885(folder)
-    found = compare([major, ramps[:SPLIT].with_name("first ramps")], validate=ramps[SPLIT:].with_name("other ramps"),
+    lead = float(ramps.time[SPLIT] - ramps.time[0])
+    found = compare([major, ramps[:SPLIT].with_name("first ramps")], validate=ramps, lead=lead,
                     models={name: identification})  # fmt: skip
     return found.rows[0], found.stroke
 

@@ -59,6 +59,32 @@ def paper(data: dict) -> list[str]:
     return rows
 
 
+def rivals(data: dict) -> list[str]:
+    """Every model on every virtual actuator, the worst of its paths, and what it predicts of the measured stage."""
+    compared, truths = data["compared"], ("play", "creep", "preisach", "boucwen")
+    asked = [pair(compared["asked"][one]) for one in (*truths, "measured")]
+    rows = ["", "| Largest and RMS error, % of the stroke | plays, asymmetric | the same, creeping | Preisach "
+            "| Bouc-Wen, resonating | measured, predicted |", "| --- | --- | --- | --- | --- | --- |",
+            f"| asked of dehyst | {' | '.join(asked)} |"]  # fmt: skip
+    for name in compared["tracking"]["play"]:
+        cells = [pair(worst(compared["tracking"][truth].get(name))) for truth in truths]
+        errors = [
+            one for one in compared["measured"].get(name, {"errors": ()})["errors"] if one["role"] == "validation"
+        ]
+        cells.append(pair(errors[0] if errors else None))
+        shown = [f"**{cell}**" if name == "dehyst" else cell for cell in cells]
+        rows.append(f"| {name} | {' | '.join(shown)} |")
+    return rows
+
+
+def worst(row: dict | None) -> dict | None:
+    return max((row or {"tracking": {}})["tracking"].values(), key=lambda one: one["largest_percent"], default=None)
+
+
+def pair(error: dict | None) -> str:
+    return "-" if error is None else f"{error['largest_percent']:.2f}, {error['rms_percent']:.3f}"
+
+
 def speed(data: dict) -> list[str]:
     rows = ["", "| Time a sample, in units of `numpy.interp` on the same array | N = 10 | N = 100 | N = 1000 |",
             "| --- | --- | --- | --- |"]  # fmt: skip
@@ -78,7 +104,7 @@ def ratios(data: dict, path: str, job: str) -> str:
 
 def table() -> str:
     figures = [json.loads((HERE / name).read_text()) for name in ("accuracy.json", "paper.json", "speed.json")]
-    return "\n".join([*accuracy(figures[0]), *paper(figures[1]), *speed(figures[2])]) + "\n"
+    return "\n".join([*accuracy(figures[0]), *rivals(figures[0]), *paper(figures[1]), *speed(figures[2])]) + "\n"
 
 
 def main() -> int:
