@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst import breakpoints, refinement, repairs
+from dehyst import breakpoints, judgement, refinement, repairs
 from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
@@ -41,8 +41,6 @@ _USELESS_PERCENT = 5.0
 # A delay is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
 _SEARCH_CYCLE = 20_000
 _SEARCH_SAMPLES = 1_000_000
-# Less creep a decade than this part of the stroke is not worth a sentence.
-_SMALLEST_DRIFT = 2e-4
 
 
 def identify(
@@ -178,7 +176,8 @@ class _Job:
         """Every sample of every record."""
         self.tell("estimating delay, datums and drifts")
         rho = self._thresholds()
-        self._judge_noise(float(rho[0]))
+        if self.settings.breakaway is None:
+            self.remarks += judgement.of_noise(float(rho[0]), max(item.noise for item in self.training))
         stream = self._stream(rho, self.delay)
         regression = self._with_drifts(self._with_datums(stream.regression))
         self.tell(f"solving the {self.settings.norm} program for {len(stream.source)} samples")
@@ -187,7 +186,9 @@ class _Job:
             return self._failed(found.solution.status)
         actuator = self._actuator(rho, regression, found)
         self.tell("simulating every record")
-        outcome = self._outcome(rho, regression, found)
+        told = directions(self._on_axis(regression.datum), rho, regression)
+        outcome, remarks = judgement.of_plain(told, regression, found)
+        self.remarks += remarks
         return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
 
     def by_structure(self, structure: Structure | Literal["auto"], refine: bool) -> Fit:
@@ -198,9 +199,12 @@ class _Job:
         inertia = Inertia(self.delay, 0.0, 0.0)
         frame = Frame(self.training, inertia, self.span, voltages, plain.floor, plain.datum, self.widest,
                       tuple(self._can_drift()))  # fmt: skip
-        if isinstance(structure, str) and not self._tells_inner_loops(plain):
-            return self.by_records()
         if isinstance(structure, str):
+            # Without loops within loops nothing that tells structures apart can be held out.
+            missing = judgement.of_turns(probed(self._on_axis(plain.datum), plain.rows, self.span))
+            if missing:
+                self.remarks += missing
+                return self.by_records()
             self.tell("looking for inertia")
             frame = frame.with_inertia()
             structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
@@ -222,16 +226,6 @@ class _Job:
         self.tell("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
         return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
-
-    def _tells_inner_loops(self, plain: Regression) -> bool:
-        """Whether turning points leave none of a few plain elements open: else nothing can be held out."""
-        told = probed(self._on_axis(plain.datum), plain.rows, self.span)
-        if told.determined < told.of:
-            self.remarks.append(
-                f"Wider structures were not tried: the turning points tell {told.determined} of {told.of} directions "
-                "of ten plain elements. They need loops within loops; add minor loops with other turning points."
-            )
-        return told.determined == told.of
 
     def _on_axis(self, datum: Array) -> list[Record]:
         """All pieces, displacements on the model's axis."""
@@ -276,15 +270,6 @@ class _Job:
             return self.settings.breakaway
         first = self.stroke / (2 * self.settings.count)
         return np.asarray(first * np.arange(1, self.settings.count + 1), dtype=np.float64)
-
-    def _judge_noise(self, first: float) -> None:
-        """A remark where jitter, which only wider structures are spared, drags the first element."""
-        noise = max(item.noise for item in self.training)
-        if self.settings.breakaway is None and first < 30 * noise:
-            self.remarks.append(
-                f"The first element lets go at {first * 1e6:.4g} um, {first / noise:.3g} times the sensor's noise; "
-                "below 30 times its stiffness comes out too small."
-            )
 
     @cached_property
     def delay(self) -> float:
@@ -372,30 +357,6 @@ class _Job:
             "validation": [item.source() for item in self.held_out],
         }
 
-    def _outcome(self, rho: Array, regression: Regression, found: Coefficients) -> Outcome:
-        told = directions(self._on_axis(regression.datum), rho, regression)
-        if told.determined < told.of:
-            self.remarks.append(
-                f"The records determine {told.determined} of {told.of} directions of the stiffnesses; minor loops with "
-                "other turning points determine more (dehyst insight says which)."
-            )
-        still = int(np.count_nonzero(~regression.movable))
-        if still > 1 or not regression.movable.any():
-            self.remarks.append(
-                f"{still} of {regression.movable.size} elements let go at half of the range or more: they never slide "
-                "over all of it, are one with the spring, and got no stiffness."
-            )
-        low = np.flatnonzero(found.slopes <= regression.floor * (1 + 1e-6))
-        if low.size:
-            ends = regression.knots * 1e6
-            places = ", ".join(f"{ends[j]:.4g} to {ends[j + 1]:.4g} um" for j in low[:4])
-            self.remarks.append(
-                f"The spring's slope lies on its floor at {places}{' and elsewhere' if low.size > 4 else ''}."
-            )
-        if told.determined < told.of:
-            return Outcome.UNDETERMINED
-        return Outcome.FLOOR_ACTIVE if low.size else Outcome.IDENTIFIED
-
     def _failed(self, status: str) -> Fit:
         return Fit(None, Outcome.FAILED, (), tuple(self.said), tuple(self.remarks), (), status, float("nan"),
                    self._provenance())  # fmt: skip
@@ -406,11 +367,12 @@ class _Job:
         traces: list[Trace] = []
         errors: list[RecordErrors] = []
         records = (*self.training, *self.held_out)
+        drifts = self.settings.drift and actuator.creep is None
         for q, item in enumerate(records):
             trained = q < len(self.training)
             # The paper's methods put every record on one axis; a held-out record's datum is looked for.
             datum = float(regression.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
-            drifting = q in regression.drifting if trained else self.settings.drift and item.can_drift
+            drifting = q in regression.drifting if trained else drifts and item.can_drift
             protocol = Protocol("training" if trained else "validation", self.delay, datum, drifting, self.stroke)
             error, trace = errors_of(actuator, item, protocol)
             errors.append(error)
@@ -427,48 +389,9 @@ class _Job:
             outcome = Outcome.VALIDATION_MISSED
         if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:
             outcome = Outcome.INACCURATE
-        self._judge_validation(errors)
+        self.remarks += judgement.of_held_out(self.held_out, self._limits(), errors)
+        sample = self.training[self.widest].record.sample_time
+        repaired = judgement.repaired(errors, self.delay, sample, given=self.settings.delay is not None)
         options = {**self._provenance(), "delay_s": self.delay, "stroke_m": self.stroke}
-        return Fit(actuator, outcome, tuple(errors), (*self.said, *self._nuisances(errors)), tuple(self.remarks),
+        return Fit(actuator, outcome, tuple(errors), (*self.said, *repaired), tuple(self.remarks),
                    tuple(traces), status, gap, options, checked, self.trials)  # fmt: skip
-
-    def _judge_validation(self, errors: list[RecordErrors]) -> None:
-        """Remarks about held-out records that the model should not, or cannot, be expected to meet."""
-        low, high = self._limits()
-        margin = 0.02 * (high - low)
-        for item in self.held_out:
-            lowest, highest = item.record.voltage_range
-            if lowest < low - margin or highest > high + margin:
-                self.remarks.append(
-                    f"{item.name}: its voltages, {lowest:.4g} to {highest:.4g} V, leave those of the training records, "
-                    f"{low:.4g} to {high:.4g} V: the model is extrapolated there."
-                )
-        usual = max(error.rms for error in errors if error.role == "training")
-        for error in errors:
-            if error.role == "validation" and error.rms > 2 * usual:
-                self.remarks.append(
-                    f"{error.record}: held out, its RMS error is {error.rms / usual:.2g} times that of training: the "
-                    "training records lack motions like it, or it is of another stage."
-                )
-
-    def _nuisances(self, errors: list[RecordErrors]) -> list[str]:
-        """Sentences about the delay, and about the datum and drift of each record."""
-        said = []
-        if self.delay:
-            samples = self.delay / self.training[self.widest].record.sample_time
-            how = "estimated" if self.settings.delay is None else "given"
-            said.append(
-                f"The displacement lags the voltage by {self.delay * 1e3:.4g} ms ({samples:.3g} samples, {how}); "
-                "voltages were delayed by it."
-            )
-        for error in errors:
-            if error.datum:
-                said.append(
-                    f"{error.record}: fits best with its sensor's zero moved by {error.datum * 1e6:.4g} um; moved so."
-                )
-            if abs(error.drift) > _SMALLEST_DRIFT * error.stroke:
-                said.append(
-                    f"{error.record}: creeps by {100 * error.drift / error.stroke:.3g} % of the range a decade of time "
-                    "since its start; set aside."
-                )
-        return said

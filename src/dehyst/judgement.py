@@ -1,0 +1,100 @@
+"""What is to be said of an identification: what the records do not tell, and what was repaired, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dehyst.directions import Directions
+from dehyst.model import Outcome, RecordErrors
+from dehyst.preparation import Prepared
+from dehyst.regression import Coefficients, Regression
+
+# Below this many times the noise an element's stiffness comes out too small.
+_LOUD = 30
+# Less creep a decade than this part of the stroke is not worth a sentence.
+_SMALLEST_DRIFT = 2e-4
+# Voltages may leave those of training by this part of their range, and errors be so many times those of training.
+_MARGIN, _USUAL = 0.02, 2
+
+
+def of_noise(first: float, noise: float) -> list[str]:
+    """A remark where jitter, which only wider structures are spared, drags the first element, at `first` [m]."""
+    if first >= _LOUD * noise:
+        return []
+    return [f"The first element lets go at {first * 1e6:.4g} um, {first / noise:.3g} times the sensor's noise; "
+            f"below {_LOUD} times its stiffness comes out too small."]  # fmt: skip
+
+
+def of_turns(told: Directions) -> list[str]:
+    """A remark where turning points leave some of a few plain elements open."""
+    if told.determined == told.of:
+        return []
+    return [f"Wider structures were not tried: the turning points tell {told.determined} of {told.of} directions of "
+            "ten plain elements. They need loops within loops; add minor loops with other turning points."]  # fmt: skip
+
+
+def of_plain(told: Directions, regression: Regression, found: Coefficients) -> tuple[Outcome, list[str]]:
+    """How the identification of plain elements ended, and remarks about what stays open or lies on its floor."""
+    said = []
+    if told.determined < told.of:
+        said.append(
+            f"The records determine {told.determined} of {told.of} directions of the stiffnesses; minor loops with "
+            "other turning points determine more (dehyst insight says which)."
+        )
+    still = int(np.count_nonzero(~regression.movable))
+    if still > 1 or not regression.movable.any():
+        said.append(
+            f"{still} of {regression.movable.size} elements let go at half of the range or more: they never slide "
+            "over all of it, are one with the spring, and got no stiffness."
+        )
+    low = np.flatnonzero(found.slopes <= regression.floor * (1 + 1e-6))
+    if low.size:
+        ends = regression.knots * 1e6
+        places = ", ".join(f"{ends[j]:.4g} to {ends[j + 1]:.4g} um" for j in low[:4])
+        said.append(f"The spring's slope lies on its floor at {places}{' and elsewhere' if low.size > 4 else ''}.")
+    if told.determined < told.of:
+        return Outcome.UNDETERMINED, said
+    return (Outcome.FLOOR_ACTIVE if low.size else Outcome.IDENTIFIED), said
+
+
+def of_held_out(records: Sequence[Prepared], limits: tuple[float, float], errors: Sequence[RecordErrors]) -> list[str]:
+    """Remarks about held-out records that the model should not, or cannot, be expected to meet."""
+    low, high = limits
+    margin, said = _MARGIN * (high - low), []
+    for item in records:
+        lowest, highest = item.record.voltage_range
+        if lowest < low - margin or highest > high + margin:
+            said.append(
+                f"{item.name}: its voltages, {lowest:.4g} to {highest:.4g} V, leave those of the training records, "
+                f"{low:.4g} to {high:.4g} V: the model is extrapolated there."
+            )
+    usual = max(error.rms for error in errors if error.role == "training")
+    return said + [
+        f"{error.record}: held out, its RMS error is {error.rms / usual:.2g} times that of training: the training records "
+        "lack motions like it, or it is of another stage."
+        for error in errors
+        if error.role == "validation" and error.rms > _USUAL * usual
+    ]
+
+
+def repaired(errors: Sequence[RecordErrors], delay: float, sample: float, *, given: bool) -> list[str]:
+    """Sentences about the delay [s], of samples `sample` [s] apart, and about each record's datum and drift."""
+    said = []
+    if delay:
+        said.append(
+            f"The displacement lags the voltage by {delay * 1e3:.4g} ms ({delay / sample:.3g} samples, "
+            f"{'given' if given else 'estimated'}); voltages were delayed by it."
+        )
+    for error in errors:
+        if error.datum:
+            said.append(
+                f"{error.record}: fits best with its sensor's zero moved by {error.datum * 1e6:.4g} um; moved so."
+            )
+        if abs(error.drift) > _SMALLEST_DRIFT * error.stroke:
+            said.append(
+                f"{error.record}: creeps by {100 * error.drift / error.stroke:.3g} % of the range a decade of time "
+                "since its start; set aside."
+            )
+    return said
