@@ -72,8 +72,8 @@ def of_held_out(records: Sequence[Prepared], limits: tuple[float, float], errors
             )
     usual = max(error.rms for error in errors if error.role == "training")
     return said + [
-        f"{error.record}: held out, its RMS error is {error.rms / usual:.2g} times that of training: the training records "
-        "lack motions like it, or it is of another stage."
+        f"{error.record}: held out, its RMS error is {error.rms / usual:.2g} times that of training: the training "
+        "records lack motions like it, or it is of another stage."
         for error in errors
         if error.role == "validation" and error.rms > _USUAL * usual
     ]
