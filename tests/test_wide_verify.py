@@ -129,7 +129,7 @@ def test_creep_on_a_grid_of_its_own_is_met_nearly():
         ({"structure": "wide"}, "structure: got 'wide', need 'auto', 'paper' or a dehyst.structure.Structure"),
         ({"structure": None}, "structure: got None, need 'auto', 'paper' or a dehyst.structure.Structure"),
         (
-            {"structure": "auto", "method": "breakpoints"},
+            {"structure": Structure(), "method": "breakpoints"},
             "structure: method 'breakpoints' knows the paper's class only; leave one out",
         ),
         (
@@ -137,7 +137,7 @@ def test_creep_on_a_grid_of_its_own_is_met_nearly():
             "structure: it has elements and knots of its own; leave elements, breakaway and knots out",
         ),
         (
-            {"structure": "auto", "breakaway": [1e-6]},
+            {"structure": Structure(), "breakaway": [1e-6]},
             "structure: it has elements and knots of its own; leave elements, breakaway and knots out",
         ),
     ],
@@ -146,3 +146,27 @@ def test_what_is_no_structure_is_refused(options, message):
     with pytest.raises(IdentifyError) as refused:
         dehyst.identify(bench.loops(bench.plant(), bench.MAJOR), **options)
     assert str(refused.value) == message
+
+
+@pytest.mark.parametrize("options", [{"elements": 10}, {"knots": 8}, {"method": "breakpoints"}])
+def test_what_only_the_papers_class_knows_asks_for_it(options):
+    record = bench.loops(bench.plant(), bench.DESCENDING_TOPS)
+    found, paper = (dehyst.identify(record, **options, **more) for more in ({}, {"structure": "paper"}))
+    assert found.trials == ()
+    assert found.actuator.as_dict() == paper.actuator.as_dict()
+
+
+def test_without_inner_loops_the_papers_class_is_kept():
+    """Nothing could be held out that tells structures apart, and what a lone loop leaves open must be said as ever."""
+    record = bench.loops(bench.plant(), bench.MAJOR)
+    found = dehyst.identify(record)
+    assert found.outcome is Outcome.UNDETERMINED
+    assert found.trials == ()
+    assert not found.actuator.wide
+    assert any(
+        remark.startswith("Wider structures were not tried: the turning points tell 5 of 9") for remark in found.remarks
+    )
+    assert (
+        found.actuator.slip.stiffness.tolist()
+        == dehyst.identify(record, structure="paper").actuator.slip.stiffness.tolist()
+    )
