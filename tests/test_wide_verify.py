@@ -12,7 +12,7 @@ import dehyst
 from dehyst import Creep, Dynamics, IdentifyError, Outcome, Record, State
 from dehyst.preparation import prepare
 from dehyst.structure import Structure
-from dehyst.verify import Protocol, errors_of
+from dehyst.verify import Protocol, errors_of, told, without_offset
 
 PROTOCOL = Protocol("validation", 0.0, 0.0, False, bench.STROKE)
 EXACT = 1e-9
@@ -170,3 +170,29 @@ def test_without_inner_loops_the_papers_class_is_kept():
         found.actuator.slip.stiffness.tolist()
         == dehyst.identify(record, structure="paper").actuator.slip.stiffness.tolist()
     )
+
+
+@pytest.mark.parametrize("name", ["plain", "graded", "creep", "smooth", "all"])
+def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
+    """Half a record of a known actuator, its voltages shifted: the other half is simulated as it was measured."""
+    plant = wide.plant(wide.STRUCTURES[name])
+    record = plant.record()
+    half = len(record) // 2
+    shift = 0.7 if plant.actuator.transformer is None else 0.0
+    shifted = Record(record.time, record.voltage + shift, record.displacement, record.name)
+    state, offset = told(plant.actuator, shifted.slice(0, half + 1), bench.STROKE)
+    assert offset == pytest.approx(shift, abs=1e-6 * bench.VOLTS)
+    rest = shifted.slice(half, len(record))
+    voltage = without_offset(plant.actuator, rest.voltage, offset)
+    time = rest.time if plant.actuator.needs_time else None
+    again = plant.actuator.simulate(voltage, time=time, state=state).displacement
+    assert np.abs(again - rest.displacement).max() < 1e-4 * bench.STROKE
+
+
+def test_a_lead_without_a_cycle_tells_what_it_can():
+    """The spring and the carts that were dragged along agree with the last voltage; the rest is as in the middle."""
+    plant = wide.plant(wide.STRUCTURES["plain"])
+    short = plant.record().slice(0, 30)
+    state, offset = told(plant.actuator, short, bench.STROKE)
+    assert state.displacement == short.displacement[-1]
+    assert plant.actuator.voltage(state) + offset == pytest.approx(short.voltage[-1], abs=1e-9)
