@@ -70,7 +70,16 @@ def test_the_lead_is_played_and_not_counted(records):
     assert cut.samples < whole.samples
     assert cut.samples == np.count_nonzero(records[1].time >= 6.0)
     assert cut.samples + cut.left_out == len(records[1])
-    assert cut.largest_without < 1e-9  # played from the start: the state is the right one
+    assert cut.largest_without < 1e-9
+
+
+def test_the_lead_tells_ours_where_it_began(records):
+    """A record that begins in the middle of a motion, but still goes through its range: that tells every cart."""
+    middle = records[1].slice(len(records[1]) // 6, len(records[1]))
+    lead = 0.5 * float(np.ptp(middle.time))
+    score = compare(records[0], validate=middle, lead=lead, models={"truth": plant}).rows[0].worst("validation")
+    assert (score.largest, score.rms) == pytest.approx((0, 0), abs=1e-6)
+    assert score.largest_without == pytest.approx(0, abs=1e-6)
 
 
 def test_the_delay_of_a_model_is_taken_off(records):

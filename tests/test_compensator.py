@@ -134,8 +134,10 @@ def test_refusals():
     slewing = Compensator(PLANT, (LOW, HIGH), RATE)
     with pytest.raises(ModelError, match="a slew rate needs the time"):
         slewing.trajectory([0.0, 1e-6])
-    for time in ([0.0], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0, 2.0]):
-        with pytest.raises(ModelError, match="time: got"):
+    refused = {(0.0,): "got 1 values for 2 samples, need one a sample", (0.0, 1.0, 2.0): "got 3 values for 2 samples",
+               (0.0, 0.0): "got 0 s after 0 s at value 1", (1.0, 0.0): "got 0 s after 1 s at value 1"}  # fmt: skip
+    for time, why in refused.items():
+        with pytest.raises(ModelError, match=f"time: {why}"):
             slewing.trajectory([0.0, 1e-6], time=time)
     with pytest.raises(ModelError, match="not finite"):
         slewing.trajectory([0.0, np.nan], time=[0.0, 1.0])

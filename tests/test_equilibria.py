@@ -344,7 +344,7 @@ def test_an_actuator_that_is_no_instance_of_the_model():
 
     loops = raised_cosine([200.0, 200.0, *np.arange(180, 0, -20)])
     stage = PlayActuator()
-    fit = dehyst.identify(Record(np.arange(loops.size) / 4, loops, stage.drive(loops)))
+    fit = dehyst.identify(Record(np.arange(loops.size) / 4, loops, stage.drive(loops)), structure="paper")
     v, found, truth = raised_cosine([200.0, 200.0]), {}, {}
     for before in (0.0, 50.0, 100.0):
         stage = PlayActuator(noise=0.0)

@@ -217,7 +217,7 @@ def break_solver(monkeypatch):
 
 
 def test_a_fit_is_json_without_nan(monkeypatch):
-    fit = dehyst.identify(TOPS, elements=10, validate=TOPS)
+    fit = dehyst.identify(TOPS, elements=10, validate=bench.loops(PLANT, bench.THREE_LOOPS, name="loops"))
     assert json.loads(json.dumps(fit.as_dict(), allow_nan=False))["outcome"] == "IDENTIFIED"
     break_solver(monkeypatch)
     failed = dehyst.identify(TOPS, elements=10, throw=False)
@@ -294,3 +294,16 @@ def test_unusable_records_are_refused_in_training_and_validation(name):
     assert re.search(f"'{name}'", str(caught.value))
     with pytest.raises(RecordError, match=message):
         dehyst.identify(TOPS, elements=10, validate=broken)
+
+
+def test_a_record_given_twice_is_refused():
+    again = Record(TOPS.time, TOPS.voltage, TOPS.displacement, "copy")
+    for options in ({"records": [TOPS, again]}, {"records": TOPS, "validate": again}):
+        with pytest.raises(IdentifyError, match=f"copy: has the same samples as {TOPS.name}; give each record once"):
+            dehyst.identify(**options)
+
+
+def test_a_model_file_tells_how_its_identification_ended(tmp_path):
+    fit = dehyst.identify(TOPS, structure="paper")
+    fit.actuator.save(tmp_path / "model.json")
+    assert dehyst.Actuator.load(tmp_path / "model.json").provenance["outcome"] == fit.outcome.name

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 import wide_bench as wide
 
+import dehyst
 from dehyst import Record, State
 from dehyst.beside import Beside
+from dehyst.excite import Drive, descending_tops
 from dehyst.preparation import prepare
 from dehyst.structure import Structure
+from dehyst.truths import BoucWenActuator
 
 CREEPING = Structure(elements=8, knots=7, creep=4)
 HOLDING = wide.wandering(30, samples=30, hold=30)
@@ -108,7 +111,10 @@ def test_creep_needs_a_hold_of_a_leg_or_loops_at_speeds_three_times_apart(rates,
     _, trials, remarks = frame.chosen(Structure(elements=10, knots=11), lambda _: None)
     tried = any(trial.structure.creep for trial in trials)
     assert tried is supported
-    said = "Creep was not looked for: it needs holds or loops at two speeds; add a staircase."
+    said = (
+        "Creep was not looked for: the records neither hold still for as long as their cycles last nor have loops at "
+        "two speeds; add a staircase or slower loops."
+    )
     assert remarks == ([] if supported else [said])
 
 
@@ -131,3 +137,15 @@ def test_delayed_voltages_are_taken_back():
              for one, delay in ((record, 0.0), (late, 5 / wide.RATE), (late, 0.0))]  # fmt: skip
     errors = [np.abs(one.stiffness - found[0].stiffness).max() / found[0].stiffness.max() for one in found[1:]]
     assert errors[0] < 0.1 * errors[1]
+
+
+def test_friction_that_lets_go_gradually_is_no_delay():
+    """A Bouc-Wen actuator at 0.01 Hz: plain elements take it to be seconds late, wider ones know better."""
+    truth = BoucWenActuator()
+    tops = descending_tops(truth.highest, drive=Drive(frequency=0.01, sample_rate=4.0))
+    record = Record(tops.time, tops.voltage, truth.drive(tops.voltage, time=tops.time), "slow")
+    frame = wide.frame([record], delay=0.9)
+    assert frame.with_checked_delay().inertia.delay == 0
+    late = wide.frame([record.delayed(-0.9)], delay=0.9)
+    assert late.with_checked_delay().inertia.delay == 0.9
+    assert dehyst.identify(record, norm="l2").actuator.delay < 0.05

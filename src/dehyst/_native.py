@@ -18,6 +18,15 @@ NOTHING: Array = np.zeros(0)
 NOTHING.flags.writeable = False
 
 
+def untimely(time: Array, samples: int) -> str:
+    """Why times are none of so many samples: how many there are, or where they do not increase."""
+    if time.size != samples:
+        return f"time: got {time.size} values for {samples} samples, need one a sample"
+    first = int(np.argmax(np.diff(time) <= 0)) + 1
+    before, after = time[first - 1], time[first]
+    return f"time: got {after:.9g} s after {before:.9g} s at value {first}, need strictly increasing times"
+
+
 def vector(values: ArrayLike, what: str) -> Array:
     """Return `values` as a contiguous one-dimensional array of finite doubles.
 

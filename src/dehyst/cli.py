@@ -27,6 +27,7 @@ from dehyst.console import (
     path_of,
     progress_line,
     range_words,
+    read_model,
     read_records,
     refuse_overwriting,
     start_option,
@@ -130,11 +131,10 @@ def simulate(
     model: Path, voltage_file: Path, output: Path, lag: bool, start: str, as_json: bool, **columns: Any
 ) -> None:
     """Displacement that a VOLTAGE file causes; adds displacement_um."""
-    from dehyst.actuator import Actuator
     from dehyst.files import read_table, write_columns
 
     refuse_overwriting([model, voltage_file], output)
-    actuator = Actuator.load(model)
+    actuator = read_model(model)
     table = read_table(voltage_file)
     voltage = table.column("voltage", columns["voltage"])
     time = time_of_table(table, voltage.size, columns)
@@ -171,12 +171,11 @@ def compensate(
     as_json: bool, **columns: Any,
 ) -> None:  # fmt: skip
     """Voltage that makes the actuator follow a TRAJECTORY; adds voltage_V, within limits."""
-    from dehyst.actuator import Actuator
     from dehyst.compensator import Compensator
     from dehyst.files import read_table, write_columns
 
     refuse_overwriting([model, trajectory], output)
-    actuator = Actuator.load(model)
+    actuator = read_model(model)
     table = read_table(trajectory)
     wanted = table.column("displacement", columns["displacement"])
     time = time_of_table(table, wanted.size, columns)
@@ -240,7 +239,6 @@ def insight(
 ) -> None:  # fmt: skip
     """What RECORDs can and cannot tell of a MODEL identified from them; status 1 if there is something to beware of."""
     from dehyst._errors import ModelError
-    from dehyst.actuator import Actuator
     from dehyst.files import write_columns
     from dehyst.insight import insight as run
 
@@ -249,7 +247,7 @@ def insight(
     if wanted is not None and trajectory is None:
         raise ModelError(f"--wanted: got '{wanted}' and no trajectory; give --trajectory, the file with this column")
     refuse_overwriting([model, *records, *([trajectory] if trajectory else [])], output, report)
-    actuator = Actuator.load(model)
+    actuator = read_model(model)
     tell = progress_line()
     path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted)
     found = run(actuator, read_records(records, columns), trajectory=path, time=time.get("time_s"), limits=limits,

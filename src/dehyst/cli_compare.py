@@ -47,7 +47,7 @@ def compare(
 ) -> None:  # fmt: skip
     """Hold our model against every rival: fitted to RECORDs, judged on held-out ones and on virtual actuators.
 
-    Without a RECORD, the records of the first virtual actuator are taken. Status 1 if our own model fails.
+    Without a RECORD, those of the first --truth are taken. Status 1 if our own model fails.
     """
     from dehyst.compare import OURS
     from dehyst.compare import compare as run

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.console import PATH, json_option, refuse_overwriting
+from dehyst.console import PATH, json_option, read_model, refuse_overwriting
 
 if TYPE_CHECKING:
     from dehyst.drive import Drive
@@ -135,12 +135,15 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
     if model is None:
         _write(lambda drive: kinds.homing(highest, drive=drive), options)
         return
-    from dehyst.actuator import Actuator
     from dehyst.homing import shortest_homing
 
     refuse_overwriting([model], options["output"])
-    actuator = Actuator.load(model)
+    actuator = read_model(model)
     options["limits"] = options["limits"] or actuator.limits
+    given = click.get_current_context().get_parameter_source("base")
+    if options["limits"] is not None and given is not click.core.ParameterSource.COMMANDLINE:
+        low, high = options["limits"]
+        options["base"] = min(max(options["base"], low), high)
     drive = _drive(options)
     way = shortest_homing(actuator, limits=options["limits"], present=drive.start, end=options["base"], stiff_only=True,
                           drive=drive, hold=hold)  # fmt: skip

@@ -273,7 +273,12 @@ def _sentence(error: Exception) -> str:
 
 def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke: float) -> Score:
     delay = float(getattr(model, "delay", 0.0))
-    residuals = [_missed(model, piece, kept, stroke) for piece, kept in _counted(item, lead, delay)]
+    residuals = [
+        _missed_after(model, piece, kept, stroke)
+        if lead and isinstance(model, Actuator)
+        else _missed(model, piece, kept)
+        for piece, kept in _counted(item, lead, delay)
+    ]
     error = np.concatenate([np.zeros(0), *residuals])
     if not np.isfinite(error).all():
         raise IdentifyError(f"{item.name}: the simulation diverges")
@@ -282,14 +287,16 @@ def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke:
     return Score(item.name, role, error.size, item.samples - error.size, *figures)
 
 
-def _missed(model: AbstractModel, piece: Record, kept: NDArray[np.bool_], stroke: float) -> Array:
-    """Measured less simulated displacement of the samples that count.
+def _missed(model: AbstractModel, piece: Record, kept: NDArray[np.bool_]) -> Array:
+    """Measured less simulated displacement of the samples that count, played from the first."""
+    return np.asarray((piece.displacement - simulated(model, piece.voltage, piece.time).displacement)[kept])
 
-    What was measured before them tells ours its state; other models know the voltage only.
-    """
+
+def _missed_after(model: Actuator, piece: Record, kept: NDArray[np.bool_], stroke: float) -> Array:
+    """The same, the state told by what was measured in the lead: other models know the voltage only."""
     before = int(np.argmax(kept))
-    if not isinstance(model, Actuator) or not before:
-        return np.asarray((piece.displacement - simulated(model, piece.voltage, piece.time).displacement)[kept])
+    if not before:
+        return _missed(model, piece, kept)
     state, offset = told(replace(model, delay=0.0), piece.slice(0, before + 1), stroke)
     rest = piece.slice(before, len(piece))
     voltage = without_offset(model, rest.voltage, offset)

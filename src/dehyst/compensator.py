@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, number, vector
+from dehyst._native import Array, number, untimely, vector
 from dehyst.actuator import Actuator, interval
 from dehyst.model import Motion, State
 from dehyst.wide import Course
@@ -140,7 +140,7 @@ class Compensator:
             raise ModelError("a slew rate needs the time of each sample; give time=")
         t = vector(time, "time")
         if t.size != size or np.any(np.diff(t) <= 0):
-            raise ModelError(f"time: got {t.size} values for {size} samples, need as many, strictly increasing")
+            raise ModelError(untimely(t, size))
         return np.concatenate([[np.inf], self.slew_rate * np.diff(t)])[:size]
 
     def _allowed(self, voltage: Array, before: float, steps: Array) -> Array:

@@ -94,6 +94,8 @@ def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
     for output in outputs:
         if output is not None and output.resolve() in taken:
             raise FileFormatError(f"{output}: is an input of this command too; give another name for the output")
+        if output is not None and output.is_dir():
+            raise FileFormatError(f"{output}: is a folder; give the name of a file in it")
         if output is not None and not output.resolve().parent.is_dir():
             raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
 
@@ -119,6 +121,18 @@ def path_of(trajectory: Path, wanted: str | None) -> tuple[Any, dict[str, Any]]:
         # --displacement is the records' column here.
         raise FileFormatError(str(error).replace("--displacement", "--wanted")) from error
     return path, time_of_table(table, path.size, {"time": None, "sample_rate": None})
+
+
+def read_model(path: Path) -> Actuator:
+    """Read a model, and warn of one that was not found to be of use."""
+    from dehyst.actuator import Actuator
+    from dehyst.model import Outcome
+
+    actuator = Actuator.load(path)
+    outcome = getattr(Outcome, str(actuator.provenance.get("outcome")), None)
+    if isinstance(outcome, Outcome) and not outcome.good:
+        click.echo(f"dehyst: {path}: when this model was identified: {outcome.value}", err=True)
+    return actuator
 
 
 def start_state(actuator: Actuator, start: str) -> State:
@@ -173,10 +187,17 @@ def before_and_after(actuator: Actuator, first: float, start: str, slew: float |
     """What the file cannot hold: the way to its first voltage, and the lag of the stage."""
     said = []
     present = actuator.voltage(start_state(actuator, start))
-    if slew is not None and abs(first - present) > 0.01 * abs(present):
+    if abs(first - present) > 0.01 * max(abs(value) for value in (present, *(actuator.limits or ()))):
+        within = "slowly" if slew is None else "within the slew rate"
         said.append(
             f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from that of the start, "
-            f"{present:.6g} V: ramp there within the slew rate before you play the file"
+            f"{present:.6g} V: ramp there {within} before you play the file"
+        )
+    if actuator.creep is not None and start != "homed":
+        longest = float(actuator.creep.time_constants[-1])
+        said.append(
+            f"this model creeps, and --start {start} takes it to have stood there for long, beside {longest:.3g} s; if "
+            "it has not, it will be off: make a homing (dehyst excite homing --model) and use --start homed"
         )
     if actuator.delay:
         said.append(f"the displacement was measured to lag by {actuator.delay * 1e3:.4g} ms: expect it that much later")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, steps, strains, vector
+from dehyst._native import Array, steps, strains, untimely, vector
 from dehyst.elements import frozen
 
 
@@ -80,5 +80,5 @@ def clock(time: ArrayLike, samples: int) -> tuple[NDArray[np.int64], Array]:
     t = vector(time, "time")
     bounds, durations = steps(t)
     if t.size != samples or np.any(durations[1:] <= 0):
-        raise ModelError(f"time: got {t.size} values for {samples} samples, need as many, strictly increasing")
+        raise ModelError(untimely(t, samples))
     return bounds, durations

@@ -124,6 +124,7 @@ def identify(
     if structure == "auto" and (counted or method != "record"):
         structure = "paper"
     _refuse_structure(structure, settings, counted)
+    _refuse_copies([*training, *held_out])
     if refine and structure == "paper":
         raise IdentifyError(
             "refine: the paper's class is fitted as it is; give a dehyst.structure.Structure, or 'auto'"
@@ -138,6 +139,18 @@ def identify(
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
     return fit
+
+
+def _refuse_copies(records: list[Record]) -> None:
+    """Refuse a record given twice: cycles held out would not be unseen, nor would be a record that is."""
+    seen: dict[bytes, str] = {}
+    for one in records:
+        key = one.displacement.tobytes() + one.voltage.tobytes()
+        if key in seen:
+            raise IdentifyError(
+                f"{one.name}: has the same samples as {seen[key]}; give each record once, and another one to validate"
+            )
+        seen[key] = one.name
 
 
 def _refuse_structure(structure: object, settings: Settings, counted: bool) -> None:
@@ -206,6 +219,8 @@ class _Job:
                 self.remarks += missing
                 return self.by_records()
             self.tell("looking for inertia")
+            if self.settings.delay is None:
+                frame = frame.with_checked_delay()
             frame = frame.with_inertia()
             structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
             self.remarks += remarks
@@ -389,6 +404,7 @@ class _Job:
             outcome = Outcome.VALIDATION_MISSED
         if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:
             outcome = Outcome.INACCURATE
+        actuator = replace(actuator, provenance={**actuator.provenance, "outcome": outcome.name})
         self.remarks += judgement.of_held_out(self.held_out, self._limits(), errors)
         sample = self.training[self.widest].record.sample_time
         repaired = judgement.repaired(errors, self.delay, sample, given=self.settings.delay is not None)

@@ -37,9 +37,14 @@ def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
             f"  {error.largest * 1e9:>6.0f} nm{error.rms * 1e9:>6.0f} nm  {drift:>7.3f} %{rms:>7.3f} %"
         )
     if fit.trials:
+        from dehyst.selection import label
+
         click.echo("\nStructures tried, RMS error of cycles held out in turn:")
+        made = fit.options.get("structure")
         for trial in sorted(fit.trials, key=lambda one: one.held_out)[:_SHOWN]:
-            click.echo(f"  {trial.held_out * 1e9:>7.1f} nm  {trial.structure.words}")
+            chosen = " (chosen)" if trial.structure.as_dict() == made else ""
+            click.echo(f"  {trial.held_out * 1e9:>7.1f} nm  {label(trial.structure, fit.trials)}{chosen}")
+        click.echo("  (A part has to lower it by 3 % at least.)")
     _print_parts(fit.actuator)
     for title, sentences in (("Repaired or left out", fit.repairs), ("To know", fit.remarks)):
         if sentences:

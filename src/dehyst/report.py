@@ -24,6 +24,7 @@ from dehyst.insight_page import sections
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.page import MINUS, Row, document, figure, length, number, panel, table
 from dehyst.parts_page import made_of
+from dehyst.selection import label
 from dehyst.structure import Structure
 from dehyst.wide_insight import WideInsight
 
@@ -161,7 +162,7 @@ def _trials(fit: Fit) -> str:
     best = min(fit.trials, key=lambda one: one.structure.as_dict() != fit.options.get("structure"))
     first = fit.trials[0]
     rows: list[Row] = [
-        (_tried(one.structure, fit) + (" (chosen)" if one is best else ""), str(one.structure.parameters),
+        (label(one.structure, fit.trials) + (" (chosen)" if one is best else ""), str(one.structure.parameters),
          length(one.held_out), length(one.training))
         for one in sorted(fit.trials, key=lambda one: one.held_out)
     ]  # fmt: skip
@@ -171,12 +172,6 @@ def _trials(fit: Fit) -> str:
         times = number(first.held_out / best.held_out)
         why += f" The plain class that was tried first, {first.structure.words}, misses them {times} times as far."
     return f'<h2>How much model</h2>\n<p class="muted">{why}</p>\n{table(head, rows, texts=1)}'
-
-
-def _tried(structure: Structure, fit: Fit) -> str:
-    """A structure in words, with its smoothing where that alone tells it from another."""
-    like = {one.structure.smoothing for one in fit.trials if one.structure.words == structure.words}
-    return structure.words if len(like) < 2 else f"{structure.words}; smoothing {structure.smoothing:g}"
 
 
 def _checks(fit: Fit, actuator: Actuator | None) -> str:

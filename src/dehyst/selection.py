@@ -63,6 +63,12 @@ class Trial:
                 "seconds": self.seconds}  # fmt: skip
 
 
+def label(structure: Structure, trials: Sequence[Trial]) -> str:
+    """A structure in words, with its smoothing where that alone tells it from another that was tried."""
+    like = {one.structure.smoothing for one in trials if one.structure.words == structure.words}
+    return structure.words if len(like) < 2 else f"{structure.words}; smoothing {structure.smoothing:g}"
+
+
 def select(
     build: Build, start: Structure, tell: Callable[[str], None], *, without: Sequence[str] = ()
 ) -> tuple[Structure, tuple[Trial, ...]]:

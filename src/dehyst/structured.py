@@ -36,6 +36,7 @@ _WORTH_OF_START = 0.9
 _SLOWEST = 1000.0
 _ROOTS = (0.7, 1.5, 3.0, 6.0)
 _WORTH_OF_MASS = 0.95
+_WORTH_OF_DELAY = 0.97
 _SWINGING = Structure(elements=20, grades=3, transformer=10, smooth=True)
 
 
@@ -119,6 +120,17 @@ class Frame:
         for (path, _), (_, _, curve) in zip(self._paths(item, stroke), curves, strict=True):
             yield path, curve
 
+    def with_checked_delay(self) -> Frame:
+        """The same without a delay, unless wider elements miss the records by more without it.
+
+        Where friction lets go gradually the displacement trails behind at every turn: a delay, for plain elements.
+        """
+        without = replace(self, inertia=replace(self.inertia, delay=0.0))
+        if not self.inertia.delay:
+            return self
+        late, prompt = (one._rows_of(_SWINGING, _FEW_ROWS).rms() for one in (self, without))
+        return self if late < _WORTH_OF_DELAY * prompt else without
+
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""
         step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
@@ -169,7 +181,10 @@ class Frame:
         remarks = []
         if not self.supports_creep():
             without = ("creep",)
-            remarks.append("Creep was not looked for: it needs holds or loops at two speeds; add a staircase.")
+            remarks.append(
+                "Creep was not looked for: the records neither hold still for as long as their cycles last nor have "
+                "loops at two speeds; add a staircase or slower loops."
+            )
         best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, tell, without=without)
         return best, trials, remarks
 

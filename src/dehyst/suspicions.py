@@ -105,7 +105,7 @@ def refuse_constant(record: Record) -> None:
     if record.stroke <= max(noise_span(record.displacement), 1e-12 * max(map(abs, record.displacement_range))):
         raise RecordError(
             f"record '{record.name}': the displacement is constant but for noise: its stroke, {record.stroke:.3g} m, "
-            f"is no more than the sensor's noise ({record.noise:.3g} m); check the sensor and the chosen column"
+            f"is no more than noise of {record.noise:.3g} m makes of so many samples; check the sensor and the column"
         )
 
 

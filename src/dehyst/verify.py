@@ -192,20 +192,21 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Compari
 
 
 def told(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:
-    """The state at a record's last sample, and the offset of its voltages [V], as its displacements tell them.
+    """The state at a record's last sample, on the model's axis, and the offset of its voltages [V].
 
-    The offset is by least squares over the samples that count; where none does, for the record is too short or has no
-    full cycle, it is that of its last sample, and what the record does not tell of the carts is none.
+    Its displacements tell them, and how far its sensor's zero lies from the model's: the offset by least squares over
+    the samples that count. Where none does, for the record is too short or has no full cycle, the offset is that of its
+    last sample, and what the record does not tell of the carts is none.
     """
     try:
         record = prepare(lead)
-        beside = compare(actuator, record, Protocol("validation", actuator.delay, 0.0, False, stroke))
+        beside = compare(actuator, record, Protocol("validation", actuator.delay, None, False, stroke))
         number, own = len(beside.pieces) - 1, beside.epochs[-1]
     except ValueError:
         own = []
     if own:
         last = replace(own[-1], start=len(beside.pieces[number][1]) - 1)
-        return beside.state_before(actuator, number, last), beside.last_offsets()[-1]
+        return beside.state_before(actuator, number, last).shifted(beside.datum), beside.last_offsets()[-1]
     y = lead.displacement
     _, carts = stops(actuator.slip.breakaway, np.full(len(actuator.slip), y[0]), np.ascontiguousarray(y))
     creep = () if actuator.creep is None else actuator.creep.strains(lead.time, y)[-1]
