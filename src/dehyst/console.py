@@ -72,7 +72,7 @@ def start_option(command: Callable[..., None]) -> Callable[..., None]:
     return click.option(
         "--start", type=click.Choice(["top", "bottom", "relaxed", "homed"]), default="top", show_default=True,
         help="State before the first sample: turned at the top or bottom of the identified range, relaxed at 0 V, or "
-        "as 'dehyst excite homing --model' leaves it.",
+        "as 'dehyst excite homing --model' leaves it without other options: another --base or --hold ends elsewhere.",
     )(command)  # fmt: skip
 
 
