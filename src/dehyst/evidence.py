@@ -13,12 +13,10 @@ from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.directions import Directions, directions
 from dehyst.elements import MaxwellSlip, Spring
-from dehyst.preparation import as_list, prepare
-from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.rows import RowSource
-from dehyst.verify import MOST_ROWS, Comparison, Protocol, compare
+from dehyst.verify import MOST_ROWS, Comparison, compare_all
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,19 +55,7 @@ class Evidence:
         RecordError, IdentifyError
             If a record cannot be used.
         """
-        prepared = [prepare(record) for record in as_list(records)]
-        options = actuator.provenance
-        spans = [high - low for low, high in (item.span() for item in prepared)]
-        stroke = max(spans)
-        widest = prepared[int(np.argmax(spans))].record
-        datum = 0.0 if options.get("shared_datum") else None
-        drift = bool(options.get("drift", True))
-        with one_thread():
-            compared = tuple(
-                compare(actuator, item, Protocol("training", actuator.delay, datum, drift and item.can_drift, stroke))
-                for item in prepared
-            )
-        floor = float(np.ptp(widest.voltage)) / stroke * float(options.get("slope_floor", 0.2))
+        compared, stroke, floor = compare_all(actuator, records)
         movable = 2 * actuator.slip.breakaway < stroke * (1 - 1e-9)
         drifting = tuple(q for q, one in enumerate(compared) if one.regression.drifting)
         datums = np.array([one.datum for one in compared])

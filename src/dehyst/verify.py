@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,8 @@ from dehyst.composition import coefficients_of, grid_of
 from dehyst.inertia import derivatives, undone
 from dehyst.metrics import largest
 from dehyst.model import Motion, RecordErrors, State, Trace
-from dehyst.preparation import Prepared, prepare
+from dehyst.preparation import Prepared, as_list, prepare
+from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.repairs import find_datum
@@ -189,6 +190,28 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Compari
     found = (regression if actuator.wide else Stream(source, regression)).nuisances_of(model)
     base = float(actuator.spring.voltage[0])
     return Comparison(record, source, [piece for _, piece, _ in measured], regression, found, base)
+
+
+def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[tuple[Comparison, ...], float, float]:
+    """Put the records that an actuator was identified from beside it, by the options of its provenance.
+
+    Returns
+    -------
+    tuple of Comparison, float, float
+        One a record, the range of the widest loop [m], and the least slope that the spring was allowed [V/m].
+    """
+    prepared = [prepare(record) for record in as_list(records)]
+    options, spans = actuator.provenance, [high - low for low, high in (item.span() for item in prepared)]
+    stroke, widest = max(spans), prepared[int(np.argmax(spans))].record
+    datum = 0.0 if options.get("shared_datum") else None
+    # Where branches creep, a drift of the record would be told twice.
+    drift = bool(options.get("drift", True)) and actuator.creep is None
+    with one_thread():
+        compared = tuple(
+            compare(actuator, item, Protocol("training", actuator.delay, datum, drift and item.can_drift, stroke))
+            for item in prepared
+        )
+    return compared, stroke, float(np.ptp(widest.voltage)) / stroke * float(options.get("slope_floor", 0.2))
 
 
 def told(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:

@@ -17,14 +17,12 @@ from dehyst.creep import Creep
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.inertia import undone
 from dehyst.metrics import rms
-from dehyst.preparation import as_list, prepare
-from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.rows import RowSource
 from dehyst.smooth import SmoothSlip
 from dehyst.smoothing import without_jitter
 from dehyst.structure import Structure
-from dehyst.verify import Comparison, Protocol, compare
+from dehyst.verify import Comparison, compare_all
 from dehyst.wide_regression import WideCoefficients, WideRegression
 
 # A row has a column for each coefficient, of which there may be hundreds.
@@ -59,20 +57,8 @@ class WideEvidence:
     @classmethod
     def of(cls, actuator: Actuator, records: Record | Sequence[Record]) -> WideEvidence:
         """Put records beside a model; parameters and errors are those of `dehyst.evidence.Evidence.of`."""
-        prepared = [prepare(record) for record in as_list(records)]
+        compared, stroke, floor = compare_all(actuator, records)
         options = actuator.provenance
-        spans = [item.span() for item in prepared]
-        widest = int(np.argmax([high - low for low, high in spans]))
-        stroke = spans[widest][1] - spans[widest][0]
-        datum = 0.0 if options.get("shared_datum") else None
-        # Where branches creep, a drift of the record would be told twice.
-        drift = bool(options.get("drift", True)) and actuator.creep is None
-        with one_thread():
-            compared = tuple(
-                compare(actuator, item, Protocol("training", actuator.delay, datum, drift and item.can_drift, stroke))
-                for item in prepared
-            )
-        floor = float(np.ptp(prepared[widest].record.voltage)) / stroke * float(options.get("slope_floor", 0.2))
         datums = np.array([one.datum for one in compared])
         rows = _rows(actuator, compared, stroke, [one.measured for one in compared])
         drifting = tuple(q for q, one in enumerate(compared) if one.regression.drifting)
