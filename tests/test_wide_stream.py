@@ -95,6 +95,4 @@ def test_a_million_samples_of_a_wider_structure_take_half_a_gigabyte_at_most():
     found = json.loads(done.stdout)
     assert found["peak_MiB"] < 512
     assert abs(found["gap"]) < 1e-6
-    # Eight branches reach over six decades here, from three samples to the whole record, and follow creep so well only:
-    # 0.18 % at a tenth of the samples, 0.22 % here, 0.27 % at ten times as many.
-    assert found["rms_percent"] < 0.25
+    assert found["rms_percent"] < 0.2

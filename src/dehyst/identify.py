@@ -219,13 +219,14 @@ class _Job:
                 self.remarks += missing
                 return self.by_records()
             self.tell("looking for inertia")
-            if self.settings.delay is None:
-                frame = frame.with_checked_delay()
-            frame = frame.with_inertia()
+            frame = self._with_delay(frame).with_inertia()
             structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
             self.remarks += remarks
             if structure.plain and not frame.inertia.mass and not refine:
+                self.delay = frame.inertia.delay
                 return self._plainly(frame, structure)
+        else:
+            frame = self._with_delay(frame, structure)
         self.structure = structure
         self.tell(f"solving the program for {structure.words}")
         made = Wider.solve(frame, structure, self.settings.norm)
@@ -241,6 +242,10 @@ class _Job:
         self.tell("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
         return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
+
+    def _with_delay(self, frame: Frame, structure: Structure | None = None) -> Frame:
+        """Only a delay that was not given can be mistaken."""
+        return frame.with_checked_delay(structure) if self.settings.delay is None else frame
 
     def _on_axis(self, datum: Array) -> list[Record]:
         """All pieces, displacements on the model's axis."""

@@ -124,6 +124,11 @@ def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> T
     return Trial(structure, held_out, training, time.perf_counter() - begin)
 
 
+def held_out_error(regression: WideRegression) -> float:
+    """RMS error [m] of cycles held out in turn, rows weighted by the inverse slope of a first fit."""
+    return rms(held_out_errors(regression, 1 / regression.slope(regression.fit("l2"))))
+
+
 def held_out_errors(regression: WideRegression, weights: Array) -> Array:
     """Error of each row [m] from a fit without its cycle and every third other."""
     fold = blocks(regression.rows.voltage, regression.rows.epoch) % _FOLDS

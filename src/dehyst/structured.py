@@ -16,7 +16,7 @@ from dehyst.program import Norm
 from dehyst.record import Record
 from dehyst.repairs import cycle_time, worthwhile
 from dehyst.rows import RowSource
-from dehyst.selection import Trial, select
+from dehyst.selection import Trial, held_out_error, select
 from dehyst.signals import turning_points
 from dehyst.smoothing import without_jitter
 from dehyst.structure import Structure
@@ -36,8 +36,10 @@ _WORTH_OF_START = 0.9
 _SLOWEST = 1000.0
 _ROOTS = (0.7, 1.5, 3.0, 6.0)
 _WORTH_OF_MASS = 0.95
-_WORTH_OF_DELAY = 0.97
 _SWINGING = Structure(elements=20, grades=3, transformer=10, smooth=True)
+# A delay is a false one if without it held-out cycles are missed by this part only.
+_TRAILING = replace(_SWINGING, creep=9)
+_FALSE_DELAY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,16 +122,17 @@ class Frame:
         for (path, _), (_, _, curve) in zip(self._paths(item, stroke), curves, strict=True):
             yield path, curve
 
-    def with_checked_delay(self) -> Frame:
-        """The same without a delay, unless wider elements miss the records by more without it.
+    def with_checked_delay(self, structure: Structure | None = None) -> Frame:
+        """The same without a delay if a structure, by default one of many parts, then misses held-out cycles by far less.
 
-        Where friction lets go gradually the displacement trails behind at every turn: a delay, for plain elements.
+        Where an actuator creeps fast or friction lets go gradually the displacement trails behind at every turn: a
+        delay, for plain elements. A true delay fast creep can imitate, but not so much better.
         """
-        without = replace(self, inertia=replace(self.inertia, delay=0.0))
         if not self.inertia.delay:
             return self
-        late, prompt = (one._rows_of(_SWINGING, _FEW_ROWS).rms() for one in (self, without))
-        return self if late < _WORTH_OF_DELAY * prompt else without
+        without = replace(self, inertia=replace(self.inertia, delay=0.0))
+        late, prompt = (held_out_error(one._rows_of(structure or _TRAILING, _FEW_ROWS)) for one in (self, without))
+        return without if prompt < _FALSE_DELAY * late else self
 
     def with_inertia(self) -> Frame:
         """The same with the delay, damping and mass that the records ask for, if they do."""
