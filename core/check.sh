@@ -15,12 +15,12 @@ int main(void)
 }
 C
 # shellcheck disable=SC2086
-${CC:-gcc} $flags -I. dehyst.c dehyst_stack.c dehyst_walk.c dehyst_grades.c dehyst_wide.c dehyst_smooth.c "$work/main.c" -o "$work/check"
+${CC:-gcc} $flags -I. dehyst*.c "$work/main.c" -o "$work/check"
 # Rivals are never exported: strict, but free to use the mathematical library.
 # shellcheck disable=SC2086
 ${CC:-gcc} $flags -I. -c rivals_plays.c -o "$work/rivals_plays.o"
 "$work/check"
-${CC:-gcc} -std=c99 -O2 -ffreestanding -ffp-contract=off -I. -fno-pic -nostdlib -r dehyst.c dehyst_stack.c dehyst_walk.c dehyst_grades.c dehyst_wide.c dehyst_smooth.c -o "$work/core.o"
+${CC:-gcc} -std=c99 -O2 -ffreestanding -ffp-contract=off -I. -fno-pic -nostdlib -r dehyst*.c -o "$work/core.o"
 needed=$(nm -u "$work/core.o" | grep -vE ' (memcpy|memset|memmove)$' || true)
 [ -z "$needed" ] || { echo "the core needs from outside: $needed"; exit 1; }
 for rival in rivals_*.c; do

@@ -84,11 +84,7 @@ dehyst_real dehyst_curve_inverse(const dehyst_curve *curve, dehyst_real value)
 void dehyst_slip_move(const dehyst_slip *slip, dehyst_real *cart, dehyst_real y)
 {
     int i;
-    for (i = 0; i < slip->size; i++) {
-        dehyst_real low = y - slip->rho[i], high = y + slip->rho[i], b = cart[i];
-        b = b < low ? low : b;
-        cart[i] = b > high ? high : b;
-    }
+    for (i = 0; i < slip->size; i++) cart[i] = dragged(cart[i], y, slip->rho[i]);
 }
 
 void dehyst_slip_stops(const dehyst_slip *slip, dehyst_real *cart, const dehyst_real *y, dehyst_real *out, long n)

@@ -209,9 +209,76 @@ void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, de
  * what is left of eta's slopes and moves with it must together rise. */
 void dehyst_wide_simulate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state, dehyst_room *room,
                           const dehyst_real *v, const dehyst_real *load, dehyst_real *y, long n);
+/* What a step would lead to: w, its voltage, and the carts there, which are exchanged with the state's when it is
+ * fulfilled. The hint is the spring's segment, 0 at first. */
+typedef struct dehyst_wish {
+    dehyst_real w, v;
+    dehyst_real *cart; /* [N] */
+    int hint;
+} dehyst_wish;
+
+/* A step as above alone. `stiffness` is what moves in time adds to the slope of voltage over w within a step. A wish, whose
+ * w is given, moves nothing. The others move, to the wish just made or to where v leads, and return the displacement that
+ * is seen. */
+dehyst_real dehyst_wide_stiffness(const dehyst_wide *wide, const dehyst_pace *pace);
+void dehyst_wide_wish(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_wide_state *state,
+                      dehyst_real stiffness, dehyst_wish *wish);
+dehyst_real dehyst_wide_fulfil(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
+                               dehyst_wish *wish);
+dehyst_real dehyst_wide_simulate_step(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
+                                      dehyst_real stiffness, dehyst_real v);
 /* Strains [n J], a row a sample, along a path of w that starts from `before`. */
 void dehyst_strains(int branches, const dehyst_pace *pace, dehyst_real *strain, dehyst_real before,
                     const dehyst_real *w, dehyst_real *out, long n);
+
+/* A compensator in a loop: a wanted displacement in, a voltage within limits out, equal times apart. w is asked to be
+ * sum_m tap_m u_(t-m), u the displacements fed, newest first: with what a delay and a mass ask for, u runs ahead.
+ * An amplifier that lags by `lag` periods acts with a_t = keep a_(t-1) + from_old v_(t-1) + from_new v_t. `stiffness` is made by
+ * dehyst_compensator_tabulate, which also checks. */
+typedef struct dehyst_compensator {
+    dehyst_wide wide;
+    dehyst_pace pace;       /* of one period */
+    dehyst_real low, high;  /* limits of v */
+    dehyst_real change;     /* largest change of v in a period; DEHYST_LARGEST: any */
+    int taps;               /* >= 1 */
+    const dehyst_real *tap; /* [taps] */
+    dehyst_real lag;        /* 0: none, and the three are left alone */
+    dehyst_real keep, from_old, from_new;
+    dehyst_real stiffness;
+} dehyst_compensator;
+
+typedef enum dehyst_offer {
+    DEHYST_NOTHING = 0, /* nothing is on offer: the last voltage is held */
+    DEHYST_WISHED = 1,
+    DEHYST_LIMITED = 2, /* cut at a limit */
+    DEHYST_SLEWED = 3,  /* held back by the slew rate */
+    DEHYST_REFUSED = 4  /* not a number was asked for: the last voltage is held */
+} dehyst_offer;
+
+typedef struct dehyst_loop {
+    dehyst_wide_state state;
+    dehyst_real *fed;      /* [taps], newest first */
+    dehyst_real sent;      /* the last voltage */
+    dehyst_real acting;    /* what the amplifier makes of it */
+    dehyst_real wished[2]; /* the last two voltages that were to act */
+    dehyst_real asked;     /* on offer: u, the wish it stands for, and what of that may be sent */
+    dehyst_wish wish;
+    dehyst_real voltage;
+    dehyst_offer offer;
+    unsigned long limited, slewed, refused; /* samples committed */
+} dehyst_loop;
+
+dehyst_status dehyst_compensator_tabulate(dehyst_compensator *compensator);
+/* Start from loop->state, at rest at the voltage that holds it, as if its displacement had been fed for ever. */
+dehyst_status dehyst_loop_begin(const dehyst_compensator *compensator, dehyst_loop *loop);
+/* The voltage for u. Nothing moves until it is committed: a voltage that was not sent leaves no trace. */
+dehyst_real dehyst_loop_offer(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u);
+/* A period has passed with the voltage v: what is on offer, or another that was really sent. */
+void dehyst_loop_commit(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v);
+/* Offer and commit; then n of them. */
+dehyst_real dehyst_loop_step(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u);
+void dehyst_loop_run(const dehyst_compensator *compensator, dehyst_loop *loop, const dehyst_real *u, dehyst_real *v,
+                     long n);
 
 #ifdef __cplusplus
 }

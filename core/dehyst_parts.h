@@ -88,6 +88,43 @@ static inline outlook look_ahead(const dehyst_wide *wide, const dehyst_state *me
                                  : dehyst_look_ahead(&wide->plain, memory, w, direction);
 }
 
+/* Where a cart at b is left by a motion that ends at y. */
+static inline dehyst_real dragged(dehyst_real b, dehyst_real y, dehyst_real rho)
+{
+    const dehyst_real low = y - rho, high = y + rho;
+    b = b < low ? low : b;
+    return b > high ? high : b;
+}
+
+/* Voltage after a motion that ends at y, and where the carts are then. */
+static inline dehyst_real voltage_after(const dehyst_actuator *actuator, const dehyst_real *restrict cart, dehyst_real y,
+                                        dehyst_real *restrict after, int *restrict hint)
+{
+    const dehyst_slip *slip = &actuator->slip;
+    const dehyst_real *restrict rho = slip->rho, *restrict kappa = slip->kappa;
+    /* Sums side by side need not wait for one another. */
+    dehyst_real sum[4] = {0, 0, 0, 0};
+    int i = 0, k;
+    for (; i + 4 <= slip->size; i += 4)
+        for (k = 0; k < 4; k++) {
+            after[i + k] = dragged(cart[i + k], y, rho[i + k]);
+            sum[k] += kappa[i + k] * (y - after[i + k]);
+        }
+    for (k = 0; i < slip->size; i++, k++) {
+        after[i] = dragged(cart[i], y, rho[i]);
+        sum[k] += kappa[i] * (y - after[i]);
+    }
+    *hint = segment(&actuator->spring, y, *hint);
+    return ((sum[0] + sum[2]) + (sum[1] + sum[3])) + on_segment(&actuator->spring, *hint, y);
+}
+
+/* Move the carts and smooth elements to the w at which G(w) + stiffness (w - w_old) = drive, G what they and the spring
+ * hold. The likely direction is tried first, and is put right. */
+dehyst_real dehyst_wide_solve(const dehyst_wide *wide, dehyst_wide_state *state, dehyst_real drive,
+                              dehyst_real stiffness, dehyst_real *likely);
+/* What smooth elements would hold after a motion by `by`. */
+dehyst_real dehyst_smooth_held_after(const dehyst_smooth *smooth, const dehyst_real *elongation, dehyst_real by);
+
 /* 1 - exp(-x) for x >= 0, ln(1 + a) for 0 <= a <= 1: without a mathematics library. */
 dehyst_real dehyst_decay(dehyst_real x);
 dehyst_real dehyst_log1p(dehyst_real a);

@@ -124,6 +124,16 @@ dehyst_real dehyst_smooth_held(const dehyst_smooth *smooth, const dehyst_real *e
     return sum;
 }
 
+dehyst_real dehyst_smooth_held_after(const dehyst_smooth *smooth, const dehyst_real *elongation, dehyst_real by)
+{
+    const dehyst_real direction = by < 0 ? -1 : 1;
+    dehyst_real sum = 0;
+    int l;
+    for (l = 0; l < smooth->size; l++)
+        sum += smooth->stiffness[l] * (direction * moved(smooth, l, direction * elongation[l], direction * by));
+    return sum;
+}
+
 void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
                               const dehyst_real *path, dehyst_real *v, long n)
 {

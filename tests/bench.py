@@ -5,11 +5,14 @@ lie where the test puts them, so that the identified grid and the true one can b
 """
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
 from dehyst import Actuator, MaxwellSlip, Record, Spring, State
 
+CORE = Path(__file__).parents[1] / "core"
+CORE_SOURCES = tuple(sorted(path.name for path in CORE.glob("dehyst*.c")))
 STROKE = 16e-6
 VOLTS = 200.0
 MAJOR = (1, 0, 1, 0, 1, 0)

@@ -3,6 +3,7 @@
 import re
 import subprocess
 
+import bench
 import numpy as np
 import oracle
 import pytest
@@ -14,7 +15,7 @@ from dehyst import Actuator, MaxwellSlip, ModelError, Spring, State
 from dehyst._native import Core, stops
 
 RANGE = 1e-12
-SOURCES = ("dehyst.c", "dehyst_stack.c", "dehyst_walk.c", "dehyst_grades.c", "dehyst_wide.c", "dehyst_smooth.c")
+SOURCES = bench.CORE_SOURCES
 SLIP = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6])
 SPRING = Spring([0, 4e-6, 1e-5], [0, 30, 100])
 ACTUATOR = Actuator(SLIP, SPRING)

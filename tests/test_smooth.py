@@ -75,8 +75,7 @@ int main(void)
 def mathematics(compiled, x):
     """Return decay(x) and log1p(min(x, 1)) of the core, compiled apart."""
     (compiled.folder / "mathematics.c").write_text(MATHEMATICS)
-    sources = ["dehyst.c", "dehyst_stack.c", "dehyst_walk.c", "dehyst_grades.c", "dehyst_wide.c", "dehyst_smooth.c"]
-    compiled.compile("-O2", "mathematics.c", *sources, "-o", "mathematics")
+    compiled.compile("-O2", "mathematics.c", *bench.CORE_SOURCES, "-o", "mathematics")
     command, text = [str(compiled.folder / "mathematics")], "\n".join(float(one).hex() for one in x)
     done = subprocess.run(command, input=text, capture_output=True, text=True, check=True, timeout=60)
     return np.array([[float.fromhex(word) for word in line.split()] for line in done.stdout.splitlines()]).T

@@ -3,6 +3,7 @@
 import subprocess
 from dataclasses import replace
 
+import bench
 import numpy as np
 import pytest
 import strategies as our
@@ -10,7 +11,7 @@ import strategies as our
 from dehyst import Dynamics, SmoothSlip
 from dehyst._native import Pace
 
-SOURCES = ("dehyst.c", "dehyst_stack.c", "dehyst_walk.c", "dehyst_grades.c", "dehyst_wide.c", "dehyst_smooth.c")
+SOURCES = bench.CORE_SOURCES
 
 # Reads an actuator, one pace, a state and a path; prints, a line a sample, the voltages and what they lead back to: on
 # the stack, then on the carts.

@@ -16,7 +16,7 @@ from dehyst._errors import (
     RecordError,
 )
 from dehyst.actuator import Actuator
-from dehyst.compensator import Command, Compensator
+from dehyst.compensator import ClampWarning, Compensator
 from dehyst.creep import Creep
 from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
@@ -26,10 +26,13 @@ from dehyst.model import Fit, Motion, Outcome, RecordErrors, State, Trace
 from dehyst.physical import Physical
 from dehyst.record import Record
 from dehyst.smooth import SmoothSlip
+from dehyst.snapshot import Snapshot
+from dehyst.trajectory import Command
 from dehyst.version import __version__
 
 __all__ = [
     "Actuator",
+    "ClampWarning",
     "Command",
     "Compensator",
     "Creep",
@@ -49,6 +52,7 @@ __all__ = [
     "RecordError",
     "RecordErrors",
     "SmoothSlip",
+    "Snapshot",
     "Spring",
     "State",
     "Trace",

@@ -193,6 +193,27 @@ class WideCore:
         """Voltage [V] in a state."""
         return float(checked(self._core.voltage, *start))
 
+    def loop(
+        self, pace: Pace, tap: Array, numbers: Array, tell: Callable[[bool, float, float], None], start: Held
+    ) -> _core.Loop:
+        """A loop of steps of a pace with one row, from a state; see `dehyst_compensator` in `core/dehyst.h`.
+
+        Parameters
+        ----------
+        pace : Pace
+        tap : (M,) array
+        numbers : (7,) array
+            Lowest and highest voltage, largest change, lag in periods, and the amplifier's three.
+        tell : callable
+            Of a clamp, once of each kind, before its voltage is committed: whether by the slew rate, what was wanted
+            [m], and the voltage [V].
+        start : Held
+        """
+        decay, gain, transition = (table[0] for table in pace[1:])
+        made = checked(_core.Loop, self._core, decay, gain, transition, tap, numbers, tell)
+        checked(made.begin, *start)
+        return made
+
     def _run(
         self, function: Callable[..., Any], x: Array, more: Array, pace: Pace, start: Held, stack: bool
     ) -> tuple[Array, Held]:
@@ -225,6 +246,10 @@ class Pace(NamedTuple):
     decay: Array
     gain: Array
     transition: Array
+
+
+CoreError = _core.CoreError
+Loop = _core.Loop
 
 
 def checked(function: Callable[..., Any], *arguments: object) -> Any:

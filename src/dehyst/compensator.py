@@ -1,53 +1,48 @@
-"""Wanted displacement to a voltage that may leave the program: within limits and slew rate, clamped loudly."""
+"""Wanted displacement to voltage, sample by sample or a whole path: within limits and slew rate, the memory kept true."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import warnings
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, number, untimely, vector
+from dehyst._native import Array, CoreError, Held, Loop, number, vector
 from dehyst.actuator import Actuator, interval
-from dehyst.model import Motion, State
-from dehyst.wide import Course
-
-Mask = NDArray[np.bool_]
-_CHUNK = 64
-
-
-@dataclass(frozen=True, eq=False)
-class Command:
-    """A voltage to send.
-
-    Attributes
-    ----------
-    voltage : (n,) array
-        [V], within limits and slew rate.
-    displacement : (n,) array
-        What the model does with it [m]: the wanted path, but where the voltage was clamped; with dynamics or a lag,
-        simulated.
-    clamped : (n,) bool array
-        Samples whose voltage was changed.
-    state : State
-        The state that the clamped voltage leads to.
-    warnings : tuple of str
-        What was clamped, in sentences; empty if nothing was.
-    """
-
-    voltage: Array
-    displacement: Array
-    clamped: Mask
-    state: State
-    warnings: tuple[str, ...]
+from dehyst.foresight import Foresight
+from dehyst.model import State
+from dehyst.reach import reach_of
+from dehyst.snapshot import Snapshot, key_of
+from dehyst.trajectory import Command, Limits, follow
 
 
-@dataclass(frozen=True)
+class ClampWarning(UserWarning):
+    """A wanted displacement was not followed: its voltage was cut at a limit or held back by the slew rate."""
+
+
+class Clamps(NamedTuple):
+    """Samples whose voltage was cut at a limit, and held back by the slew rate."""
+
+    limited: int
+    slewed: int
+
+
 class Compensator:
-    """Inverse control within limits (Eqs. 11-12).
+    """Inverse control within limits (Eqs. 11-12), the hysteresis cancelled.
+
+    In a loop, `step` takes the displacement wanted now and returns the voltage to send. What cannot be reached is
+    clamped, counted and said, and the memory follows the voltage that is really sent::
+
+        compensator = dehyst.Compensator(actuator, (0, 100), slew_rate=2e4, period=1e-4)
+        for wanted in path:
+            dac.write(compensator.step(wanted))
+
+    Where writing may fail or change the voltage, `offer` and `commit` take the place of `step`.
 
     Parameters
     ----------
@@ -56,24 +51,134 @@ class Compensator:
         Lowest and highest voltage [V]; default: the actuator's, which are those of its training records.
     slew_rate : float, optional
         Largest abs(dv/dt) [V/s] between samples; default: not limited.
+    period : float, optional
+        Seconds between steps; needed with a slew rate or `preview`, and by an actuator with creep, dynamics or a lag.
+    state : State, optional
+        Where the actuator is, say as a homing leaves it; default the actuator's own.
+    preview : bool, optional
+        Make up for the actuator's delay and inertia too. The displacement given to a step is then the one wanted
+        `samples_ahead` samples later. By default it is the one wanted now, and delay and inertia are left alone.
+
+    Attributes
+    ----------
+    actuator, slew_rate, period, preview
+        As given.
+    limits : (float, float)
+        [V].
 
     Raises
     ------
     ModelError
-        If there are no limits at all, or they are no interval, or the slew rate is not positive.
+        If there are no limits at all, or they are no interval, a number is not positive, the state does not fit the
+        actuator, or a period is missing or too long for a resonance.
     """
 
-    actuator: Actuator
-    limits: tuple[float, float] | None = None
-    slew_rate: float | None = None
-
-    def __post_init__(self) -> None:
-        limits = self.actuator.limits if self.limits is None else self.limits
-        if limits is None:
+    def __init__(
+        self,
+        actuator: Actuator,
+        limits: Sequence[float] | None = None,
+        slew_rate: float | None = None,
+        *,
+        period: float | None = None,
+        state: State | None = None,
+        preview: bool = False,
+    ) -> None:
+        if not isinstance(actuator, Actuator):
+            raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
+        low_high = actuator.limits if limits is None else limits
+        if low_high is None:
             raise ModelError("no voltage limits: the actuator has none and none were given; give limits=(low, high)")
-        object.__setattr__(self, "limits", interval(limits))
-        if self.slew_rate is not None and number(self.slew_rate, "slew_rate") <= 0:
-            raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
+        self.actuator, self.preview = actuator, bool(preview)
+        self._limits = Limits(*interval(low_high), slew_rate)
+        self.period = None if period is None else _positive(period)
+        if preview and period is None:
+            raise ModelError("preview needs the time between steps; give period= [s]")
+        self._start = actuator.model.fitted(actuator.state if state is None else state)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest voltage [V]."""
+        return self._limits.low, self._limits.high
+
+    @property
+    def slew_rate(self) -> float | None:
+        """Largest abs(dv/dt) [V/s]."""
+        return self._limits.slew_rate
+
+    def step(self, displacement: float) -> float:
+        """Voltage [V] to send for a displacement [m]; the memory takes it to be sent.
+
+        Raises
+        ------
+        ModelError
+            If the displacement is not finite: nothing has moved then, nor has time passed.
+
+        Warns
+        -----
+        ClampWarning
+            Once of limits and once of the slew rate. If the warning is made an error, nothing has moved.
+        """
+        try:
+            return self._loop.step(displacement)
+        except TypeError:
+            return self._loop.step(number(displacement, "displacement"))
+        except CoreError as error:
+            raise _refusal(displacement) from error
+
+    def offer(self, displacement: float) -> float:
+        """Voltage [V] to send for a displacement [m]; nothing moves before `commit`. Raises and warns as `step`."""
+        try:
+            return self._loop.offer(displacement)
+        except TypeError:
+            return self._loop.offer(number(displacement, "displacement"))
+        except CoreError as error:
+            raise _refusal(displacement) from error
+
+    def commit(self, voltage: float) -> None:
+        """Take note that `voltage` [V] has been sent: the one on offer, or another that a converter made of it.
+
+        Raises
+        ------
+        ModelError
+            If it is not finite: nothing has moved then.
+        """
+        self._loop.commit(number(voltage, "voltage"))
+
+    def hold(self) -> None:
+        """Take note that a period has passed in which nothing was sent: the last voltage still acts."""
+        self._loop.commit(self._loop.sent())
+
+    def run(self, displacement: ArrayLike) -> Array:
+        """Voltages (n,) [V] of so many steps, bit for bit, all taken to be sent.
+
+        Parameters
+        ----------
+        displacement : (n,) array_like
+            [m].
+
+        Raises
+        ------
+        ModelError
+            If a value is not finite: nothing has moved then.
+
+        Warns
+        -----
+        ClampWarning
+            As `step`.
+        """
+        wanted, before = vector(displacement, "displacement"), self.snapshot()
+        voltage = self._loop.run(wanted)
+        limited, slewed, refused = (int(n) for n in np.subtract(self._loop.counts(), before.counts))
+        try:
+            if refused:
+                raise _refusal(float(wanted[np.argmax(np.abs(wanted))]))
+            if limited or slewed:
+                why = f"{limited} at the limits {self._limits.words}, {slewed} by the slew rate"
+                warnings.warn(f"{limited + slewed} of {wanted.size} voltages clamped: {why}", ClampWarning, 2)
+        except (ClampWarning, ModelError):
+            self.restore(before)
+            raise
+        return voltage
 
     def trajectory(
         self,
@@ -85,7 +190,9 @@ class Compensator:
         acceleration: ArrayLike | None = None,
         state: State | None = None,
     ) -> Command:
-        """Voltages for a path, each clamped with the state kept true: what follows knows what was really sent.
+        """Voltages for a whole path, which may be uneven in time and is known ahead; the loop's own memory stays.
+
+        Each voltage is clamped with the state kept true: what follows knows what was really sent.
 
         Parameters
         ----------
@@ -96,149 +203,124 @@ class Compensator:
         load, velocity, acceleration : (n,) array_like, optional
             As in `Actuator.compensate`.
         state : State, optional
-            Where the actuator is; default the actuator's own. The first sample is not slew limited.
+            Where the actuator is; default: `self.state`. The first sample is not slew limited.
 
         Raises
         ------
         ModelError
             If the arrays do not fit, or a slew rate is given without time.
         """
-        wanted = vector(displacement, "displacement")
-        steps = self._steps(wanted.size, time)
-        start = self.actuator.state if state is None else state
-        path = _Path(self.actuator, wanted, time, load, velocity, acceleration)
-        voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
-        clamped = np.zeros(wanted.size, dtype=bool)
-        i, chunk = 0, _CHUNK
-        while i < wanted.size:
-            stop = min(i + chunk, wanted.size)
-            wish, after = path.followed(i, stop, start)
-            before = voltage[i - 1] if i else wish[0]
-            allowed = self._allowed(wish, before, steps[i:stop])
-            bad = np.flatnonzero(allowed != wish)
-            good = int(bad[0]) if bad.size else stop - i
-            voltage[i : i + good], reached[i : i + good] = wish[:good], wanted[i : i + good]
-            if not bad.size:
-                i, start, chunk = stop, after, 2 * chunk
-                continue
-            if good:
-                start = path.followed(i, i + good, start)[1]
-            i += good
-            voltage[i], clamped[i] = allowed[good], True
-            reached[i], start = path.sent(voltage, i, start)
-            i, chunk = i + 1, _CHUNK
-        if path.moves_on:
-            motion = path.played(voltage, self.actuator.state if state is None else state)
-            reached, start = motion.displacement, motion.state
-        return Command(voltage, reached, clamped, start, self._warnings(voltage, wanted, reached, clamped))
-
-    def _steps(self, size: int, time: ArrayLike | None) -> Array:
-        """Largest voltage step before each sample."""
-        if self.slew_rate is None:
-            return np.full(size, np.inf)
-        if time is None:
-            raise ModelError("a slew rate needs the time of each sample; give time=")
-        t = vector(time, "time")
-        if t.size != size or np.any(np.diff(t) <= 0):
-            raise ModelError(untimely(t, size))
-        return np.concatenate([[np.inf], self.slew_rate * np.diff(t)])[:size]
-
-    def _allowed(self, voltage: Array, before: float, steps: Array) -> Array:
-        """The wish, clipped; right up to the first sample that is changed."""
-        low, high = self.limits  # type: ignore[misc]
-        previous = np.concatenate([[before], voltage[:-1]])
-        # Limits come last: slew may not push a voltage out of them.
-        return np.clip(np.clip(voltage, previous - steps, previous + steps), low, high)
-
-    def _warnings(self, voltage: Array, wanted: Array, reached: Array, clamped: Mask) -> tuple[str, ...]:
-        return (*self._clamps(voltage, wanted, reached, clamped), *self._extrapolates(voltage))
-
-    def _extrapolates(self, voltage: Array) -> tuple[str, ...]:
-        if self.actuator.limits is None:
-            return ()
-        low, high = self.actuator.limits
-        count = int(np.count_nonzero((voltage < low) | (voltage > high)))
-        if not count:
-            return ()
-        return (f"{count} voltages lie outside the identified range {low:.6g} to {high:.6g} V: extrapolated",)
-
-    def _clamps(self, voltage: Array, wanted: Array, reached: Array, clamped: Mask) -> tuple[str, ...]:
-        count = int(np.count_nonzero(clamped))
-        if not count:
-            return ()
-        low, high = self.limits  # type: ignore[misc]
-        at_limit = int(np.count_nonzero(clamped & ((voltage <= low) | (voltage >= high))))
-        first, miss = int(np.flatnonzero(clamped)[0]), float(np.abs(wanted - reached).max())
-        why = f"{at_limit} at the limits {low:.6g} to {high:.6g} V, {count - at_limit} by the slew rate"
-        return (
-            f"CLAMPED: {count} of {voltage.size} voltages ({why}), the first at sample {first}; the path is missed by "
-            f"up to {miss * 1e6:.4g} um",
+        return follow(
+            self.actuator,
+            self._limits,
+            displacement,
+            time=time,
+            load=load,
+            velocity=velocity,
+            acceleration=acceleration,
+            start=self.state if state is None else state,
         )
 
-
-@dataclass(frozen=True, eq=False)
-class _Path:
-    """A wanted path, followed in pieces. In time a piece begins with the sample at which the last one ended."""
-
-    actuator: Actuator
-    wanted: Array
-    time: ArrayLike | None
-    load: ArrayLike | None
-    velocity: ArrayLike | None
-    acceleration: ArrayLike | None
+    @property
+    def voltage(self) -> float:
+        """The last voltage sent [V]; at first the one that holds the actuator in its state."""
+        return self._loop.sent() if self._running else self.actuator.voltage(self._start)
 
     @property
-    def moves_on(self) -> bool:
-        """Whether a mass or an amplifier still answers what was clamped before."""
-        return self.actuator.dynamics is not None or self.actuator.lag > 0
+    def state(self) -> State:
+        """Where the actuator is, by all that was sent."""
+        return self.actuator.model.state_of(Held(*self._loop.state())) if self._running else self._start
+
+    @property
+    def clamps(self) -> Clamps:
+        """How many samples were clamped so far."""
+        return Clamps(*self._loop.counts()[:2]) if self._running else Clamps(0, 0)
+
+    @property
+    def samples_ahead(self) -> int:
+        """How many samples before its time a displacement must be given to `step`; 0 without `preview`."""
+        return self._foresight.ahead
 
     @cached_property
-    def course(self) -> dict[str, Array | None]:
-        """What goes with the path, a value a sample."""
-        found = {"time": self.time, "load": self.load}
-        if self.actuator.dynamics is not None:
-            along = Course(self.time, self.load, self.velocity, self.acceleration)
-            found["velocity"], found["acceleration"] = self.actuator.model.derivatives(self.wanted, along)
-        return {name: None if values is None else vector(values, name) for name, values in found.items()}
+    def reach(self) -> tuple[float, float]:
+        """Displacements [m] at the lower and the upper limit, once both have been visited and creep is at rest."""
+        return reach_of(self.actuator, self.limits)
+
+    def reset(self, state: State | None = None) -> None:
+        """Begin again in a state, by default the one of the construction; counts begin at 0.
+
+        Raises
+        ------
+        ModelError
+            If it does not fit the actuator.
+        """
+        if state is not None:
+            self._start = self.actuator.model.fitted(state)
+        self.__dict__.pop("_loop", None)
+
+    def snapshot(self) -> Snapshot:
+        """All that the loop remembers, to be saved; `restore` goes on from it bit for bit."""
+        return Snapshot(self._key, self.state, self._loop.rest(), self._loop.counts())
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on from a snapshot.
+
+        Raises
+        ------
+        ModelError
+            If it is of another actuator, period or preview.
+        """
+        if snapshot.key != self._key:
+            raise ModelError("snapshot: it is of another actuator, period or preview; make the compensator as it was")
+        self._loop.begin(*self.actuator.model.held(snapshot.state))
+        self._loop.go_on(snapshot.rest, *snapshot.counts)
+
+    @property
+    def _running(self) -> bool:
+        return "_loop" in self.__dict__
 
     @cached_property
-    def lead(self) -> Array:
-        """W less the path [m]."""
-        return self.actuator.model.lead(self.wanted, Course(**self.course))
+    def _key(self) -> str:
+        return key_of(self.actuator, self.period, self.preview)
 
-    def followed(self, i: int, stop: int, start: State) -> tuple[Array, State]:
-        """Voltages of samples i to stop - 1, from the state at sample i - 1, and the state at the last."""
-        if not self.actuator.wide:
-            motion = self.actuator.compensate(self.wanted[i:stop], load=self.load, state=start)
-            return motion.voltage, motion.state
-        motion = self._piece(i, stop, start)
-        voltage = motion.voltage
-        if self.actuator.lag and stop < self.wanted.size:
-            # A lag asks for the slope of the voltage, which a piece's last sample knows from one side only.
-            voltage = self._piece(i, stop + 1, start).voltage[:-1]
-        return voltage[min(i, 1) :], motion.state
+    @cached_property
+    def _foresight(self) -> Foresight:
+        return Foresight.of(self.actuator, self.period) if self.preview and self.period else Foresight.none()
 
-    def sent(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
-        """Where the voltage of sample i leads."""
-        first = i if not self.actuator.wide else max(i - 1, 0)
-        motion = self.actuator.simulate(voltage[first : i + 1], **self._cut(first, i + 1), state=start)
-        return float(motion.displacement[-1]), motion.state
+    @cached_property
+    def _loop(self) -> Loop:
+        """The loop in C, made when it is first needed: a trajectory does without."""
+        model, period, slew = self.actuator.model, self.period, self.slew_rate
+        if period is None and (model.needs_time or slew is not None):
+            raise ModelError(
+                "steps need the time between them, for creep, inertia, a lag or a slew rate; give period= [s]"
+            )
+        seconds = 0.0 if period is None else period
+        pace = model.pace(np.array([0, 1]), np.array([seconds]))
+        change = float(np.finfo(np.float64).max) if slew is None else slew * seconds
+        numbers = np.array([*self.limits, change, *_amplifier(self.actuator.lag, seconds)])
+        return model.core.loop(pace, self._foresight.taps, numbers, _tell, model.held(self._start))
 
-    def played(self, voltage: Array, start: State) -> Motion:
-        """What the whole command does."""
-        return self.actuator.simulate(voltage, time=self.time, load=self.load, state=start)
 
-    def _piece(self, i: int, stop: int, start: State) -> Motion:
-        first = max(i - 1, 0)
-        path = self.wanted[first:stop].copy()
-        if i:
-            path[0] = start.displacement - self.lead[first]
-        along: dict[str, Any] = {
-            name: None if values is None else values[first:stop] for name, values in self.course.items()
-        }
-        return self.actuator.compensate(path, **along, state=start)
+def _tell(slewed: bool, displacement: float, voltage: float) -> None:
+    why = "the slew rate allows no more" if slewed else "that is a limit"
+    warnings.warn(f"CLAMPED: {displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {why}", ClampWarning, 3)
 
-    def _cut(self, first: int, stop: int) -> dict[str, Any]:
-        if not self.actuator.wide:
-            return {}
-        return {name: values[first:stop] for name in ("time", "load") if (values := self.course[name]) is not None}
+
+def _refusal(displacement: float) -> ModelError:
+    return ModelError(f"displacement: got {displacement!r}, need a finite number of metres that the model can follow")
+
+
+def _positive(period: float) -> float:
+    if number(period, "period") <= 0:
+        raise ModelError(f"period: got {period}, need a positive number of seconds")
+    return float(period)
+
+
+def _amplifier(lag: float, period: float) -> tuple[float, float, float, float]:
+    """Lag in periods; then keep, from_old and from_new of a voltage that is straight between samples."""
+    if not lag:
+        return 0.0, 0.0, 0.0, 1.0
+    steps = period / lag
+    keep, mean = math.exp(-steps), -math.expm1(-steps) / steps
+    return 1 / steps, keep, mean - keep, 1 - mean

@@ -27,7 +27,7 @@ _KEYS = _PLAIN | {"transformer", "creep", "smooth", "dynamics", "load_stiffness_
 def as_dict(actuator: Actuator) -> dict[str, Any]:
     """JSON values of an actuator in SI units; parts that it lacks are null."""
     slip, spring, transformer, creep = actuator.slip, actuator.spring, actuator.transformer, actuator.creep
-    smooth, dynamics, state = actuator.smooth, actuator.dynamics, actuator.state
+    smooth, dynamics = actuator.smooth, actuator.dynamics
     elements: dict[str, Any] = {"breakaway_m": slip.breakaway.tolist()}
     if isinstance(slip, GradedSlip):
         elements["knots_m"] = slip.knots.tolist()
@@ -50,17 +50,22 @@ def as_dict(actuator: Actuator) -> dict[str, Any]:
             "series_V_per_m": dynamics.series},
         "load_stiffness_N_per_m": actuator.load_stiffness,
         "lag_s": actuator.lag,
-        "state": {
-            "displacement_m": state.displacement,
-            "carts_m": state.carts.tolist(),
-            "creep_m": state.creep.tolist(),
-            "smooth_m": state.smooth.tolist(),
-            "motion": None if not state.motion.size else {
-                "displacement_m": float(state.motion[0]), "velocity_m_per_s": float(state.motion[1])},
-        },
+        "state": state_dict(actuator.state),
         "limits": None if actuator.limits is None else {"voltage_V": list(actuator.limits)},
         "delay_s": actuator.delay,
         "provenance": dict(actuator.provenance),
+    }  # fmt: skip
+
+
+def state_dict(state: State) -> dict[str, Any]:
+    """JSON values of a state."""
+    return {
+        "displacement_m": state.displacement,
+        "carts_m": state.carts.tolist(),
+        "creep_m": state.creep.tolist(),
+        "smooth_m": state.smooth.tolist(),
+        "motion": None if not state.motion.size else {
+            "displacement_m": float(state.motion[0]), "velocity_m_per_s": float(state.motion[1])},
     }  # fmt: skip
 
 
@@ -77,7 +82,7 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
         raise ModelError(
             f"got format {data.get('format')!r} version {data.get('version')!r}, need {FORMAT!r} version 1 or {VERSION}"
         )
-    _demand_keys(data, _PLAIN if version == 1 else _KEYS, "model")
+    demand_keys(data, _PLAIN if version == 1 else _KEYS, "model")
     if not isinstance(data["name"], str) or not isinstance(data["provenance"], Mapping):
         raise ModelError("model: name must be text and provenance an object")
     spring = _part(data, "spring", {"displacement_m", "voltage_V"})
@@ -96,7 +101,7 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
 def _wider(data: Mapping[str, Any]) -> dict[str, Any]:
     stiffness = data["load_stiffness_N_per_m"]
     found: dict[str, Any] = {
-        "state": _state(data, {"creep_m", "smooth_m", "motion"}),
+        "state": state(data),
         "lag": number(data["lag_s"], "lag_s"),
         "load_stiffness": None if stiffness is None else number(stiffness, "load_stiffness_N_per_m"),
     }
@@ -125,15 +130,26 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
     rows, where = slip["stiffness_V_per_m"], "slip.stiffness_V_per_m"
     if not isinstance(rows, list) or len(rows) != rho.size:
         raise ModelError(f"{where}: need a list of {rho.size} lists of numbers, one an element")
-    table = [_numbers(row, f"{where}[{i}]") for i, row in enumerate(rows)]
+    table = [numbers(row, f"{where}[{i}]") for i, row in enumerate(rows)]
     if any(row.size != knots.size - 1 for row in table):
         raise ModelError(f"{where}: got rows of {[row.size for row in table]} numbers, need {knots.size - 1} in each")
     return GradedSlip(rho, knots, np.array(table).reshape(rho.size, knots.size - 1))
 
 
+def state(data: Mapping[str, Any]) -> State:
+    """What the entry "state" holds, strictly.
+
+    Raises
+    ------
+    ModelError
+        If a key is unknown or missing, or a number is impossible.
+    """
+    return _state(data, {"creep_m", "smooth_m", "motion"})
+
+
 def _state(data: Mapping[str, Any], more: set[str]) -> State:
     state = _part(data, "state", {"displacement_m", "carts_m"} | more)
-    w, carts = number(state["displacement_m"], "state.displacement_m"), _numbers(state["carts_m"], "state.carts_m")
+    w, carts = number(state["displacement_m"], "state.displacement_m"), numbers(state["carts_m"], "state.carts_m")
     if not more:
         return State(w, carts)
     motion: tuple[float, ...] = ()
@@ -144,7 +160,8 @@ def _state(data: Mapping[str, Any], more: set[str]) -> State:
     return State(w, carts, creep, motion, smooth)
 
 
-def _demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
+def demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
+    """Refuse unknown and missing keys by a `ModelError`."""
     missing, unknown = sorted(needed - set(data)), sorted(set(data) - needed)
     if missing or unknown:
         raise ModelError(f"{where}: missing keys {missing}, unknown keys {unknown}; need exactly {sorted(needed)}")
@@ -154,15 +171,16 @@ def _part(data: Mapping[str, Any], key: str, needed: set[str]) -> Mapping[str, A
     part = data[key]
     if not isinstance(part, Mapping):
         raise ModelError(f"model: {key} must be an object with keys {sorted(needed)}, got {type(part).__name__}")
-    _demand_keys(part, needed, key)
+    demand_keys(part, needed, key)
     return part
 
 
 def _columns(part: Mapping[str, Any], where: str, *keys: str) -> list[Array]:
-    return [_numbers(part[key], f"{where}.{key}") for key in keys]
+    return [numbers(part[key], f"{where}.{key}") for key in keys]
 
 
-def _numbers(values: Any, where: str) -> Array:
+def numbers(values: Any, where: str) -> Array:
+    """A list of finite numbers; else a `ModelError`."""
     if not isinstance(values, list):
         raise ModelError(f"{where}: got {type(values).__name__}, need a list of numbers")
     return np.array([number(value, f"{where}[{i}]") for i, value in enumerate(values)], dtype=np.float64)

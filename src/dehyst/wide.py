@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
 from dehyst._native import NOTHING, Array, Held, Pace, WideCore, strains, vector
@@ -78,7 +78,7 @@ class WideModel:
         )
         voltage = self._amplified(voltage, course.time, self.core.voltage(held))
         y, reached = self.core.simulate(voltage, pace, held, load=push if self.dynamics else NOTHING, stack=stack)
-        return y if self.dynamics or not push.size else y + push, self._state(reached)
+        return y if self.dynamics or not push.size else y + push, self.state_of(reached)
 
     def compensate(self, path: Array, course: Course, start: State, stack: bool) -> tuple[Array, State]:
         """Voltage (n,) [V] and the state reached; `start` is complete."""
@@ -94,7 +94,7 @@ class WideModel:
         if self.lag and path.size > 1:
             rate = np.gradient(voltage, _seconds(course), edge_order=2 if path.size > 2 else 1)
             voltage = voltage + self.lag * rate
-        return voltage, self._state(reached)
+        return voltage, self.state_of(reached)
 
     def held(self, state: State) -> Held:
         """The state in the core's numbers."""
@@ -103,7 +103,8 @@ class WideModel:
             motion = motion / np.array([1.0, self.dynamics.frequency])
         return Held(state.displacement, state.carts, np.concatenate([state.creep, state.smooth]), motion)
 
-    def _state(self, held: Held) -> State:
+    def state_of(self, held: Held) -> State:
+        """The core's numbers as a state."""
         motion = held.motion if self.dynamics is None else held.motion * np.array([1.0, self.dynamics.frequency])
         branches = 0 if self.creep is None else len(self.creep)
         return State(held.w, held.carts, held.strains[:branches], motion, held.strains[branches:])
@@ -165,8 +166,18 @@ class WideModel:
             does = " and ".join(does for does, part in parts.items() if part)
             raise ModelError(f"this actuator {does}, so that the answer depends on time; give time= [s], one a sample")
         bounds, durations = (np.array([0, samples]), np.zeros(1)) if time is None else clock(time, samples)
+        return self.pace(bounds, durations)
+
+    def pace(self, bounds: NDArray[np.int64], durations: Array) -> Pace:
+        """What steps of such durations (R,) [s] do; samples bounds[r] to bounds[r + 1] are of duration r.
+
+        Raises
+        ------
+        ModelError
+            If a step is too long for a resonance.
+        """
         if self.creep is None and self.dynamics is None:
-            bounds, durations = np.array([0, samples]), np.zeros(1)
+            bounds, durations = bounds[[0, -1]], np.zeros(1)
         empty = np.empty((durations.size, 0))
         decay, gain = (empty, empty) if self.creep is None else self.creep.tables(durations)
         if self.dynamics is None:

@@ -1,0 +1,92 @@
+"""All that a compensator's loop remembers, as a file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dehyst import model_file
+from dehyst._errors import ModelError
+from dehyst._native import Array
+from dehyst.actuator import Actuator
+from dehyst.files import PathLike, read_json, write_json
+from dehyst.model import State
+
+FORMAT = "dehyst-loop"
+VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A loop between two steps.
+
+    Attributes
+    ----------
+    key : str
+        Of the actuator's numbers, the period and the preview: it fits no other loop.
+    state : State
+        Where the actuator is.
+    rest : (6 + M,) array
+        What a state lacks: the last voltage, what the amplifier made of it, the two that were to act before, the push
+        and the velocity of the mass, and the displacements fed, newest first.
+    counts : (int, int, int)
+        Samples limited, slewed and refused.
+    """
+
+    key: str
+    state: State
+    rest: Array
+    counts: tuple[int, int, int]
+
+    def save(self, path: PathLike) -> None:
+        """Write it (JSON), wholly or not at all.
+
+        Raises
+        ------
+        FileFormatError
+            If it cannot be written.
+        """
+        write_json(path, {
+            "format": FORMAT,
+            "version": VERSION,
+            "key": self.key,
+            "state": model_file.state_dict(self.state),
+            "rest": self.rest.tolist(),
+            "counts": list(self.counts),
+        })  # fmt: skip
+
+    @classmethod
+    def load(cls, path: PathLike) -> Snapshot:
+        """Read it, strictly and without loss.
+
+        Raises
+        ------
+        FileFormatError
+            If the file cannot be read or is no JSON.
+        ModelError
+            If it is no snapshot of this version.
+        """
+        data = read_json(path)
+        if data.get("format") != FORMAT or data.get("version") != VERSION:
+            raise ModelError(
+                f"{path}: got format {data.get('format')!r} version {data.get('version')!r}, need {FORMAT!r} {VERSION}"
+            )
+        model_file.demand_keys(data, {"format", "version", "key", "state", "rest", "counts"}, "snapshot")
+        counts = data["counts"]
+        if not (isinstance(counts, list) and len(counts) == 3 and all(type(n) is int and n >= 0 for n in counts)):
+            raise ModelError(f"{path}: counts: got {counts!r}, need three whole numbers")
+        return cls(str(data["key"]), model_file.state(data), model_file.numbers(data["rest"], "rest"), tuple(counts))
+
+
+def key_of(actuator: Actuator, period: float | None, preview: bool) -> str:
+    """A digest of what a snapshot must fit."""
+    numbers: Mapping[str, Any] = {
+        name: value
+        for name, value in actuator.as_dict().items()
+        if name not in ("name", "provenance", "limits", "state")
+    }
+    text = json.dumps([numbers, period, preview], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

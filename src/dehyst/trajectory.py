@@ -1,0 +1,229 @@
+"""A whole path to voltages that may leave the program: within limits and slew rate, clamped loudly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dehyst._errors import ModelError
+from dehyst._native import Array, number, untimely, vector
+from dehyst.actuator import Actuator, interval
+from dehyst.model import Motion, State
+from dehyst.wide import Course
+
+Mask = NDArray[np.bool_]
+_CHUNK = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """A voltage to send.
+
+    Attributes
+    ----------
+    voltage : (n,) array
+        [V], within limits and slew rate.
+    displacement : (n,) array
+        What the model does with it [m]: the wanted path, but where the voltage was clamped; with dynamics or a lag,
+        simulated.
+    clamped : (n,) bool array
+        Samples whose voltage was changed.
+    state : State
+        The state that the clamped voltage leads to.
+    warnings : tuple of str
+        What was clamped, in sentences; empty if nothing was.
+    """
+
+    voltage: Array
+    displacement: Array
+    clamped: Mask
+    state: State
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a voltage must keep to.
+
+    Parameters
+    ----------
+    low, high : float
+        Lowest and highest voltage [V].
+    slew_rate : float, optional
+        Largest abs(dv/dt) [V/s] between samples; default: not limited.
+
+    Raises
+    ------
+    ModelError
+        If they are no interval, or the slew rate is not positive.
+    """
+
+    low: float
+    high: float
+    slew_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        low, high = interval((self.low, self.high))
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+        if self.slew_rate is not None and number(self.slew_rate, "slew_rate") <= 0:
+            raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
+
+    @property
+    def words(self) -> str:
+        """For a sentence."""
+        return f"{self.low:.6g} to {self.high:.6g} V"
+
+    def steps(self, size: int, time: ArrayLike | None) -> Array:
+        """Largest voltage step before each sample."""
+        if self.slew_rate is None:
+            return np.full(size, np.inf)
+        if time is None:
+            raise ModelError("a slew rate needs the time of each sample; give time=")
+        t = vector(time, "time")
+        if t.size != size or np.any(np.diff(t) <= 0):
+            raise ModelError(untimely(t, size))
+        return np.concatenate([[np.inf], self.slew_rate * np.diff(t)])[:size]
+
+    def allowed(self, voltage: Array, before: float, steps: Array) -> Array:
+        """The wish, clipped; right up to the first sample that is changed."""
+        previous = np.concatenate([[before], voltage[:-1]])
+        # Limits come last: slew may not push a voltage out of them.
+        return np.clip(np.clip(voltage, previous - steps, previous + steps), self.low, self.high)
+
+
+def follow(
+    actuator: Actuator,
+    limits: Limits,
+    displacement: ArrayLike,
+    *,
+    time: ArrayLike | None,
+    load: ArrayLike | None,
+    velocity: ArrayLike | None,
+    acceleration: ArrayLike | None,
+    start: State,
+) -> Command:
+    """Voltages for a path, each clamped with the state kept true; see `Compensator.trajectory`."""
+    wanted = vector(displacement, "displacement")
+    steps = limits.steps(wanted.size, time)
+    path, state = _Path(actuator, wanted, time, load, velocity, acceleration), start
+    voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
+    clamped = np.zeros(wanted.size, dtype=bool)
+    i, chunk = 0, _CHUNK
+    while i < wanted.size:
+        stop = min(i + chunk, wanted.size)
+        wish, after = path.followed(i, stop, state)
+        before = voltage[i - 1] if i else wish[0]
+        allowed = limits.allowed(wish, before, steps[i:stop])
+        bad = np.flatnonzero(allowed != wish)
+        good = int(bad[0]) if bad.size else stop - i
+        voltage[i : i + good], reached[i : i + good] = wish[:good], wanted[i : i + good]
+        if not bad.size:
+            i, state, chunk = stop, after, 2 * chunk
+            continue
+        if good:
+            state = path.followed(i, i + good, state)[1]
+        i += good
+        voltage[i], clamped[i] = allowed[good], True
+        reached[i], state = path.sent(voltage, i, state)
+        i, chunk = i + 1, _CHUNK
+    if path.moves_on:
+        motion = path.played(voltage, start)
+        reached, state = motion.displacement, motion.state
+    said = (*_clamps(limits, voltage, wanted, reached, clamped), *_extrapolates(actuator, voltage))
+    return Command(voltage, reached, clamped, state, said)
+
+
+def _extrapolates(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
+    if actuator.limits is None:
+        return ()
+    low, high = actuator.limits
+    count = int(np.count_nonzero((voltage < low) | (voltage > high)))
+    if not count:
+        return ()
+    return (f"{count} voltages lie outside the identified range {low:.6g} to {high:.6g} V: extrapolated",)
+
+
+def _clamps(limits: Limits, voltage: Array, wanted: Array, reached: Array, clamped: Mask) -> tuple[str, ...]:
+    count = int(np.count_nonzero(clamped))
+    if not count:
+        return ()
+    at_limit = int(np.count_nonzero(clamped & ((voltage <= limits.low) | (voltage >= limits.high))))
+    first, miss = int(np.flatnonzero(clamped)[0]), float(np.abs(wanted - reached).max())
+    why = f"{at_limit} at the limits {limits.words}, {count - at_limit} by the slew rate"
+    return (
+        f"CLAMPED: {count} of {voltage.size} voltages ({why}), the first at sample {first}; the path is missed by "
+        f"up to {miss * 1e6:.4g} um",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """A wanted path, followed in pieces. In time a piece begins with the sample at which the last one ended."""
+
+    actuator: Actuator
+    wanted: Array
+    time: ArrayLike | None
+    load: ArrayLike | None
+    velocity: ArrayLike | None
+    acceleration: ArrayLike | None
+
+    @property
+    def moves_on(self) -> bool:
+        """Whether a mass or an amplifier still answers what was clamped before."""
+        return self.actuator.dynamics is not None or self.actuator.lag > 0
+
+    @cached_property
+    def course(self) -> dict[str, Array | None]:
+        """What goes with the path, a value a sample."""
+        found = {"time": self.time, "load": self.load}
+        if self.actuator.dynamics is not None:
+            along = Course(self.time, self.load, self.velocity, self.acceleration)
+            found["velocity"], found["acceleration"] = self.actuator.model.derivatives(self.wanted, along)
+        return {name: None if values is None else vector(values, name) for name, values in found.items()}
+
+    @cached_property
+    def lead(self) -> Array:
+        """W less the path [m]."""
+        return self.actuator.model.lead(self.wanted, Course(**self.course))
+
+    def followed(self, i: int, stop: int, start: State) -> tuple[Array, State]:
+        """Voltages of samples i to stop - 1, from the state at sample i - 1, and the state at the last."""
+        if not self.actuator.wide:
+            motion = self.actuator.compensate(self.wanted[i:stop], load=self.load, state=start)
+            return motion.voltage, motion.state
+        motion = self._piece(i, stop, start)
+        voltage = motion.voltage
+        if self.actuator.lag and stop < self.wanted.size:
+            # A lag asks for the slope of the voltage, which a piece's last sample knows from one side only.
+            voltage = self._piece(i, stop + 1, start).voltage[:-1]
+        return voltage[min(i, 1) :], motion.state
+
+    def sent(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
+        """Where the voltage of sample i leads."""
+        first = i if not self.actuator.wide else max(i - 1, 0)
+        motion = self.actuator.simulate(voltage[first : i + 1], **self._cut(first, i + 1), state=start)
+        return float(motion.displacement[-1]), motion.state
+
+    def played(self, voltage: Array, start: State) -> Motion:
+        """What the whole command does."""
+        return self.actuator.simulate(voltage, time=self.time, load=self.load, state=start)
+
+    def _piece(self, i: int, stop: int, start: State) -> Motion:
+        first = max(i - 1, 0)
+        path = self.wanted[first:stop].copy()
+        if i:
+            path[0] = start.displacement - self.lead[first]
+        along: dict[str, Any] = {
+            name: None if values is None else values[first:stop] for name, values in self.course.items()
+        }
+        return self.actuator.compensate(path, **along, state=start)
+
+    def _cut(self, first: int, stop: int) -> dict[str, Any]:
+        if not self.actuator.wide:
+            return {}
+        return {name: values[first:stop] for name in ("time", "load") if (values := self.course[name]) is not None}

@@ -1,0 +1,128 @@
+#include "loop.h"
+
+#include <cmath>
+
+#include "actuators.h"
+
+namespace {
+
+// The memory of a loop as one row of numbers, so that it can be saved, restored and compared bit for bit.
+struct Loop {
+    const Wide &wide;
+    std::vector<double> decay, gain, tap, fed, spare;
+    std::unique_ptr<Wide::Memory> memory;
+    dehyst_compensator compensator;
+    dehyst_loop loop;
+    nb::object tell;
+    bool told[2] = {false, false};
+
+    // numbers: low, high, change, lag, keep, from_old, from_new.
+    Loop(const Wide &wide_, Input decay_, Input gain_, Input transition, Input tap_, Input numbers, nb::object tell_)
+        : wide(wide_), decay(copy(decay_)), gain(copy(gain_)), tap(copy(tap_)), fed(tap.size()), spare(wide.base.rho.size()), tell(tell_) {
+        const bool inertia = wide.wide.inertia;
+        if (decay.size() != wide.stiffness.size() || gain.size() != decay.size() || numbers.size() != 7 ||
+            transition.size() != (inertia ? 8 : 0))
+            demand(DEHYST_ERR_SIZE);
+        const double *row = transition.data(), *x = numbers.data();
+        dehyst_pace pace{decay.data(), gain.data(), {}};
+        if (inertia) pace.transition = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
+        compensator = {wide.wide, pace, x[0], x[1], x[2], int(tap.size()), tap.data(), x[3], x[4], x[5], x[6], 0};
+        demand(dehyst_compensator_tabulate(&compensator));
+    }
+    Loop(const Loop &) = delete;
+
+    void begin(double w, Input cart, Input strain, Input motion) {
+        auto begun = wide.memory(w, cart, strain, motion);
+        dehyst_loop fresh{};
+        fresh.state = begun->state;
+        fresh.fed = fed.data();
+        fresh.wish.cart = spare.data();
+        demand(dehyst_loop_begin(&compensator, &fresh));
+        loop = fresh;
+        memory = std::move(begun);
+    }
+
+    // A clamp is said before the voltage counts as sent, once of each kind: whoever listens may still refuse.
+    void check_offer(double u) {
+        if (loop.offer == DEHYST_REFUSED) {
+            loop.offer = DEHYST_NOTHING;
+            throw CoreError("the wanted displacement is not a finite number");
+        }
+        if (loop.offer == DEHYST_LIMITED || loop.offer == DEHYST_SLEWED) say(loop.offer == DEHYST_SLEWED, u);
+    }
+    void say(bool slewed, double u) {
+        if (told[slewed]) return;
+        tell(slewed, u, loop.voltage);
+        told[slewed] = true;
+    }
+
+    double offer(double u) {
+        const double v = dehyst_loop_offer(&compensator, &loop, u);
+        if (loop.offer != DEHYST_WISHED) check_offer(u);
+        return v;
+    }
+    void commit(double v) {
+        if (!std::isfinite(v)) throw CoreError("the voltage that was sent is not a finite number");
+        dehyst_loop_commit(&compensator, &loop, v);
+    }
+    double step(double u) {
+        const double v = offer(u);
+        dehyst_loop_commit(&compensator, &loop, v);
+        return v;
+    }
+    Output run(Input u) {
+        const size_t n = u.size();
+        std::unique_ptr<double[]> out(new double[n + 1]);
+        const double *source = u.data();
+        {
+            nb::gil_scoped_release release;
+            dehyst_loop_run(&compensator, &loop, source, out.get(), long(n));
+        }
+        return own<Output>(std::move(out), {n});
+    }
+
+    double sent() const { return loop.sent; }
+    std::tuple<unsigned long, unsigned long, unsigned long> counts() const {
+        return {loop.limited, loop.slewed, loop.refused};
+    }
+    std::tuple<double, Output, Output, Output> state() const {
+        const std::vector<double> motion{loop.state.y, loop.state.rate};
+        const double *cart = loop.state.memory.cart;
+        return {loop.state.memory.y, as_array({cart, cart + spare.size()}), as_array(memory->strain),
+                as_array(wide.wide.inertia ? motion : std::vector<double>())};
+    }
+
+    // What a state lacks to go on bit for bit: amplifier, mass and what was fed.
+    Output rest() const {
+        std::vector<double> row{loop.sent, loop.acting, loop.wished[0], loop.wished[1], loop.state.input, loop.state.rate};
+        row.insert(row.end(), fed.begin(), fed.end());
+        return as_array(row);
+    }
+    void go_on(Input row, unsigned long limited, unsigned long slewed, unsigned long refused) {
+        if (row.size() != 6 + fed.size()) demand(DEHYST_ERR_SIZE);
+        for (size_t i = 0; i < row.size(); i++)
+            if (!std::isfinite(row(i))) demand(DEHYST_ERR_FINITE);
+        loop.sent = row(0), loop.acting = row(1), loop.wished[0] = row(2), loop.wished[1] = row(3);
+        loop.state.input = row(4), loop.state.rate = row(5);
+        std::copy(row.data() + 6, row.data() + row.size(), fed.begin());
+        loop.limited = limited, loop.slewed = slewed, loop.refused = refused;
+        loop.offer = DEHYST_NOTHING;
+    }
+};
+
+} // namespace
+
+void bind_loop(nb::module_ &m) {
+    nb::class_<Loop>(m, "Loop")
+        .def(nb::init<const Wide &, Input, Input, Input, Input, Input, nb::object>(), nb::keep_alive<1, 2>())
+        .def("begin", &Loop::begin)
+        .def("offer", &Loop::offer)
+        .def("commit", &Loop::commit)
+        .def("step", &Loop::step)
+        .def("run", &Loop::run)
+        .def("sent", &Loop::sent)
+        .def("counts", &Loop::counts)
+        .def("state", &Loop::state)
+        .def("rest", &Loop::rest)
+        .def("go_on", &Loop::go_on);
+}
