@@ -210,7 +210,7 @@ class WideCore:
         start : Held
         """
         decay, gain, transition = (table[0] for table in pace[1:])
-        made = checked(_core.Loop, self._core, decay, gain, transition, tap, numbers, tell)
+        made: _core.Loop = checked(_core.Loop, self._core, decay, gain, transition, tap, numbers, tell)
         checked(made.begin, *start)
         return made
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from dehyst._native import Array
 from dehyst.actuator import Actuator
-from dehyst.compensator import Command
 from dehyst.excitation import Excitation
 from dehyst.homing import shortest_homing
 from dehyst.intervals import Intervals
 from dehyst.latitude import Latitude
 from dehyst.metrics import largest
 from dehyst.model import State
+from dehyst.trajectory import Command
 
 # What each of `Band.errors` comes from.
 ERRORS = {

@@ -1,4 +1,4 @@
-"""Wanted displacement to voltage, sample by sample or a whole path: within limits and slew rate, the memory kept true."""
+"""Wanted displacement to voltage, sample by sample or a whole path: within limits, the memory kept true."""
 
 from __future__ import annotations
 
@@ -292,9 +292,7 @@ class Compensator:
         """The loop in C, made when it is first needed: a trajectory does without."""
         model, period, slew = self.actuator.model, self.period, self.slew_rate
         if period is None and (model.needs_time or slew is not None):
-            raise ModelError(
-                "steps need the time between them, for creep, inertia, a lag or a slew rate; give period= [s]"
-            )
+            raise ModelError("creep, inertia, a lag or a slew rate need the time between steps; give period= [s]")
         seconds = 0.0 if period is None else period
         pace = model.pace(np.array([0, 1]), np.array([seconds]))
         change = float(np.finfo(np.float64).max) if slew is None else slew * seconds

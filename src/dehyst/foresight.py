@@ -43,8 +43,8 @@ class Foresight:
             return cls(np.ones(1), whole)
         # Sides alike: a derivative's error then has one order less.
         near = (1 if dynamics is None else 2) + (late != whole)
-        offsets = np.arange(whole + (late != whole) - near, whole + near + 1)
-        weights = np.array([_weights(offsets - late, order) for order in range(3)])
+        offsets = np.arange(whole + (late != whole) - near, whole + near + 1, dtype=np.float64)
+        weights = np.array([_weights(np.subtract(offsets, late), order) for order in range(3)])
         taps = weights[0]
         if dynamics is not None:
             steps = dynamics.frequency * period

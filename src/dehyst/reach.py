@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dehyst._native import NOTHING
 from dehyst.actuator import Actuator
 
 # Of creep's longest time constant: what is left after it is below rounding.
@@ -15,7 +16,7 @@ _VISITS = 3
 
 def reach_of(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
     """Displacements [m] at the lower and the upper limit [V] of slow loops between them, creep at rest at either."""
-    slow = replace(actuator, dynamics=None, lag=0.0, state=replace(actuator.state, motion=()), limits=None)
+    slow = replace(actuator, dynamics=None, lag=0.0, state=replace(actuator.state, motion=NOTHING), limits=None)
     voltage = np.tile(limits, _VISITS)
     rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
     y = slow.simulate(voltage, time=np.arange(voltage.size) * rest if slow.needs_time else None).displacement

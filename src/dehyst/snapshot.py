@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from dehyst import model_file
 from dehyst._errors import ModelError
@@ -17,6 +15,8 @@ from dehyst.model import State
 
 FORMAT = "dehyst-loop"
 VERSION = 1
+# Entries of a model file that a loop does not depend on, or has its own of.
+_FREE = {"name", "provenance", "limits", "state"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +83,6 @@ class Snapshot:
 
 def key_of(actuator: Actuator, period: float | None, preview: bool) -> str:
     """A digest of what a snapshot must fit."""
-    numbers: Mapping[str, Any] = {
-        name: value
-        for name, value in actuator.as_dict().items()
-        if name not in ("name", "provenance", "limits", "state")
-    }
+    numbers = {name: value for name, value in actuator.as_dict().items() if name not in _FREE}
     text = json.dumps([numbers, period, preview], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
