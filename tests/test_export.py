@@ -18,7 +18,7 @@ import wide_bench
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, FileFormatError, MaxwellSlip, ModelError, Spring
 from dehyst.export import SOURCES, code, export, sizes, worst_case
-from dehyst.footprint import CORTEX_M4, CORTEX_M4F, STRICT
+from dehyst.footprint import CORTEX_M4, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT
 from dehyst.golden import Call, golden
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
@@ -80,9 +80,9 @@ def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler
     limited, slewed = (int(n) for n in expected[-1].split())
     assert 0.005 * samples < limited + slewed < 0.999 * samples
     folder = written(tmp_path / "c", compensator)
-    for optimise in ("-O0", "-O2", "-O3"):
-        got = firmware.driven(folder, compensator, samples, every=samples // 100, compiler=compiler, options=[optimise])
-        assert got == expected, optimise
+    for options in (["-O0"], ["-O2"], ["-O3"], ["-Os", "-flto"]):
+        got = firmware.driven(folder, compensator, samples, every=samples // 100, compiler=compiler, options=options)
+        assert got == expected, options
 
 
 @pytest.mark.slow
@@ -279,7 +279,7 @@ def narrow(rho, knots):
 
 def test_models_that_floats_cannot_hold_are_refused():
     apart = 1 + 1e-9
-    with pytest.raises(ModelError, match="float: the breakaway elongations 1e-06 and .* are one number when rounded"):
+    with pytest.raises(ModelError, match=r"float: the breakaway elongations 1e-06 and .* are one number when rounded"):
         code(narrow([1e-6, 1e-6 * apart], [0, 1e-5]), "float")
     with pytest.raises(ModelError, match="float: the displacements of the spring's knots"):
         code(narrow([1e-6], [0, 1e-5, 1e-5 * apart]), "float")
@@ -355,6 +355,12 @@ def test_bytes_are_those_of_the_program(tmp_path):
     # The painter's own frame lies about where a step's does.
     assert 0.6 * stated.stack < touched <= stated.stack + 48
     assert 1000 < stated.flash < 30_000
+    # What a plain model does not need goes when the whole program is compiled at once.
+    plain = written(tmp_path / "plain", firmware.plain(), "float")
+    small = sizes(plain, "arm-none-eabi-gcc", CORTEX_M4F_SMALL)
+    assert small.ram == sizes(plain, "arm-none-eabi-gcc", CORTEX_M4F).ram
+    assert small.flash < 0.6 * stated.flash
+    assert 100 < small.stack <= stated.stack
     soft = sizes(written(tmp_path / "double", KINDS["all"]()), "arm-none-eabi-gcc", CORTEX_M4)
     assert soft.flash > stated.flash
     assert soft.ram > stated.ram
