@@ -60,6 +60,12 @@ def make(folder, *arguments):
     return done.returncode, done.stdout + done.stderr
 
 
+@pytest.fixture
+def unmeasured(monkeypatch):
+    """An export that does not take the time to measure bytes."""
+    monkeypatch.setattr("dehyst.export._PROCESSORS", {})
+
+
 def pythons(compensator, samples, every):
     loop = compensator.afresh()
     voltages = loop.run(firmware.wishes(compensator, samples))
@@ -107,7 +113,7 @@ def test_floats_by_its_unit_are_those_of_this_computer(tmp_path, kind, samples):
 
 @pytest.mark.parametrize("number", ["double", "float"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_was_exported_replays_what_python_did(tmp_path, kind, number):
+def test_what_was_exported_replays_what_python_did(tmp_path, kind, number, unmeasured):
     need("gcc", "make")
     made = export(KINDS[kind](), tmp_path / "c", number)
     status, said = make(made.folder, "check", "symbols")
@@ -120,7 +126,7 @@ def test_what_was_exported_replays_what_python_did(tmp_path, kind, number):
         assert f"{made.error:.1e}" in (made.folder / "README.md").read_text()
 
 
-def test_a_wrong_number_or_a_wrong_number_type_is_found(tmp_path):
+def test_a_wrong_number_or_a_wrong_number_type_is_found(tmp_path, unmeasured):
     need("gcc", "make")
     compensator = firmware.plain()
     double = export(compensator, tmp_path / "double").folder
@@ -218,8 +224,7 @@ def test_strict_compilers_find_nothing_and_nothing_is_needed(tmp_path, kind, num
             assert flags is CORTEX_M4 or not needed
 
 
-def test_folders_that_hold_something_else_are_left_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr("dehyst.export._PROCESSORS", {})
+def test_folders_that_hold_something_else_are_left_alone(tmp_path, unmeasured):
     compensator, folder = firmware.plain(), tmp_path / "c"
     made = export(compensator, folder)
     assert made.folder == folder
@@ -297,6 +302,30 @@ def test_models_that_floats_cannot_hold_are_refused():
         assert "model.h" in code(compensator)
     with pytest.raises(ModelError, match="give period="):
         code(Compensator(replace(bench.plant(3), creep=slow), (0, 100)))
+
+
+@pytest.mark.parametrize("limits", [(0.1, 100.1), (-0.1, 150.3), (-20.7, 99.9)])
+def test_floats_stay_within_the_limits(limits):
+    compensator = Compensator(bench.plant(3), limits, 1234.567, period=1e-3)
+    files = code(compensator, "float")
+    found = [float.fromhex(number) for number in re.findall(r"(?:LOW|HIGH) (\S+)f", files["model_size.h"])]
+    assert limits[0] <= found[0] < limits[0] + abs(np.spacing(np.float32(limits[0])))
+    assert limits[1] - np.spacing(np.float32(limits[1])) < found[1] <= limits[1]
+    low, high, change = re.findall(r"^ (\S+)f, (\S+)f, (\S+)f,$", files["model.h"], re.MULTILINE)[0]
+    assert [float.fromhex(low), float.fromhex(high)] == found
+    assert 1.234567 - 1e-6 < float.fromhex(change) <= 1234.567 * 1e-3
+    with pytest.raises(ModelError, match="float: no number lies within the limits"):
+        code(Compensator(bench.plant(3), (100, 100 + 1e-9)), "float")
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("kind", ["slewing", "moving"])
+def test_sanitizers_find_nothing(tmp_path, kind, number, unmeasured):
+    need("gcc")
+    folder = export(KINDS[kind](), tmp_path / "c", number).folder
+    watched = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    firmware.run(["gcc", *STRICT, *watched, "check.c", *SOURCES, "-o", "check"], folder)
+    firmware.run(["./check"], folder)
 
 
 @pytest.mark.parametrize("name", ["*/ int evil; /*", 'quote"d\\', "ünder", "a\nb"])

@@ -110,12 +110,12 @@ def export(
         If the folder holds other files, or cannot be written.
     """
     folder = Path(directory)
-    _demand_free(folder, force)
     files = code(compensator, number)
     files |= {name: _shipped(name) for name in ("check.c", "Makefile", "LICENSE")}
     target = folder.resolve()
     draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
+        _demand_free(folder, force)
         draft.mkdir()
         _write(draft, files)
         measured = _complete(draft, compensator, number)
@@ -179,8 +179,12 @@ def _put(draft: Path, target: Path) -> None:
         draft.rename(target)
         return
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as old:
-        target.rename(Path(old) / "old")
-        draft.rename(target)
+        kept = target.rename(Path(old) / "old")
+        try:
+            draft.rename(target)
+        except OSError:
+            kept.rename(target)
+            raise
 
 
 def _write(folder: Path, files: dict[str, str]) -> None:
@@ -253,6 +257,6 @@ def _bytes(footprints: dict[str, Footprint]) -> str:
         "| --- | --- | --- | --- |",
         *(f"| {name} | {one.flash} | {one.ram} | {one.stack or 'not told'} |" for name, one in footprints.items()),
         "",
-        "Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need. Stack:",
-        "the deepest chain of calls, without that arithmetic.",
+        "Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need.",
+        "Stack: the deepest chain of calls, without that arithmetic.",
     ])  # fmt: skip

@@ -17,6 +17,7 @@ Number: TypeAlias = Literal["double", "float"]
 Tables: TypeAlias = Mapping[str, Array]
 
 _A_LINE = 4
+_LARGEST = float(np.finfo(np.float64).max)
 # Of each: what must strictly increase, and of what it is, so that a refusal can say it.
 _INCREASING = {
     "rho": "breakaway elongations",
@@ -56,7 +57,8 @@ class Sizes(NamedTuple):
 
 def size_header(compensator: Compensator, number: Number) -> str:
     """Text of `model_size.h`: macros that others than `piezo.c` need too."""
-    sizes, low, high = Sizes.of(compensator.tables()), *compensator.limits
+    tables = _tables(compensator, number)
+    sizes, (low, high) = Sizes.of(tables), tables["loop"][:2].tolist()
     spell = _Spelling(number)
     lines = [
         "#ifndef MODEL_SIZE_H",
@@ -88,7 +90,7 @@ def model_header(compensator: Compensator, number: Number) -> str:
     ModelError
         If a float cannot tell numbers apart that must differ, or hold one of them.
     """
-    tables = compensator.tables()
+    tables = _tables(compensator, number)
     if number == "float":
         _demand_float(tables)
     spell, start = _Spelling(number), compensator.start()
@@ -123,7 +125,7 @@ class _Spelling:
         self.number = number
 
     def one(self, value: float) -> str:
-        if value == float(np.finfo(np.float64).max):
+        if value == _LARGEST:
             return "DEHYST_LARGEST"
         return float(value).hex() if self.number == "double" else f"{float(np.float32(value)).hex()}f"
 
@@ -134,6 +136,26 @@ class _Spelling:
         rows = [self.some(values[i : i + _A_LINE]) for i in range(0, values.size, _A_LINE)]
         body = ",\n    ".join(rows)
         return f"static const dehyst_real model_{name}[{values.size}] = {{\n    {body}}};"
+
+
+def _tables(compensator: Compensator, number: Number) -> Tables:
+    """Its numbers; of floats the limits and the largest change are rounded inward: no voltage may leave them."""
+    tables = compensator.tables()
+    if number == "double":
+        return tables
+    low, high, change, *rest = tables["loop"].tolist()
+    inward = [-_below(-low), _below(high), change if change == _LARGEST else _below(change)]
+    if inward[0] >= inward[1] or inward[2] <= 0:
+        raise ModelError(
+            f"float: no number lies within the limits {low!r} to {high!r} V or the slew rate; export double"
+        )
+    return {**tables, "loop": np.array([*inward, *rest])}
+
+
+def _below(value: float) -> float:
+    """The largest float that is not above a double."""
+    rounded = np.float32(value)
+    return float(rounded if float(rounded) <= value else np.nextafter(rounded, np.float32(-np.inf)))
 
 
 def _used(tables: Tables) -> dict[str, Array]:
@@ -181,11 +203,10 @@ def _compensator(tables: Tables, used: Tables, spell: _Spelling) -> str:
 
 def _demand_float(tables: Tables) -> None:
     """Refuse what single precision would make another model of."""
-    largest = np.finfo(np.float64).max
     for name, values in tables.items():
         with np.errstate(over="ignore", under="ignore"):
             rounded = values.astype(np.float32)
-        if not np.isfinite(rounded[values != largest]).all():
+        if not np.isfinite(rounded[values != _LARGEST]).all():
             raise ModelError(f"float: a number of {name} is too large, {np.abs(values).max():.3g}; export double")
         if name in _INCREASING and (np.diff(rounded) <= 0).any():
             i = int(np.argmax(np.diff(rounded) <= 0))

@@ -45,11 +45,12 @@ static int conclude(int differing, double largest, const piezo *loop)
 {
     if (sizeof(dehyst_real) == sizeof(double)) {
         differing += counts_differ(loop);
-        if (differing > 0 && FLT_EVAL_METHOD != 0) printf("this compiler computes in another precision than double's\n");
+        if (differing > 0 && FLT_EVAL_METHOD != 0) printf("this compiler computes in another precision\n");
         printf("double: %d of %d answers differ from Python's\n", differing, TRACE_SIZE);
         return differing > 0;
     }
-    printf("float: largest error %.3e of the range, to be above %.0e and below %.1e\n", largest, TRACE_LEAST, TRACE_MOST);
+    printf("float: largest error %.3e of the range, to be above %.0e and below %.1e\n", largest, TRACE_LEAST,
+           TRACE_MOST);
     /* An error like double's would tell that the number type was not rewritten everywhere. */
     return !(largest > TRACE_LEAST && largest < TRACE_MOST);
 }
