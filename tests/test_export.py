@@ -309,8 +309,9 @@ def test_floats_stay_within_the_limits(limits):
     compensator = Compensator(bench.plant(3), limits, 1234.567, period=1e-3)
     files = code(compensator, "float")
     found = [float.fromhex(number) for number in re.findall(r"(?:LOW|HIGH) (\S+)f", files["model_size.h"])]
-    assert limits[0] <= found[0] < limits[0] + abs(np.spacing(np.float32(limits[0])))
-    assert limits[1] - np.spacing(np.float32(limits[1])) < found[1] <= limits[1]
+    steps = [float(abs(np.spacing(np.float32(limit)))) for limit in limits]
+    assert limits[0] <= found[0] < limits[0] + steps[0]
+    assert limits[1] - steps[1] < found[1] <= limits[1]
     low, high, change = re.findall(r"^ (\S+)f, (\S+)f, (\S+)f,$", files["model.h"], re.MULTILINE)[0]
     assert [float.fromhex(low), float.fromhex(high)] == found
     assert 1.234567 - 1e-6 < float.fromhex(change) <= 1234.567 * 1e-3
