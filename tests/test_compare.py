@@ -115,10 +115,14 @@ def test_the_lead_tells_any_other_model_a_constant(records):
 
 
 def test_a_lead_without_a_cycle_tells_by_its_last_sample(records):
-    lead = 0.1 * float(np.ptp(records[1].time))
-    chosen = {"shifted": lambda _: Stranger(0.25 * bench.STROKE)}
-    score = compare(records[0], validate=records[1], lead=lead, models=chosen).rows[0].worst("validation")
-    assert score.largest_without == pytest.approx(0, abs=1e-6)
+    """It ends before the voltage has been through its range: what counts begins after that, and no sample before."""
+    line = Linear(bench.STROKE / bench.VOLTS)
+    score = compare(records[0], validate=records[1], lead=0.3, models={"line": lambda _: line}).rows[0].scores[1]
+    first = score.left_out
+    assert records[1].time[first] > 0.3 + records[1].time[0]
+    assert epochs(records[1].slice(0, first + 1)) == []
+    error = 100 * (records[1].displacement - line.slope * records[1].voltage) / bench.STROKE
+    assert score.largest_without == pytest.approx(np.abs(error[first:] - error[first]).max())
 
 
 def test_what_each_was_told_is_said(records):
