@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, CoreError, Held, Loop, number, vector
+from dehyst._native import Array, CoreError, Held, Loop, checked, number, vector
 from dehyst.actuator import Actuator, interval
 from dehyst.foresight import Foresight
 from dehyst.model import State
@@ -272,8 +272,11 @@ class Compensator:
         """
         if snapshot.key != self._key:
             raise ModelError("snapshot: it is of another actuator, period or preview; make the compensator as it was")
-        self._loop.begin(*self.actuator.model.held(snapshot.state))
-        self._loop.go_on(snapshot.rest, *snapshot.counts)
+        state = self.actuator.model.held(self.actuator.model.fitted(snapshot.state))
+        if snapshot.rest.size != self._loop.rest().size:
+            raise ModelError(f"snapshot: got {snapshot.rest.size} numbers beside the state, need {self._loop.rest().size}")
+        checked(self._loop.begin, *state)
+        checked(self._loop.go_on, snapshot.rest, *snapshot.counts)
 
     @property
     def _running(self) -> bool:
