@@ -1,8 +1,8 @@
 """What a true memory is worth: a path beyond the limits, the error after its voltage has left them again.
 
 A virtual actuator, identified from the demo's record of it, is to follow a path whose top needs 130 V; 0 to 100 V are
-allowed. The compensator's memory follows what is sent; beside it the wanted voltage is only clipped, and the memory goes
-on as if it had been sent. Writes `saturation.json`.
+allowed. The compensator's memory follows what is sent; beside it the wanted voltage is only clipped, and the memory
+goes on as if it had been sent. Writes `saturation.json`.
 """
 
 import json
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import dehyst
-from dehyst.demo import record_loops
+from dehyst.demo import record_loops, wanted_path
 from dehyst.truths import PlayActuator
 
 OUTPUT = Path(__file__).parent / "saturation.json"
@@ -21,16 +21,10 @@ TURNS = (0.05, 1.0, 0.2, 0.6, 0.1, 0.5)
 LEG = 500
 
 
-def path(stroke: float) -> np.ndarray:
-    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, LEG + 1) / LEG)
-    legs = [start + (end - start) * rise for start, end in zip(TURNS, TURNS[1:], strict=False)]
-    return stroke * np.concatenate([[TURNS[0]], *legs])
-
-
 def main() -> None:
     truth = PlayActuator(highest=1.3 * LIMITS[1])
     actuator = dehyst.identify(record_loops(truth)[0]).actuator
-    wanted = path(truth.stroke)
+    wanted = wanted_path(truth.stroke, TURNS)
     homing = np.concatenate([np.linspace(0, truth.highest, LEG), np.linspace(truth.highest, 0, LEG)])
     homed = actuator.simulate(homing).state
     free = actuator.compensate(wanted, state=homed).voltage

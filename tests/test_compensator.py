@@ -134,7 +134,9 @@ def through_saturation(actuator, limits, turns=(0.3, 1, 0.2, 0.6, 0.3)):
 def test_after_saturation_the_memory_is_true(seed):
     """130 V wanted, 100 V allowed. Clipping alone remembers a turn at 130 V that never was."""
     plant = bench.plant(10, seed=seed)
-    most = plant.compensate(bench.path((0.3, 1), 200), state=plant.turned(0.3 * bench.STROKE, rising=False)).voltage.max()
+    most = plant.compensate(
+        bench.path((0.3, 1), 200), state=plant.turned(0.3 * bench.STROKE, rising=False)
+    ).voltage.max()
     true, clipped = through_saturation(plant, (0.0, most / 1.3))
     assert true < 1e-9
     assert clipped > 0.5
@@ -214,7 +216,9 @@ def test_a_clamp_is_said_once_of_each_kind():
     with pytest.warns(ClampWarning, match="100 V to be sent: that is a limit"):
         for _ in range(200):
             compensator.step(1.2 * bench.STROKE)
-    with pytest.warns(ClampWarning, match=r"50 of 50 voltages clamped: 50 at the limits 0 to 100 V, 0 by the slew rate"):
+    with pytest.warns(
+        ClampWarning, match=r"50 of 50 voltages clamped: 50 at the limits 0 to 100 V, 0 by the slew rate"
+    ):
         compensator.run(np.full(50, 1.2 * bench.STROKE))
 
 

@@ -274,7 +274,9 @@ class Compensator:
             raise ModelError("snapshot: it is of another actuator, period or preview; make the compensator as it was")
         state = self.actuator.model.held(self.actuator.model.fitted(snapshot.state))
         if snapshot.rest.size != self._loop.rest().size:
-            raise ModelError(f"snapshot: got {snapshot.rest.size} numbers beside the state, need {self._loop.rest().size}")
+            raise ModelError(
+                f"snapshot: got {snapshot.rest.size} numbers beside the state, need {self._loop.rest().size}"
+            )
         checked(self._loop.begin, *state)
         checked(self._loop.go_on, snapshot.rest, *snapshot.counts)
 
