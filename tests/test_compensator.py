@@ -1,4 +1,4 @@
-"""The loop: what it sends is within limits, what it remembers is what was sent, and it can be stopped and gone on with."""
+"""The loop: what it sends is within limits, what it remembers is what was sent, and it goes on where it was stopped."""
 
 import itertools
 import json
@@ -216,9 +216,7 @@ def test_a_clamp_is_said_once_of_each_kind():
     with pytest.warns(ClampWarning, match="100 V to be sent: that is a limit"):
         for _ in range(200):
             compensator.step(1.2 * bench.STROKE)
-    with pytest.warns(
-        ClampWarning, match=r"50 of 50 voltages clamped: 50 at the limits 0 to 100 V, 0 by the slew rate"
-    ):
+    with pytest.warns(ClampWarning, match="50 of 50 voltages clamped: 50 at the limits 0 to 100 V, 0 by the slew"):
         compensator.run(np.full(50, 1.2 * bench.STROKE))
 
 
