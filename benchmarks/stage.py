@@ -10,7 +10,7 @@ from dehyst.truths import PlayActuator
 
 PERIOD = 1e-4
 HIGHEST = 200.0
-SLOW, FAST, HOLD = 2.0, 40.0, 0.5
+SLOW, FAST, HOLD = 2.0, (30.0, 90.0), 0.5
 
 
 class Stage:
@@ -31,7 +31,7 @@ class Stage:
         self.noise = noise
         self.samples = 0
         start = float(self.slow.drive(np.zeros(2), time=np.array([-2, -1]) * PERIOD)[-1])
-        self.under_way = [start] * (self.late + 1)
+        self.under_way = [start] * (self.late + 2)
         self.motion = (start, 0.0)
         omega = 2 * np.pi * self.resonance
         free = dehyst.Dynamics(omega, self.damping).transitions(np.array([PERIOD]), 0.0)[0].tolist()
@@ -59,18 +59,24 @@ class Stage:
 
 
 def records(seed: int = 0) -> list[dehyst.Record]:
-    """Descending tops at two speeds and a staircase that turns back at every level, in one run."""
-    stage = Stage(seed)
-    slow, fast = (Drive(frequency=one, sample_rate=1 / PERIOD) for one in (SLOW, FAST))
-    runs = {
-        "slow": descending_tops(HIGHEST, drive=slow),
-        "fast": descending_tops(HIGHEST, drive=fast),
-        "staircase": staircase(HIGHEST, steps=10, hold=HOLD, back=True, drive=slow),
-    }
-    return [dehyst.Record(one.time, one.voltage, stage.measured(stage.drive(one.voltage)), name)
-            for name, one in runs.items()]  # fmt: skip
+    """Descending tops at three speeds and a staircase that turns back at every level, in one run.
+
+    The slow ones are kept at every tenth sample: more would outweigh those in which the stage swings.
+    """
+    stage, made = Stage(seed), []
+    runs = {f"{one:g} Hz": (descending_tops(HIGHEST, drive=driven(one)), 10 if one == SLOW else 1)
+            for one in (SLOW, *FAST)}  # fmt: skip
+    runs["staircase"] = staircase(HIGHEST, steps=10, hold=HOLD, back=True, drive=driven(SLOW)), 10
+    for name, (one, every) in runs.items():
+        y = stage.measured(stage.drive(one.voltage))
+        made.append(dehyst.Record(one.time[::every], one.voltage[::every], y[::every], name))
+    return made
 
 
 def homing() -> np.ndarray:
     """Twice to the highest voltage and back [V]: after it the state is known."""
-    return raised_cosine(HIGHEST, cycles=2, drive=Drive(frequency=SLOW, sample_rate=1 / PERIOD)).voltage
+    return raised_cosine(HIGHEST, cycles=2, drive=driven(SLOW)).voltage
+
+
+def driven(frequency: float) -> Drive:
+    return Drive(frequency=frequency, sample_rate=1 / PERIOD)

@@ -1,8 +1,11 @@
 """Blocks for python-control: the same numbers as the methods they stand for, and functions in the strict sense."""
 
+import re
+import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import bench
 import numpy as np
@@ -13,6 +16,8 @@ from dehyst import ClampWarning, Compensator, Dynamics, MissingExtraError, Model
 
 control = pytest.importorskip("control", reason="python-control is not installed; pip install 'dehyst[control]'")
 
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "control.md"
 PERIOD = 1 / wide.RATE
 ANY = (-1e4, 1e4)
 
@@ -260,3 +265,61 @@ def test_without_python_control_it_says_what_to_install(monkeypatch):
     for make in (bench.plant(10).to_control, Compensator(bench.plant(10), ANY).to_control):
         with pytest.raises(MissingExtraError, match=r"pip install 'dehyst\[control\]'"):
             make()
+
+
+def test_the_code_on_its_page_runs(tmp_path, monkeypatch):
+    actuator = replace(_of("all"), limits=(0.0, 250.0))
+    actuator.save(tmp_path / "model.json")
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for code in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL):
+        exec(code, names)
+    assert names["compensator"].clamps == (0, 0)
+    time = 1e-3 * np.arange(names["sent"].size + 1)
+    y = actuator.simulate(np.append(actuator.voltage(), names["sent"]), time=time).displacement[1:]
+    bench.close(y, names["wanted"], 1e-12 * bench.STROKE)
+    # The loop of blocks has the true model: there is nothing for the integral to add.
+    bench.close(names["found"].outputs[0], names["wanted"], 1e-12 * bench.STROKE)
+    bench.close(names["found"].outputs[1], names["sent"], 1e-9)
+    check_its_loop(names, actuator)
+    check_its_device(names, actuator)
+
+
+def check_its_loop(names, actuator):
+    names["compensator"].reset()
+    stage = Compensator(actuator, ANY, period=1e-3)
+    reached = []
+
+    def read():
+        # A stage that falls short by a hundredth: the integral makes up for it.
+        reached.append(0.99 * stage.state.displacement)
+        return reached[-1]
+
+    path = np.full(300, 8e-6)
+    names["follow"](path, stage.commit, read, 0.05)
+    assert abs(reached[0] - 8e-6) > 5e-8
+    assert abs(reached[-1] - 8e-6) < 1e-10
+
+
+def check_its_device(names, actuator):
+    written = []
+
+    def write(voltage):
+        if len(written) == 1:
+            written.append(None)
+            raise OSError("the converter is asleep")
+        written.append(voltage)
+
+    compensator = Compensator(actuator, (0, 200), period=1e-3)
+    device, other = names["Stage"](compensator, write), Compensator(actuator, (0, 200), period=1e-3)
+    device.set(5e-6)
+    with pytest.raises(OSError, match="asleep"):
+        device.set(9e-6)
+    device.set(6e-6)
+    assert [written[0], written[2]] == [other.step(5e-6), other.step(6e-6)]
+    assert device.read() == {"displacement": 6e-6, "voltage": written[2]}
+
+
+def test_the_figures_on_its_page_are_those_of_the_benchmark():
+    check = [sys.executable, str(ROOT / "benchmarks" / "control_page.py"), "--check"]
+    assert subprocess.run(check, check=False).returncode == 0, "run benchmarks/control_page.py"
