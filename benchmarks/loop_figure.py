@@ -68,5 +68,4 @@ def draw(found: dict, shown: dict, period: float) -> None:
         errors(middle, lines, time)
         responses(right, found["response"])
         figure.savefig(TARGET, metadata={"Date": None})
-        figure.savefig("/tmp/ctl_loop.png", dpi=110)
     print(TARGET.name)

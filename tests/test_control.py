@@ -260,6 +260,12 @@ def test_refusals():
                 block.updfcn(0.0, x, np.array([1e-6]), {})
 
 
+def test_a_linearisation_is_refused():
+    block = bench.plant(10).to_control()
+    with pytest.raises(ModelError, match="a cart lies farther from the displacement than its breakaway elongation"):
+        control.linearize(block, block.start, [100.0], eps=1e-10)
+
+
 def test_without_python_control_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
     for make in (bench.plant(10).to_control, Compensator(bench.plant(10), ANY).to_control):
