@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, sqrt
+from math import ceil, inf, sqrt
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from dehyst.scan import Limits, Path
 
 _LEAST = 4
 _LONGER, _TRIES = 2**0.25, 60
+_MOST = 2_000_000
 # Of the least jerk: largest speed over height per time, largest acceleration over height per time squared.
 _FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
 
@@ -34,13 +35,13 @@ def approach_to(
     ----------
     path : Path
     compensator : Compensator
-        Whose limits it shall keep.
+        Whose slew rate it shall keep.
     state : State
     limits : Limits
         Of speed and acceleration; those that are not given are the path's own extremes.
     seconds : float, optional
         How long it takes, to the next sample; by default as short as the limits allow, of speed and acceleration
-        first, then of voltage and slew rate if any time keeps these.
+        first, then the slew rate if any time keeps that.
 
     Raises
     ------
@@ -58,16 +59,27 @@ def approach_to(
     kept = Limits(limits.speed or _extreme(path.velocity), limits.acceleration or _extreme(path.acceleration))
     height = abs(first.displacement - now.displacement)
     least = max(_FASTEST * height / (kept.speed or 1), sqrt(_HARDEST * height / (kept.acceleration or 1)))
+    slew = inf if compensator.slew_rate is None else compensator.slew_rate
     count, gentle = max(_LEAST, ceil(least * rate * (1 - 1e-9))), None
     for _ in range(_TRIES):
+        if count > _MOST and gentle is not None:
+            return gentle
         refuse_long(count, rate)
         found = _sampled(now, first, count, path)
         if kept.hold(_bridge(now, first, count / rate).peaks):
             gentle = gentle or found
-            if not follow(compensator, found.then(path.repeated(0)), state).clamped.any():
+            if _steepest(compensator, found.then(path.repeated(0)), state) <= slew / rate:
                 return found
         count = ceil(count * _LONGER)
     return gentle or found
+
+
+def _steepest(compensator: Compensator, path: Path, state: State) -> float:
+    """Largest step of the voltage [V] along a path, before any limit."""
+    motion = compensator.actuator.compensate(
+        path.displacement, time=path.time, velocity=path.velocity, acceleration=path.acceleration, state=state
+    )
+    return float(np.abs(np.diff(motion.voltage)).max(initial=0.0))
 
 
 def _standing(state: State) -> Point:

@@ -186,10 +186,16 @@ class Limits:
             return
         name, worst, unit = ("speed", 0, "m/s") if v < a else ("acceleration", 1, "m/s^2")
         raise RecordError(
-            f"{name}: got {getattr(self, name):.4g} {unit}, but {what} takes {peaks[worst]:.4g} {unit}; try "
+            f"{name}: got {_both(getattr(self, name), unit)}, but {what} takes {_both(peaks[worst], unit)}; try "
             f"{below(frequency * min(v, sqrt(a)))} Hz or less in place of {frequency:.6g}, or "
             f"{below(height * min(v, a) * 1e6)} um in place of {height * 1e6:.6g}"
         )
+
+    @property
+    def words(self) -> str:
+        """Those that are given."""
+        given = (self.acceleration, "m/s^2"), (self.speed, "m/s")
+        return " and ".join(_both(value, unit) for value, unit in given if value is not None)
 
     def hold(self, peaks: tuple[float, float]) -> bool:
         """Whether these speed and acceleration keep them."""
@@ -197,6 +203,10 @@ class Limits:
             limit is None or peak <= limit * (1 + SLACK)
             for peak, limit in zip(peaks, (self.speed, self.acceleration), strict=True)
         )
+
+
+def _both(value: float, unit: str) -> str:
+    return f"{value:.4g} {unit} ({value * 1e6:.6g} u{unit})"
 
 
 def below(value: float) -> str:

@@ -236,11 +236,9 @@ class Steps(Scan):
         least = self._least(height)
         if self.seconds is None or self.seconds >= least * (1 - 1e-9):
             return
-        limits = [f"{self.acceleration:.4g} m/s^2"] if self.acceleration is not None else []
-        limits += [f"{self.speed:.4g} m/s"] if self.speed is not None else []
         raise RecordError(
             f"seconds: got {self.seconds:.4g} s for {height * 1e6:.6g} um, which takes {least:.4g} s at least within "
-            f"{' and '.join(limits)}; try {above(least)} s, or none for the shortest"
+            f"{Limits(self.speed, self.acceleration).words}; try {above(least)} s, or none for the shortest"
         )
 
 

@@ -18,7 +18,8 @@ from dehyst.steady import steady_state
 # Of the voltages of a cycle: by so much it may differ from the next.
 _REPEATS = 1e-9
 _MOST_CYCLES, _MOST_SAMPLES = 1000, 5_000_000
-_CLAMPED = (3, 6, 12, 24, 48)
+# Where voltages are clamped: cycles until they repeat themselves, and samples, for clamping is slow.
+_CLAMPED, _MOST_CLAMPED = (3, 6, 12, 24, 48), 100_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +108,8 @@ class _Task:
     def clamped(self, cycles: int | None) -> Settled:
         """By going on until the clamped voltages repeat themselves."""
         size = len(self.path)
-        for taken in _CLAMPED if cycles is None else (cycles + 1,):
+        tried = [taken for taken in _CLAMPED if taken == _CLAMPED[0] or taken * size <= _MOST_CLAMPED]
+        for taken in tried if cycles is None else (cycles + 1,):
             command = self._begun(taken)
             end = command.voltage.size - 1
             last = slice(end - size, end)

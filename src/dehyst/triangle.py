@@ -130,10 +130,10 @@ class Triangle(Scan):
         seconds = min(self.legs) / self.rate
         if seconds * (1 + 1e-9) >= needed:
             return
-        limits = [f"{self.acceleration:.4g} m/s^2"] + ([] if self.speed is None else [f"{self.speed:.4g} m/s"])
         possible = highest(part / self.frequency, self.speed, self.acceleration, self.rounding)
+        limits = Limits(self.speed, self.acceleration).words
         raise RecordError(
-            f"acceleration: got {' and '.join(limits)}, with which {self.height * 1e6:.6g} um take {needed:.4g} s at "
+            f"acceleration: got {limits}, with which {self.height * 1e6:.6g} um take {needed:.4g} s at "
             f"least, not {seconds:.4g} s; try {below(part / needed)} Hz or less in place of {self.frequency:.6g}, or "
             f"{below(possible * 1e6)} um in place of {self.height * 1e6:.6g}"
         )
