@@ -14,7 +14,7 @@ from dehyst.model import State
 from dehyst.scan import Limits, Path
 
 _LEAST = 4
-_LONGER, _TRIES = 2**0.25, 60
+_LONGER = 2**0.25
 _MOST = 2_000_000
 # Of the least jerk: largest speed over height per time, largest acceleration over height per time squared.
 _FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
@@ -48,30 +48,30 @@ def approach_to(
     RecordError
         If `seconds` is no positive number, or makes it too long.
     """
-    now, first, rate = _standing(state), path.first, path.sample_rate
+    now, first, rate, ends = _standing(state), path.first, path.sample_rate, _ends(path)
     if seconds is not None:
         wanted = positive(seconds, "approach")
         refuse_long(int(min(wanted * rate, 1e15)), rate)
-        return _sampled(now, first, max(_LEAST, ceil(wanted * rate * (1 - 1e-12))), path)
+        return _sampled(now, ends[0], max(_LEAST, ceil(wanted * rate * (1 - 1e-12))), path)
     stroke = path.range[1] - path.range[0]
-    if not any(now[1:]) and not first.velocity and abs(now.displacement - first.displacement) <= 1e-12 * stroke:
+    if not any(now[1:]) and not ends[0].velocity and abs(now.displacement - first.displacement) <= 1e-12 * stroke:
         return None
     kept = Limits(limits.speed or _extreme(path.velocity), limits.acceleration or _extreme(path.acceleration))
     height = abs(first.displacement - now.displacement)
     least = max(_FASTEST * height / (kept.speed or 1), sqrt(_HARDEST * height / (kept.acceleration or 1)))
     slew = inf if compensator.slew_rate is None else compensator.slew_rate
     count, gentle = max(_LEAST, ceil(least * rate * (1 - 1e-9))), None
-    for _ in range(_TRIES):
-        if count > _MOST and gentle is not None:
-            return gentle
-        refuse_long(count, rate)
-        found = _sampled(now, first, count, path)
-        if kept.hold(_bridge(now, first, count / rate).peaks):
+    while count <= _MOST:
+        for end in ends:
+            if not kept.hold(Bridge(now, end, count / rate).peaks):
+                continue
+            found = _sampled(now, end, count, path)
             gentle = gentle or found
             if _steepest(compensator, found.then(path.repeated(0)), state) <= slew / rate:
                 return found
         count = ceil(count * _LONGER)
-    return gentle or found
+    refuse_long(count, rate)
+    return gentle or _sampled(now, ends[-1], count, path)
 
 
 def _steepest(compensator: Compensator, path: Path, state: State) -> float:
@@ -91,13 +91,15 @@ def _extreme(row: Array) -> float:
     return float(np.abs(row).max())
 
 
-def _sampled(now: Point, first: Point, count: int, path: Path) -> Path:
-    bridge = _bridge(now, first, count / path.sample_rate)
-    travel = bridge.at(np.arange(count) / path.sample_rate)
-    return Path(*travel, path.sample_rate, periodic=False)
-
-
-def _bridge(now: Point, first: Point, seconds: float) -> Bridge:
+def _ends(path: Path) -> tuple[Point, ...]:
+    """How the way may end: as the scan begins, or without its acceleration where that would ask for a detour."""
+    y, v, _ = path.first
     # At rest, an acceleration at the end would make it go too far and come back.
-    end = first if first.velocity else Point(first.displacement)
-    return Bridge(now, end, seconds)
+    if abs(v) <= 1e-9 * _extreme(path.velocity):
+        return (Point(y),)
+    return path.first, Point(y, v)
+
+
+def _sampled(now: Point, end: Point, count: int, path: Path) -> Path:
+    travel = Bridge(now, end, count / path.sample_rate).at(np.arange(count) / path.sample_rate)
+    return Path(*travel, path.sample_rate, periodic=False)

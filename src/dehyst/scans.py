@@ -78,8 +78,9 @@ class Lissajous(Scan):
             )
         set_positive(self, "speed", "acceleration", "sample_rate")
         object.__setattr__(self, "phase", _angle(self.phase))
-        for axis, times in enumerate(self.ratio):
-            turning, a = 2 * pi * times / self.period, self.amplitude[axis]
+        # The harder axis first, so that what is said to be possible is possible for both.
+        for axis in sorted((0, 1), key=lambda i: -self.amplitude[i] * self.ratio[i] ** 2):
+            turning, a = 2 * pi * self.ratio[axis] / self.period, self.amplitude[axis]
             limits = Limits(self.speed, self.acceleration)
             limits.refuse(f"{'xy'[axis]} of this figure", (a * turning, a * turning**2), self.frequency, a)
 

@@ -100,13 +100,14 @@ class Spiral(Scan):
         steady = _REVOLUTION_SAMPLES * self._half / pi
         # At constant linear speed about half of the square of the angle is gone through, each way, in units of r'.
         count = steady if self.constant == "angular" else max(steady, self._half**2 / _CENTRE)
-        return self.frequency * ceil(count)
+        return self.frequency * 2 * ceil(0.5 * count * (1 - 1e-12))
 
     @cached_property
     def samples(self) -> int:
         """Of a period."""
         _ = samples_of(0.25 / self.frequency / (self.revolutions + 0.25), self.rate)
-        return samples_of(1 / self.frequency, self.rate)
+        # Two halves: the rim is met by a sample.
+        return 2 * samples_of(0.5 / self.frequency, self.rate)
 
     @property
     def pitch(self) -> float:
