@@ -172,6 +172,7 @@ def _tabulate(
         "samples": played.voltage.size, "sample_rate_Hz": table.sample_rate, "frequency_Hz": 1 / scan.period,
         "homing_samples": 0 if table.homing is None else len(table.homing) - 1, "start_up_samples": len(table.start_up),
         "start_up_cycles": table.cycles, "cycle_samples": len(cycle), "error_um": table.error * 1e6,
+        "unknown_um": table.unknown * 1e6,
         "clamped": table.clamped, "lowest_V": low, "highest_V": high, "warnings": said,
         "state": state_dict(table.state), "output": str(outputs[0]), "table": str(outputs[1]),
     }  # fmt: skip

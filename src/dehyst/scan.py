@@ -82,6 +82,12 @@ class Path:
         """The motion at the first sample."""
         return Point(float(self.displacement[0]), float(self.velocity[0]), float(self.acceleration[0]))
 
+    @property
+    def last(self) -> Path:
+        """The last sample alone."""
+        y, v, a = (row[-1:] for row in self.rows)
+        return Path(y, v, a, self.sample_rate, periodic=False)
+
     def repeated(self, cycles: int) -> Path:
         """So many periods and the sample that closes the last one; of no period the first sample.
 

@@ -116,7 +116,8 @@ class _Task:
             if taken > 1 and self._repeats(command.voltage[end - 2 * size : end]):
                 break
         voltage, expected = command.voltage[last], command.displacement[last]
-        error = float(np.abs(self._play(voltage, command.state)[:-1] - expected).max())
+        once_more = self._simulated(np.append(command.voltage[:-1], voltage))[-size:]
+        error = float(np.abs(once_more - expected).max())
         miss = float(np.abs(expected - self.path.displacement).max())
         said = (
             f"CLAMPED: the steady cycle cannot be reached within the limits; each misses the path by up to "
@@ -143,19 +144,30 @@ class _Task:
     def _taken(self, voltage: Array, expected: Array, cycles: int | None) -> tuple[int, float]:
         """Cycles until the steady voltages may be played, and how far the first of these comes off [m]."""
         most = max(1, min(_MOST_CYCLES, _MOST_SAMPLES // len(self.path))) if cycles is None else cycles
-        one, state, taken = self.path.repeated(1), self._begun(0).state, 0
+        before, state, taken = None if self.way is None else self.way.last, self.start, 0
+        held = None
+        if self.way is not None:
+            command = follow(self.compensator, self.way, self.start)
+            state, held = command.state, float(command.voltage[-1])
         while True:
             if cycles is None or taken == cycles:
-                error = float(np.abs(self._play(voltage, state) - expected).max())
+                error = float(np.abs(self._play(voltage, state, held) - expected).max())
                 if error <= self.tolerance or taken >= most:
                     return taken, error
-            state, taken = follow(self.compensator, one, state).state, taken + 1
+            once = self.path if before is None else before.then(self.path)
+            command = follow(self.compensator, once, state)
+            before, state, held, taken = self.path.last, command.state, float(command.voltage[-1]), taken + 1
 
-    def _play(self, voltage: Array, state: State) -> Array:
-        """Displacement (n + 1,) [m] along a cycle of the voltage."""
-        closed = np.append(voltage, voltage[0])
+    def _play(self, voltage: Array, state: State, held: float | None = None) -> Array:
+        """Displacement (n + 1,) [m] along a cycle of the voltage, from its first sample or from the one before."""
+        closed = np.append(voltage, voltage[0]) if held is None else np.concatenate([[held], voltage, voltage[:1]])
         time = np.arange(closed.size) / self.path.sample_rate if self.actuator.needs_time else None
-        return self.actuator.simulate(closed, time=time, state=state).displacement
+        return self.actuator.simulate(closed, time=time, state=state).displacement[closed.size - voltage.size - 1 :]
+
+    def _simulated(self, voltage: Array) -> Array:
+        """Displacement (n,) [m] from the start on."""
+        time = np.arange(voltage.size) / self.path.sample_rate if self.actuator.needs_time else None
+        return self.actuator.simulate(voltage, time=time, state=self.start).displacement
 
     def _late(self, taken: int, error: float) -> tuple[str, ...]:
         """What is to be said if the steady cycle comes too early."""

@@ -57,6 +57,8 @@ class WaveTable:
         Cycles in the start-up, after which the steady table may be played.
     error : float
         How far the first cycle of the steady table comes off the later ones [m], by the model.
+    unknown : float
+        How far the displacement may be from what is expected after the homing [m]; 0 if the state was given.
     state : State
         At the first sample of the steady cycle.
     start : State
@@ -74,6 +76,7 @@ class WaveTable:
     cycle: Stretch
     cycles: int
     error: float
+    unknown: float
     state: State
     start: State
     actuator: Actuator
@@ -174,21 +177,21 @@ def wave_table(
     stroke = path.range[1] - path.range[0]
     least = _TOLERANCE * stroke if tolerance is None else positive(tolerance, "tolerance")
     wanted = None if cycles is None else whole(cycles, "cycles", 0)
-    said, homing, start = list(scan.warnings), None, state
+    said, homing, unknown, start = list(scan.warnings), None, 0.0, state
     if start is None:
-        homing, start, remarks = _homing(compensator, scan, present, drive)
+        homing, unknown, start, remarks = _homing(compensator, scan, present, drive)
         said += remarks
     reach = Limits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
     way = approach_to(path, compensator, start, reach, approach)
     found = settle(compensator, path, way, start, least, wanted)
-    return WaveTable(homing, found.start_up, found.cycle, found.cycles, found.error, found.state, start, actuator,
-                     found.clamped, (*said, *found.warnings))  # fmt: skip
+    return WaveTable(homing, found.start_up, found.cycle, found.cycles, found.error, unknown, found.state, start,
+                     actuator, found.clamped, (*said, *found.warnings))  # fmt: skip
 
 
 def _homing(
     compensator: Compensator, scan: Scan, present: float | None, drive: Drive | None
-) -> tuple[Excitation | None, State, tuple[str, ...]]:
-    """The homing in the scan's samples, the state after it, and what is to be said."""
+) -> tuple[Excitation | None, float, State, tuple[str, ...]]:
+    """The homing in the scan's samples, its error [m], the state after it, and what is to be said."""
     actuator, limits = compensator.actuator, interval(compensator.limits or ())
     now = min(max(0.0, limits[0]), limits[1]) if present is None else volts(present, "present")
     if drive is None:
@@ -199,5 +202,5 @@ def _homing(
     way = shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive)
     said = () if way.certified and way.played is None else way.remarks
     if len(way.turns) < 2:
-        return None, way.state, said
-    return way.played or homing_through(turns=way.turns, drive=drive), way.state, said
+        return None, way.error, way.state, said
+    return way.played or homing_through(turns=way.turns, drive=drive), way.error, way.state, said
