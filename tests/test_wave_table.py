@@ -174,8 +174,8 @@ def test_a_scan_that_stands_where_it_begins_has_no_approach():
 @pytest.mark.parametrize("limits, slew", [((0.0, 120.0), None), ((-50.0, 250.0), 2500.0)])
 def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
     actuator = ACTUATORS[name]
-    table = wave_table(actuator, TRIANGLE, limits=limits, slew_rate=slew, state=actuator.relaxed(20.0))
-    assert table.clamped > 0
+    table = wave_table(actuator, TRIANGLE, limits=limits, slew_rate=slew, state=actuator.relaxed(20.0), cycles=12)
+    assert table.clamped > 0 and table.cycles == 12
     assert table.warnings[0].startswith("CLAMPED: the steady cycle cannot be reached within the limits; each misses")
     played = table.played(5)
     assert limits[0] <= played.voltage.min() and played.voltage.max() <= limits[1]

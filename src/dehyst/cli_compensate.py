@@ -177,7 +177,7 @@ def _tabulate(
         "state": state_dict(table.state), "output": str(outputs[0]), "table": str(outputs[1]),
     }  # fmt: skip
     line = (
-        f"{played.voltage.size} samples, {low:.6g} to {high:.6g} V, the steady table after {table.cycles} cycles of "
+        f"{played.voltage.size} samples, {low:.6g} to {high:.6g} V, the steady table after {table.cycles} cycle{'s' * (table.cycles != 1)} of "
         f"start-up, to {table.error * 1e6:.3g} um: {outputs[0]}; {len(cycle)} samples a cycle: {outputs[1]}"
     )
     conclude(as_json, result, line, said)
