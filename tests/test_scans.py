@@ -187,8 +187,27 @@ def test_lissajous_figures_are_sines():
     x, y = paths(SCANS["lissajous"])
     t = x.time
     assert np.allclose(x.displacement, 20 * UM * np.sin(6 * pi * t), rtol=0, atol=1e-18)
-    assert np.allclose(y.displacement, 10 * UM * np.cos(8 * pi * t), rtol=0, atol=1e-18)
+    assert np.allclose(y.displacement, 10 * UM * np.sin(8 * pi * t), rtol=0, atol=1e-18)
     assert np.allclose(y.acceleration, -((8 * pi) ** 2) * y.displacement, rtol=1e-12)
+
+
+def retraced(scan):
+    """How far a figure gone round backwards lies from itself at least, over the amplitude, for any beginning."""
+    points = np.array([path.displacement / UM for path in paths(scan)])
+    backwards = points[:, ::-1]
+    return min(np.abs(np.roll(backwards, k, axis=1) - points).max() for k in range(points.shape[1]))
+
+
+@pytest.mark.parametrize("ratio", [(1, 1), (1, 2), (2, 1), (3, 4), (4, 3), (5, 6), (3, 5)])
+def test_a_figure_does_not_come_back_on_its_own_line_unless_asked_to(ratio):
+    figure = Lissajous((UM, UM), 1, ratio, sample_rate=120 * max(ratio) * ratio[0])
+    apart = retraced(figure)
+    assert apart > 0.1
+    half = pi / ratio[0] / 2
+    assert retraced(Lissajous((UM, UM), 1, ratio, figure.phase + half, sample_rate=figure.rate)) < 0.2 * apart
+    # Widest: to either side it is no farther apart.
+    for phase in (figure.phase - 0.3 * half, figure.phase + 0.3 * half):
+        assert retraced(Lissajous((UM, UM), 1, ratio, phase, sample_rate=figure.rate)) < apart
 
 
 def test_steps_are_of_least_jerk_and_as_short_as_the_limit_allows():

@@ -172,16 +172,17 @@ def _tabulate(
         "samples": played.voltage.size, "sample_rate_Hz": table.sample_rate, "frequency_Hz": 1 / scan.period,
         "homing_samples": 0 if table.homing is None else len(table.homing) - 1, "start_up_samples": len(table.start_up),
         "start_up_cycles": table.cycles, "cycle_samples": len(cycle), "error_um": table.error * 1e6,
-        "unknown_um": table.unknown * 1e6,
+        "unknown_um": table.unknown * 1e6, "certified": table.certified,
         "clamped": table.clamped, "lowest_V": low, "highest_V": high, "warnings": said,
         "state": state_dict(table.state), "output": str(outputs[0]), "table": str(outputs[1]),
     }  # fmt: skip
+    cycles_of = f"{table.cycles} cycle{'s' * (table.cycles != 1)} of start-up, to {table.error * 1e6:.3g} um"
     line = (
-        f"{played.voltage.size} samples, {low:.6g} to {high:.6g} V, the steady table after {table.cycles} cycle{'s' * (table.cycles != 1)} of "
-        f"start-up, to {table.error * 1e6:.3g} um: {outputs[0]}; {len(cycle)} samples a cycle: {outputs[1]}"
+        f"{played.voltage.size} samples, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: {outputs[0]}; "
+        f"{len(cycle)} samples a cycle: {outputs[1]}"
     )
     conclude(as_json, result, line, said)
-    sys.exit(1 if table.clamped else 0)
+    sys.exit(1 if table.clamped or not table.certified else 0)
 
 
 def _columns(part: Any) -> dict[str, Any]:

@@ -30,7 +30,7 @@ _OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("--revolutions", {"type": int, "metavar": "N", "help": "Of a spiral, out; 1/4 is added."}),
     ("--constant", {"type": click.Choice(["linear", "angular"]), "help": "Speed of a spiral.  [default: linear]"}),
     ("--ratio", {"type": (int, int), "metavar": "P Q", "help": "Lissajous: cycles of x and y.  [default: 1 1]"}),
-    ("--phase", {"type": float, "metavar": "DEGREES", "help": "Lissajous: of y.  [default: 90]"}),
+    ("--phase", {"type": float, "metavar": "DEGREES", "help": "Lissajous: of y.  [default: widest figure]"}),
     ("--levels", {"metavar": "UM,UM,...", "help": "Steps: where to stand."}),
     ("--dwell", {"type": float, "metavar": "S", "help": "Steps: time on each level."}),
     ("--edge", {"type": float, "metavar": "S", "help": "Steps: time between levels.  [default: as the limits allow]"}),

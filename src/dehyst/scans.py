@@ -40,8 +40,9 @@ class Lissajous(Scan):
         f, times a second that the whole figure is gone round [Hz].
     ratio : (int, int)
         p and q, without a common factor.
-    phase : float
-        [rad].
+    phase : float, optional
+        [rad]; by default that at which the lines of the figure lie farthest apart. At those halfway between two such,
+        which are pi/p apart, the figure comes back on its own line.
     speed, acceleration : float, optional
         Largest abs(dx/dt) [m/s] and abs(d2x/dt2) [m/s^2] allowed, of either axis.
     sample_rate : float, optional
@@ -56,7 +57,7 @@ class Lissajous(Scan):
     amplitude: tuple[float, float]
     frequency: float
     ratio: tuple[int, int] = (1, 1)
-    phase: float = pi / 2
+    phase: float | None = None
     centre: tuple[float, float] = (0.0, 0.0)
     speed: float | None = None
     acceleration: float | None = None
@@ -77,7 +78,9 @@ class Lissajous(Scan):
                 f"{q // gcd(p, q)} at {self.frequency * gcd(p, q):.6g} Hz"
             )
         set_positive(self, "speed", "acceleration", "sample_rate")
-        object.__setattr__(self, "phase", _angle(self.phase))
+        # Backwards from c/2 on, c an odd multiple of pi/p, x is the same; so is y if q c + 2 phase is one of pi.
+        widest = 0.5 * pi * (1 + (1 - q) / p)
+        object.__setattr__(self, "phase", widest if self.phase is None else _angle(self.phase))
         # The harder axis first, so that what is said to be possible is possible for both.
         for axis in sorted((0, 1), key=lambda i: -self.amplitude[i] * self.ratio[i] ** 2):
             turning, a = 2 * pi * self.ratio[axis] / self.period, self.amplitude[axis]
@@ -106,7 +109,7 @@ class Lissajous(Scan):
         turning, a = 2 * pi * self.ratio[i] / self.period, self.amplitude[i]
         # Whole turns are taken off before they are multiplied by 2 pi: that keeps the digits.
         gone = np.arange(self.samples) * self.ratio[i] % self.samples / self.samples
-        angle = 2 * pi * gone + (self.phase if i else 0.0)
+        angle = 2 * pi * gone + (self.phase or 0.0 if i else 0.0)
         sin = a * np.sin(angle)
         return Travel(self.centre[i] + sin, a * turning * np.cos(angle), -(turning**2) * sin)
 

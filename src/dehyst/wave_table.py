@@ -15,7 +15,7 @@ from dehyst.compensator import Compensator
 from dehyst.drive import Drive
 from dehyst.excitation import Excitation, positive, refuse_long, volts
 from dehyst.excite import homing as homing_through
-from dehyst.homing import shortest_homing
+from dehyst.homing import Homing, shortest_homing
 from dehyst.model import State
 from dehyst.scan import Limits, Scan, whole
 from dehyst.settling import Stretch, settle
@@ -59,6 +59,8 @@ class WaveTable:
         How far the first cycle of the steady table comes off the later ones [m], by the model.
     unknown : float
         How far the displacement may be from what is expected after the homing [m]; 0 if the state was given.
+    certified : bool
+        Whether the state before the start-up is known: it was given, or the homing is certified.
     state : State
         At the first sample of the steady cycle.
     start : State
@@ -77,6 +79,7 @@ class WaveTable:
     cycles: int
     error: float
     unknown: float
+    certified: bool
     state: State
     start: State
     actuator: Actuator
@@ -177,21 +180,22 @@ def wave_table(
     stroke = path.range[1] - path.range[0]
     least = _TOLERANCE * stroke if tolerance is None else positive(tolerance, "tolerance")
     wanted = None if cycles is None else whole(cycles, "cycles", 0)
-    said, homing, unknown, start = list(scan.warnings), None, 0.0, state
+    said, homing, unknown, sure, start = list(scan.warnings), None, 0.0, True, state
     if start is None:
-        homing, unknown, start, remarks = _homing(compensator, scan, present, drive)
+        homing, way_to, remarks = _homing(compensator, scan, present, drive)
+        unknown, sure, start = way_to.error, way_to.certified, way_to.state
         said += remarks
     reach = Limits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
     way = approach_to(path, compensator, start, reach, approach)
     found = settle(compensator, path, way, start, least, wanted)
-    return WaveTable(homing, found.start_up, found.cycle, found.cycles, found.error, unknown, found.state, start,
+    return WaveTable(homing, found.start_up, found.cycle, found.cycles, found.error, unknown, sure, found.state, start,
                      actuator, found.clamped, (*said, *found.warnings))  # fmt: skip
 
 
 def _homing(
     compensator: Compensator, scan: Scan, present: float | None, drive: Drive | None
-) -> tuple[Excitation | None, float, State, tuple[str, ...]]:
-    """The homing in the scan's samples, its error [m], the state after it, and what is to be said."""
+) -> tuple[Excitation | None, Homing, tuple[str, ...]]:
+    """The homing in the scan's samples, what it is worth, and what is to be said."""
     actuator, limits = compensator.actuator, interval(compensator.limits or ())
     now = min(max(0.0, limits[0]), limits[1]) if present is None else volts(present, "present")
     if drive is None:
@@ -202,5 +206,5 @@ def _homing(
     way = shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive)
     said = () if way.certified and way.played is None else way.remarks
     if len(way.turns) < 2:
-        return None, way.error, way.state, said
-    return way.played or homing_through(turns=way.turns, drive=drive), way.error, way.state, said
+        return None, way, said
+    return way.played or homing_through(turns=way.turns, drive=drive), way, said
