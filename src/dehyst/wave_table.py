@@ -207,4 +207,5 @@ def _homing(
     said = () if way.certified and way.played is None else way.remarks
     if len(way.turns) < 2:
         return None, way, said
-    return way.played or homing_through(turns=way.turns, drive=drive), way, said
+    played = way.played or homing_through(turns=way.turns, drive=drive)
+    return played, way, (*said, *played.warnings)
