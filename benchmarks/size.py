@@ -2,6 +2,9 @@
 
 The paper's class, and a wider one: 20 elements, a transformer of 10 segments and 8 branches of creep. Each size runs in
 a process of its own, whose peak memory counts above what the imports took: the record is in it.
+
+And how small a firmware is: bytes of flash, RAM and stack of an exported compensator of ten elements, plain and with all
+parts. `size.py firmware` measures that alone.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ import json
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +25,9 @@ import scipy.linalg
 import scipy.optimize  # noqa: F401
 
 import dehyst
-from dehyst.elements import MaxwellSlip, Spring, Transformer
+from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.export import code, sizes
+from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL
 from dehyst.structure import Structure
 
 SIZES = (100_000, 1_000_000, 10_000_000)
@@ -92,10 +98,57 @@ def measure(samples: int, norm: str, structure: str) -> dict[str, object]:
             "largest_percent": error.largest_percent, "rms_percent": 100 * error.rms / error.stroke}  # fmt: skip
 
 
+def small(wide: bool) -> dehyst.Compensator:
+    """A compensator of ten elements; wide: four grades, a transformer, four creep branches, two smooth elements, a mass."""
+    rho, knots = STROKE / 20 * np.arange(1, 11), np.linspace(0, STROKE, 11)
+    spring = Spring.of_slopes(knots, 6e6 * (1 + 0.3 * np.cos(2 * knots[:-1] / STROKE)), 0.0)
+    stiffness = np.linspace(1.5e6, 0.2e6, 10)
+    if not wide:
+        return dehyst.Compensator(dehyst.Actuator(MaxwellSlip(rho, stiffness), spring), (0, 100))
+    volts = np.linspace(-20, 120, 8)
+    graded = GradedSlip(rho, np.linspace(0, STROKE, 5), stiffness[:, None] * np.linspace(0.9, 1, 4))
+    made = dehyst.Actuator(
+        graded, spring, transformer=Transformer(volts, volts - 6 * np.sin(np.pi * volts / 100)),
+        creep=dehyst.Creep(np.geomspace(0.01, 10, 4), np.full(4, 2e5)), dynamics=dehyst.Dynamics(6e3, 0.05, 2e6),
+        smooth=dehyst.SmoothSlip(STROKE * np.array([0.05, 0.2]), np.array([0.5, 0.8]), np.array([1e6, 5e5])),
+    )  # fmt: skip
+    return dehyst.Compensator(made, (0, 100), period=1e-4)
+
+
+def firmware() -> list[dict[str, object]]:
+    """Bytes of both for each processor and number type."""
+    both, arm = ("double", "float"), "arm-none-eabi-gcc"
+    processors = (("x86-64", "gcc", ("-O2",), both), ("x86-64", "gcc", ("-Os", "-flto"), both),
+                  ("Cortex-M4", arm, CORTEX_M4, both), ("Cortex-M4", arm, CORTEX_M4_SMALL, both),
+                  ("Cortex-M4F", arm, CORTEX_M4F, ("float",)),
+                  ("Cortex-M4F", arm, CORTEX_M4F_SMALL, ("float",)))  # fmt: skip
+    found: list[dict[str, object]] = []
+    for structure in ("plain", "wide"):
+        for processor, compiler, flags, numbers in processors:
+            for number in numbers:
+                with tempfile.TemporaryDirectory() as folder:
+                    for name, text in code(small(structure == "wide"), number).items():
+                        (Path(folder) / name).write_text(text)
+                    taken = sizes(folder, compiler, flags)
+                found.append({"structure": structure, "elements": 10, "processor": processor, "number": number,
+                              "flags": " ".join(flags), **taken._asdict()})  # fmt: skip
+                print(found[-1], flush=True)
+    return found
+
+
+def keep(section: str, found: object) -> None:
+    """Write one section, the other as it was."""
+    data = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else {}
+    OUTPUT.write_text(json.dumps({**data, section: found}, indent=1) + "\n")
+
+
 def main() -> None:
-    """Measure all sizes, or the one given as an argument with its norm and structure."""
+    """Measure all sizes, or the firmware's, or the one given as an argument with its norm and structure."""
     if len(sys.argv) == 4:
         print(json.dumps(measure(int(sys.argv[1]), sys.argv[2], sys.argv[3])))
+        return
+    keep("firmware", firmware())
+    if sys.argv[1:] == ["firmware"]:
         return
     found = []
     for structure in ("paper", "wide"):
@@ -104,7 +157,7 @@ def main() -> None:
                 command = [sys.executable, __file__, str(samples), norm, structure]
                 found.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
                 print(found[-1], flush=True)
-    OUTPUT.write_text(json.dumps(found, indent=1) + "\n")
+    keep("identification", found)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from dehyst._errors import FileFormatError, ModelError
 from dehyst.compensator import Compensator
 from dehyst.files import PathLike
-from dehyst.footprint import CORTEX_M4, CORTEX_M4F, STRICT, Footprint, run, sizes
+from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT, Footprint, run, sizes
 from dehyst.golden import Golden, golden, trace_header
 from dehyst.header import Number, model_header, size_header
 from dehyst.operations import Operations, worst_case
@@ -32,11 +32,12 @@ _BUILT = re.compile(r".*\.(o|ci|su)|check_program")
 _LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
 _ANY = 1e300
 _INDENT = " " * 22 + "# "
-# Cortex-M4's unit knows floats only.
-_PROCESSORS = {
-    "this computer": ("cc", ("-O2",)),
-    "Cortex-M4": ("arm-none-eabi-gcc", CORTEX_M4),
-    "Cortex-M4, by its floating-point unit": ("arm-none-eabi-gcc", CORTEX_M4F),
+_PROCESSORS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "this computer, -O2": ("cc", ("-O2",)),
+    "Cortex-M4, -O2": ("arm-none-eabi-gcc", CORTEX_M4),
+    "Cortex-M4, -Os -flto": ("arm-none-eabi-gcc", CORTEX_M4_SMALL),
+    "Cortex-M4F, -O2": ("arm-none-eabi-gcc", CORTEX_M4F),
+    "Cortex-M4F, -Os -flto": ("arm-none-eabi-gcc", CORTEX_M4F_SMALL),
 }
 _MEASURED = re.compile(r"largest error ([\d.e+-]+) of the range")
 
@@ -203,7 +204,8 @@ def _footprints(draft: Path, number: Number) -> dict[str, Footprint]:
     """What the compilers at hand make of it."""
     found = {}
     for processor, (compiler, flags) in _PROCESSORS.items():
-        if flags is CORTEX_M4F and number == "double":
+        # Its unit knows floats only.
+        if processor.startswith("Cortex-M4F") and number == "double":
             continue
         with suppress(FileFormatError):
             found[processor] = sizes(draft, compiler, flags)
@@ -251,6 +253,6 @@ def _bytes(footprints: dict[str, Footprint]) -> str:
         "| --- | --- | --- | --- |",
         *(f"| {name} | {one.flash} | {one.ram} | {one.stack or 'not told'} |" for name, one in footprints.items()),
         "",
-        "Flash: code, numbers and the compiler's own arithmetic, by `-O2`. Stack: the deepest chain of calls, without",
-        "that arithmetic.",
+        "Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need. Stack:",
+        "the deepest chain of calls, without that arithmetic.",
     ])  # fmt: skip

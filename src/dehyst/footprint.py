@@ -15,8 +15,9 @@ from dehyst._errors import FileFormatError
 from dehyst.files import PathLike
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
-CORTEX_M4 = ("-O2", "-mcpu=cortex-m4", "-mthumb")
-CORTEX_M4F = (*CORTEX_M4, "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+_M4, _UNIT = ("-mcpu=cortex-m4", "-mthumb"), ("-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+CORTEX_M4, CORTEX_M4_SMALL = ("-O2", *_M4), ("-Os", "-flto", *_M4)
+CORTEX_M4F, CORTEX_M4F_SMALL = (*CORTEX_M4, *_UNIT), (*CORTEX_M4_SMALL, *_UNIT)
 _BARE = ("-ffreestanding", "-ffunction-sections", "-fdata-sections", "-fno-asynchronous-unwind-tables")
 _PROGRAM = """#include "piezo.h"
 static piezo memory;
@@ -50,7 +51,7 @@ def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O
     compiler : str, optional
         That of the processor, such as ``arm-none-eabi-gcc``; its `size` is looked for beside it.
     flags : sequence of str, optional
-        Optimisation and processor.
+        Optimisation and processor; with ``-flto`` what this model does not need is left out.
 
     Returns
     -------
@@ -74,9 +75,11 @@ def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O
         graphs = _compile(folder, compiler, options, sources)
         link = ["-static", "-nostdlib", "-Wl,--gc-sections", "-Wl,-e,main", "-Wl,--build-id=none"]
         objects = [f"{name[:-2]}.o" for name in sources]
-        run([compiler, *flags, *link, *objects, "-lgcc", "-o", "program"], folder)
+        # Whole programs are compiled when they are linked.
+        late = ["-fcallgraph-info=su", *_BARE] if graphs else []
+        run([compiler, *flags, *late, *link, *objects, "-lgcc", "-o", "program"], folder)
         (folder / "room.c").write_text(_ROOM)
-        run([compiler, *options, "-c", "room.c"], folder)
+        run([compiler, *options, "-fno-lto", "-c", "room.c"], folder)
         text, data, _ = _size(folder, compiler, "program")
         return Footprint(text + data, sum(_size(folder, compiler, "room.o")), _deepest(folder) if graphs else None)
 
@@ -132,7 +135,10 @@ def _deepest(folder: Path) -> int:
     def below(name: str) -> int:
         return frames.get(name, 0) + _most(below(called) for called in calls.get(name, ()))
 
-    return _most(below(name) for name in frames if name.startswith("piezo_"))
+    # Compiled as a whole, a step may have become a part of the program; titles then begin with a file.
+    own = {name: name.rpartition(":")[2] for name in frames}
+    inlined = "piezo_step" not in own.values()
+    return _most(below(name) for name, call in own.items() if call.startswith("piezo_") or (inlined and call == "main"))
 
 
 def _most(values: Iterable[int]) -> int:
