@@ -8,8 +8,9 @@
 static inline dehyst_real held_over(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_real *strain,
                                     int steps)
 {
-    dehyst_real sum[4] = {0, 0, 0, 0};
+    dehyst_real sum[4];
     int j, i;
+    sum[0] = sum[1] = sum[2] = sum[3] = 0;
     for (j = 0; j + 4 <= wide->branches; j += 4)
         for (i = 0; i < 4; i++) {
             const dehyst_real once = pace->decay[j + i] * strain[j + i];

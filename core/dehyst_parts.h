@@ -103,8 +103,10 @@ static inline dehyst_real voltage_after(const dehyst_actuator *actuator, const d
     const dehyst_slip *slip = &actuator->slip;
     const dehyst_real *restrict rho = slip->rho, *restrict kappa = slip->kappa;
     /* Sums side by side need not wait for one another. */
-    dehyst_real sum[4] = {0, 0, 0, 0};
+    dehyst_real sum[4];
     int i = 0, k;
+    /* Not an initialiser: that may call memset. */
+    sum[0] = sum[1] = sum[2] = sum[3] = 0;
     for (; i + 4 <= slip->size; i += 4)
         for (k = 0; k < 4; k++) {
             after[i + k] = dragged(cart[i + k], y, rho[i + k]);

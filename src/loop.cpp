@@ -81,6 +81,31 @@ struct Loop {
         return own<Output>(std::move(out), {n});
     }
 
+    // Every number that a step reads, as the core made it.
+    nb::dict tables() const {
+        const dehyst_compensator &c = compensator;
+        const double *phi = c.pace.transition.phi, *before = c.pace.transition.before, *after = c.pace.transition.after;
+        const Core &base = wide.base;
+        nb::dict found;
+        auto put = [&](const char *name, const std::vector<double> &values) { found[name] = as_array(values); };
+        put("rho", base.rho), put("kappa", base.kappa);
+        put("knot", base.knot), put("value", base.value), put("slope", base.slope);
+        put("grade_knot", wide.grade_knot), put("grade_value", wide.grade_value), put("grade_slope", wide.grade_slope);
+        put("tau_voltage", wide.tau_voltage), put("tau_drive", wide.tau_drive);
+        put("tau_slope", wide.tau_slope), put("tau_inverse", wide.tau_inverse);
+        put("creep", wide.stiffness), put("decay", decay), put("gain", gain);
+        put("length", wide.length), put("back", wide.back), put("smooth", wide.smooth);
+        put("tap", tap);
+        if (wide.wide.inertia) {
+            put("inertia", {wide.wide.series, wide.wide.share});
+            put("transition", {phi[0], phi[1], phi[2], phi[3], before[0], before[1], after[0], after[1]});
+        } else {
+            put("inertia", {}), put("transition", {});
+        }
+        put("loop", {c.low, c.high, c.change, c.lag, c.keep, c.from_old, c.from_new, c.stiffness});
+        return found;
+    }
+
     double sent() const { return loop.sent; }
     std::tuple<unsigned long, unsigned long, unsigned long> counts() const {
         return {loop.limited, loop.slewed, loop.refused};
@@ -120,6 +145,7 @@ void bind_loop(nb::module_ &m) {
         .def("commit", &Loop::commit)
         .def("step", &Loop::step)
         .def("run", &Loop::run)
+        .def("tables", &Loop::tables)
         .def("sent", &Loop::sent)
         .def("counts", &Loop::counts)
         .def("state", &Loop::state)

@@ -275,6 +275,20 @@ class Compensator:
         self._loop.begin(*self.actuator.model.held(snapshot.state))
         self._loop.go_on(snapshot.rest, *snapshot.counts)
 
+    def afresh(self) -> Compensator:
+        """Another one like it, as it was when made or last reset."""
+        return Compensator(
+            self.actuator, self.limits, self.slew_rate, period=self.period, state=self._start, preview=self.preview
+        )
+
+    def tables(self) -> dict[str, Array]:
+        """Every number that a step reads, as the core made it; names as in `core/dehyst.h`."""
+        return self._loop.tables()
+
+    def start(self) -> Held:
+        """The state that it was made or last reset in, in the core's numbers."""
+        return self.actuator.model.held(self._start)
+
     @property
     def _running(self) -> bool:
         return "_loop" in self.__dict__

@@ -1,0 +1,79 @@
+/* Replays what Python did with the same model: prints what differs, and returns 0 if nothing does. */
+#include "piezo.h"
+#include "trace.h"
+
+#include <float.h>
+#include <stdio.h>
+
+#define MOST_SAID 5
+
+static double magnitude_of(double a) { return a < 0 ? -a : a; }
+
+/* What the row asks for, done: what it answers. */
+static double answer(const trace_row *row, piezo *loop, piezo *actuator)
+{
+    const dehyst_real given = (dehyst_real)row->given;
+    dehyst_real nothing = 0;
+    switch (row->what) {
+    case TRACE_STEP: return piezo_step(loop, given);
+    case TRACE_OFFER: return piezo_offer(loop, given);
+    case TRACE_COMMIT: piezo_commit(loop, given); return piezo_displacement(loop);
+    case TRACE_ACCEPT: piezo_commit(loop, loop->loop.voltage); return piezo_displacement(loop);
+    case TRACE_HOLD: piezo_hold(loop); return piezo_displacement(loop);
+    case TRACE_NONSENSE: return piezo_step(loop, nothing / nothing);
+    default: return piezo_simulate(actuator, given);
+    }
+}
+
+/* As a share of the voltage limits, or of the displacements between them. */
+static double error_of(const trace_row *row, double got)
+{
+    const int displaces = row->what >= TRACE_COMMIT && row->what != TRACE_NONSENSE;
+    return magnitude_of(got - row->answer) / (displaces ? TRACE_STROKE : TRACE_VOLTS);
+}
+
+static int counts_differ(const piezo *loop)
+{
+    const dehyst_loop *l = &loop->loop;
+    if (l->limited == TRACE_LIMITED && l->slewed == TRACE_SLEWED && l->refused == TRACE_REFUSED) return 0;
+    printf("counts: got %lu limited, %lu slewed, %lu refused; want %lu, %lu, %lu\n", l->limited, l->slewed, l->refused,
+           TRACE_LIMITED, TRACE_SLEWED, TRACE_REFUSED);
+    return 1;
+}
+
+static int conclude(int differing, double largest, const piezo *loop)
+{
+    if (sizeof(dehyst_real) == sizeof(double)) {
+        differing += counts_differ(loop);
+        if (differing > 0 && FLT_EVAL_METHOD != 0) printf("this compiler computes in another precision than double's\n");
+        printf("double: %d of %d answers differ from Python's\n", differing, TRACE_SIZE);
+        return differing > 0;
+    }
+    printf("float: largest error %.3e of the range, to be above %.0e and below %.1e\n", largest, TRACE_LEAST, TRACE_MOST);
+    /* An error like double's would tell that the number type was not rewritten everywhere. */
+    return !(largest > TRACE_LEAST && largest < TRACE_MOST);
+}
+
+int main(void)
+{
+    static piezo loop, actuator, copy;
+    double largest = 0;
+    int differing = 0, i;
+    if (piezo_begin(&loop) != DEHYST_OK || piezo_begin(&actuator) != DEHYST_OK) {
+        printf("piezo_begin: the state is none of this model\n");
+        return 1;
+    }
+    for (i = 0; i < TRACE_SIZE; i++) {
+        const double got = answer(trace + i, &loop, &actuator), error = error_of(trace + i, got);
+        if (error > largest || error != error) largest = error;
+        if (got != trace[i].answer && differing++ < MOST_SAID && sizeof(dehyst_real) == sizeof(double))
+            printf("row %d: got %.17g, want %.17g\n", i, got, trace[i].answer);
+        /* What follows must not depend on where a piezo lies. */
+        if (i == TRACE_SIZE / 2) {
+            piezo_copy(&copy, &loop);
+            piezo_begin(&loop);
+            piezo_copy(&loop, &copy);
+        }
+    }
+    return conclude(differing, largest, &loop);
+}

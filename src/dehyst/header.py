@@ -1,0 +1,208 @@
+"""The numbers of a compensator as C: `model.h` and `model_size.h`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from dehyst._errors import ModelError
+from dehyst._native import NOTHING, Array
+from dehyst.compensator import Compensator
+from dehyst.version import __version__
+
+Number: TypeAlias = Literal["double", "float"]
+Tables: TypeAlias = Mapping[str, Array]
+
+_A_LINE = 4
+# Of each: what must strictly increase, and of what it is, so that a refusal can say it.
+_INCREASING = {
+    "rho": "breakaway elongations",
+    "knot": "displacements of the spring's knots",
+    "value": "voltages of the spring's knots",
+    "grade_knot": "knots of the graded elements",
+    "tau_voltage": "voltages of the transformer",
+    "tau_drive": "drives of the transformer",
+}
+_POSITIVE = {
+    "rho": "breakaway elongation",
+    "slope": "slope of the spring",
+    "tau_slope": "slope of the transformer",
+    "tau_inverse": "slope of the transformer's inverse",
+    "length": "length of a smooth element",
+}
+
+
+class Sizes(NamedTuple):
+    """How many of each part a loop has: elements, spring's knots, grades, transformer's knots, creep, smooth, taps."""
+
+    elements: int
+    knots: int
+    grades: int
+    bends: int
+    branches: int
+    smooth: int
+    taps: int
+
+    @classmethod
+    def of(cls, tables: Tables) -> Sizes:
+        """Of a compensator's tables."""
+        grades = max(tables["grade_knot"].size - 1, 0)
+        names = ("tau_voltage", "creep", "length", "tap")
+        return cls(tables["rho"].size, tables["knot"].size, grades, *(tables[name].size for name in names))
+
+
+def size_header(compensator: Compensator, number: Number) -> str:
+    """Text of `model_size.h`: macros that others than `piezo.c` need too."""
+    sizes, low, high = Sizes.of(compensator.tables()), *compensator.limits
+    spell = _Spelling(number)
+    lines = [
+        "#ifndef MODEL_SIZE_H",
+        "#define MODEL_SIZE_H",
+        "",
+        f"#define MODEL_ELEMENTS {sizes.elements}",
+        f"#define MODEL_BRANCHES {sizes.branches}",
+        f"#define MODEL_SMOOTH {sizes.smooth}",
+        f"#define MODEL_TAPS {sizes.taps}",
+        "#define MODEL_ROOM(n) ((n) > 0 ? (n) : 1)",
+        "",
+        "/* Seconds between steps; 0: this model does not depend on time. */",
+        f"#define MODEL_PERIOD {spell.one(compensator.period or 0.0)}",
+        "/* A displacement is to be given so many samples before its time. */",
+        f"#define MODEL_AHEAD {compensator.samples_ahead}",
+        f"#define MODEL_LOW {spell.one(low)} /* V */",
+        f"#define MODEL_HIGH {spell.one(high)} /* V */",
+        "",
+        "#endif",
+    ]
+    return "\n".join([*_title(compensator), *lines, ""])
+
+
+def model_header(compensator: Compensator, number: Number) -> str:
+    """Text of `model.h`: every number that a step reads, and the state that it starts from.
+
+    Raises
+    ------
+    ModelError
+        If a float cannot tell numbers apart that must differ, or hold one of them.
+    """
+    tables = compensator.tables()
+    if number == "float":
+        _demand_float(tables)
+    spell, start = _Spelling(number), compensator.start()
+    w, motion = start.w, start.motion if start.motion.size else np.array([start.w, 0.0])
+    branches = tables["creep"].size
+    begin = {"place": np.array([w, *motion]), "cart": start.carts, "strain": start.strains[:branches],
+             "elongation": start.strains[branches:]}  # fmt: skip
+    used = _used(tables)
+    arrays = [spell.array(name, values) for name, values in used.items() if values.size]
+    return "\n".join([
+        *_title(compensator),
+        "#ifndef MODEL_H",
+        "#define MODEL_H",
+        "",
+        '#include "dehyst.h"',
+        '#include "model_size.h"',
+        "",
+        *arrays,
+        "/* Where it starts: w, y and y'/omega; then the memory. */",
+        *(spell.array(name, values if values.size else np.zeros(1)) for name, values in begin.items()),
+        _compensator(tables, used, spell),
+        "",
+        "#endif",
+        "",
+    ])  # fmt: skip
+
+
+class _Spelling:
+    """How numbers are written in C: hexadecimal, so that not a bit is lost."""
+
+    def __init__(self, number: Number) -> None:
+        self.number = number
+
+    def one(self, value: float) -> str:
+        if value == float(np.finfo(np.float64).max):
+            return "DEHYST_LARGEST"
+        return float(value).hex() if self.number == "double" else f"{float(np.float32(value)).hex()}f"
+
+    def some(self, values: Array) -> str:
+        return ", ".join(self.one(value) for value in values.tolist())
+
+    def array(self, name: str, values: Array) -> str:
+        rows = [self.some(values[i : i + _A_LINE]) for i in range(0, values.size, _A_LINE)]
+        body = ",\n    ".join(rows)
+        return f"static const dehyst_real model_{name}[{values.size}] = {{\n    {body}}};"
+
+
+def _used(tables: Tables) -> dict[str, Array]:
+    """Arrays that a loop reads: graded elements have no stiffness apart, a curve has one slope less than knots."""
+    arrays = {name: values for name, values in tables.items() if name not in ("loop", "inertia", "transition")}
+    if tables["grade_knot"].size:
+        arrays["kappa"] = NOTHING
+    for name in ("tau_slope", "tau_inverse"):
+        arrays[name] = arrays[name][:-1]
+    return arrays
+
+
+def _compensator(tables: Tables, used: Tables, spell: _Spelling) -> str:
+    """The constant `model`, member by member as `dehyst_compensator` has them."""
+    sizes = Sizes.of(tables)
+
+    def at(*names: str) -> str:
+        return ", ".join(f"model_{name}" if used[name].size else "0" for name in names)
+
+    inertia, step = tables["inertia"], tables["transition"]
+    series = spell.some(inertia) if inertia.size else "0, 0"
+    moves = step if step.size else np.zeros(8)
+    low, high, change, *amplifier, stiffness = tables["loop"].tolist()
+    rows = [
+        "{{{",
+        f"    {{{sizes.elements}, {at('rho', 'kappa')}, 0, 0, 0, 0}},",
+        f"    {{{sizes.knots}, {at('knot', 'value', 'slope')}}}}},",
+        f"  {{{sizes.grades}, {at('grade_knot', 'grade_value', 'grade_slope')}}},",
+        f"  {{{sizes.bends}, {at('tau_voltage', 'tau_drive', 'tau_slope')}}},",
+        f"  {{{sizes.bends}, {at('tau_drive', 'tau_voltage', 'tau_inverse')}}},",
+        f"  {sizes.branches}, {at('creep')},",
+        f"  {int(inertia.size > 0)}, {series},",
+        f"  {{{sizes.smooth}, {at('length', 'back', 'smooth')}}}}},",
+        f" {{{at('decay', 'gain')},",
+        f"  {{{{{spell.some(moves[:4])}}},",
+        f"   {{{spell.some(moves[4:6])}}},",
+        f"   {{{spell.some(moves[6:])}}}}}}},",
+        f" {spell.one(low)}, {spell.one(high)}, {spell.one(change)},",
+        f" {sizes.taps}, {at('tap')},",
+        f" {spell.some(np.array(amplifier))},",
+        f" {spell.one(stiffness)}}};",
+    ]
+    return "static const dehyst_compensator model = " + "\n".join(rows)
+
+
+def _demand_float(tables: Tables) -> None:
+    """Refuse what single precision would make another model of."""
+    largest = np.finfo(np.float64).max
+    for name, values in tables.items():
+        with np.errstate(over="ignore", under="ignore"):
+            rounded = values.astype(np.float32)
+        if not np.isfinite(rounded[values != largest]).all():
+            raise ModelError(f"float: a number of {name} is too large, {np.abs(values).max():.3g}; export double")
+        if name in _INCREASING and (np.diff(rounded) <= 0).any():
+            i = int(np.argmax(np.diff(rounded) <= 0))
+            raise ModelError(
+                f"float: the {_INCREASING[name]} {values[i]!r} and {values[i + 1]!r} are one number when rounded, need "
+                "two; export double, or identify with fewer"
+            )
+        if name in _POSITIVE and (rounded <= 0).any() and (values > 0).all():
+            raise ModelError(f"float: a {_POSITIVE[name]}, {values.min():.3g}, is 0 when rounded; export double")
+    kept, decay = tables["decay"], tables["decay"].astype(np.float32)
+    if ((decay == 1) & (kept < 1)).any():
+        raise ModelError(
+            "float: creep is so slow beside the period that it would never relax: what a step leaves of a strain, "
+            f"{kept.max()!r}, is 1 when rounded; export double, or give a longer period"
+        )
+
+
+def _title(compensator: Compensator) -> list[str]:
+    name = re.sub(r"[^\w .,()+-]", "_", compensator.actuator.name, flags=re.ASCII)
+    return [f"/* Numbers of the actuator '{name}', made by dehyst {__version__}: V, m, s. Do not edit. */"]
