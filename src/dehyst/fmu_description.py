@@ -61,10 +61,16 @@ class Description:
         make = _compensator if kind == "compensator" else _actuator
         summary, variables = make(compensator, words)
         slug = re.sub(r"\W+", "_", words, flags=re.ASCII).strip("_")[:_LONGEST] or "piezo"
+        twice = slug == kind
         return cls(
-            version, kind, f"{words}, {kind}", f"dehyst_{slug}_{kind}", f"{summary} {pace}", period,
+            version,
+            kind,
+            words if twice else f"{words}, {kind}",
+            f"dehyst_{slug}" if twice else f"dehyst_{slug}_{kind}",
+            f"{summary} {pace}",
+            period,
             (Variable("time", "independent", "s", "Simulation time"), *variables),
-        )  # fmt: skip
+        )
 
     @property
     def outputs(self) -> tuple[int, ...]:

@@ -6,18 +6,18 @@
 #include "fmi3.h"
 #endif
 
-#define FMI(type, name) FMI3_Export type fmi3FullName(fmi3##name)
-#define REFERENCES const fmi3ValueReference r[], size_t n
+#define ABSENT(type, name) FMI3_Export type fmi3FullName(fmi3##name)
+#define WHICH const fmi3ValueReference r[], size_t n
 
 /* To ask for no variable at all is allowed. */
 #define NO_SETTER(type)                                                                                     \
-    FMI(fmi3Status, Set##type)(fmi3Instance c, REFERENCES, const fmi3##type values[], size_t given)         \
+    ABSENT(fmi3Status, Set##type)(fmi3Instance c, WHICH, const fmi3##type values[], size_t given)         \
     {                                                                                                       \
         (void)c, (void)r, (void)values, (void)given;                                                        \
         return n == 0 ? fmi3OK : fmi3Error;                                                                 \
     }
 #define NO_TYPE(type)                                                                                       \
-    FMI(fmi3Status, Get##type)(fmi3Instance c, REFERENCES, fmi3##type values[], size_t room)                \
+    ABSENT(fmi3Status, Get##type)(fmi3Instance c, WHICH, fmi3##type values[], size_t room)                \
     {                                                                                                       \
         (void)c, (void)r, (void)values, (void)room;                                                         \
         return n == 0 ? fmi3OK : fmi3Error;                                                                 \
@@ -37,7 +37,7 @@ NO_TYPE(Boolean)
 NO_TYPE(String)
 
 #define NO_MODE(name)                                                                                       \
-    FMI(fmi3Status, name)(fmi3Instance c)                                                                   \
+    ABSENT(fmi3Status, name)(fmi3Instance c)                                                                   \
     {                                                                                                       \
         (void)c;                                                                                            \
         return fmi3Error;                                                                                   \
@@ -52,13 +52,13 @@ NO_MODE(EnterStepMode)
 
 /* One and two arrays of results or values beside the references. */
 #define NO_ONE(name, type)                                                                                  \
-    FMI(fmi3Status, name)(fmi3Instance c, REFERENCES, type a[])                                             \
+    ABSENT(fmi3Status, name)(fmi3Instance c, WHICH, type a[])                                             \
     {                                                                                                       \
         (void)c, (void)r, (void)a;                                                                          \
         return n == 0 ? fmi3OK : fmi3Error;                                                                 \
     }
 #define NO_TWO(name, type, other)                                                                           \
-    FMI(fmi3Status, name)(fmi3Instance c, REFERENCES, type a[], other b[])                                  \
+    ABSENT(fmi3Status, name)(fmi3Instance c, WHICH, type a[], other b[])                                  \
     {                                                                                                       \
         (void)c, (void)r, (void)a, (void)b;                                                                 \
         return n == 0 ? fmi3OK : fmi3Error;                                                                 \
@@ -76,13 +76,13 @@ NO_TWO(SetIntervalFraction, const fmi3UInt64, const fmi3UInt64)
 
 /* The states, derivatives and event indicators of model exchange. */
 #define NO_VECTOR(name, type)                                                                               \
-    FMI(fmi3Status, name)(fmi3Instance c, type x[], size_t n)                                               \
+    ABSENT(fmi3Status, name)(fmi3Instance c, type x[], size_t n)                                               \
     {                                                                                                       \
         (void)c, (void)x, (void)n;                                                                          \
         return fmi3Error;                                                                                   \
     }
 #define NO_SIZE(name)                                                                                       \
-    FMI(fmi3Status, name)(fmi3Instance c, size_t *n)                                                        \
+    ABSENT(fmi3Status, name)(fmi3Instance c, size_t *n)                                                        \
     {                                                                                                       \
         (void)c, (void)n;                                                                                   \
         return fmi3Error;                                                                                   \
@@ -97,7 +97,7 @@ NO_SIZE(GetNumberOfEventIndicators)
 NO_SIZE(GetNumberOfContinuousStates)
 
 #define NO_DERIVATIVE(name)                                                                                 \
-    FMI(fmi3Status, name)(fmi3Instance c, const fmi3ValueReference unknown[], size_t unknowns,              \
+    ABSENT(fmi3Status, name)(fmi3Instance c, const fmi3ValueReference unknown[], size_t unknowns,              \
                           const fmi3ValueReference known[], size_t n, const fmi3Float64 seed[],             \
                           size_t seeds, fmi3Float64 out[], size_t room)                                     \
     {                                                                                                       \
@@ -109,7 +109,7 @@ NO_SIZE(GetNumberOfContinuousStates)
 NO_DERIVATIVE(GetDirectionalDerivative)
 NO_DERIVATIVE(GetAdjointDerivative)
 
-FMI(fmi3Instance, InstantiateModelExchange)(fmi3String name, fmi3String token, fmi3String resources,
+ABSENT(fmi3Instance, InstantiateModelExchange)(fmi3String name, fmi3String token, fmi3String resources,
                                             fmi3Boolean visible, fmi3Boolean logging,
                                             fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
@@ -117,7 +117,7 @@ FMI(fmi3Instance, InstantiateModelExchange)(fmi3String name, fmi3String token, f
     return NULL;
 }
 
-FMI(fmi3Instance, InstantiateScheduledExecution)(
+ABSENT(fmi3Instance, InstantiateScheduledExecution)(
     fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible, fmi3Boolean logging,
     fmi3InstanceEnvironment environment, fmi3LogMessageCallback log, fmi3ClockUpdateCallback update,
     fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock)
@@ -127,32 +127,32 @@ FMI(fmi3Instance, InstantiateScheduledExecution)(
     return NULL;
 }
 
-FMI(fmi3Status, GetBinary)(fmi3Instance c, REFERENCES, size_t sizes[], fmi3Binary values[], size_t room)
+ABSENT(fmi3Status, GetBinary)(fmi3Instance c, WHICH, size_t sizes[], fmi3Binary values[], size_t room)
 {
     (void)c, (void)r, (void)sizes, (void)values, (void)room;
     return n == 0 ? fmi3OK : fmi3Error;
 }
 
-FMI(fmi3Status, SetBinary)(fmi3Instance c, REFERENCES, const size_t sizes[], const fmi3Binary values[], size_t given)
+ABSENT(fmi3Status, SetBinary)(fmi3Instance c, WHICH, const size_t sizes[], const fmi3Binary values[], size_t given)
 {
     (void)c, (void)r, (void)sizes, (void)values, (void)given;
     return n == 0 ? fmi3OK : fmi3Error;
 }
 
-FMI(fmi3Status, GetIntervalFraction)(fmi3Instance c, REFERENCES, fmi3UInt64 counters[], fmi3UInt64 resolutions[],
+ABSENT(fmi3Status, GetIntervalFraction)(fmi3Instance c, WHICH, fmi3UInt64 counters[], fmi3UInt64 resolutions[],
                                      fmi3IntervalQualifier qualifiers[])
 {
     (void)c, (void)r, (void)counters, (void)resolutions, (void)qualifiers;
     return n == 0 ? fmi3OK : fmi3Error;
 }
 
-FMI(fmi3Status, GetNumberOfVariableDependencies)(fmi3Instance c, fmi3ValueReference dependent, size_t *n)
+ABSENT(fmi3Status, GetNumberOfVariableDependencies)(fmi3Instance c, fmi3ValueReference dependent, size_t *n)
 {
     (void)c, (void)dependent, (void)n;
     return fmi3Error;
 }
 
-FMI(fmi3Status, GetVariableDependencies)(fmi3Instance c, fmi3ValueReference dependent, size_t elements[],
+ABSENT(fmi3Status, GetVariableDependencies)(fmi3Instance c, fmi3ValueReference dependent, size_t elements[],
                                          fmi3ValueReference independents[], size_t others[],
                                          fmi3DependencyKind kinds[], size_t n)
 {
@@ -160,34 +160,34 @@ FMI(fmi3Status, GetVariableDependencies)(fmi3Instance c, fmi3ValueReference depe
     return fmi3Error;
 }
 
-FMI(fmi3Status, UpdateDiscreteStates)(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
+ABSENT(fmi3Status, UpdateDiscreteStates)(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
                                       fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *next)
 {
     (void)c, (void)again, (void)terminate, (void)nominals, (void)values, (void)defined, (void)next;
     return fmi3Error;
 }
 
-FMI(fmi3Status, CompletedIntegratorStep)(fmi3Instance c, fmi3Boolean no_way_back, fmi3Boolean *event,
+ABSENT(fmi3Status, CompletedIntegratorStep)(fmi3Instance c, fmi3Boolean no_way_back, fmi3Boolean *event,
                                          fmi3Boolean *terminate)
 {
     (void)c, (void)no_way_back, (void)event, (void)terminate;
     return fmi3Error;
 }
 
-FMI(fmi3Status, SetTime)(fmi3Instance c, fmi3Float64 time)
+ABSENT(fmi3Status, SetTime)(fmi3Instance c, fmi3Float64 time)
 {
     (void)c, (void)time;
     return fmi3Error;
 }
 
-FMI(fmi3Status, GetOutputDerivatives)(fmi3Instance c, REFERENCES, const fmi3Int32 orders[], fmi3Float64 values[],
+ABSENT(fmi3Status, GetOutputDerivatives)(fmi3Instance c, WHICH, const fmi3Int32 orders[], fmi3Float64 values[],
                                       size_t room)
 {
     (void)c, (void)r, (void)orders, (void)values, (void)room;
     return n == 0 ? fmi3OK : fmi3Error;
 }
 
-FMI(fmi3Status, ActivateModelPartition)(fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time)
+ABSENT(fmi3Status, ActivateModelPartition)(fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time)
 {
     (void)c, (void)clock, (void)time;
     return fmi3Error;

@@ -4,8 +4,6 @@
 #include <stdio.h>
 #include <string.h>
 
-static int is_finite(double a) { return a - a == 0; }
-
 /* snprintf may write nan, inf and numbers, none of them with a % sign. */
 #define REFUSE(f, ...) (snprintf((f)->message, sizeof(f)->message, __VA_ARGS__), 0)
 
@@ -41,7 +39,7 @@ int fmu_enter(fmu *f, fmu_phase from, fmu_phase to, const char *function)
 int fmu_set(fmu *f, uint32_t reference, double value)
 {
     if (reference != FMU_INPUT) return REFUSE(f, "variable %u: it is no input of real numbers", (unsigned)reference);
-    if (!is_finite(value))
+    if (!fmu_finite(value))
         return REFUSE(f, "%s: got %g, need a finite number of %s; the last one stays", FMU_INPUT_NAME, value,
                       FMU_ACTUATOR ? "volts" : "metres");
     f->input = value;
@@ -72,13 +70,13 @@ int fmu_count(fmu *f, uint32_t reference, uint64_t *value)
 /* The periods in a step, or 0. Steps are differences of times, each rounded. */
 static uint32_t periods(double from, double by)
 {
-    const double ratio = FMU_PERIOD > 0 ? by / FMU_PERIOD : 1;
+    const double ratio = MODEL_PERIOD > 0 ? by / MODEL_PERIOD : 1;
     double off = by;
     uint32_t n;
-    if (!is_finite(from) || !(by > 0) || !(ratio < 1e9)) return 0;
-    if (!(FMU_PERIOD > 0)) return 1;
+    if (!fmu_finite(from) || !(by > 0) || !(ratio < 1e9)) return 0;
+    if (!(MODEL_PERIOD > 0)) return 1;
     n = (uint32_t)(ratio + 0.5);
-    off -= n * FMU_PERIOD;
+    off -= n * MODEL_PERIOD;
     return (off < 0 ? -off : off) <= 1e-9 * by + 4 * DBL_EPSILON * (from < 0 ? -from : from) ? n : 0;
 }
 
@@ -87,7 +85,7 @@ static int sample(fmu *f)
     piezo *p = &f->piezo;
 #if FMU_ACTUATOR
     f->output = piezo_simulate(p, f->input);
-    if (is_finite(f->output) && is_finite(p->loop.state.memory.y)) return 1;
+    if (fmu_finite(f->output) && fmu_finite(p->loop.state.memory.y)) return 1;
 #else
     f->output = piezo_offer(p, f->input);
     if (p->loop.offer != DEHYST_REFUSED) {
@@ -104,9 +102,9 @@ int fmu_step(fmu *f, double from, double by)
     fmu_memory before;
     if (f->phase != FMU_RUNNING) return REFUSE(f, "DoStep: not allowed now; end the initialization first");
     if (n == 0) {
-        if (FMU_PERIOD > 0)
+        if (MODEL_PERIOD > 0)
             return REFUSE(f, "communication step: got %.17g s at %.17g s, need a whole multiple of %.17g s", by, from,
-                          FMU_PERIOD);
+                          MODEL_PERIOD);
         return REFUSE(f, "communication step: got %.17g s at %.17g s, need a positive number", by, from);
     }
     fmu_save(f, &before);

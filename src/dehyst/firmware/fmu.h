@@ -45,6 +45,8 @@ int fmu_step(fmu *f, double from, double by);
 /* 1 if something was clamped for the first time, and says what. */
 int fmu_clamped(fmu *f);
 
+static inline int fmu_finite(double a) { return a - a == 0; }
+
 void fmu_save(const fmu *f, fmu_memory *memory);
 void fmu_restore(fmu *f, const fmu_memory *memory);
 int fmu_fits(fmu *f, const void *bytes, size_t size);
