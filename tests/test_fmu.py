@@ -100,7 +100,11 @@ def test_simulate_fmu_gives_the_same(made, model, version):
         source, sink = ("displacement", "voltage")[:: 1 if kind == "compensator" else -1]
         table = np.array(list(zip(time, given, strict=True)), dtype=[("time", "f8"), (source, "f8")])
         result = fmpy.simulate_fmu(
-            str(made(model, version, kind)[0]), stop_time=time[-1], step_size=PERIOD, output_interval=PERIOD, input=table
+            str(made(model, version, kind)[0]),
+            stop_time=time[-1],
+            step_size=PERIOD,
+            output_interval=PERIOD,
+            input=table,
         )
         assert result["time"].size == count
         span = float(np.ptp(expected))
@@ -224,7 +228,10 @@ def test_a_state_is_gone_back_to_bit_for_bit(made, model, version, kind):
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_state_of_another_model_is_refused(made, version):
-    with Slave(made("plain", version, "compensator")[1]) as one, Slave(made("creep", version, "compensator")[1]) as other:
+    with (
+        Slave(made("plain", version, "compensator")[1]) as one,
+        Slave(made("creep", version, "compensator")[1]) as other,
+    ):
         for data in (one.state(), other.state()[:-1], b""):
             with pytest.raises(FMICallException):
                 other.restore(data)

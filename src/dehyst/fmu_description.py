@@ -156,7 +156,9 @@ def _at_start(compensator: Compensator) -> tuple[float, float]:
 
 def _fill_2(root: ElementTree.Element, description: Description, source: str) -> None:
     features = {"canHandleVariableCommunicationStepSize": _flag(not description.period)}
-    features |= dict.fromkeys(("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate"), "true")
+    features |= dict.fromkeys(
+        ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate"), "true"
+    )
     interface = _add(root, "CoSimulation", modelIdentifier=description.identifier, **features)
     _add(_add(interface, "SourceFiles"), "File", name=source)
     _fill_common(root, description)
