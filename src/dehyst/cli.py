@@ -12,6 +12,7 @@ import click
 
 from dehyst.cli_compare import compare
 from dehyst.cli_excite import excite
+from dehyst.cli_export import export
 from dehyst.console import (
     PATH,
     Commands,
@@ -47,6 +48,7 @@ def main() -> None:
 
 main.add_command(compare)
 main.add_command(excite)
+main.add_command(export)
 
 
 @main.command(cls=ManyToValidate)

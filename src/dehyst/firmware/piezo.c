@@ -32,11 +32,7 @@ dehyst_real piezo_offer(piezo *p, dehyst_real displacement) { return dehyst_loop
 
 void piezo_commit(piezo *p, dehyst_real voltage) { dehyst_loop_commit(&model, &p->loop, voltage); }
 
-void piezo_hold(piezo *p)
-{
-    p->loop.offer = DEHYST_NOTHING;
-    dehyst_loop_commit(&model, &p->loop, p->loop.sent);
-}
+void piezo_hold(piezo *p) { dehyst_loop_commit(&model, &p->loop, p->loop.sent); }
 
 dehyst_real piezo_simulate(piezo *p, dehyst_real voltage)
 {

@@ -1,0 +1,256 @@
+"""A compensator as a folder of C for a microcontroller: the very files that Python runs, and its numbers."""
+
+from __future__ import annotations
+
+import re
+import secrets
+import shutil
+import sys
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from string import Template
+from typing import NamedTuple
+
+from dehyst._errors import FileFormatError, ModelError
+from dehyst.compensator import Compensator
+from dehyst.files import PathLike
+from dehyst.footprint import CORTEX_M4, CORTEX_M4F, STRICT, Footprint, run, sizes
+from dehyst.golden import Golden, golden, trace_header
+from dehyst.header import Number, model_header, size_header
+from dehyst.operations import Operations, worst_case
+from dehyst.version import __version__
+
+__all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "sizes", "worst_case"]
+
+SOURCES = ("piezo.c", "dehyst.c", "dehyst_grades.c", "dehyst_smooth.c", "dehyst_wide.c", "dehyst_compensator.c")
+_HEADERS = ("piezo.h", "dehyst.h", "dehyst_parts.h", "dehyst_balance.h", "dehyst_config.h")
+_GENERATED = ("model.h", "model_size.h", "trace.h", "README.md")
+_FILES = {*SOURCES, *_HEADERS, *_GENERATED, "check.c", "Makefile", "LICENSE"}
+_BUILT = re.compile(r".*\.(o|ci|su)|check_program")
+# A float's error, as a share of the range: above the first, or the number type was not rewritten everywhere.
+_LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
+_ANY = 1e300
+_INDENT = " " * 22 + "# "
+# Cortex-M4's unit knows floats only.
+_PROCESSORS = {
+    "this computer": ("cc", ("-O2",)),
+    "Cortex-M4": ("arm-none-eabi-gcc", CORTEX_M4),
+    "Cortex-M4, by its floating-point unit": ("arm-none-eabi-gcc", CORTEX_M4F),
+}
+_MEASURED = re.compile(r"largest error ([\d.e+-]+) of the range")
+
+
+class Exported(NamedTuple):
+    """An exported folder.
+
+    Attributes
+    ----------
+    folder : Path
+    footprints : dict of str to Footprint
+        Bytes by processor, for each compiler that was found.
+    operations : Operations
+        Of a step, at most.
+    error : float or None
+        Of floats: the largest error of the trace, as a share of the limits or of the reach; None without a compiler.
+    """
+
+    folder: Path
+    footprints: dict[str, Footprint]
+    operations: Operations
+    error: float | None
+
+
+def code(compensator: Compensator, number: Number = "double") -> dict[str, str]:
+    """The C files of a compensator by name: `SOURCES` and the headers that they include.
+
+    Raises
+    ------
+    ModelError
+        If the number type is another one, or floats cannot hold this model.
+    """
+    if number not in ("double", "float"):
+        raise ModelError(f"number: got {number!r}, need 'double' or 'float'")
+    files = {name: _shipped(name) for name in (*SOURCES, *_HEADERS)}
+    if number == "float":
+        files["dehyst_config.h"] = _single(files["dehyst_config.h"])
+    return {**files, "model.h": model_header(compensator, number), "model_size.h": size_header(compensator, number)}
+
+
+def export(
+    compensator: Compensator, directory: PathLike, number: Number = "double", *, force: bool = False
+) -> Exported:  # fmt: skip
+    """Write a compensator as C: all of it, or nothing.
+
+    The folder holds the files of the core, byte for byte but for the number type, `model.h` with the numbers, `piezo.h`
+    with the calls, a trace of what Python does that ``make check`` replays, and a README that says how to use it, how
+    many bytes it takes and how many operations a step is at most.
+
+    Parameters
+    ----------
+    compensator : Compensator
+        It is exported as it was made or last reset, and stays as it is.
+    directory : path
+        Made here; may exist if it is empty.
+    number : {'double', 'float'}, optional
+        float: every number is rounded once. The error against double is measured if there is a compiler.
+    force : bool, optional
+        Replace an earlier export. Other files are never replaced.
+
+    Returns
+    -------
+    Exported
+
+    Raises
+    ------
+    ModelError
+        If the number type is another one, or floats cannot hold this model.
+    FileFormatError
+        If the folder holds other files, or cannot be written.
+    """
+    folder = Path(directory)
+    _demand_free(folder, force)
+    files = code(compensator, number)
+    files |= {name: _shipped(name) for name in ("check.c", "Makefile", "LICENSE")}
+    target = folder.resolve()
+    draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        draft.mkdir()
+        _write(draft, files)
+        measured = _complete(draft, compensator, number)
+        _put(draft, target)
+    except OSError as error:
+        raise FileFormatError(f"{folder}: cannot be written ({error.strerror}); check the folder's rights") from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+    return measured._replace(folder=folder)
+
+
+def _complete(draft: Path, compensator: Compensator, number: Number) -> Exported:
+    """Add what needs the other files: the trace with its bound, and the README with what was measured."""
+    trace, error = golden(compensator), None
+    _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
+    if number == "float":
+        error = _float_error(draft)
+        most = _UNMEASURED if error is None else _MARGIN * error
+        _write(draft, {"trace.h": trace_header(trace, _LEAST, most)})
+    made = Exported(draft, _footprints(draft, number), worst_case(compensator), error)
+    _write(draft, {"README.md": _readme(compensator, number, trace, made)})
+    return made
+
+
+def _shipped(name: str) -> str:
+    """A text file that comes with the package; in an editable install the core's lie apart."""
+    for root in sys.modules["dehyst"].__path__:
+        path = Path(root) / "firmware" / name
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise FileFormatError(f"firmware/{name}: not found beside the package; install dehyst again")
+
+
+def _single(config: str) -> str:
+    """`dehyst_config.h` for floats."""
+    if config.count("typedef double dehyst_real;") != 1 or config.count("DBL_") != 2:
+        raise FileFormatError("firmware/dehyst_config.h: not the file of this version; install dehyst again")
+    return config.replace("typedef double dehyst_real;", "typedef float dehyst_real;").replace("DBL_", "FLT_")
+
+
+def _demand_free(folder: Path, force: bool) -> None:
+    """Refuse a folder that holds what an export would not write; an earlier export, too, unless told otherwise."""
+    if not folder.resolve().parent.is_dir():
+        raise FileFormatError(f"{folder}: the folder {folder.parent} does not exist; create it first")
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise FileFormatError(f"{folder}: is a file, need the name of a folder")
+    there = sorted(path.name for path in folder.iterdir())
+    other = [name for name in there if name not in _FILES and not _BUILT.fullmatch(name)]
+    if other or (there and "model.h" not in there):
+        named = ", ".join((other or there)[:3])
+        raise FileFormatError(f"{folder}: holds other files ({named}); give the name of a new or an empty folder")
+    if there and not force:
+        raise FileFormatError(f"{folder}: holds an earlier export; replace it with force (--force) or name another")
+
+
+def _put(draft: Path, target: Path) -> None:
+    """The draft at its place, what was there removed."""
+    if not target.exists():
+        draft.rename(target)
+        return
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as old:
+        target.rename(Path(old) / "old")
+        draft.rename(target)
+
+
+def _write(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8", newline="\n")
+
+
+def _float_error(folder: Path) -> float | None:
+    """Largest error of the trace in floats, as a share of the range; None without a compiler."""
+    with tempfile.TemporaryDirectory() as work:
+        program = str(Path(work) / "check")
+        try:
+            run(["cc", *STRICT, "-O2", "check.c", *SOURCES, "-o", program], folder)
+            found = _MEASURED.search(run([program], folder))
+        except FileFormatError:
+            return None
+    return float(found[1]) if found else None
+
+
+def _footprints(draft: Path, number: Number) -> dict[str, Footprint]:
+    """What the compilers at hand make of it."""
+    found = {}
+    for processor, (compiler, flags) in _PROCESSORS.items():
+        if flags is CORTEX_M4F and number == "double":
+            continue
+        with suppress(FileFormatError):
+            found[processor] = sizes(draft, compiler, flags)
+    return found
+
+
+def _readme(compensator: Compensator, number: Number, trace: Golden, made: Exported) -> str:
+    low, high = compensator.limits
+    period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
+    return Template(_shipped("README.md")).substitute(
+        name=re.sub(r"[^\w .,()+-]", "_", compensator.actuator.name),
+        version=__version__,
+        number=number,
+        every="a sample" if period is None else f"every {period:.9g} s",
+        timer="this model does not depend on time" if period is None else f"every {period:.9g} s, MODEL_PERIOD",
+        low=f"{low:.9g}",
+        high=f"{high:.9g}",
+        slew="" if slew is None else f" and change by {slew:.9g} V/s at most",
+        ahead=f"\nGive each displacement {ahead} samples before its time (`MODEL_AHEAD`)." if ahead else "",
+        bytes=_bytes(made.footprints),
+        arithmetic=made.operations.arithmetic,
+        divisions=made.operations.divisions,
+        comparisons=made.operations.comparisons,
+        rows=len(trace.rows),
+        error=_error_words(number, made.error),
+        config="" if number == "double" else ", its numbers made floats in `dehyst_config.h`",
+    )
+
+
+def _error_words(number: Number, error: float | None) -> str:
+    if number == "double":
+        return ": the same bits"
+    if error is None:
+        most = f"{_UNMEASURED:.0e} of the range"
+        return f"; its error, not\n{_INDENT}measured for want of a compiler, is taken to be below {most}"
+    most = f"{_MARGIN * error:.1e}"
+    return f"; errors are {error:.1e}\n{_INDENT}of the range at most, to be above {_LEAST:.0e} and below {most}"
+
+
+def _bytes(footprints: dict[str, Footprint]) -> str:
+    if not footprints:
+        return "Not measured, for want of a compiler: `dehyst.export.sizes(folder, compiler)` does, or `size *.o`."
+    return "\n".join([
+        "| bytes | flash | RAM for one `piezo` | stack |",
+        "| --- | --- | --- | --- |",
+        *(f"| {name} | {one.flash} | {one.ram} | {one.stack or 'not told'} |" for name, one in footprints.items()),
+        "",
+        "Flash: code, numbers and the compiler's own arithmetic, by `-O2`. Stack: the deepest chain of calls, without",
+        "that arithmetic.",
+    ])  # fmt: skip
