@@ -7,28 +7,24 @@ import io
 import os
 import platform
 import shutil
-import subprocess
 import sys
 import tempfile
 import uuid
 import warnings
 import zipfile
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, distribution
-from importlib.resources import files
 from pathlib import Path
 from typing import get_args
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst.compensator import Compensator
+from dehyst.export import SOURCES, code, shipped
 from dehyst.files import PathLike, write_atomically
 from dehyst.fmu_description import Description, Kind, Version
-from dehyst.header import model_header, size_header
+from dehyst.footprint import run
 from dehyst.version import __version__
 
-_CORE = ("dehyst.c", "dehyst_grades.c", "dehyst_smooth.c", "dehyst_wide.c", "dehyst_compensator.c")
-_HEADERS = ("dehyst.h", "dehyst_parts.h", "dehyst_balance.h", "dehyst_config.h", "piezo.h", "fmu.h")
-_SPOKEN = {"2.0": (("fmi2.h",), ("fmi2.c",)), "3.0": (("fmi3.h",), ("fmi3.c", "fmi3_absent.c"))}
+_SPOKEN = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
 _BINARY = {"2.0": "binaries/linux64", "3.0": "binaries/x86_64-linux"}
 _SOURCE = "all.c"
 # Not Python's file times: the same model gives the same file.
@@ -38,6 +34,10 @@ _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-s")
 
 class SourceOnlyWarning(UserWarning):
     """An FMU was written without a binary: whoever uses it compiles it first."""
+
+
+class _NoBinaryError(Exception):
+    """Why none could be built."""
 
 
 def export_fmu(
@@ -82,34 +82,37 @@ def export_fmu(
     description = Description.of(compensator, version, kind)
     sources = _sources(compensator, version)
     token = _token(sources, version, kind)
-    sources["fmu_model.h"] = _model(token, description).encode()
-    content = {"modelDescription.xml": description.xml(token, _SOURCE).encode()}
-    content |= {f"sources/{name}": text for name, text in sources.items()}
+    sources["fmu_model.h"] = _model(token, description)
+    texts = {"modelDescription.xml": description.xml(token, _SOURCE)}
+    texts |= {f"sources/{name}": text for name, text in sources.items()}
     if version == "3.0":
-        content["sources/buildDescription.xml"] = description.build_xml(_SOURCE).encode()
-    content |= {"documentation/index.html": description.page().encode(), **_licence()}
-    binary = _compiled(sources)
-    if binary is not None:
-        content[f"{_BINARY[version]}/{description.identifier}.so"] = binary
+        texts["sources/buildDescription.xml"] = description.build_xml(_SOURCE)
+    texts |= {"documentation/index.html": description.page(), "documentation/licenses/license.txt": shipped("LICENSE")}
+    content = {name: text.encode() for name, text in texts.items()}
+    try:
+        content[f"{_BINARY[version]}/{description.identifier}.so"] = _compiled(sources)
+    except _NoBinaryError as why:
+        warnings.warn(
+            f"the FMU holds sources, but no binary: {why}. Install gcc and export it again, or let the program that "
+            "imports it compile it",
+            SourceOnlyWarning,
+            2,
+        )
     write_atomically(path, _zipped(content))
 
 
-def _sources(compensator: Compensator, version: Version) -> dict[str, bytes]:
+def _sources(compensator: Compensator, version: Version) -> dict[str, str]:
     """Contents of `sources/`, but for what holds the token."""
-    headers, spoken = _SPOKEN[version]
-    units = (*_CORE, "piezo.c", "fmu.c", *spoken)
-    shipped = files("dehyst") / "firmware"
-    found = {name: (shipped / name).read_bytes() for name in (*_HEADERS, *headers, *units)}
-    found["model_size.h"] = size_header(compensator, "double").encode()
-    found["model.h"] = model_header(compensator, "double").encode()
-    found[_SOURCE] = (shipped / "fmu_all.c").read_bytes() + "".join(f'#include "{name}"\n' for name in units).encode()
-    return found
+    own = ("fmu.h", "fmu.c", *_SPOKEN[version])
+    units = (*SOURCES, *(name for name in own if name.endswith(".c")))
+    every = shipped("fmu_all.c") + "".join(f'#include "{name}"\n' for name in units)
+    return {**code(compensator), **{name: shipped(name) for name in own}, _SOURCE: every}
 
 
-def _token(sources: Mapping[str, bytes], version: Version, kind: Kind) -> str:
+def _token(sources: Mapping[str, str], version: Version, kind: Kind) -> str:
     digest = hashlib.sha256(f"{version} {kind} {__version__}".encode())
-    for name, content in sources.items():
-        digest.update(f"\n{name} {len(content)}\n".encode() + content)
+    for name, text in sources.items():
+        digest.update(f"\n{name} {len(text)}\n{text}".encode())
     return f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
 
 
@@ -129,43 +132,22 @@ def _model(token: str, description: Description) -> str:
     ])  # fmt: skip
 
 
-def _licence() -> dict[str, bytes]:
-    try:
-        text = distribution("dehyst").read_text("licenses/LICENSE")
-    except PackageNotFoundError:
-        text = None
-    return {} if text is None else {"documentation/licenses/license.txt": text.encode()}
-
-
-def _compiled(sources: Mapping[str, bytes]) -> bytes | None:
-    """The shared library, or None."""
+def _compiled(sources: Mapping[str, str]) -> bytes:
+    """The shared library."""
     compiler = os.environ.get("CC") or next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if not sys.platform.startswith("linux") or platform.machine() != "x86_64":
-        return _none("binaries are built on Linux x86-64 only")
+        raise _NoBinaryError("binaries are built on Linux x86-64 only")
     if compiler is None:
-        return _none("no C compiler is installed")
+        raise _NoBinaryError("no C compiler is installed")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for file, text in sources.items():
-            (folder / file).write_bytes(text)
-        command = [*compiler.split(), *_FLAGS, _SOURCE, "-o", "fmu.so"]
+            (folder / file).write_text(text, encoding="utf-8")
         try:
-            subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
-        except OSError as error:
-            return _none(f"{compiler}: {error.strerror}")
-        except subprocess.CalledProcessError as error:
-            said = error.stderr.strip().splitlines() or ["it failed"]
-            return _none(f"{compiler}: {said[0]}")
+            run([*compiler.split(), *_FLAGS, _SOURCE, "-o", "fmu.so"], folder)
+        except FileFormatError as error:
+            raise _NoBinaryError(str(error)) from error
         return (folder / "fmu.so").read_bytes()
-
-
-def _none(why: str) -> None:
-    warnings.warn(
-        f"the FMU holds sources, but no binary: {why}. Install gcc and export it again, or let the program that imports "
-        "it compile it",
-        SourceOnlyWarning,
-        4,
-    )
 
 
 def _zipped(content: Mapping[str, bytes]) -> bytes:

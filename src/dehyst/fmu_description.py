@@ -116,7 +116,8 @@ class Description:
             for one in self.variables
         ]
         return "\n".join([
-            f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(self.name)}</title></head><body>',
+            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
+            f"<title>{escape(self.name)}</title></head><body>",
             f"<h1>{escape(self.name)}</h1>\n<p>{escape(self.summary)}</p>",
             "<table><tr><th>variable</th><th></th><th>unit</th><th></th></tr>",
             *rows,
@@ -130,8 +131,7 @@ def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variab
     summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{name}' follow a displacement."
     if compensator.slew_rate is not None:
         summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
-    y, v = _at_start(compensator)
-    del v
+    y, _ = _at_start(compensator)
     return summary, (
         Variable("displacement", "input", "m", f"Displacement wanted {when}", y),
         Variable("voltage", "output", "V", "Voltage to be reached at the end of the step"),
