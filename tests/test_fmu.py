@@ -1,6 +1,8 @@
 """FMUs of both versions: what Python does, to the last bit, through the functions of the standard alone."""
 
+import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,6 +17,7 @@ import pytest
 from fmu_rig import INPUT, KINDS, LIMITED, OUTPUT, PERIOD, VERSIONS, Slave, compensators, voltages, wanted
 
 from dehyst import Compensator, FileFormatError, ModelError
+from dehyst.console import start_state
 from dehyst.fmu import SourceOnlyWarning, export_fmu
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed")
@@ -51,10 +54,10 @@ def actuator_voltages(model):
     return np.clip(PATH / bench.STROKE, -0.2, 1.2) * 150 + 10
 
 
-def displacements(model, volts):
+def displacements(model, volts, start=None):
     """Of `Actuator.simulate`, from the start state on."""
     compensator = ALL[model]
-    actuator, start = compensator.actuator, compensator.afresh().state
+    actuator, start = compensator.actuator, compensator.afresh().state if start is None else start
     given = np.append(actuator.voltage(start), volts)
     time = np.arange(given.size) * PERIOD if compensator.period else None
     return actuator.simulate(given, time=time, state=start).displacement[1:]
@@ -379,3 +382,63 @@ def test_refusals(tmp_path):
         export_fmu(ALL["plain"], tmp_path / "x.zip")
     with pytest.raises(ModelError, match="give period="):
         export_fmu(Compensator(ALL["creep"].actuator, (0, 1)), tmp_path / "x.fmu")
+
+
+def cli(*arguments, cwd):
+    command = [sys.executable, "-c", "from dehyst.cli import main; main()", "export", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120, check=False)
+    assert "Traceback" not in done.stderr, done.stderr
+    return done
+
+
+def test_the_command_line_writes_both_kinds(tmp_path):
+    compensator = ALL["creep"]
+    compensator.actuator.save(tmp_path / "model.json")
+    low, high = compensator.limits
+    options = "--limits", low, high, "--slew", compensator.slew_rate, "--period", PERIOD
+    done = cli("model.json", "c.fmu", *options, "--fmu", cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout.startswith("c.fmu: an FMU 3.0 of the compensator, sources and a binary for Linux x86-64")
+    assert "outside the limits" in done.stderr
+    done = cli("model.json", "a.fmu", "--period", PERIOD, "--fmu", "2.0", "--kind", "actuator", "--json", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout) == {
+        "fmu": "a.fmu", "version": "2.0", "kind": "actuator", "binary": True, "warnings": []
+    }  # fmt: skip
+    for name in ("c", "a"):
+        assert validate_fmu(str(tmp_path / f"{name}.fmu")) == []
+    with Slave(fmpy.extract(tmp_path / "a.fmu", tmp_path / "a")) as slave:
+        volts = actuator_voltages("creep")
+        y = slave.run(volts)
+    expected = displacements("creep", volts, start_state(compensator.actuator, "top"))
+    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-12 * bench.STROKE)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--kind", "actuator"], "give --fmu too"),
+        (["--fmu", "2.0", "--number", "float"], "an FMU has doubles"),
+        (["--fmu", "2.0", "--kind", "actuator", "--preview"], "leave out --limits, --slew, --preview"),
+        (["--fmu", "2.0", "--limits", "0", "100"], "is there already; replace it with --force"),
+    ],
+)
+def test_the_command_line_refuses(tmp_path, options, words):
+    ALL["plain"].actuator.save(tmp_path / "model.json")
+    (tmp_path / "x.fmu").write_text("")
+    done = cli("model.json", "x.fmu", *options, cwd=tmp_path)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert (tmp_path / "x.fmu").read_text() == ""
+
+
+def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch):
+    """And what it shows: the actuator follows two steps late."""
+    page = (Path(__file__).parents[1] / "docs" / "fmu.md").read_text()
+    names = {}
+    ALL["creep"].actuator.save(tmp_path / "model.json")
+    monkeypatch.chdir(tmp_path)
+    exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], names)
+    missed = np.abs(names["moved"]["displacement"][2:] - names["wanted"].displacement[:-2])
+    assert names["sent"]["limited"][-1] == 0
+    assert missed.max() < 1e-12 * bench.STROKE
