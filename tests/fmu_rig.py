@@ -1,13 +1,21 @@
 """An FMU of either version in one's hand, and the compensators to make FMUs of."""
 
+import os
+import shutil
+import sys
 import warnings
 from dataclasses import replace
 
 import bench
 import numpy as np
+import pytest
 import wide_bench
 
 import dehyst
+
+fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed")
+if not sys.platform.startswith("linux") or os.uname().machine != "x86_64" or shutil.which("cc") is None:
+    pytest.skip("an FMU's binary is built by a C compiler on Linux x86-64", allow_module_level=True)
 
 PERIOD = 1 / wide_bench.RATE
 INPUT, OUTPUT, LIMITED, SLEWED = 1, 2, 3, 4
@@ -51,12 +59,29 @@ def voltages(compensator, path):
         return fresh.run(path), fresh.clamps
 
 
+ALL = compensators()
+MODELS = tuple(ALL)
+PATH = wanted()
+
+
+def actuator_voltages(model):
+    """Any but too fast: a random path, and beyond the limits."""
+    return np.clip(PATH / bench.STROKE, -0.2, 1.2) * 150 + 10
+
+
+def displacements(model, volts, start=None):
+    """Of `Actuator.simulate`, from the start state on."""
+    compensator = ALL[model]
+    actuator, start = compensator.actuator, compensator.afresh().state if start is None else start
+    given = np.append(actuator.voltage(start), volts)
+    time = np.arange(given.size) * PERIOD if compensator.period else None
+    return actuator.simulate(given, time=time, state=start).displacement[1:]
+
+
 class Slave:
     """One instance; `said` is what it has logged: category and message."""
 
     def __init__(self, folder, *, token=None, logging=True, begin=True):
-        import fmpy
-
         self.description = fmpy.read_model_description(folder)
         self.second = self.description.fmiVersion == "2.0"
         self.said = []
