@@ -6,7 +6,7 @@
 
 #if !defined(FMI2_FUNCTION_PREFIX) && (defined(_WIN32) || defined(__CYGWIN__))
 #define FMI2_Export __declspec(dllexport)
-#elif !defined(FMI2_FUNCTION_PREFIX) && defined(__GNUC__)
+#elif defined(__GNUC__) && !defined(_WIN32)
 #define FMI2_Export __attribute__((visibility("default")))
 #else
 #define FMI2_Export

@@ -8,7 +8,7 @@
 
 #if !defined(FMI3_FUNCTION_PREFIX) && (defined(_WIN32) || defined(__CYGWIN__))
 #define FMI3_Export __declspec(dllexport)
-#elif !defined(FMI3_Export) && !defined(FMI3_FUNCTION_PREFIX) && defined(__GNUC__)
+#elif !defined(FMI3_Export) && defined(__GNUC__) && !defined(_WIN32)
 #define FMI3_Export __attribute__((visibility("default")))
 #elif !defined(FMI3_Export)
 #define FMI3_Export
@@ -46,7 +46,7 @@ typedef void (*fmi3ClockUpdateCallback)(fmi3InstanceEnvironment environment);
 typedef void (*fmi3IntermediateUpdateCallback)(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3Boolean set,
                                                fmi3Boolean get, fmi3Boolean finished, fmi3Boolean may_return,
                                                fmi3Boolean *return_requested, fmi3Float64 *return_time);
-typedef void (*fmi3LockPreemptionCallback)();
-typedef void (*fmi3UnlockPreemptionCallback)();
+typedef void (*fmi3LockPreemptionCallback)(void);
+typedef void (*fmi3UnlockPreemptionCallback)(void);
 
 #endif

@@ -110,8 +110,8 @@ NO_DERIVATIVE(GetDirectionalDerivative)
 NO_DERIVATIVE(GetAdjointDerivative)
 
 ABSENT(fmi3Instance, InstantiateModelExchange)(fmi3String name, fmi3String token, fmi3String resources,
-                                            fmi3Boolean visible, fmi3Boolean logging,
-                                            fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
+                                               fmi3Boolean visible, fmi3Boolean logging,
+                                               fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
     (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)environment, (void)log;
     return NULL;
@@ -140,7 +140,7 @@ ABSENT(fmi3Status, SetBinary)(fmi3Instance c, WHICH, const size_t sizes[], const
 }
 
 ABSENT(fmi3Status, GetIntervalFraction)(fmi3Instance c, WHICH, fmi3UInt64 counters[], fmi3UInt64 resolutions[],
-                                     fmi3IntervalQualifier qualifiers[])
+                                        fmi3IntervalQualifier qualifiers[])
 {
     (void)c, (void)r, (void)counters, (void)resolutions, (void)qualifiers;
     return n == 0 ? fmi3OK : fmi3Error;
@@ -153,22 +153,23 @@ ABSENT(fmi3Status, GetNumberOfVariableDependencies)(fmi3Instance c, fmi3ValueRef
 }
 
 ABSENT(fmi3Status, GetVariableDependencies)(fmi3Instance c, fmi3ValueReference dependent, size_t elements[],
-                                         fmi3ValueReference independents[], size_t others[],
-                                         fmi3DependencyKind kinds[], size_t n)
+                                            fmi3ValueReference independents[], size_t others[],
+                                            fmi3DependencyKind kinds[], size_t n)
 {
     (void)c, (void)dependent, (void)elements, (void)independents, (void)others, (void)kinds, (void)n;
     return fmi3Error;
 }
 
-ABSENT(fmi3Status, UpdateDiscreteStates)(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
-                                      fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *next)
+ABSENT(fmi3Status, UpdateDiscreteStates)(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate,
+                                         fmi3Boolean *nominals, fmi3Boolean *values, fmi3Boolean *defined,
+                                         fmi3Float64 *next)
 {
     (void)c, (void)again, (void)terminate, (void)nominals, (void)values, (void)defined, (void)next;
     return fmi3Error;
 }
 
 ABSENT(fmi3Status, CompletedIntegratorStep)(fmi3Instance c, fmi3Boolean no_way_back, fmi3Boolean *event,
-                                         fmi3Boolean *terminate)
+                                            fmi3Boolean *terminate)
 {
     (void)c, (void)no_way_back, (void)event, (void)terminate;
     return fmi3Error;
@@ -181,7 +182,7 @@ ABSENT(fmi3Status, SetTime)(fmi3Instance c, fmi3Float64 time)
 }
 
 ABSENT(fmi3Status, GetOutputDerivatives)(fmi3Instance c, WHICH, const fmi3Int32 orders[], fmi3Float64 values[],
-                                      size_t room)
+                                         size_t room)
 {
     (void)c, (void)r, (void)orders, (void)values, (void)room;
     return n == 0 ? fmi3OK : fmi3Error;

@@ -144,9 +144,10 @@ void fmu_save(const fmu *f, fmu_memory *memory)
 {
     const dehyst_loop *loop = &f->piezo.loop;
     const dehyst_wide_state *state = &loop->state;
-    const double scalar[FMU_SCALARS] = {state->memory.y, state->y,  state->rate,     state->input, loop->sent,
-                                        loop->acting,    loop->wished[0], loop->wished[1], loop->asked, loop->wish.w,
-                                        loop->wish.v,    loop->voltage,   f->input,        f->output,   f->time};
+    const double scalar[FMU_SCALARS] = {
+        state->memory.y, state->y,        state->rate,     state->input, loop->sent,
+        loop->acting,    loop->wished[0], loop->wished[1], loop->asked,  loop->wish.w,
+        loop->wish.v,    loop->voltage,   f->input,        f->output,    f->time};
     double *at = copied(memory->number, scalar, FMU_SCALARS);
     at = copied(at, state->memory.cart, MODEL_ELEMENTS);
     at = copied(at, state->strain, MODEL_BRANCHES);
@@ -166,9 +167,9 @@ void fmu_restore(fmu *f, const fmu_memory *memory)
     dehyst_loop *loop = &f->piezo.loop;
     dehyst_wide_state *state = &loop->state;
     dehyst_real *const scalar[FMU_SCALARS] = {
-        &state->memory.y, &state->y,        &state->rate,  &state->input,  &loop->sent,
-        &loop->acting,    &loop->wished[0], &loop->wished[1], &loop->asked, &loop->wish.w,
-        &loop->wish.v,    &loop->voltage,   &f->input,     &f->output,     &f->time};
+        &state->memory.y, &state->y,        &state->rate,     &state->input, &loop->sent,
+        &loop->acting,    &loop->wished[0], &loop->wished[1], &loop->asked,  &loop->wish.w,
+        &loop->wish.v,    &loop->voltage,   &f->input,        &f->output,    &f->time};
     const double *at = memory->number;
     int i;
     for (i = 0; i < FMU_SCALARS; i++) *scalar[i] = *at++;

@@ -1,5 +1,5 @@
-/* The only file to compile. What is not FMI stays inside the library, so that many may be loaded at once, and no product
- * is fused with a sum, so that results are the same to the last bit wherever this is compiled. */
+/* The only file to compile. What is not FMI stays inside the library, so that many may be loaded at once, and no
+ * product is fused with a sum, so that results are the same to the last bit wherever this is compiled. */
 #include <float.h>
 #include <limits.h>
 #include <stdbool.h>
