@@ -190,7 +190,7 @@ def _demand_float(tables: Tables) -> None:
         if name in _INCREASING and (np.diff(rounded) <= 0).any():
             i = int(np.argmax(np.diff(rounded) <= 0))
             raise ModelError(
-                f"float: the {_INCREASING[name]} {values[i]!r} and {values[i + 1]!r} are one number when rounded, need "
+                f"float: the {_INCREASING[name]} {float(values[i])!r} and {float(values[i + 1])!r} are one number when rounded, need "
                 "two; export double, or identify with fewer"
             )
         if name in _POSITIVE and (rounded <= 0).any() and (values > 0).all():
@@ -199,7 +199,7 @@ def _demand_float(tables: Tables) -> None:
     if ((decay == 1) & (kept < 1)).any():
         raise ModelError(
             "float: creep is so slow beside the period that it would never relax: what a step leaves of a strain, "
-            f"{kept.max()!r}, is 1 when rounded; export double, or give a longer period"
+            f"{float(kept.max())!r}, is 1 when rounded; export double, or give a longer period"
         )
 
 

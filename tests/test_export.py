@@ -1,0 +1,418 @@
+"""A compensator as C: the bits of Python here and on an emulated Cortex-M4, within stated bytes and operations."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import bench
+import firmware
+import numpy as np
+import pytest
+import wide_bench
+
+import dehyst
+from dehyst import Actuator, ClampWarning, Compensator, FileFormatError, MaxwellSlip, ModelError, Spring
+from dehyst.export import SOURCES, code, export, sizes, worst_case
+from dehyst.footprint import CORTEX_M4, CORTEX_M4F, STRICT
+from dehyst.golden import Call, golden
+
+pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+
+LIMITS = LOW, HIGH = firmware.LIMITS
+KINDS = {
+    "plain": firmware.plain,
+    "slewing": lambda: firmware.plain(slew=2e4, period=1e-3),
+    "graded": lambda: firmware.wider("graded, transformer"),
+    "creep": lambda: firmware.wider("creep"),
+    "all": lambda: firmware.wider("all"),
+    "moving": lambda: firmware.wider("all", moving=True),
+}
+TOOLS = {
+    "gcc": "the exported C cannot be compiled",
+    "make": "the exported Makefile cannot be run",
+    "g++": "operations cannot be counted",
+    "arm-none-eabi-gcc": "nothing can be compiled for ARM (Debian: gcc-arm-none-eabi libnewlib-arm-none-eabi)",
+    "qemu-system-arm": "no Cortex-M4 can be emulated (Debian: qemu-system-arm)",
+}
+
+
+def need(*tools):
+    for tool in tools:
+        if shutil.which(tool) is None:
+            pytest.skip(f"{tool} is not installed: {TOOLS[tool]}")
+
+
+def written(folder, compensator, number="double"):
+    """The C files alone."""
+    folder.mkdir()
+    for name, text in code(compensator, number).items():
+        (folder / name).write_text(text)
+    return folder
+
+
+def make(folder, *arguments):
+    done = subprocess.run(["make", "-s", *arguments], cwd=folder, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def pythons(compensator, samples, every):
+    loop = compensator.afresh()
+    voltages = loop.run(firmware.wishes(compensator, samples))
+    return firmware.told(voltages, loop.clamps, every=every)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize(
+    ("kind", "samples"), [("plain", 10**6), ("slewing", 10**6), ("all", 50_000), ("moving", 50_000)]
+)
+def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler):
+    if compiler == "clang" and shutil.which("clang") is None:
+        pytest.skip("clang is not installed")
+    need("gcc")
+    compensator = KINDS[kind]()
+    expected = pythons(compensator, samples, samples // 100)
+    limited, slewed = (int(n) for n in expected[-1].split())
+    assert 0.005 * samples < limited + slewed < 0.999 * samples
+    folder = written(tmp_path / "c", compensator)
+    for optimise in ("-O0", "-O2", "-O3"):
+        got = firmware.driven(folder, compensator, samples, every=samples // 100, compiler=compiler, options=[optimise])
+        assert got == expected, optimise
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "samples"), [("plain", 10**6), ("all", 10_000), ("moving", 10_000)])
+def test_an_emulated_cortex_m4_answers_pythons_bits(tmp_path, kind, samples):
+    need("arm-none-eabi-gcc", "qemu-system-arm")
+    compensator = KINDS[kind]()
+    got = firmware.emulated(written(tmp_path / "c", compensator), compensator, samples, every=samples // 100)
+    assert got == pythons(compensator, samples, samples // 100)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "samples"), [("plain", 10**6), ("all", 50_000), ("moving", 50_000)])
+def test_floats_by_its_unit_are_those_of_this_computer(tmp_path, kind, samples):
+    need("gcc", "arm-none-eabi-gcc", "qemu-system-arm")
+    compensator = KINDS[kind]()
+    folder = written(tmp_path / "c", compensator, "float")
+    here = firmware.driven(folder, compensator, samples, every=samples // 100)
+    assert firmware.emulated(folder, compensator, samples, every=samples // 100) == here
+    assert here != pythons(compensator, samples, samples // 100)
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_was_exported_replays_what_python_did(tmp_path, kind, number):
+    need("gcc", "make")
+    made = export(KINDS[kind](), tmp_path / "c", number)
+    status, said = make(made.folder, "check", "symbols")
+    assert status == 0, said
+    assert "no symbol is needed from outside" in said
+    assert ("double: 0 of" if number == "double" else "float: largest error") in said
+    assert (made.error is None) == (number == "double")
+    if made.error is not None:
+        assert 1e-9 < made.error < 1e-3
+        assert f"{made.error:.1e}" in (made.folder / "README.md").read_text()
+
+
+def test_a_wrong_number_or_a_wrong_number_type_is_found(tmp_path):
+    need("gcc", "make")
+    compensator = firmware.plain()
+    double = export(compensator, tmp_path / "double").folder
+    header = double / "model.h"
+    text = header.read_text()
+    first = re.search(r"model_kappa\[10\] = \{\n    (0x[^,]+),", text)
+    header.write_text(text.replace(first[1], (float.fromhex(first[1]) * (1 + 2**-52)).hex()))
+    status, said = make(double, "check")
+    assert status != 0
+    assert re.search(r"double: \d\d+ of", said)
+    # A config that was not rewritten: the numbers are floats', the arithmetic double's; a float's error is missed.
+    single = export(compensator, tmp_path / "float", "float").folder
+    (single / "dehyst_config.h").write_text(code(compensator)["dehyst_config.h"])
+    assert make(single, "check")[0] != 0
+    text = (single / "trace.h").read_text()
+    (single / "dehyst_config.h").write_text(code(compensator, "float")["dehyst_config.h"])
+    for bound, worse in (("MOST", "1e-9"), ("LEAST", "1e-3")):
+        (single / "trace.h").write_text(re.sub(rf"TRACE_{bound} \S+", f"TRACE_{bound} {worse}", text))
+        assert make(single, "check")[0] != 0, bound
+
+
+def test_the_trace_has_every_kind_of_call():
+    trace = golden(firmware.plain(slew=2e4, period=1e-3))
+    assert {row.what for row in trace.rows} == set(Call)
+    assert trace.clamps.limited > 5
+    assert trace.clamps.slewed > 5
+    assert trace.refused > 3
+    offers = [i for i, row in enumerate(trace.rows) if row.what is Call.OFFER]
+    assert any(trace.rows[i + 1].what in (Call.STEP, Call.OFFER) for i in offers), "an offer that was not taken"
+    steps = [row for row in trace.rows if row.what is Call.STEP]
+    assert any(LOW < row.answer < HIGH for row in steps)
+    assert any(row.answer in (LOW, HIGH) for row in steps)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_actuator_of_the_trace_is_the_virtual_one(kind):
+    compensator = KINDS[kind]()
+    rows = [row for row in golden(compensator).rows if row.what is Call.SIMULATE]
+    actuator, state = compensator.actuator, compensator.state
+    voltages = np.array([actuator.voltage(state), *(row.given for row in rows)])
+    time = np.arange(voltages.size) * (compensator.period or 1.0)
+    motion = actuator.simulate(voltages, time=time if actuator.needs_time else None, state=state)
+    got = np.array([row.answer for row in rows])
+    np.testing.assert_allclose(got, motion.displacement[1:], rtol=0, atol=1e-12 * bench.STROKE)
+
+
+def test_an_export_leaves_the_compensator_alone_and_begins_at_its_start(tmp_path):
+    compensator = firmware.plain()
+    first = code(compensator)
+    compensator.run(np.linspace(0, bench.STROKE, 50))
+    before = compensator.snapshot()
+    assert code(compensator) == first
+    golden(compensator)
+    assert compensator.snapshot().counts == before.counts
+    np.testing.assert_array_equal(compensator.snapshot().rest, before.rest)
+
+
+def test_the_core_is_copied_byte_for_byte_but_for_the_number_type():
+    compensator = firmware.plain()
+    double, single = code(compensator), code(compensator, "float")
+    core = {path.name: path.read_text() for path in bench.CORE.iterdir()}
+    for name in double:
+        if name in core:
+            assert double[name] == core[name], name
+    changed = {name for name in double if name in core and single[name] != core[name]}
+    assert changed == {"dehyst_config.h"}
+    assert "typedef float dehyst_real;" in single["dehyst_config.h"]
+    assert "DBL_" not in single["dehyst_config.h"]
+    # Only piezo.c sees the numbers.
+    assert [name for name, text in double.items() if '"model.h"' in text] == ["piezo.c"]
+    for unused in ("edge", "intercept"):
+        assert unused not in double["model.h"]
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("kind", ["plain", "moving"])
+def test_strict_compilers_find_nothing_and_nothing_is_needed(tmp_path, kind, number):
+    need("gcc")
+    folder = written(tmp_path / "c", KINDS[kind](), number)
+    strict = [*STRICT, "-ffreestanding", "-Wdouble-promotion", "-Wfloat-conversion", "-Wshadow", "-Wvla"]
+    if number == "double":
+        strict = [flag for flag in strict if flag != "-Wdouble-promotion"]
+    for optimise in ("-O0", "-O3"):
+        firmware.run(["gcc", *strict, optimise, "-c", *SOURCES], folder)
+    if shutil.which("arm-none-eabi-gcc") is None:
+        return
+    for flags in (CORTEX_M4, CORTEX_M4F):
+        firmware.run(["arm-none-eabi-gcc", *strict, *flags, "-c", *SOURCES], folder)
+        firmware.run(["arm-none-eabi-gcc", "-nostdlib", "-r", *(f"{s[:-2]}.o" for s in SOURCES), "-o", "all.o"], folder)
+        needed = set(re.findall(r"U (\S+)", firmware.run(["arm-none-eabi-nm", "-u", "all.o"], folder)))
+        assert all(name.startswith("__aeabi_") for name in needed), needed
+        if number == "float":
+            # Not one operation slips into double, and the unit needs no help.
+            assert not any(name.startswith("__aeabi_d") for name in needed), needed
+            assert flags is CORTEX_M4 or not needed
+
+
+def test_folders_that_hold_something_else_are_left_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr("dehyst.export._PROCESSORS", {})
+    compensator, folder = firmware.plain(), tmp_path / "c"
+    made = export(compensator, folder)
+    assert made.folder == folder
+    (folder / "piezo.o").write_text("built")
+    with pytest.raises(FileFormatError, match="holds an earlier export; replace it with force"):
+        export(compensator, folder)
+    export(compensator, folder, "float", force=True)
+    assert "typedef float" in (folder / "dehyst_config.h").read_text()
+    assert not (folder / "piezo.o").exists()
+    (folder / "notes.txt").write_text("mine")
+    before = sorted(folder.iterdir())
+    for force in (False, True):
+        with pytest.raises(FileFormatError, match=r"holds other files \(notes.txt\)"):
+            export(compensator, folder, force=force)
+    assert sorted(folder.iterdir()) == before
+    other = tmp_path / "core"
+    other.mkdir()
+    (other / "README.md").write_text("mine")
+    with pytest.raises(FileFormatError, match=r"holds other files \(README.md\)"):
+        export(compensator, other, force=True)
+    with pytest.raises(FileFormatError, match="is a file"):
+        export(compensator, other / "README.md")
+    with pytest.raises(FileFormatError, match="does not exist; create it first"):
+        export(compensator, tmp_path / "no" / "c")
+    (tmp_path / "empty").mkdir()
+    export(compensator, tmp_path / "empty")
+    assert {path.name for path in tmp_path.iterdir()} == {"c", "core", "empty"}
+
+
+def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch):
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("dehyst.export._readme", fail)
+    with pytest.raises(FileFormatError, match="cannot be written"):
+        export(firmware.plain(), tmp_path / "c")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    made = export(firmware.plain(), tmp_path / "c", "float")
+    assert (made.footprints, made.error) == ({}, None)
+    text = (tmp_path / "c" / "README.md").read_text()
+    assert "Not measured, for want of a compiler" in text
+    assert "taken to be below 1e-03 of the range" in text
+    assert "TRACE_MOST 0.001" in (tmp_path / "c" / "trace.h").read_text()
+    with pytest.raises(FileFormatError, match="cc: cannot be run"):
+        sizes(tmp_path / "c")
+
+
+def narrow(rho, knots):
+    """A plain actuator whose numbers are nearly alike."""
+    rho, knots = np.asarray(rho), np.asarray(knots)
+    return Compensator(Actuator(MaxwellSlip(rho, np.full(rho.size, 1e6)), Spring(knots, 1e7 * knots)), (0, 100))
+
+
+def test_models_that_floats_cannot_hold_are_refused():
+    apart = 1 + 1e-9
+    with pytest.raises(ModelError, match="float: the breakaway elongations 1e-06 and .* are one number when rounded"):
+        code(narrow([1e-6, 1e-6 * apart], [0, 1e-5]), "float")
+    with pytest.raises(ModelError, match="float: the displacements of the spring's knots"):
+        code(narrow([1e-6], [0, 1e-5, 1e-5 * apart]), "float")
+    with pytest.raises(ModelError, match="float: a number of kappa is too large"):
+        code(Compensator(Actuator(MaxwellSlip([1e-6], [1e40]), Spring([0, 1e-5], [0, 100])), (0, 1)), "float")
+    with pytest.raises(ModelError, match="float: a breakaway elongation, 1e-50, is 0 when rounded"):
+        code(narrow([1e-50, 1e-6], [0, 1e-5]), "float")
+    slow = dehyst.Creep([1e-2, 1e6], [1e5, 1e5])
+    creeping = Compensator(replace(bench.plant(3), creep=slow), (0, 100), period=1e-3)
+    with pytest.raises(ModelError, match="float: creep is so slow beside the period that it would never relax"):
+        code(creeping, "float")
+    with pytest.raises(ModelError, match="number: got 'half', need 'double' or 'float'"):
+        code(creeping, "half")
+    for compensator in (narrow([1e-6, 1e-6 * apart], [0, 1e-5]), creeping):
+        assert "model.h" in code(compensator)
+    with pytest.raises(ModelError, match="give period="):
+        code(Compensator(replace(bench.plant(3), creep=slow), (0, 100)))
+
+
+@pytest.mark.parametrize("name", ["*/ int evil; /*", 'quote"d\\', "ünder", "a\nb"])
+def test_no_name_breaks_out_of_its_comment(tmp_path, name):
+    need("gcc")
+    compensator = firmware.plain()
+    named = Compensator(replace(compensator.actuator, name=name), LIMITS)
+    firmware.run(["gcc", *STRICT, "-c", *SOURCES], written(tmp_path / "c", named))
+
+
+def adversary(compensator, steps=200):
+    """Every step reverses and asks for more than there is: all elements break away, all knots are passed."""
+    low, high = compensator.reach
+    far = 10 * (high - low)
+    return np.where(np.arange(steps) % 2, low - far, high + far)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_step_takes_more_operations_than_stated(tmp_path, kind):
+    need("g++")
+    compensator = KINDS[kind]()
+    bound, folder = worst_case(compensator), written(tmp_path / "c", compensator)
+    most = np.zeros(3)
+    for given in (adversary(compensator), firmware.wishes(compensator, 6000)):
+        found, voltages = firmware.counted(folder, given)
+        np.testing.assert_array_equal(voltages, compensator.afresh().run(given))
+        most = np.maximum(most, found)
+    assert most[0] <= bound.arithmetic
+    assert most[1] <= bound.divisions
+    assert most[2] <= bound.comparisons
+    if kind == "plain":
+        stated = np.array([bound.arithmetic, bound.divisions, bound.comparisons])
+        assert np.all(most >= stated / 3), most / stated
+
+
+@pytest.mark.parametrize("elements", [0, 1, 3, 30])
+def test_operations_grow_as_stated(tmp_path, elements):
+    need("g++")
+    actuator = bench.plant(max(elements, 1), seed=4)
+    if not elements:
+        actuator = Actuator(MaxwellSlip([], []), actuator.spring)
+    compensator = Compensator(actuator, (-50, 250))
+    found, _ = firmware.counted(written(tmp_path / "c", compensator), adversary(compensator))
+    bound = worst_case(compensator)
+    stated = np.array([bound.arithmetic, bound.divisions, bound.comparisons])
+    assert np.all(found <= stated)
+    assert elements < 3 or np.all(found >= stated / 3), found / stated
+
+
+def test_bytes_are_those_of_the_program(tmp_path):
+    need("arm-none-eabi-gcc", "qemu-system-arm")
+    folder = written(tmp_path / "c", KINDS["all"](), "float")
+    stated = sizes(folder, "arm-none-eabi-gcc", CORTEX_M4F)
+    touched, piezo = firmware.painted(folder)
+    assert stated.ram == piezo
+    # The painter's own frame lies about where a step's does.
+    assert 0.6 * stated.stack < touched <= stated.stack + 48
+    assert 1000 < stated.flash < 30_000
+    soft = sizes(written(tmp_path / "double", KINDS["all"]()), "arm-none-eabi-gcc", CORTEX_M4)
+    assert soft.flash > stated.flash
+    assert soft.ram > stated.ram
+
+
+def test_bytes_without_a_sound_compiler(tmp_path):
+    need("gcc")
+    folder = written(tmp_path / "c", firmware.plain())
+    (folder / "piezo.c").write_text("#error broken\n")
+    with pytest.raises(FileFormatError, match="need a C99 compiler"):
+        sizes(folder, "gcc")
+
+
+def test_on_the_command_line(tmp_path):
+    made = firmware.plain()
+    model = tmp_path / "model.json"
+    made.actuator.save(model)
+    command = [str(Path(sys.executable).parent / "dehyst"), "export", str(model), "c", "--limits", "0", "250"]
+
+    def dehyst_export(*more):
+        return subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    done = dehyst_export("--json", "--slew", "2e4", "--period", "1e-3")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    compensator = Compensator(made.actuator, (0, 250), 2e4, period=1e-3, state=made.actuator.turned(bench.STROKE))
+    assert told["operations"]["arithmetic"] == worst_case(compensator).arithmetic
+    for name, text in code(compensator).items():
+        assert (tmp_path / "c" / name).read_text() == text, name
+    again = dehyst_export()
+    assert again.returncode == 2
+    assert again.stderr.startswith("dehyst: c: holds an earlier export")
+    done = dehyst_export("--force", "--number", "float", "--start", "bottom")
+    assert done.returncode == 0
+    assert "a step: at most" in done.stdout
+    late = dehyst_export("--force", "--slew", "2e4")
+    assert late.returncode == 2
+    assert "give period=" in late.stderr
+    narrowed = subprocess.run([*command[:4], "--limits", "0", "100", "--force"], cwd=tmp_path, capture_output=True,
+                              text=True, check=False)  # fmt: skip
+    assert "outside the limits 0 to 100 V: choose another with --start" in narrowed.stderr
+
+
+def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
+    made = export(KINDS["moving"](), tmp_path / "c")
+    text = (tmp_path / "c" / "README.md").read_text()
+    ahead = KINDS["moving"]().samples_ahead
+    assert ahead > 0
+    assert f"Give each displacement {ahead} samples before its time" in text
+    assert f"#define MODEL_AHEAD {ahead}" in (tmp_path / "c" / "model_size.h").read_text()
+    assert f"every {1 / wide_bench.RATE:.9g} s" in text
+    assert str(made.operations.arithmetic) in text
+
+
+def test_steps_warn_once_as_ever():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ClampWarning)
+        compensator = firmware.plain()
+        golden(compensator)
+        with pytest.raises(ClampWarning):
+            compensator.step(1.0)
