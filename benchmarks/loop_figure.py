@@ -54,7 +54,7 @@ def responses(axes: Axes, found: dict) -> None:
     axes.set(
         xlabel="frequency (Hz)", ylabel="reached over wanted (dB)", title="Sines around half the stroke", ylim=(-15, 3)
     )
-    axes.legend(loc="lower left", fontsize=8)
+    axes.legend(loc="lower right", bbox_to_anchor=(0.93, 0.05), fontsize=8)
 
 
 def draw(found: dict, shown: dict, period: float) -> None:
