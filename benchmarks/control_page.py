@@ -42,7 +42,19 @@ def table(data: dict) -> str:
         f"({true['damping']:g}), delay {1e3 * model['delay_s']:.3f} ms ({1e3 * true['delay_s']:g}), steepest branch "
         f"{model['steepest']:.2f} times the mean slope; the path is known {model['samples_ahead']} samples ahead.",
     ]
+    alone, both = (pushed(data["larger_gains"][kind]) for kind in ("feedback", "both"))
+    rows += [
+        "",
+        f"On the lines the integral alone swings with {alone[0]} that gain (best before: {alone[1]:.2f} %), both with "
+        f"{both[0]} theirs (best before: {both[1]:.2f} %).",
+    ]
     return "\n".join(rows) + "\n"
+
+
+def pushed(rows: list[dict]) -> tuple[str, float]:
+    """How many times its gain a loop swings with, and the least largest error of smaller ones."""
+    words = f"{rows[-1]['times']} times" if rows[-1]["swings"] else f"more than {rows[-1]['times']} times"
+    return words, min(row["largest_percent"] for row in rows if not row["swings"])
 
 
 def band(found: dict) -> str:

@@ -22,7 +22,7 @@ import argparse
 import copy
 import json
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import loop_figure
@@ -43,6 +43,7 @@ TONES = ((0.7, 0.20), (2.3, 0.11), (7.1, 0.07), (17.0, 0.04))
 AMPLITUDES = {"small": 0.005, "large": 0.2}
 FREQUENCIES = np.unique(np.round(np.concatenate([np.geomspace(1, 1000, 28), [285, 292, 300, 308, 315]]), 2))
 LIMITS = (-20.0, 220.0)
+TIMES, SWINGING, PUSHED = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15), 10.0, 1.8
 
 
 @dataclass(frozen=True)
@@ -157,6 +158,23 @@ def tracked(bench: Bench, path: np.ndarray) -> tuple[dict, dict]:
     return found, shown
 
 
+def pushed(bench: Bench, path: np.ndarray) -> dict[str, list[dict]]:
+    """Larger gains on a path, until the stage swings: its acceleration is then many times what the path asks for."""
+    stroke, first, found = bench.stage.stroke, round(LEAD_IN / PERIOD), {}
+    asked = float(np.std(np.diff(path[first:], 2)))
+    for kind in bench.gains:
+        rows = found.setdefault(kind, [])
+        for times in TIMES:
+            harder = replace(bench, gains={kind: times * bench.gains[kind]})
+            y = harder.reached(kind, led_in(bench.start, path))[first:]
+            largest = float(np.abs(path[first:] - y).max())
+            swings = bool(np.std(np.diff(y, 2)) > SWINGING * asked)
+            rows.append({"times": times, "largest_percent": 100 * largest / stroke, "swings": swings})
+            if swings:
+                break
+    return found
+
+
 def response(bench: Bench, kind: str, amplitude: float) -> list[tuple[float, float]]:
     """Frequency [Hz] and reached over wanted [dB] at the middle of the stroke, until it is down by 15 dB."""
     found = []
@@ -229,6 +247,8 @@ def measure(model: dehyst.Actuator, errors: list[dict]) -> tuple[dict, dict]:
     for name, path in paths.items():
         tracking[name], shown[name] = tracked(bench, path)
         print(name, json.dumps(tracking[name]), flush=True)
+    harder = pushed(bench, paths["triangle"][: round(PUSHED / PERIOD)])
+    print("larger gains", json.dumps(harder), flush=True)
     for size, amplitude in AMPLITUDES.items():
         responses[size] = {kind: response(bench, kind, amplitude) for kind in KINDS}
         bands[size] = {kind: {"down_3_dB_Hz": bandwidth(found, -3.0), "up_3_dB_Hz": bandwidth(found, 3.0, rising=True),
@@ -245,7 +265,7 @@ def measure(model: dehyst.Actuator, errors: list[dict]) -> tuple[dict, dict]:
     true = {"resonance_Hz": Stage.resonance, "damping": Stage.damping, "delay_s": Stage.late * PERIOD}
     integral = {kind: {"gain_per_sample": gain, "gain_per_s": gain / PERIOD} for kind, gain in bench.gains.items()}
     found = {"stage": true, "identified": about, "integral": integral, "margin_dB": 20 * np.log10(MARGIN),
-             "tracking": tracking, "bandwidth": bands, "rejecting_to_Hz": rejecting,
+             "tracking": tracking, "larger_gains": harder, "bandwidth": bands, "rejecting_to_Hz": rejecting,
              "response": responses, "rejection": rejections}  # fmt: skip
     return found, shown
 

@@ -14,7 +14,7 @@ COLOURS = {"feedback": "#0072b2", "feedforward": "#d55e00", "both": "#009e73"}
 NAMES = {"feedback": "integral feedback", "feedforward": "feedforward", "both": "both"}
 STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "dehyst",
          "axes.linewidth": 0.7, "legend.frameon": False}  # fmt: skip
-SHOWN = 1.0
+SHOWN = 0.7
 
 
 def followed(axes: Axes, shown: dict, time: np.ndarray) -> None:
@@ -31,7 +31,7 @@ def errors(axes: Axes, shown: dict, time: np.ndarray) -> None:
     for kind in ("feedforward", "both"):
         largest = np.abs(shown[kind]).max()
         axes.plot(time, shown[kind][: time.size], color=COLOURS[kind], lw=1,
-                  label=f"{NAMES[kind]}: at most {largest:.2f} %")  # fmt: skip
+                  label=f"{NAMES[kind]}: at most {largest:.2f} % in 4 s")  # fmt: skip
     axes.plot([], [], color=COLOURS["feedback"],
               label=f"integral feedback: at most {np.abs(shown['feedback']).max():.0f} %, not drawn")  # fmt: skip
     axes.axhline(0, color="0.6", lw=0.5, zorder=0)
@@ -54,7 +54,7 @@ def responses(axes: Axes, found: dict) -> None:
     axes.set(
         xlabel="frequency (Hz)", ylabel="reached over wanted (dB)", title="Sines around half the stroke", ylim=(-15, 3)
     )
-    axes.legend(loc="lower left", fontsize=8)
+    axes.legend(loc="lower right", bbox_to_anchor=(0.93, 0.05), fontsize=8)
 
 
 def draw(found: dict, shown: dict, period: float) -> None:
