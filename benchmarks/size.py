@@ -3,8 +3,8 @@
 The paper's class, and a wider one: 20 elements, a transformer of 10 segments and 8 branches of creep. Each size runs in
 a process of its own, whose peak memory counts above what the imports took: the record is in it.
 
-And how small a firmware is: bytes of flash, RAM and stack of an exported compensator of ten elements, plain and with all
-parts. `size.py firmware` measures that alone.
+And how small a firmware is: bytes of flash, RAM and stack of an exported compensator of ten elements, plain and with
+all parts. `size.py firmware` measures that alone.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def measure(samples: int, norm: str, structure: str) -> dict[str, object]:
 
 
 def small(wide: bool) -> dehyst.Compensator:
-    """A compensator of ten elements; wide: four grades, a transformer, four creep branches, two smooth elements, a mass."""
+    """Ten elements; wide: in four grades, with a transformer, four creep branches, two smooth elements and a mass."""
     rho, knots = STROKE / 20 * np.arange(1, 11), np.linspace(0, STROKE, 11)
     spring = Spring.of_slopes(knots, 6e6 * (1 + 0.3 * np.cos(2 * knots[:-1] / STROKE)), 0.0)
     stiffness = np.linspace(1.5e6, 0.2e6, 10)

@@ -7,11 +7,12 @@ from math import ceil, inf, sqrt
 import numpy as np
 
 from dehyst._native import Array
-from dehyst.compensator import Command, Compensator
+from dehyst.compensator import Compensator
 from dehyst.edge import Bridge, Point
 from dehyst.excitation import positive, refuse_long
 from dehyst.model import State
 from dehyst.scan import Limits, Path
+from dehyst.trajectory import Command
 
 _LEAST = 4
 _LONGER = 2**0.25

@@ -253,6 +253,6 @@ def _bytes(footprints: dict[str, Footprint]) -> str:
         "| --- | --- | --- | --- |",
         *(f"| {name} | {one.flash} | {one.ram} | {one.stack or 'not told'} |" for name, one in footprints.items()),
         "",
-        "Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need. Stack:",
-        "the deepest chain of calls, without that arithmetic.",
+        "Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need.",
+        "Stack: the deepest chain of calls, without that arithmetic.",
     ])  # fmt: skip

@@ -10,10 +10,11 @@ import numpy as np
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.approach import follow
-from dehyst.compensator import Command, Compensator
+from dehyst.compensator import Compensator
 from dehyst.model import State
 from dehyst.scan import Path
 from dehyst.steady import steady_state
+from dehyst.trajectory import Command
 
 # Of the voltages of a cycle: by so much it may differ from the next.
 _REPEATS = 1e-9
