@@ -93,7 +93,7 @@ def test_an_actuators_block_is_its_simulation(name):
     voltage = np.interp(np.arange(600), np.arange(0, 600, 20), np.random.default_rng(3).uniform(-20, 220, 30))
     displacement, _ = play(actuator.to_control(period=PERIOD), voltage)
     for stack in (False, True):
-        bench.close(displacement, seen_by_simulate(actuator, voltage, stack=stack), 1e-12 * bench.STROKE)
+        bench.assert_close(displacement, seen_by_simulate(actuator, voltage, stack=stack), 1e-12 * bench.STROKE)
 
 
 @pytest.mark.parametrize("name", ["paper's", "plain", "graded", "transformer", "smooth"])
@@ -170,7 +170,7 @@ def test_compensator_and_actuator_are_one_within_limits(name):
     actuator, path = ACTUATORS[name](), wanted(300)
     chain, start = chained(actuator, Compensator(actuator, ANY, period=PERIOD))
     found = control.input_output_response(chain, PERIOD * np.arange(path.size), path, start)
-    bench.close(found.outputs, path, 1e-12 * bench.STROKE)
+    bench.assert_close(found.outputs, path, 1e-12 * bench.STROKE)
 
 
 @pytest.mark.filterwarnings("ignore::dehyst.compensator.ClampWarning")
@@ -180,7 +180,7 @@ def test_beyond_limits_they_are_the_actuator_under_the_clamped_voltage():
     chain, start = chained(actuator, compensator)
     found = control.input_output_response(chain, PERIOD * np.arange(path.size), path, start)
     voltage = compensator.run(path)
-    bench.close(found.outputs, seen_by_simulate(actuator, voltage, stack=False), 1e-12 * bench.STROKE)
+    bench.assert_close(found.outputs, seen_by_simulate(actuator, voltage, stack=False), 1e-12 * bench.STROKE)
     assert compensator.clamps.limited > 10
     assert np.abs(found.outputs - path).max() > 0.05 * bench.STROKE
 
@@ -204,7 +204,7 @@ def test_a_loop_of_blocks_is_the_loop_written_out():
         sent.append(compensator.step(one + added))
         y.append(actuator.simulate(sent, time=PERIOD * np.arange(len(sent)), stack=False).displacement[-1])
         added += gain * (one - y[-1])
-    bench.close(found, np.array(y), 1e-11 * bench.STROKE)
+    bench.assert_close(found, np.array(y), 1e-11 * bench.STROKE)
     open_loop = seen_by_simulate(actuator, Compensator(wrong, ANY, period=PERIOD).run(path), stack=False)
     assert np.std(found - path) < np.std(open_loop - path)
 
@@ -283,10 +283,10 @@ def test_the_code_on_its_page_runs(tmp_path, monkeypatch):
     assert names["compensator"].clamps == (0, 0)
     time = 1e-3 * np.arange(names["sent"].size + 1)
     y = actuator.simulate(np.append(actuator.voltage(), names["sent"]), time=time).displacement[1:]
-    bench.close(y, names["wanted"], 1e-12 * bench.STROKE)
+    bench.assert_close(y, names["wanted"], 1e-12 * bench.STROKE)
     # The loop of blocks has the true model: there is nothing for the integral to add.
-    bench.close(names["found"].outputs[0], names["wanted"], 1e-12 * bench.STROKE)
-    bench.close(names["found"].outputs[1], names["sent"], 1e-9)
+    bench.assert_close(names["found"].outputs[0], names["wanted"], 1e-12 * bench.STROKE)
+    bench.assert_close(names["found"].outputs[1], names["sent"], 1e-9)
     check_its_loop(names, actuator)
     check_its_device(names, actuator)
 
