@@ -32,6 +32,8 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/size.py
 	$(BIN)/python benchmarks/figure.py
 	$(BIN)/python benchmarks/readme.py
+	$(BIN)/python benchmarks/loop.py
+	$(BIN)/python benchmarks/control_page.py
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

@@ -5,7 +5,8 @@ Three parts; without one named, all:
 main      ours: the demo's virtual actuator, and every method on the measured records
 tracking  every model of `dehyst compare` on every virtual actuator of `dehyst.trials`: fitted to its records once, then
           compensated along random paths, a path for each seed
-measured  every model on the measured records: fitted to the major loop and the first ramps, judged on the other ramps
+measured  every model on the measured records: fitted to the major loop and the first ramps, judged on the other ramps;
+          ours a second time, told no more of what went before these than the others are
 
     python benchmarks/accuracy.py [PART ...] [--only MODEL ...] [--seeds N] [--data FOLDER]
 
@@ -16,24 +17,52 @@ stack in a micromanipulator) are read from `../shared/data/p885` beside the repo
 import argparse
 import json
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import dehyst
-from dehyst import demo
-from dehyst.compare import Row, compare, contenders
-from dehyst.model import AbstractModel
-from dehyst.trials import TRIALS, Trial
+from dehyst import Actuator, demo
+from dehyst.compare import OURS, Row, compare, contenders
+from dehyst.model import AbstractModel, Motion
+from dehyst.trials import TRIALS, Trial, simulated
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
 OUTPUT = Path(__file__).with_suffix(".json")
 METHODS = ("record", "breakpoints", "antisymmetric")
 PARTS = ("main", "tracking", "measured")
 SPLIT, FIRST_SEED = 4500, 7
+UNTOLD = f"{OURS}, told the voltage only"
 # Largest and RMS error asked of ours, in % of the stroke.
 ASKED = {"play": (0.15, 0.05), "creep": (0.25, 0.09), "preisach": (0.5, 0.2), "boucwen": (1.0, 0.4)}
 ASKED_MEASURED = (0.85, 0.22)
 FAILURES = (ValueError, ArithmeticError, RuntimeError)
+
+
+@dataclass(frozen=True)
+class VoltageOnly(AbstractModel):
+    """An actuator whose state before a lead's end is what its voltage makes it, as that of any rival."""
+
+    actuator: Actuator
+
+    @property
+    def delay(self) -> float:
+        """The actuator's [s]."""
+        return self.actuator.delay
+
+    def simulate(self, voltage: Any, *, time: Any = None, state: Any = None) -> Motion:
+        """As the actuator, from where it starts before this voltage."""
+        return simulated(self.actuator, voltage, time)
+
+    def compensate(self, displacement: Any, *, time: Any = None, state: Any = None) -> Motion:
+        """As the actuator."""
+        return self.actuator.compensate(displacement, time=time, state=state)
+
+
+def entrants() -> dict:
+    """Name -> identification; what is told the voltage only is tried on the measured records alone."""
+    known = contenders()
+    return known | {UNTOLD: lambda records: VoltageOnly(known[OURS](records))}
 
 
 def virtual() -> dict:
@@ -123,7 +152,7 @@ def held_out(row: dict | None) -> list[tuple[float, float] | None]:
 
 
 def show_compared(tracking: dict, rows: dict) -> None:
-    names = [name for name in contenders() if any(name in part for part in (*tracking.values(), rows))]
+    names = [name for name in entrants() if any(name in part for part in (*tracking.values(), rows))]
     titles = [*ASKED, "P-885", "no constant"]
     print(f"\n{'largest and RMS error, %':<34}" + "".join(f"{title:>16}" for title in titles))
     print(f"{'asked of ours':<34}" + "".join(map(pair, (*ASKED.values(), ASKED_MEASURED))))
@@ -139,7 +168,7 @@ def show_compared(tracking: dict, rows: dict) -> None:
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Measure accuracy; see the top of this file.")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
-    parser.add_argument("--only", action="append", metavar="MODEL", choices=list(contenders()),
+    parser.add_argument("--only", action="append", metavar="MODEL", choices=list(entrants()),
                         help="of tracking and measured; may be repeated")  # fmt: skip
     parser.add_argument("--truth", action="append", choices=list(TRIALS), help="of tracking; may be repeated")
     parser.add_argument("--seeds", type=int, default=3, help="paths for each virtual actuator; default: 3")
@@ -164,10 +193,10 @@ def main() -> None:
     if "main" in parts:
         results |= {"virtual": virtual(), "measured": measured(given.data) if data else None}
         show_main(results)
-    for name, identification in contenders().items():
+    for name, identification in entrants().items():
         if given.only and name not in given.only:
             continue
-        for truth in given.truth or TRIALS if "tracking" in parts else ():
+        for truth in given.truth or TRIALS if "tracking" in parts and name != UNTOLD else ():
             print(f"{name} on {truth}", flush=True)
             rivals["tracking"].setdefault(truth, {})[name] = compared_on(
                 TRIALS[truth], name, identification, given.seeds

@@ -66,7 +66,8 @@ def rivals(data: dict) -> list[str]:
     rows = ["", "| Largest and RMS error, % of the stroke | plays, asymmetric | the same, creeping | Preisach "
             "| Bouc-Wen, resonating | measured, predicted |", "| --- | --- | --- | --- | --- | --- |",
             f"| asked of dehyst | {' | '.join(asked)} |"]  # fmt: skip
-    for name in compared["tracking"]["play"]:
+    names = dict.fromkeys([*compared["tracking"]["play"], *compared["measured"]])
+    for name in sorted(names, key=lambda name: not name.startswith("dehyst")):
         cells = [pair(worst(compared["tracking"][truth].get(name))) for truth in truths]
         errors = [
             one for one in compared["measured"].get(name, {"errors": ()})["errors"] if one["role"] == "validation"

@@ -99,7 +99,7 @@ def measure(samples: int, norm: str, structure: str) -> dict[str, object]:
 
 
 def small(wide: bool) -> dehyst.Compensator:
-    """A compensator of ten elements; wide: graded, a transformer, four creep branches, two smooth elements, a mass."""
+    """Ten elements; wide: in four grades, with a transformer, four creep branches, two smooth elements and a mass."""
     rho, knots = STROKE / 20 * np.arange(1, 11), np.linspace(0, STROKE, 11)
     spring = Spring.of_slopes(knots, 6e6 * (1 + 0.3 * np.cos(2 * knots[:-1] / STROKE)), 0.0)
     stiffness = np.linspace(1.5e6, 0.2e6, 10)

@@ -133,6 +133,56 @@ struct Loop {
         loop.limited = limited, loop.slewed = slewed, loop.refused = refused;
         loop.offer = DEHYST_NOTHING;
     }
+
+    // All that decides what comes next, and nothing that does not, one number after the other.
+    template <typename Visit> void visit(Visit each) {
+        each(loop.state.memory.y);
+        for (size_t i = 0; i < spare.size(); i++) each(loop.state.memory.cart[i]);
+        for (double &one : memory->strain) each(one);
+        if (wide.wide.inertia) each(loop.state.y), each(loop.state.rate), each(loop.state.input);
+        each(loop.sent);
+        if (compensator.lag > 0) each(loop.acting), each(loop.wished[0]), each(loop.wished[1]);
+        for (size_t m = 0; m + 1 < fed.size(); m++) each(fed[m]);
+    }
+    Output row() {
+        std::vector<double> out;
+        visit([&](double one) { out.push_back(one); });
+        return as_array(out);
+    }
+    void place(Input row) {
+        size_t size = 0, finite = 0;
+        visit([&](double) { size++; });
+        if (row.size() != size) demand(DEHYST_ERR_SIZE);
+        for (size_t i = 0; i < size; i++) finite += std::isfinite(row(i));
+        if (finite < size) demand(DEHYST_ERR_FINITE);
+        const double *next = row.data();
+        visit([&](double &one) { one = *next++; });
+        loop.offer = DEHYST_NOTHING;
+        demand(dehyst_wide_check(&wide.wide, &loop.state));
+    }
+
+    // Functions of a row: what was in the loop before does not count, what is in it after is of no use.
+    double offered(Input row, double u) {
+        place(row);
+        const double v = dehyst_loop_offer(&compensator, &loop, u);
+        if (loop.offer == DEHYST_REFUSED) check_offer(u);
+        return v;
+    }
+    Output stepped(Input row_, double u) {
+        place(row_);
+        step(u);
+        return row();
+    }
+    double reached(Input row, double v) {
+        place(row);
+        commit(v);
+        return wide.wide.inertia ? loop.state.y : loop.state.memory.y;
+    }
+    Output moved(Input row_, double v) {
+        place(row_);
+        commit(v);
+        return row();
+    }
 };
 
 } // namespace
@@ -150,5 +200,10 @@ void bind_loop(nb::module_ &m) {
         .def("counts", &Loop::counts)
         .def("state", &Loop::state)
         .def("rest", &Loop::rest)
-        .def("go_on", &Loop::go_on);
+        .def("go_on", &Loop::go_on)
+        .def("row", &Loop::row)
+        .def("offered", &Loop::offered)
+        .def("stepped", &Loop::stepped)
+        .def("reached", &Loop::reached)
+        .def("moved", &Loop::moved);
 }

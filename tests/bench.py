@@ -81,7 +81,7 @@ def spring_error(found, true):
     return float(np.abs(found.spring.slopes - true.spring.slopes).max() / true.spring.slopes.max())
 
 
-def close(got, expected, allowance):
+def assert_close(got, expected, allowance):
     """Assert that two arrays are of one shape and nowhere farther apart."""
     assert np.shape(got) == np.shape(expected)
     assert np.abs(np.subtract(got, expected)).max(initial=0.0) <= allowance

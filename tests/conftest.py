@@ -113,3 +113,24 @@ def compiled(tmp_path):
     if shutil.which("gcc") is None or shutil.which("nm") is None:
         pytest.skip("gcc and nm are not installed: the C core cannot be compiled apart from Python")
     return CompiledCore(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def fmus(tmp_path_factory):
+    """(model, version, kind) to an FMU and the folder that it was unpacked to; each is made once."""
+    import fmpy
+    from fmu_rig import ALL
+
+    from dehyst.fmu import export_fmu
+
+    folder, known = tmp_path_factory.mktemp("fmu"), {}
+
+    def get(model, version, kind):
+        key = model, version, kind
+        if key not in known:
+            path = folder / f"{model}-{kind}-{version[0]}.fmu"
+            export_fmu(ALL[model], path, version, kind)
+            known[key] = path, Path(fmpy.extract(path, folder / path.stem))
+        return known[key]
+
+    return get

@@ -1,7 +1,7 @@
 """Models side by side: the same figures for each, by hand where they can be; a failure is a row."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bench
 import numpy as np
@@ -11,9 +11,11 @@ import dehyst
 from dehyst import FileFormatError, Fit, IdentifyError, ModelError, Outcome, Record, RecordError
 from dehyst.compare import OURS, Comparison, Row, compare, contenders, parameters_of, speeds
 from dehyst.compare_page import comparison_sections, write_comparison
+from dehyst.model import AbstractModel
 from dehyst.report import render
 from dehyst.rivals import RIVALS
 from dehyst.rivals.linear import Linear
+from dehyst.rows import epochs
 from dehyst.trials import TRIALS, Trial, trial
 
 PLANT = bench.plant()
@@ -80,6 +82,58 @@ def test_the_lead_tells_ours_where_it_began(records):
     score = compare(records[0], validate=middle, lead=lead, models={"truth": plant}).rows[0].worst("validation")
     assert (score.largest, score.rms) == pytest.approx((0, 0), abs=1e-6)
     assert score.largest_without == pytest.approx(0, abs=1e-6)
+
+
+@dataclass(frozen=True)
+class Stranger(AbstractModel):
+    """The plant, as a model of others whose axis lies elsewhere."""
+
+    shift: float
+
+    def simulate(self, voltage, *, state=None, time=None):
+        motion = PLANT.simulate(voltage, state=state or PLANT.turned(0.0, rising=False))
+        return replace(motion, displacement=motion.displacement + self.shift)
+
+    def compensate(self, displacement, *, state=None, time=None):
+        return PLANT.compensate(np.subtract(displacement, self.shift), state=state)
+
+
+def test_the_lead_tells_any_other_model_a_constant(records):
+    """Its mean error over the lead's samples that count; without a lead it is told nothing."""
+    chosen = {"shifted": lambda _: Stranger(0.25 * bench.STROKE), "line": lambda _: Linear(bench.STROKE / bench.VOLTS)}
+    untold, found = (compare(records[0], validate=records[1], lead=lead, models=chosen) for lead in (0, 6.0))
+    before, after = (one.rows[0].worst("validation") for one in (untold, found))
+    assert before.largest_without == pytest.approx(25)
+    assert after.largest_without == pytest.approx(0, abs=1e-6)
+    line = found.rows[1].worst("validation")
+    error = 100 * (records[1].displacement - bench.STROKE / bench.VOLTS * records[1].voltage) / bench.STROKE
+    first = int(np.argmax(records[1].time >= 6.0))
+    lead = slice(epochs(records[1].slice(0, first + 1))[-1].start, first + 1)
+    assert line.largest_without == pytest.approx(np.abs(error[first:] - error[lead].mean()).max())
+    assert line.rms_without == pytest.approx(np.sqrt(np.mean((error[first:] - error[lead].mean()) ** 2)))
+    assert line.largest == pytest.approx(np.abs(error[first:] - error[first:].mean()).max())
+
+
+def test_a_lead_without_a_cycle_tells_by_its_last_sample(records):
+    """It ends before the voltage has been through its range: what counts begins after that, and no sample before."""
+    line = Linear(bench.STROKE / bench.VOLTS)
+    score = compare(records[0], validate=records[1], lead=0.3, models={"line": lambda _: line}).rows[0].scores[1]
+    first = score.left_out
+    assert records[1].time[first] > 0.3 + records[1].time[0]
+    assert epochs(records[1].slice(0, first + 1)) == []
+    error = 100 * (records[1].displacement - line.slope * records[1].voltage) / bench.STROKE
+    assert score.largest_without == pytest.approx(np.abs(error[first:] - error[first]).max())
+
+
+def test_what_each_was_told_is_said(records):
+    told, untold = (compare(records[0], validate=records[1], lead=lead, models={"truth": plant}) for lead in (6.0, 0))
+    assert told.note == (
+        "The displacement measured in the first 6 s of held-out records, which do not count, told our own models their "
+        "state and an offset of the voltage, every other model a constant, its mean error there."
+    )
+    assert (told.as_dict()["lead_s"], told.as_dict()["note"]) == (6.0, told.note)
+    assert told.note in "".join(comparison_sections(told))
+    assert untold.note == compare(records[0], lead=6.0, models={"truth": plant}).note == ""
 
 
 def test_the_delay_of_a_model_is_taken_off(records):

@@ -1,217 +1,404 @@
-"""The voltage that leaves the program: never out of limits or slew rate, and the model knows what was really sent."""
+"""The loop: what it sends is within limits, what it remembers is what was sent, and it goes on where it was stopped."""
 
+import itertools
+import json
+import math
+import warnings
 from dataclasses import replace
 
 import bench
 import numpy as np
 import pytest
-import strategies as our
+import wide_bench as wide
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Compensator, Dynamics, ModelError, State
+import dehyst
+from dehyst import Actuator, ClampWarning, Compensator, Creep, Dynamics, ModelError, Snapshot, State
+from dehyst.homing import shortest_homing
 
 PLANT = bench.plant(10, seed=4)
-LOW, HIGH = 20.0, 150.0
-RATE = 2e4
+PERIOD = 1 / wide.RATE
+FREE = (-1e4, 1e4)
+STRUCTURES = sorted(wide.STRUCTURES)
+PLANTS = {name: wide.plant(wide.STRUCTURES[name], seed=3).actuator for name in STRUCTURES}
+MOVING = {
+    "inertia": {"dynamics": Dynamics(2 * np.pi * 30, 0.03)},
+    "series": {"dynamics": Dynamics(2 * np.pi * 30, 0.03, 2e6)},
+    "lag": {"lag": 5 * PERIOD},
+    "all that moves": {"dynamics": Dynamics(2 * np.pi * 30, 0.03, 2e6), "lag": 3 * PERIOD,
+                       "creep": Creep([0.05, 5.0], [3e5, 3e5])},
+}  # fmt: skip
+PLANTS |= {name: replace(PLANT, **parts) for name, parts in MOVING.items()}
 
 
-def wanted(seed, size=400):
-    """A path of steps, ramps and rests that leaves what the limits allow on both sides."""
+def wanted(seed, size=300):
+    """Legs, rests and steps, some beyond what the limits allow."""
     rng = np.random.default_rng(seed)
-    corners = rng.integers(2, 12)
+    corners = rng.integers(3, 15)
     at = np.sort(rng.choice(np.arange(1, size - 1), corners, replace=False))
-    y = np.interp(np.arange(size), [0, *at, size], rng.uniform(-0.3, 1.3, corners + 2))
+    y = np.interp(np.arange(size), [0, *at, size], rng.uniform(-0.1, 1.1, corners + 2))
     return bench.STROKE * (y + 0.05 * rng.normal(size=size) * rng.integers(0, 2))
 
 
-def times(seed, size):
-    return np.cumsum(np.random.default_rng(seed + 1).uniform(0.5e-3, 2e-3, size))
+def started(actuator, seed):
+    return actuator.turned(bench.STROKE * np.random.default_rng(seed).uniform(0.2, 0.8))
 
 
-def assert_true_to_what_was_sent(command, path, start):
-    """The claimed motion is what the plant does with the sent voltages, sample by sample and at the end."""
-    motion = PLANT.simulate(command.voltage, state=start, stack=False)
-    np.testing.assert_allclose(command.displacement, motion.displacement, atol=1e-9 * bench.STROKE)
-    np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-9 * bench.STROKE)
-    assert command.state.displacement == pytest.approx(motion.state.displacement, abs=1e-9 * bench.STROKE)
-    np.testing.assert_array_equal(command.displacement[~command.clamped], path[~command.clamped])
+def quietly(function, *arguments):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ClampWarning)
+        return function(*arguments)
 
 
-@given(st.integers(0, 10**6), st.booleans(), st.integers(1, 400))
-def test_no_path_leaves_limits_or_slew_rate(seed, slewing, size):
-    path, time = wanted(seed)[:size], times(seed, 400)[:size]
-    start = bench.any_state(PLANT, float(path[0]), seed)
-    compensator = Compensator(PLANT, (LOW, HIGH), RATE if slewing else None)
-    command = compensator.trajectory(path, time=time, state=start)
-    assert np.all((command.voltage >= LOW) & (command.voltage <= HIGH))
+def replayed(actuator, start, voltage, period=PERIOD):
+    """What the actuator does with voltages, the first one period after the state."""
+    held = np.append(actuator.voltage(start), voltage)
+    return actuator.simulate(held, time=np.arange(held.size) * period, state=start, stack=False)
+
+
+def gap(one, other):
+    """The largest difference [m] of two states."""
+    differences = [np.abs(np.subtract(getattr(one, part), getattr(other, part))).max(initial=0.0)
+                   for part in ("carts", "creep", "smooth")]  # fmt: skip
+    return max(abs(one.displacement - other.displacement), *differences)
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_a_run_is_the_inverse_of_the_actuator(name):
+    actuator = PLANTS[name]
+    path = bench.path((0.5, 1, 0, 0.9, 0.2, 0.6), 40)[:200]
+    start = started(actuator, 1)
+    voltage = Compensator(actuator, FREE, period=PERIOD, state=start).run(path)
+    at = np.append(start.displacement, path)
+    exact = actuator.compensate(at, time=np.arange(at.size) * PERIOD, state=start)
+    np.testing.assert_allclose(voltage, exact.voltage[1:], atol=1e-12 * np.ptp(exact.voltage))
+
+
+@given(st.sampled_from(sorted(PLANTS)), st.integers(0, 10**6), st.booleans())
+def test_steps_and_runs_are_one_and_the_memory_is_what_was_sent(name, seed, slewing):
+    actuator, path = PLANTS[name], wanted(seed)
+    start = started(actuator, seed)
+    low, high, rate = 30.0, 140.0, 3000.0 if slewing else None
+    stepped, ran = (Compensator(actuator, (low, high), rate, period=PERIOD, state=start) for _ in range(2))
+    first = stepped.voltage
+    voltage = quietly(lambda: np.array([stepped.step(y) for y in path]))
+    np.testing.assert_array_equal(quietly(ran.run, path), voltage)
+    assert voltage.min() >= low
+    assert voltage.max() <= high
+    changes = np.abs(np.diff(np.append(first, voltage)))
+    inside = low <= first <= high
     if slewing:
-        allowed = RATE * np.diff(time)
-        assert np.all(np.abs(np.diff(command.voltage)) <= allowed + 1e-12 * HIGH)
-    assert_true_to_what_was_sent(command, path, start)
-    assert bool(command.warnings) == bool(command.clamped.any())
+        assert changes[0 if inside else 1 :].max() <= rate * PERIOD + 1e-12 * high
+    assert ran.clamps == stepped.clamps
+    motion = replayed(actuator, start, voltage)
+    for compensator in (stepped, ran):
+        assert gap(compensator.state, motion.state) < 1e-11 * bench.STROKE
+        assert compensator.voltage == voltage[-1]
 
 
-@given(st.integers(0, 10**6))
-def test_only_what_had_to_be_clamped_is_clamped(seed):
-    path = wanted(seed)
-    start = bench.any_state(PLANT, float(path[0]), seed)
-    command = Compensator(PLANT, (LOW, HIGH)).trajectory(path, state=start)
-    for i in np.flatnonzero(command.clamped):
-        assert command.voltage[i] in (LOW, HIGH)
-        short = path[i] - command.displacement[i]
-        assert short >= 0 if command.voltage[i] == HIGH else short <= 0
+@given(st.sampled_from(STRUCTURES), st.integers(0, 10**6))
+def test_what_is_not_clamped_is_followed(name, seed):
+    actuator, path = PLANTS[name], wanted(seed)
+    start = started(actuator, seed)
+    compensator = Compensator(actuator, (30.0, 140.0), period=PERIOD, state=start)
+    clamped = np.zeros(path.size, dtype=bool)
+    voltage = np.empty(path.size)
+    for i, y in enumerate(path):
+        before = compensator.clamps
+        voltage[i] = quietly(compensator.step, y)
+        clamped[i] = compensator.clamps != before
+    reached = replayed(actuator, start, voltage).displacement[1:]
+    assert np.abs(reached - path)[~clamped].max(initial=0.0) < 1e-11 * bench.STROKE
+    assert compensator.clamps.limited == clamped.sum()
+    assert compensator.clamps.slewed == 0
 
 
-def test_without_clamping_it_is_the_compensation():
-    path = bench.path((0.9, 0.2, 0.7, 0.3, 0.8))
-    command = Compensator(PLANT, (-1e4, 1e4), 1e9).trajectory(path, time=np.arange(path.size) * 1e-3)
-    motion = PLANT.compensate(path)
-    np.testing.assert_allclose(command.voltage, motion.voltage, atol=1e-9)
-    np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-15)
-    np.testing.assert_array_equal(command.displacement, path)
-    assert (command.warnings, command.clamped.any()) == ((), False)
+def through_saturation(actuator, limits, turns=(0.3, 1, 0.2, 0.6, 0.3)):
+    """Tracking error [% of the stroke] after the last clamp, memory true; and that of clipping the voltage alone."""
+    path = bench.path(turns, 200)
+    start = actuator.turned(float(path[0]), rising=False)
+    compensator = Compensator(actuator, limits, state=start)
+    tight = quietly(compensator.run, path)
+    clipped = np.clip(actuator.compensate(path, state=start).voltage, *limits)
+    assert tight.min() >= limits[0]
+    assert tight.max() <= limits[1]
+    # The memory that is true leaves saturation later: less has been reached, and less is held back.
+    left = max(int(np.flatnonzero((sent <= limits[0]) | (sent >= limits[1]))[-1]) for sent in (tight, clipped)) + 1
+    assert 200 < left < 300
+    return [np.abs(actuator.simulate(sent, state=start).displacement - path)[left:].max() / bench.STROKE * 100
+            for sent in (tight, clipped)]  # fmt: skip
 
 
-def test_clamping_is_loud():
-    path = bench.path((0.5, 1.4, 0.5))
+@pytest.mark.parametrize("seed", range(5))
+def test_after_saturation_the_memory_is_true(seed):
+    """130 V wanted, 100 V allowed. Clipping alone remembers a turn at 130 V that never was."""
+    plant = bench.plant(10, seed=seed)
+    most = plant.compensate(
+        bench.path((0.3, 1), 200), state=plant.turned(0.3 * bench.STROKE, rising=False)
+    ).voltage.max()
+    true, clipped = through_saturation(plant, (0.0, most / 1.3))
+    assert true < 1e-9
+    assert clipped > 0.5
+
+
+def test_an_offer_leaves_no_trace_until_it_is_committed():
+    actuator = PLANTS["all"]
+    one, other = (Compensator(actuator, FREE, period=PERIOD, state=started(actuator, 2)) for _ in range(2))
+    for y, missed in itertools.pairwise(wanted(5)):
+        other.offer(missed)
+        voltage = other.offer(y)
+        assert other.offer(y) == voltage
+        other.commit(voltage)
+        assert one.step(y) == voltage
+    assert gap(one.state, other.state) == 0
+
+
+def test_another_voltage_than_offered_is_what_the_memory_follows():
+    """A converter of 10 bits."""
+    actuator = PLANTS["creep"]
+    start = started(actuator, 3)
+    compensator = Compensator(actuator, (0, 300), period=PERIOD, state=start)
+    sent = []
+    for y in bench.path((0.5, 0.9, 0.1, 0.7), 60):
+        sent.append(round(compensator.offer(y) / 0.15) * 0.15)
+        compensator.commit(sent[-1])
+    assert gap(compensator.state, replayed(actuator, start, np.array(sent)).state) < 1e-11 * bench.STROKE
+    assert compensator.clamps == (0, 0)
+
+
+def test_a_held_period_lets_creep_go_on():
+    actuator = PLANTS["creep"]
+    start = started(actuator, 3)
+    compensator = Compensator(actuator, FREE, period=PERIOD, state=start)
+    voltage = compensator.step(start.displacement + 1e-6)
+    for _ in range(50):
+        compensator.hold()
+    moved = replayed(actuator, start, np.full(51, voltage))
+    assert gap(compensator.state, moved.state) < 1e-11 * bench.STROKE
+    assert compensator.state.displacement != start.displacement + 1e-6
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308, "1", None, [1e-6], 1j])
+@pytest.mark.parametrize("name", ["plain", "all", "all that moves"])
+def test_what_is_no_number_moves_nothing(name, bad):
+    actuator = PLANTS[name]
+    compensator = Compensator(actuator, (0, 200), period=PERIOD, state=started(actuator, 1))
+    quietly(compensator.step, 5e-6)
+    before = compensator.snapshot()
+    for call in (compensator.step, compensator.offer):
+        if bad == 1e308 and name == "plain":
+            continue  # that voltage is finite, and is clamped
+        with pytest.raises(ModelError, match="displacement: got"):
+            call(bad)
+    with pytest.raises(ModelError, match="voltage: got"):
+        compensator.commit("1" if bad == 1e308 else bad)
+    with pytest.raises(ModelError, match=r"displacement: (got|1 of 2)"):
+        compensator.run([5e-6, bad] if isinstance(bad, float) and bad != 1e308 else [[5e-6], [bad]])
+    after = compensator.snapshot()
+    assert gap(before.state, after.state) == 0
+    np.testing.assert_array_equal(before.rest, after.rest)
+
+
+def test_numbers_of_any_kind_are_taken():
+    voltages = {Compensator(PLANT, FREE).step(kind(0)) for kind in (int, float, np.float64, np.float32, np.int64)}
+    assert len(voltages) == 1
+
+
+def test_a_clamp_is_said_once_of_each_kind():
+    compensator = Compensator(PLANT, (0, 100), 1e3, period=1e-3, state=PLANT.relaxed(50.0))
+    with pytest.warns(ClampWarning, match=r"CLAMPED: 12\.8 um wanted, .* V to be sent: the slew rate allows no more"):
+        compensator.step(0.8 * bench.STROKE)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(3):
+            compensator.step(0.8 * bench.STROKE)
+    with pytest.warns(ClampWarning, match="100 V to be sent: that is a limit"):
+        for _ in range(200):
+            compensator.step(1.2 * bench.STROKE)
+    with pytest.warns(ClampWarning, match="50 of 50 voltages clamped: 50 at the limits 0 to 100 V, 0 by the slew"):
+        compensator.run(np.full(50, 1.2 * bench.STROKE))
+
+
+def test_a_clamp_that_is_made_an_error_has_moved_nothing():
+    compensator = Compensator(PLANT, (0, 100), state=PLANT.turned(0.2 * bench.STROKE))
+    before = compensator.snapshot()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for call in (compensator.step, compensator.offer, lambda y: compensator.run([y])):
+            with pytest.raises(ClampWarning):
+                call(1.2 * bench.STROKE)
+    assert gap(before.state, compensator.state) == 0
+    assert compensator.clamps == (0, 0)
+
+
+@pytest.mark.parametrize("name", sorted(PLANTS))
+def test_a_snapshot_goes_on_bit_for_bit(name, tmp_path):
+    actuator, path = PLANTS[name], wanted(11)
+    make = lambda: Compensator(actuator, (20, 140), 5e3, period=PERIOD, state=started(actuator, 1), preview=True)  # noqa: E731
+    one, other = make(), make()
+    quietly(one.run, path[:150])
+    one.snapshot().save(tmp_path / "loop.json")
+    other.restore(Snapshot.load(tmp_path / "loop.json"))
+    assert other.clamps == one.clamps
+    np.testing.assert_array_equal(quietly(other.run, path[150:]), quietly(one.run, path[150:]))
+
+
+def test_a_snapshot_of_another_loop_is_refused(tmp_path):
+    compensator = Compensator(PLANT, FREE, period=1e-3)
+    compensator.snapshot().save(tmp_path / "loop.json")
+    for other in (Compensator(bench.plant(10, seed=5), FREE, period=1e-3), Compensator(PLANT, FREE, period=2e-3),
+                  Compensator(PLANT, FREE, period=1e-3, preview=True)):  # fmt: skip
+        with pytest.raises(ModelError, match="of another actuator, period or preview"):
+            other.restore(Snapshot.load(tmp_path / "loop.json"))
+    renamed = replace(PLANT, name="the same under another name", limits=(0, 1))
+    Compensator(renamed, FREE, period=1e-3).restore(Snapshot.load(tmp_path / "loop.json"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "dehyst-actuator"}, "got format"),
+        ({"version": 2}, "version 2"),
+        ({"counts": [1, 2]}, "three whole numbers"),
+        ({"counts": [1, 2, -1]}, "three whole numbers"),
+        ({"rest": [0.0]}, "got 1 numbers beside the state, need 7"),
+        ({"rest": "none"}, "list of numbers"),
+        ({"extra": 1}, "unknown keys"),
+        ({"state": {}}, "missing keys"),
+    ],
+)
+def test_a_spoilt_snapshot_is_refused(change, message, tmp_path):
+    compensator, path = Compensator(PLANT, FREE), tmp_path / "loop.json"
+    compensator.snapshot().save(path)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    before = compensator.snapshot()
+    with pytest.raises(ModelError, match=message):
+        compensator.restore(Snapshot.load(path))
+    np.testing.assert_array_equal(compensator.snapshot().rest, before.rest)
+    assert gap(compensator.state, before.state) == 0
+
+
+def test_a_reset_begins_again():
+    compensator = Compensator(PLANT, (0, 100), state=PLANT.turned(5e-6))
+    path = wanted(3)
+    voltage = quietly(compensator.run, path)
+    compensator.reset()
+    assert compensator.clamps == (0, 0)
+    np.testing.assert_array_equal(quietly(compensator.run, path), voltage)
+    compensator.reset(PLANT.relaxed(0.0))
+    assert compensator.voltage == pytest.approx(0.0, abs=1e-9)
+
+
+def test_it_begins_where_a_homing_ends():
+    homing = shortest_homing(PLANT, limits=(0.0, 200.0))
+    assert homing.certified
+    compensator = Compensator(PLANT, (0, 200), state=homing.state)
+    assert compensator.voltage == pytest.approx(homing.turns[-1], abs=1e-9)
+
+
+def test_a_trajectory_starts_from_the_loop_and_leaves_it_alone():
+    compensator = Compensator(PLANT, (0, 200), state=PLANT.turned(2e-6))
+    compensator.step(9e-6)
+    before = compensator.snapshot()
+    command = compensator.trajectory(bench.path((0.5, 0.7, 0.3), 50))
+    assert gap(compensator.state, before.state) == 0
+    np.testing.assert_allclose(command.voltage, compensator.run(bench.path((0.5, 0.7, 0.3), 50)), atol=1e-11 * 200)
+
+
+def smooth_path(time, frequency=3.0):
+    """Rests, then swings with continuous acceleration."""
+    swing = np.clip(time - 0.5, 0, None)
+    return bench.STROKE * (0.5 - 0.4 * np.sin(2 * np.pi * frequency * swing) * -np.expm1(-((swing * 3) ** 3)))
+
+
+@pytest.mark.parametrize("parts", ["inertia", "series", "all that moves"])
+@pytest.mark.parametrize("delay", [0.0, 3.0, 2.4])
+def test_preview_makes_up_for_delay_and_inertia(parts, delay):
+    """The error falls with the period squared or more; without preview it is what inertia and delay make of it."""
+    errors = []
+    for period in (PERIOD, PERIOD / 2):
+        actuator = replace(PLANTS[parts], lag=0.0, delay=delay * period)
+        time = np.arange(round(2.5 / period)) * period
+        start = State(bench.STROKE / 2, actuator.turned(bench.STROKE / 2).carts)
+        compensator = Compensator(actuator, FREE, period=period, state=start, preview=True)
+        ahead = compensator.samples_ahead
+        voltage = compensator.run(smooth_path(time + (ahead + 1) * period))
+        seen = replayed(actuator, start, voltage, period).displacement[1:]
+        # What is sent now is seen `delay` later.
+        errors.append(np.abs(seen - smooth_path(time + period + actuator.delay)).max() / bench.STROKE)
+    plain = Compensator(actuator, FREE, period=period, state=start).run(smooth_path(time + period))
+    lazy = replayed(actuator, start, plain, period).displacement[1:] - smooth_path(time + period + actuator.delay)
+    assert errors[1] < 0.3 * errors[0] or errors[1] < 1e-6
+    assert errors[1] < 0.05 * np.abs(lazy).max() / bench.STROKE
+
+
+def test_a_whole_delay_alone_is_a_shift():
+    actuator = replace(PLANT, delay=3e-4)
+    compensator = Compensator(actuator, FREE, period=1e-4, preview=True)
+    assert compensator.samples_ahead == 3
+    path = wanted(2)
+    np.testing.assert_array_equal(compensator.run(path), Compensator(PLANT, FREE).run(path))
+
+
+def test_a_lag_is_led():
+    """An amplifier of five periods: without lead it would be late by as much."""
+    actuator = replace(PLANT, lag=5 * PERIOD)
+    path = smooth_path(np.arange(500) * PERIOD, 1.0)
     start = PLANT.turned(float(path[0]))
-    command = Compensator(PLANT, (0.0, HIGH)).trajectory(path, state=start)
-    count, first = int(command.clamped.sum()), int(np.flatnonzero(command.clamped)[0])
-    miss = np.abs(path - command.displacement).max() * 1e6
-    (said,) = command.warnings
-    assert said.startswith(f"CLAMPED: {count} of {path.size} voltages ({count} at the limits 0 to 150 V, 0 by the slew")
-    assert f"the first at sample {first};" in said
-    assert said.endswith(f"missed by up to {miss:.4g} um")
+    led = Compensator(actuator, FREE, period=PERIOD, state=start).run(path)
+    unled = Compensator(PLANT, FREE, state=start).run(path)
+    misses = [np.abs(replayed(actuator, start, sent).displacement[1:] - path).max() for sent in (led, unled)]
+    assert misses[0] < 0.05 * misses[1]
 
 
-def test_a_slew_rate_is_told_apart_from_the_limits():
-    path = bench.STROKE * np.where(np.arange(50) < 25, 0.3, 0.6)
-    command = Compensator(PLANT, (-1e3, 1e3), 1e3).trajectory(path, time=np.arange(50) * 1e-3)
-    assert "0 at the limits" in command.warnings[0]
-    assert f"{int(command.clamped.sum())} by the slew rate" in command.warnings[0]
-    np.testing.assert_allclose(np.diff(command.voltage)[24:26], 1.0, rtol=1e-9)
-    # It catches up with the path and follows it again.
-    assert not command.clamped[:25].any()
+@pytest.mark.parametrize("name", sorted(PLANTS))
+def test_the_reach_is_where_slow_loops_turn(name):
+    actuator = PLANTS[name]
+    compensator = Compensator(actuator, (20, 140), period=PERIOD)
+    low, high = compensator.reach
+    assert low < high
+    slow = replace(actuator, dynamics=None, lag=0.0)
+    voltage = np.tile([20.0, 140.0], 100)
+    # Long holds, in which creep comes to rest step by step.
+    held = np.repeat(voltage, 30)
+    start = State(slow.state.displacement, slow.state.carts)
+    moved = slow.simulate(held, time=np.arange(held.size) * 10.0, state=start).displacement[29::30]
+    np.testing.assert_allclose(moved[-2:], [low, high], atol=1e-6 * bench.STROKE)
 
 
-def test_after_a_clamp_the_path_is_followed_again():
-    path = bench.path((0.4, 1.5, 0.2, 0.5))
-    start = PLANT.turned(float(path[0]))
-    command = Compensator(PLANT, (-500.0, HIGH)).trajectory(path, state=start)
-    last = int(np.flatnonzero(command.clamped)[-1])
-    assert last < 250
-    np.testing.assert_array_equal(command.displacement[last + 1 :], path[last + 1 :])
-    played = PLANT.simulate(command.voltage, state=start).displacement
-    np.testing.assert_allclose(played[last + 1 :], path[last + 1 :], atol=1e-9 * bench.STROKE)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"limits": None}, "no voltage limits"),
+        ({"limits": (1, 0)}, "the lower one first"),
+        ({"limits": (0, math.nan)}, "need a finite number"),
+        ({"limits": 5}, "two finite voltages"),
+        ({"slew_rate": 0.0}, "positive number of volts a second"),
+        ({"period": 0.0}, "positive number of seconds"),
+        ({"period": "1"}, "need a finite number"),
+        ({"preview": True}, "preview needs the time between steps"),
+        ({"state": 1}, "need a State"),
+        ({"state": State(0.0, [])}, "0 carts, this actuator has 10"),
+        ({"actuator": "model.json"}, "need an Actuator"),
+    ],
+)
+def test_impossible_loops_are_refused(arguments, message):
+    given_ = {"actuator": PLANT, "limits": (0, 100), **arguments}
+    with pytest.raises(ModelError, match=message):
+        Compensator(given_.pop("actuator"), given_.pop("limits"), given_.pop("slew_rate", None), **given_)
 
 
-@pytest.mark.parametrize("size", [0, 1, 2, 63, 64, 65, 129])
-def test_any_number_of_samples(size):
-    path = np.full(size, 0.4 * bench.STROKE)
-    command = Compensator(PLANT, (-1e3, 1e3), RATE).trajectory(path, time=np.arange(float(size)))
-    assert command.voltage.shape == command.displacement.shape == command.clamped.shape == (size,)
-    np.testing.assert_allclose(command.voltage, PLANT.compensate(path).voltage, atol=1e-9)
+@pytest.mark.parametrize("parts", ["creep", "lag", "inertia"])
+def test_steps_in_time_need_a_period(parts):
+    with pytest.raises(ModelError, match=r"give period= \[s\]"):
+        Compensator(PLANTS[parts], (0, 100)).step(0.0)
+    with pytest.raises(ModelError, match=r"give period= \[s\]"):
+        Compensator(PLANT, (0, 100), 1e3).step(0.0)
 
 
-def test_the_actuators_own_limits_are_the_default():
-    limited = Actuator(PLANT.slip, PLANT.spring, limits=(5, 95))
-    assert Compensator(limited).limits == (5.0, 95.0)
-    assert Compensator(limited, (0, 10)).limits == (0.0, 10.0)
-    command = Compensator(limited).trajectory(bench.path((0, 1, 0)))
-    assert (command.voltage.min(), command.voltage.max()) == (5.0, 95.0)
-
-
-def test_refusals():
-    with pytest.raises(ModelError, match="no voltage limits"):
-        Compensator(PLANT)
-    for limits in ((1.0, 1.0), (2.0, 1.0), (0.0, np.nan), (-np.inf, 1.0), (1.0,), (0.0, 1.0, 2.0)):
-        with pytest.raises(ModelError, match="limits: got"):
-            Compensator(PLANT, limits)
-    for rate in (0.0, -1.0, np.inf, np.nan):
-        with pytest.raises(ModelError, match="slew_rate: got"):
-            Compensator(PLANT, (LOW, HIGH), rate)
-    slewing = Compensator(PLANT, (LOW, HIGH), RATE)
-    with pytest.raises(ModelError, match="a slew rate needs the time"):
-        slewing.trajectory([0.0, 1e-6])
-    refused = {(0.0,): "got 1 values for 2 samples, need one a sample", (0.0, 1.0, 2.0): "got 3 values for 2 samples",
-               (0.0, 0.0): "got 0 s after 0 s at value 1", (1.0, 0.0): "got 0 s after 1 s at value 1"}  # fmt: skip
-    for time, why in refused.items():
-        with pytest.raises(ModelError, match=f"time: {why}"):
-            slewing.trajectory([0.0, 1e-6], time=time)
-    with pytest.raises(ModelError, match="not finite"):
-        slewing.trajectory([0.0, np.nan], time=[0.0, 1.0])
-    with pytest.raises(ModelError, match="carts"):
-        slewing.trajectory([0.0], time=[0.0], state=bench.any_state(bench.plant(3), 0.0, 1))
-
-
-WIDE = {
-    "graded": {"graded": True, "transformer": False, "creep": False},
-    "transformer": {"graded": False, "transformer": True, "creep": False},
-    "creep": {"graded": False, "transformer": False, "creep": True},
-    "all three": {"graded": True, "transformer": True, "creep": True},
-}
-
-
-def wider(kind, seed=5, **more):
-    """The plant with wider parts; they leave its voltages about where they were."""
-    return replace(our.make_wider(PLANT, seed, **WIDE[kind]), **more)
-
-
-@pytest.mark.parametrize("kind", WIDE)
-@given(st.integers(0, 10**6), st.booleans(), st.integers(1, 400))
-def test_wider_actuators_too_are_told_what_was_sent(kind, seed, slewing, size):
-    plant, path, time = wider(kind), wanted(seed)[:size], times(seed, 400)[:size]
-    command = Compensator(plant, (LOW, HIGH), RATE if slewing else None).trajectory(path, time=time)
-    assert np.all((command.voltage >= LOW) & (command.voltage <= HIGH))
-    motion = plant.simulate(command.voltage, time=time, stack=False)
-    np.testing.assert_allclose(command.displacement, motion.displacement, atol=1e-9 * bench.STROKE)
-    np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-9 * bench.STROKE)
-    np.testing.assert_allclose(command.state.creep, motion.state.creep, atol=1e-9 * bench.STROKE)
-    np.testing.assert_array_equal(command.displacement[~command.clamped], path[~command.clamped])
-
-
-def smooth(size=1500):
-    time = np.arange(size) * 2e-5
-    return time, bench.STROKE * (0.5 - 0.2 * np.cos(2 * np.pi * 100 * time))
-
-
-@pytest.mark.parametrize("lag", [0.0, 2e-4])
-def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
-    time, path = smooth()
-    push = bench.STROKE * 0.2 * (2 * np.pi * 100) ** 2
-    load = 3 * np.sin(2 * np.pi * 150 * time)
-    plant = wider("all three", dynamics=Dynamics(2 * np.pi * 1000, 0.05, 2e6), lag=lag, load_stiffness=1e7)
-    first = plant.compensate(path[:1], time=[0], load=load[:1], acceleration=[push]).state
-    start = State(first.displacement, first.carts, first.creep, [path[0], 0])
-    whole = plant.compensate(path, time=time, load=load, state=start)
-    command = Compensator(plant, (-1e4, 1e4)).trajectory(path, time=time, load=load, state=start)
-    np.testing.assert_allclose(command.voltage, whole.voltage, atol=1e-9 * np.ptp(whole.voltage))
-    played = plant.simulate(command.voltage, time=time, load=load, state=start)
-    np.testing.assert_array_equal(command.displacement, played.displacement)
-    assert np.abs(command.displacement - path).max() < 1e-3 * bench.STROKE
-
-
-def test_a_clamped_mass_is_told_as_it_moves():
-    time, path = smooth()
-    plant = wider("creep", dynamics=Dynamics(2 * np.pi * 1000, 0.3, 2e6))
-    high = 0.9 * plant.compensate(path, time=time).voltage.max()
-    command = Compensator(plant, (-1e4, high)).trajectory(path, time=time)
-    assert command.clamped.any()
-    assert command.voltage.max() == high
-    played = plant.simulate(command.voltage, time=time)
-    np.testing.assert_array_equal(command.displacement, played.displacement)
-    # Long after the last clamp of a damped mass the path is followed again.
-    gaps = np.flatnonzero(command.clamped)
-    after = np.arange(time.size)[gaps[-1] + 150 :]
-    assert after.size > 50
-    assert np.abs(command.displacement - path)[after].max() < 1e-3 * bench.STROKE
-
-
-def test_what_a_plain_or_a_timeless_task_lacks():
-    with pytest.raises(ModelError, match="creeps, so that the answer depends on time"):
-        Compensator(wider("creep"), (0, 1)).trajectory([0.0, 1e-6])
-    with pytest.raises(ModelError, match="give load_stiffness="):
-        Compensator(PLANT, (0, 1)).trajectory([0.0, 1e-6], load=[0.0, 1.0])
-    with pytest.raises(ModelError, match="load: got 1 values for 2 samples"):
-        Compensator(wider("graded", load_stiffness=1e6), (0, 1)).trajectory([0.0, 1e-6], load=[0.0])
+def test_a_period_too_long_for_the_resonance_is_refused():
+    spring, omega = dehyst.Spring([0, 5e-6, 1e-5], [0, 0.01, 100]), 2 * np.pi * 1e3
+    uneven = Actuator(dehyst.MaxwellSlip([], []), spring, dynamics=Dynamics(omega, 0.0, 1e8))
+    with pytest.raises(ModelError, match="too long for a resonance"):
+        Compensator(uneven, (0, 100), period=4.5 / omega * np.sqrt(1 + 1e8 / 1e7)).step(0.0)

@@ -106,7 +106,7 @@ def test_elongations_agree_with_the_oracle(seed, count, samples, reach):
         expected.append(q)
     got = smooth.elongations(path)
     assert got.shape == (samples, count)
-    bench.close(got / smooth.length, np.reshape(expected, (samples, count)) / smooth.length, 1e-13)
+    bench.assert_close(got / smooth.length, np.reshape(expected, (samples, count)) / smooth.length, 1e-13)
 
 
 @pytest.mark.parametrize("closing", [0.5, 0.6, 0.99, 1.0])
@@ -132,14 +132,14 @@ def test_with_closing_1_it_is_dahls():
         end = length * np.sign(step)
         q = end + (q - end) * math.exp(-abs(step) / length)
         expected.append(q)
-    bench.close(SmoothSlip([length], [1], [1]).elongations(path)[:, 0], expected, 1e-14)
+    bench.assert_close(SmoothSlip([length], [1], [1]).elongations(path)[:, 0], expected, 1e-14)
 
 
 def test_with_closing_one_half_it_comes_back_straight():
     smooth = SmoothSlip([1.0], [0.5], [1])
     there = smooth.elongations([0, 2.0])[1, 0]
     back = smooth.elongations(2.0 - np.concatenate([[2.0, 0.0], np.linspace(0, there, 9)]))[2:, 0]
-    bench.close(back, np.linspace(there, 0, 9), 1e-15)
+    bench.assert_close(back, np.linspace(there, 0, 9), 1e-15)
 
 
 @given(our.SEEDS, st.integers(2, 40))
@@ -174,9 +174,9 @@ def test_compensate_agrees_with_the_oracle(stack, motion):
     actuator, state, path = motion
     volts, metres = scales(actuator, state, path)
     got, known = actuator.compensate(path, state=state, stack=stack), oracle.Smooth(actuator, state)
-    bench.close(got.voltage, known.compensate(path), volts)
-    bench.close(got.state.carts, known.y - known.elongation, metres)
-    bench.close(got.state.smooth, known.q, EXACT * actuator.smooth.length.max())
+    bench.assert_close(got.voltage, known.compensate(path), volts)
+    bench.assert_close(got.state.carts, known.y - known.elongation, metres)
+    bench.assert_close(got.state.smooth, known.q, EXACT * actuator.smooth.length.max())
 
 
 @given(motion=motions(max_elements=6, max_samples=20))
@@ -187,7 +187,7 @@ def test_simulate_agrees_with_the_oracle(motion):
     v = v + 0.1 * np.ptp(v) * np.random.default_rng(1).normal(size=v.size) if v.size else v
     got, known = actuator.simulate(v, state=state), oracle.Smooth(actuator, state)
     expected = known.simulate(v)
-    bench.close(got.displacement, expected, 10 * scales(actuator, state, expected)[1])
+    bench.assert_close(got.displacement, expected, 10 * scales(actuator, state, expected)[1])
 
 
 @given(motion=motions(max_samples=200))
@@ -197,9 +197,9 @@ def test_simulating_the_compensating_voltage_gives_the_path(motion):
     sent = actuator.compensate(path, state=state)
     came = actuator.simulate(sent.voltage, state=state)
     metres = 10 * scales(actuator, state, path)[1]
-    bench.close(came.displacement, path, metres)
-    bench.close(came.state.carts, sent.state.carts, metres)
-    bench.close(came.state.smooth, sent.state.smooth, 3 * metres)
+    bench.assert_close(came.displacement, path, metres)
+    bench.assert_close(came.state.carts, sent.state.carts, metres)
+    bench.assert_close(came.state.smooth, sent.state.smooth, 3 * metres)
 
 
 def everything(seed, graded):
@@ -218,13 +218,13 @@ def test_beside_every_other_part(graded, seed):
     actuator, time, path = everything(seed, graded)
     sent = actuator.compensate(path, time=time)
     came = actuator.simulate(sent.voltage, time=time)
-    bench.close(came.displacement, path, 1e-11 * np.ptp(path))
-    bench.close(came.state.smooth, sent.state.smooth, 1e-11 * np.ptp(path))
+    bench.assert_close(came.displacement, path, 1e-11 * np.ptp(path))
+    bench.assert_close(came.state.smooth, sent.state.smooth, 1e-11 * np.ptp(path))
     bare = Actuator(actuator.slip, SPRING, creep=actuator.creep).compensate(path, time=time).voltage
     q = Actuator(MaxwellSlip([], []), SPRING, smooth=SMOOTH)
     held = q.compensate(path, state=q.turned(1e-5)).voltage - SPRING(path)
-    bench.close(actuator.transformer(sent.voltage), bare + held, 1e-10)
-    bench.close(actuator.voltage(sent.state), sent.voltage[-1], 1e-10)
+    bench.assert_close(actuator.transformer(sent.voltage), bare + held, 1e-10)
+    bench.assert_close(actuator.voltage(sent.state), sent.voltage[-1], 1e-10)
 
 
 @given(motion=motions(max_samples=60), seed=our.SEEDS)
@@ -238,10 +238,10 @@ def test_rate_independence(motion, seed):
     previous = np.append(state.displacement, path)[:-1, None]
     slow = np.where(part == 1, path[:, None], previous + part * (path[:, None] - previous))
     fast, slowed = actuator.compensate(path, state=state), actuator.compensate(slow.ravel(), state=state)
-    bench.close(slowed.voltage[3::4], fast.voltage, volts)
-    bench.close(slowed.state.smooth, fast.state.smooth, metres)
+    bench.assert_close(slowed.voltage[3::4], fast.voltage, volts)
+    bench.assert_close(slowed.state.smooth, fast.state.smooth, metres)
     back = actuator.simulate(slowed.voltage, state=state)
-    bench.close(back.displacement[3::4], path, 10 * metres)
+    bench.assert_close(back.displacement[3::4], path, 10 * metres)
 
 
 @given(motion=motions(max_samples=100), cut=st.floats(0, 1))
@@ -253,7 +253,9 @@ def test_a_record_may_be_cut_anywhere(motion, cut):
         run = getattr(actuator, name)
         first = run(drive[:k], state=state)
         joined = np.append(getattr(first, out), getattr(run(drive[k:], state=first.state), out))
-        bench.close(joined, getattr(run(drive, state=state), out), scales(actuator, state, path)[name == "simulate"])
+        bench.assert_close(
+            joined, getattr(run(drive, state=state), out), scales(actuator, state, path)[name == "simulate"]
+        )
 
 
 @given(motion=motions())
@@ -264,8 +266,10 @@ def test_without_stiffness_they_change_nothing(motion):
     bare, (volts, metres) = State(state.displacement, state.carts), scales(actuator, state, path)
     for stack in (True, False):
         sent = plain.compensate(path, state=bare, stack=stack).voltage
-        bench.close(idling.compensate(path, state=state, stack=stack).voltage, sent, volts)
-    bench.close(idling.simulate(sent, state=state).displacement, plain.simulate(sent, state=bare).displacement, metres)
+        bench.assert_close(idling.compensate(path, state=state, stack=stack).voltage, sent, volts)
+    bench.assert_close(
+        idling.simulate(sent, state=state).displacement, plain.simulate(sent, state=bare).displacement, metres
+    )
 
 
 @given(motion=motions(max_samples=30), more=st.floats(1e-6, 1))
@@ -288,7 +292,7 @@ def test_stiff_elements_beside_a_soft_spring(ratio):
     v = np.concatenate([v[::12], v[::-4], v])
     motion = actuator.simulate(v, state=start)
     back = actuator.compensate(motion.displacement, state=start)
-    bench.close(back.voltage, v, 1e-13 * np.ptp(v))
+    bench.assert_close(back.voltage, v, 1e-13 * np.ptp(v))
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -322,16 +326,16 @@ def test_a_sample_that_is_not_a_number_moves_nothing():
         out, reached = run(np.array(drive), pace(3), held)
         good, there = run(np.array(drive)[[0, 2]], pace(2), held)
         assert out[0] == out[1]
-        bench.close(out[[0, 2]], good, 1e-12 * abs(out[0]))
+        bench.assert_close(out[[0, 2]], good, 1e-12 * abs(out[0]))
         for one, two in zip(reached, there, strict=True):
-            bench.close(one, two, 1e-20)
+            bench.assert_close(one, two, 1e-20)
 
 
 def test_after_a_long_motion_they_are_as_long_as_they_get():
     far = ACTUATOR.compensate([1.0, -1.0, 5e-6]).state
     turned = ACTUATOR.turned(5e-6)
-    bench.close(far.smooth, turned.smooth, 0.0)
-    bench.close(far.carts, turned.carts, 1e-18)
+    bench.assert_close(far.smooth, turned.smooth, 0.0)
+    bench.assert_close(far.carts, turned.carts, 1e-18)
     assert np.array_equal(ACTUATOR.turned(0, rising=False).smooth, -SMOOTH.length)
     assert ACTUATOR.state.smooth.tolist() == SMOOTH.length.tolist()
     slipping = SLIP.friction.sum() + SMOOTH.stiffness @ SMOOTH.length
@@ -344,7 +348,7 @@ def test_relaxed_they_hold_nothing():
     assert ACTUATOR.voltage(relaxed) == pytest.approx(30.0, rel=1e-14)
     moved = ACTUATOR.simulate([30.0], state=relaxed).state
     assert moved.smooth.shape == (2,)
-    bench.close(moved.smooth, [0, 0], 1e-20)
+    bench.assert_close(moved.smooth, [0, 0], 1e-20)
 
 
 def test_a_state_moves_with_its_axis():
@@ -356,7 +360,7 @@ def test_a_compensator_clamps_with_them():
     command = Compensator(ACTUATOR, limits=(5.0, 90.0)).trajectory(wanted)
     assert command.clamped.any()
     assert not command.clamped.all()
-    bench.close(ACTUATOR.simulate(command.voltage).displacement, command.displacement, 1e-11 * np.ptp(wanted))
+    bench.assert_close(ACTUATOR.simulate(command.voltage).displacement, command.displacement, 1e-11 * np.ptp(wanted))
 
 
 @pytest.mark.parametrize(

@@ -25,9 +25,9 @@ def scales(actuator, state, path):
 
 
 def same_state(one, two, metres):
-    bench.close(one.displacement, two.displacement, metres)
-    bench.close(one.carts, two.carts, metres)
-    bench.close(one.creep, two.creep, metres)
+    bench.assert_close(one.displacement, two.displacement, metres)
+    bench.assert_close(one.carts, two.carts, metres)
+    bench.assert_close(one.creep, two.creep, metres)
 
 
 @pytest.mark.parametrize("stack", [True, False])
@@ -36,7 +36,7 @@ def test_compensate_agrees_with_the_oracle(stack, motion):
     actuator, state, time, path = motion
     volts, metres = scales(actuator, state, path)
     got, known = actuator.compensate(path, time=time, state=state, stack=stack), oracle.Wide(actuator, state)
-    bench.close(got.voltage, known.compensate(path, time), 3 * volts)
+    bench.assert_close(got.voltage, known.compensate(path, time), 3 * volts)
     same_state(got.state, State(known.y, known.carts, known.y - known.z), metres)
 
 
@@ -51,7 +51,7 @@ def test_simulate_agrees_with_the_oracle(stack, motion):
     expected = known.simulate(v, time)
     metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(expected, state.displacement)))
     got = actuator.simulate(v, time=time, state=state, stack=stack)
-    bench.close(got.displacement, expected, 10 * metres)
+    bench.assert_close(got.displacement, expected, 10 * metres)
     same_state(got.state, State(known.y, known.carts, known.y - known.z), 10 * metres)
 
 
@@ -63,7 +63,7 @@ def test_simulating_the_compensating_voltage_gives_the_path(there, back, motion)
     _, metres = scales(actuator, state, path)
     sent = actuator.compensate(path, time=time, state=state, stack=there)
     came = actuator.simulate(sent.voltage, time=time, state=state, stack=back)
-    bench.close(came.displacement, path, 3 * metres)
+    bench.assert_close(came.displacement, path, 3 * metres)
     same_state(came.state, sent.state, 3 * metres)
 
 
@@ -80,7 +80,7 @@ def test_a_record_may_be_cut_at_any_sample(motion, cut):
         first = run(drive[: k + 1], time=time[: k + 1], state=state)
         second = run(drive[k:], time=time[k:], state=first.state)
         joined = np.concatenate([getattr(first, out)[:-1], getattr(second, out)])
-        bench.close(joined, getattr(run(drive, time=time, state=state), out), allowance)
+        bench.assert_close(joined, getattr(run(drive, time=time, state=state), out), allowance)
 
 
 @given(our.wider_motions({"graded": False, "transformer": True, "creep": False}, states=("turned up", "relaxed")))
@@ -90,7 +90,7 @@ def test_beside_a_transformer_alone_the_stack_puts_down_the_memory_of_the_clips(
     _, metres = scales(actuator, state, path)
     voltage = actuator.compensate(path, state=state).voltage
     stack, clips = (actuator.simulate(voltage, state=state, stack=stack) for stack in (True, False))
-    bench.close(stack.displacement, clips.displacement, metres)
+    bench.assert_close(stack.displacement, clips.displacement, metres)
     same_state(stack.state, clips.state, metres)
 
 
@@ -102,9 +102,9 @@ def test_one_grade_is_a_plain_element(motion, seed):
     graded = Actuator(GradedSlip(slip.breakaway, knots, slip.stiffness[:, None]), actuator.spring)
     volts, metres = scales(actuator, state, path)
     plain = actuator.compensate(path, state=state)
-    bench.close(graded.compensate(path, state=state).voltage, plain.voltage, volts)
-    bench.close(graded.simulate(plain.voltage, state=state).displacement, path, 2 * metres)
-    bench.close(
+    bench.assert_close(graded.compensate(path, state=state).voltage, plain.voltage, volts)
+    bench.assert_close(graded.simulate(plain.voltage, state=state).displacement, path, 2 * metres)
+    bench.assert_close(
         graded.slip.friction,
         slip.friction,
         EXACT * max(slip.friction.max(), slip.stiffness.max() * our.span_of(actuator)),
@@ -122,8 +122,8 @@ def test_without_effect_the_wider_parts_change_nothing(motion, seed):
     )
     volts, metres = scales(actuator, state, path)
     plain = actuator.compensate(path, state=state)
-    bench.close(wider.compensate(path, time=time, state=state).voltage, plain.voltage, volts)
-    bench.close(wider.simulate(plain.voltage, time=time, state=state).displacement, path, metres)
+    bench.assert_close(wider.compensate(path, time=time, state=state).voltage, plain.voltage, volts)
+    bench.assert_close(wider.simulate(plain.voltage, time=time, state=state).displacement, path, metres)
 
 
 @given(motion=our.wider_motions(max_samples=40), more=st.floats(1e-6, 1))
@@ -148,7 +148,7 @@ def test_samples_added_on_a_straight_path_change_nothing(motion, parts):
     coarse = actuator.compensate(path, time=time, state=state).voltage
     dense = actuator.compensate(np.interp(fine, time, path), time=fine, state=state).voltage
     # np.interp rounds times and places; a gain near 1 hands that on.
-    bench.close(dense[::parts], coarse, 30 * volts)
+    bench.assert_close(dense[::parts], coarse, 30 * volts)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -220,7 +220,7 @@ def test_dissipation_of_graded_elements(actuator, seed, width):
     lost = float(2 * rho @ (slip.held(high) - slip.held(low)))
     volts, _ = scales(wider, wider.turned(bottom), loop)
     assert lost >= 0
-    bench.close(area, lost, loop.size * volts * (top - bottom))
+    bench.assert_close(area, lost, loop.size * volts * (top - bottom))
 
 
 @given(motion=our.wider_motions({"creep": True, "graded": False}, max_samples=60))
@@ -243,10 +243,10 @@ def test_states_rest_where_they_say(motion, seed):
     v = actuator.voltage(state)
     volts, metres = scales(actuator, state, [])
     here = actuator.compensate([state.displacement], time=[seed], state=state)
-    bench.close(here.voltage, [v], 3 * volts)
-    bench.close(actuator.simulate([v], time=[seed], state=state).displacement, [state.displacement], 10 * metres)
+    bench.assert_close(here.voltage, [v], 3 * volts)
+    bench.assert_close(actuator.simulate([v], time=[seed], state=state).displacement, [state.displacement], 10 * metres)
     relaxed = actuator.relaxed(v)
-    bench.close(actuator.voltage(relaxed), v, 3 * volts + 1e-12 * abs(v))
+    bench.assert_close(actuator.voltage(relaxed), v, 3 * volts + 1e-12 * abs(v))
     assert np.ptp(np.append(relaxed.carts, relaxed.displacement)) == 0
 
 

@@ -65,7 +65,7 @@ def test_the_models_own_coefficients_give_the_model_back(name):
         one, other = getattr(fit.actuator, part), getattr(again, part)
         assert (one is None) == (other is None)
         for field in () if one is None else one.__dataclass_fields__:
-            bench.close(getattr(other, field), getattr(one, field), 1e-9 * np.abs(getattr(one, field)).max())
+            bench.assert_close(getattr(other, field), getattr(one, field), 1e-9 * np.abs(getattr(one, field)).max())
     errors = np.concatenate([p[2] - p[3] for one in evidence.comparisons for *_, p in one.played(again)])
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(NOISE, rel=0.1)
     assert evidence.stroke == pytest.approx(bench.STROKE, rel=0.01)

@@ -34,8 +34,7 @@ def rows_of(name, seed=0):
 @given(name=st.sampled_from(NAMES), seed=st.integers(0, 1000))
 @settings(max_examples=25)
 def test_every_row_says_what_compensate_says(name, seed):
-    plant = wide.plant(wide.STRUCTURES[name], seed)
-    regression = wide.regression(plant.grid, [plant.record()])
+    plant, regression = known(name, seed), rows_of(name, seed)
     left = regression.residual(plant.coefficients(regression))
     assert len(left) > 0.8 * plant.path.size
     assert np.abs(left).max() < 1e-11 * bench.VOLTS
@@ -45,8 +44,7 @@ def test_every_row_says_what_compensate_says(name, seed):
 @settings(max_examples=15)
 def test_the_slope_of_a_row_is_the_slope_of_compensate(name, seed):
     """Tau's change over a small step ahead, from the state that the record has reached; creep holds as a spring."""
-    plant = wide.plant(wide.STRUCTURES[name], seed)
-    regression = wide.regression(plant.grid, [plant.record()])
+    plant, regression = known(name, seed), rows_of(name, seed)
     slope = regression.slope(plant.coefficients(regression))
     samples = np.concatenate([np.arange(one.start, one.stop) for one in epochs(plant.record())])
     # Major loops go through knots, and their ends; just after a turn smooth elements are taken to go on.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from dehyst import model_file
 from dehyst._errors import ModelError
 from dehyst._native import Array, Core, number, vector
+from dehyst.control_blocks import actuator_block
 from dehyst.creep import Creep, clock
 from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
@@ -21,6 +22,9 @@ from dehyst.model import AbstractModel, Motion, State
 from dehyst.physical import Physical, charge, physical
 from dehyst.smooth import SmoothSlip
 from dehyst.wide import Course, WideModel, least_slope
+
+if TYPE_CHECKING:
+    from control import NonlinearIOSystem
 
 
 def interval(limits: Sequence[float]) -> tuple[float, float]:
@@ -255,6 +259,38 @@ class Actuator(AbstractModel):
         if not self.wide:
             return self.core.voltage(start.displacement, start.carts)
         return self.model.core.voltage(self.model.held(start))
+
+    def to_control(
+        self, *, period: float | None = None, state: State | None = None, name: str = "actuator"
+    ) -> NonlinearIOSystem:
+        """A block for python-control: voltage [V] in, displacement [m] out, a sample every period.
+
+        It does what `simulate` does. All memory is in the block's state; `start` of the block is that of `state`, to be
+        given as initial state. The displacement of a sample is the one reached with the voltage of the same sample
+        (direct feedthrough): a controller around it must look at the sample before. `delay` is not part of it.
+
+        Parameters
+        ----------
+        period : float, optional
+            Seconds between samples; needed with creep, dynamics or a lag.
+        state : State, optional
+            Where to start; default ``self.state``, with an amplifier at rest.
+        name : str, optional
+            Of the block; its input is called "voltage", its output "displacement".
+
+        Returns
+        -------
+        control.NonlinearIOSystem
+            In discrete time, of `period`; without one, of a period that is not told.
+
+        Raises
+        ------
+        ModelError
+            If a period is missing, not positive or too long for a resonance, or the state does not fit.
+        MissingExtraError
+            If python-control is not installed.
+        """
+        return actuator_block(self.model, self._start(state), period, name)
 
     def physical(
         self, *, transformer_ratio: float, mechanical_stiffness: float, electrical_stiffness: float

@@ -11,13 +11,13 @@ from typing import Any
 import click
 
 from dehyst.cli_compare import compare
+from dehyst.cli_compensate import compensate
 from dehyst.cli_excite import excite
 from dehyst.cli_export import export
 from dehyst.console import (
     PATH,
     Commands,
     ManyToValidate,
-    before_and_after,
     came_from,
     columns_options,
     conclude,
@@ -47,6 +47,7 @@ def main() -> None:
 
 
 main.add_command(compare)
+main.add_command(compensate)
 main.add_command(excite)
 main.add_command(export)
 
@@ -155,44 +156,6 @@ def simulate(
         said.append(f"the displacement was measured to lag by {actuator.delay * 1e3:.4g} ms; --lag puts that in")
     result = {"samples": voltage.size, "warnings": said, "state": state_dict(motion.state), "output": str(output)}
     conclude(as_json, result, f"{voltage.size} samples {came_from(actuator, start)}: {output}", said)
-
-
-@main.command()
-@click.argument("model", type=PATH)
-@click.argument("trajectory", type=PATH)
-@click.option("-o", "--output", type=PATH, required=True, help="Write time, displacement and voltage here (CSV).")
-@click.option(
-    "--limits", type=(float, float), metavar="LOW HIGH", help="Voltages allowed.  [default: those of the records]"
-)
-@click.option("--slew", type=float, metavar="V/S", help="Largest slew rate.")
-@start_option
-@columns_options
-@json_option
-def compensate(
-    model: Path, trajectory: Path, output: Path, limits: tuple[float, float] | None, slew: float | None, start: str,
-    as_json: bool, **columns: Any,
-) -> None:  # fmt: skip
-    """Voltage that makes the actuator follow a TRAJECTORY; adds voltage_V, within limits."""
-    from dehyst.compensator import Compensator
-    from dehyst.files import read_table, write_columns
-
-    refuse_overwriting([model, trajectory], output)
-    actuator = read_model(model)
-    table = read_table(trajectory)
-    wanted = table.column("displacement", columns["displacement"])
-    time = time_of_table(table, wanted.size, columns)
-    command = Compensator(actuator, limits, slew).trajectory(
-        wanted, time=time.get("time_s"), state=start_state(actuator, start)
-    )
-    write_columns(output, {**time, "displacement_um": wanted * 1e6, "voltage_V": command.voltage,
-                           "expected_um": command.displacement * 1e6})  # fmt: skip
-    low, high = float(command.voltage.min()), float(command.voltage.max())
-    said = [*command.warnings, *before_and_after(actuator, float(command.voltage[0]), start, slew)]
-    result = {"samples": wanted.size, "clamped": int(command.clamped.sum()), "lowest_V": low, "highest_V": high,
-              "warnings": said, "state": state_dict(command.state), "output": str(output)}  # fmt: skip
-    line = f"{wanted.size} samples, {low:.6g} to {high:.6g} V {came_from(actuator, start)}: {output}"
-    conclude(as_json, result, line, said)
-    sys.exit(1 if command.clamped.any() else 0)
 
 
 @main.command()

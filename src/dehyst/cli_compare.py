@@ -33,7 +33,7 @@ _TRUTHS = ["play", "creep", "preisach", "boucwen"]
     "--validate", multiple=True, type=PATH, metavar="RECORD...", help="Held-out records, all up to the next option."
 )
 @click.option("--lead", type=float, default=0.0, metavar="SECONDS", show_default=True,
-              help="Start of each held-out record that is played but not counted.")  # fmt: skip
+              help="Start of each held-out record that is not counted, but may tell a model its constant.")  # fmt: skip
 @click.option("--truth", "truths", multiple=True, type=click.Choice([*_TRUTHS, "all"]),
               help="Track on this virtual actuator, fitted to its own records; may be repeated.")  # fmt: skip
 @click.option("--only", multiple=True, metavar="MODEL", help="This model only; may be repeated.  [default: all]")
@@ -101,6 +101,8 @@ def print_comparison(found: Comparison, output: Path | None, report: Path | None
     stroke = f"{found.stroke * 1e6:.4g} um"
     click.echo(f"\nErrors in % of the stroke, {stroke}, of the record with the largest. Training and held out: one "
                "constant a record free.")  # fmt: skip
+    if found.note:
+        click.echo(found.note)
     for row in found.rows:
         if row.said:
             click.echo(f"{row.name}: {row.said}")

@@ -1,22 +1,36 @@
-"""`dehyst export`: a model as C for a microcontroller."""
+"""`dehyst export`: a model as C for a microcontroller, or as an FMU."""
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.console import PATH, came_from, conclude, json_option, read_model, start_option, start_state
+from dehyst.console import (
+    PATH,
+    came_from,
+    conclude,
+    json_option,
+    read_model,
+    refuse_overwriting,
+    start_option,
+    start_state,
+)
 
 if TYPE_CHECKING:
     from dehyst.compensator import Compensator
     from dehyst.export import Exported
 
 
+# Limits that no voltage meets.
+_NONE = -1e300, 1e300
+
+
 @click.command()
 @click.argument("model", type=PATH)
-@click.argument("directory", metavar="DIR", type=PATH)
+@click.argument("directory", metavar="DIR|FMU", type=PATH)
 @click.option("--number", type=click.Choice(["double", "float"]), default="double", show_default=True,
               help="double: the same bits as Python. float: for a processor that has no more.")  # fmt: skip
 @click.option(
@@ -26,24 +40,70 @@ if TYPE_CHECKING:
 @click.option("--period", type=float, metavar="S", help="Seconds between steps; a model with time in it needs them.")
 @click.option("--preview", is_flag=True, help="Make up for delay and inertia; displacements are then given ahead.")
 @click.option("--force", is_flag=True, help="Replace an earlier export.")
+@click.option("--fmu", type=click.Choice(["2.0", "3.0"]), is_flag=False, flag_value="3.0",
+              help="Write an FMU of this version of FMI instead.  [without a version: 3.0]")  # fmt: skip
+@click.option("--kind", type=click.Choice(["compensator", "actuator"]),
+              help="With --fmu: displacement to voltage, or the virtual actuator.  [default: compensator]")  # fmt: skip
 @start_option
 @json_option
 def export(
     model: Path, directory: Path, number: Any, limits: tuple[float, float] | None, slew: float | None,
-    period: float | None, preview: bool, force: bool, start: str, as_json: bool,
+    period: float | None, preview: bool, force: bool, fmu: Any, kind: Any, start: str, as_json: bool,
 ) -> None:  # fmt: skip
-    """Write a MODEL's compensator as C into DIR: files, numbers, a README, and a trace that `make check` replays."""
+    """Write a MODEL's compensator as C into DIR: files, numbers, a README, and a trace that `make check` replays.
+
+    With --fmu, write it or its actuator as an FMU for co-simulation.
+    """
     from dehyst.compensator import Compensator
     from dehyst.export import export as run
 
+    _demand_of_fmu(fmu, kind, number, limited=limits is not None or slew is not None or preview)
     actuator = read_model(model)
     state = start_state(actuator, start)
-    compensator = Compensator(actuator, limits, slew, period=period, state=state, preview=preview)
+    compensator = Compensator(
+        actuator, _NONE if kind == "actuator" else limits, slew, period=period, state=state, preview=preview
+    )
+    if fmu is not None:
+        refuse_overwriting([model], directory)
+        result, line, said = _write_fmu(compensator, directory, fmu, kind or "compensator", force)
+        conclude(as_json, result, f"{line} {came_from(actuator, start)}", said)
+        return
     made = run(compensator, directory, number, force=force)
     said = _start_words(compensator)
     result = {"directory": str(directory), "number": number, "warnings": said, **_numbers(made)}
     line = f"{directory}: a compensator of {number}s {came_from(actuator, start)}\n{_table(made)}"
     conclude(as_json, result, line, said)
+
+
+def _demand_of_fmu(fmu: str | None, kind: str | None, number: str, *, limited: bool) -> None:
+    """Refuse options that do not go together."""
+    if fmu is None and kind is not None:
+        raise click.UsageError("--kind is of an FMU: give --fmu too")
+    if fmu is not None and number != "double":
+        raise click.UsageError("--number float: an FMU has doubles; leave it out")
+    if kind == "actuator" and limited:
+        raise click.UsageError(
+            "--kind actuator has no limits and looks not ahead: leave out --limits, --slew, --preview"
+        )
+
+
+def _write_fmu(
+    compensator: Compensator, path: Path, version: Any, kind: Any, force: bool
+) -> tuple[dict[str, Any], str, list[str]]:
+    """What is to be told of it: as JSON, in a line, and in words of warning."""
+    from dehyst._errors import FileFormatError
+    from dehyst.fmu import SourceOnlyWarning, export_fmu
+
+    if path.exists() and not force:
+        raise FileFormatError(f"{path}: is there already; replace it with --force or give another name")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", SourceOnlyWarning)
+        export_fmu(compensator, path, version, kind)
+    said = [str(one.message) for one in caught if issubclass(one.category, SourceOnlyWarning)]
+    result = {"fmu": str(path), "version": version, "kind": kind, "binary": not said}
+    said += _start_words(compensator) if kind == "compensator" else []
+    holds = "sources and a binary for Linux x86-64" if result["binary"] else "sources"
+    return {**result, "warnings": said}, f"{path}: an FMU {version} of the {kind}, {holds},", said
 
 
 def _start_words(compensator: Compensator) -> list[str]:

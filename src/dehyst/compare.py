@@ -45,7 +45,7 @@ class Score:
     largest, rms : float
         With one constant for the record free: its residual strain and its sensor's zero are not known.
     largest_without, rms_without : float
-        Without it, on the model's own axis.
+        Without it, on the model's own axis; after a lead, on the axis that the lead told.
     """
 
     record: str
@@ -112,19 +112,34 @@ class Row:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A table: one row for each model, the stroke [m] of its percentages, and the virtual actuators tracked on."""
+    """A table: one row for each model, the stroke [m] of its percentages, and the virtual actuators tracked on.
+
+    The lead is that of the held-out records [s].
+    """
 
     rows: tuple[Row, ...]
     stroke: float
     records: tuple[str, ...]
     held_out: tuple[str, ...]
     truths: tuple[str, ...]
+    lead: float = 0.0
+
+    @property
+    def note(self) -> str:
+        """What models were told of held-out records, as a sentence; empty if nothing but the voltage."""
+        if not (self.lead and self.held_out):
+            return ""
+        return (
+            f"The displacement measured in the first {self.lead:g} s of held-out records, which do not count, told our "
+            "own models their state and an offset of the voltage, every other model a constant, its mean error there."
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """JSON values."""
         return {
             "stroke_m": self.stroke, "training": list(self.records), "validation": list(self.held_out),
-            "truths": list(self.truths), "models": [row.as_dict() for row in self.rows],
+            "truths": list(self.truths), "lead_s": self.lead, "note": self.note or None,
+            "models": [row.as_dict() for row in self.rows],
         }  # fmt: skip
 
 
@@ -162,7 +177,8 @@ def compare(
         Virtual actuators ("play", "creep", "preisach", "boucwen") to track on: models are fitted to records of each.
     lead : float, optional
         Seconds at the start of held-out records that are played but not counted: give it where a held-out stretch goes
-        on from one that is known.
+        on from one that is known. What was measured there tells an actuator of ours its state and an offset of the
+        voltage, any other model a constant: its mean error there.
     models : Mapping, optional
         Name -> function of the training records; default: `contenders()`.
     progress : callable, optional
@@ -194,7 +210,7 @@ def compare(
     tell = progress or (lambda _: None)
     rows = tuple(_row(name, fit, job, own, tell) for name, fit in chosen.items())
     return Comparison(rows, job.stroke, tuple(one.name for one in training), tuple(one.name for one in held_out),
-                      tuple(one.name for one in trials))  # fmt: skip
+                      tuple(one.name for one in trials), job.lead)  # fmt: skip
 
 
 def _records(
@@ -274,9 +290,7 @@ def _sentence(error: Exception) -> str:
 def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke: float) -> Score:
     delay = float(getattr(model, "delay", 0.0))
     residuals = [
-        _missed_after(model, piece, kept, stroke)
-        if lead and isinstance(model, Actuator)
-        else _missed(model, piece, kept)
+        _missed_after(model, piece, kept, item.noise, stroke) if lead else _missed(model, piece)[kept]
         for piece, kept in _counted(item, lead, delay)
     ]
     error = np.concatenate([np.zeros(0), *residuals])
@@ -287,17 +301,23 @@ def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke:
     return Score(item.name, role, error.size, item.samples - error.size, *figures)
 
 
-def _missed(model: AbstractModel, piece: Record, kept: NDArray[np.bool_]) -> Array:
-    """Measured less simulated displacement of the samples that count, played from the first."""
-    return np.asarray((piece.displacement - simulated(model, piece.voltage, piece.time).displacement)[kept])
+def _missed(model: AbstractModel, piece: Record) -> Array:
+    """Measured less simulated displacement, played from the first sample."""
+    return np.asarray(piece.displacement - simulated(model, piece.voltage, piece.time).displacement)
 
 
-def _missed_after(model: Actuator, piece: Record, kept: NDArray[np.bool_], stroke: float) -> Array:
-    """The same, the state told by what was measured in the lead: other models know the voltage only."""
+def _missed_after(model: AbstractModel, piece: Record, kept: NDArray[np.bool_], noise: float, stroke: float) -> Array:
+    """The same of the samples that count, on the axis that those measured before them tell."""
     before = int(np.argmax(kept))
     if not before:
-        return _missed(model, piece, kept)
-    state, offset = told(replace(model, delay=0.0), piece.slice(0, before + 1), stroke)
+        return _missed(model, piece)[kept]
+    lead = piece.slice(0, before + 1)
+    if not isinstance(model, Actuator):
+        error = _missed(model, piece)
+        # As `told` does: over the samples that count, or from the last one.
+        last = epochs(lead, noise)[-1:]
+        return np.asarray(error[kept] - error[last[0].start if last else before : before + 1].mean())
+    state, offset = told(replace(model, delay=0.0), lead, stroke)
     rest = piece.slice(before, len(piece))
     voltage = without_offset(model, rest.voltage, offset)
     played = model.simulate(voltage, state=state, **timed(model, rest.time)).displacement

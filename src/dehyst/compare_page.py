@@ -67,7 +67,8 @@ def _table(found: Comparison) -> str:
         '<p class="muted">Every model fitted to the same records. Measured minus simulated displacement of the record '
         f"with the largest error, in % of the stroke ({escape(length(found.stroke))}): largest and, small, RMS. One "
         "constant for each record is free, or none. Tracking: wanted minus reached displacement of a virtual actuator, "
-        "to whose own records the model was fitted, along a random path of 40 reversals.</p>\n"
+        "to whose own records the model was fitted, along a random path of 40 reversals."
+        f"{' ' + escape(found.note) if found.note else ''}</p>\n"
         f"{table(head, rows, texts=1)}"
     )
 

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, CoreError, Held, Loop, number, vector
+from dehyst._native import Array, CoreError, Held, Loop, checked, number, vector
 from dehyst.actuator import Actuator, interval
+from dehyst.control_blocks import compensator_block, labels
 from dehyst.foresight import Foresight
 from dehyst.model import State
 from dehyst.reach import reach_of
 from dehyst.snapshot import Snapshot, key_of
 from dehyst.trajectory import Command, Limits, follow
+
+if TYPE_CHECKING:
+    from control import NonlinearIOSystem
 
 
 class ClampWarning(UserWarning):
@@ -272,8 +275,40 @@ class Compensator:
         """
         if snapshot.key != self._key:
             raise ModelError("snapshot: it is of another actuator, period or preview; make the compensator as it was")
-        self._loop.begin(*self.actuator.model.held(snapshot.state))
-        self._loop.go_on(snapshot.rest, *snapshot.counts)
+        state = self.actuator.model.held(self.actuator.model.fitted(snapshot.state))
+        if snapshot.rest.size != self._loop.rest().size:
+            raise ModelError(
+                f"snapshot: got {snapshot.rest.size} numbers beside the state, need {self._loop.rest().size}"
+            )
+        checked(self._loop.begin, *state)
+        checked(self._loop.go_on, snapshot.rest, *snapshot.counts)
+
+    def to_control(self, *, name: str = "compensator") -> NonlinearIOSystem:
+        """A block for python-control: displacement wanted [m] in, voltage [V] out, from the present memory on.
+
+        It is this compensator bit for bit and leaves it alone. All memory is in the block's state; `start` of the block
+        is the present one, to be given as initial state. The voltage of a sample depends on the displacement of the
+        same sample (direct feedthrough). Clamps are said, once of each kind, not counted.
+
+        Parameters
+        ----------
+        name : str, optional
+            Of the block; its input is called "wanted", its output "voltage".
+
+        Returns
+        -------
+        control.NonlinearIOSystem
+            In discrete time, of `period`; without one, of a period that is not told.
+
+        Raises
+        ------
+        MissingExtraError
+            If python-control is not installed.
+        """
+        loop, now = self._made_loop(), self.snapshot()
+        loop.begin(*self.actuator.model.held(now.state))
+        loop.go_on(now.rest, *now.counts)
+        return compensator_block(loop, labels(self.actuator.model, self._foresight.taps.size), self.period, name)
 
     def afresh(self) -> Compensator:
         """Another one like it, as it was when made or last reset."""
@@ -304,13 +339,16 @@ class Compensator:
     @cached_property
     def _loop(self) -> Loop:
         """The loop in C, made when it is first needed: a trajectory does without."""
+        return self._made_loop()
+
+    def _made_loop(self) -> Loop:
         model, period, slew = self.actuator.model, self.period, self.slew_rate
         if period is None and (model.needs_time or slew is not None):
             raise ModelError("creep, inertia, a lag or a slew rate need the time between steps; give period= [s]")
         seconds = 0.0 if period is None else period
         pace = model.pace(np.array([0, 1]), np.array([seconds]))
         change = float(np.finfo(np.float64).max) if slew is None else slew * seconds
-        numbers = np.array([*self.limits, change, *_amplifier(self.actuator.lag, seconds)])
+        numbers = np.array([*self.limits, change, *model.amplifier(seconds)])
         return model.core.loop(pace, self._foresight.taps, numbers, _tell, model.held(self._start))
 
 
@@ -327,12 +365,3 @@ def _positive(period: float) -> float:
     if number(period, "period") <= 0:
         raise ModelError(f"period: got {period}, need a positive number of seconds")
     return float(period)
-
-
-def _amplifier(lag: float, period: float) -> tuple[float, float, float, float]:
-    """Lag in periods; then keep, from_old and from_new of a voltage that is straight between samples."""
-    if not lag:
-        return 0.0, 0.0, 0.0, 1.0
-    steps = period / lag
-    keep, mean = math.exp(-steps), -math.expm1(-steps) / steps
-    return 1 / steps, keep, mean - keep, 1 - mean

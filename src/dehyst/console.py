@@ -199,9 +199,14 @@ def before_and_after(actuator: Actuator, first: float, start: str, slew: float |
             f"this model creeps, and --start {start} takes it to have stood there for long, beside {longest:.3g} s; if "
             "it has not, it will be off: make a homing (dehyst excite homing --model) and use --start homed"
         )
-    if actuator.delay:
-        said.append(f"the displacement was measured to lag by {actuator.delay * 1e3:.4g} ms: expect it that much later")
-    return said
+    return [*said, *late_words(actuator)]
+
+
+def late_words(actuator: Actuator) -> list[str]:
+    """What is to be said of the lag of the stage."""
+    if not actuator.delay:
+        return []
+    return [f"the displacement was measured to lag by {actuator.delay * 1e3:.4g} ms: expect it that much later"]
 
 
 def count_outside(actuator: Actuator, voltage: Any) -> int:

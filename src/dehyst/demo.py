@@ -61,11 +61,11 @@ class Demo:
         }
 
 
-def wanted_path(stroke: float) -> Array:
-    """Path with nine reversals [m], smooth between them."""
+def wanted_path(stroke: float, turns: tuple[float, ...] = _PATH) -> Array:
+    """Path [m] through turning points given as shares of the stroke, smooth between them; by default nine reversals."""
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, _SAMPLES // 2 + 1) / (_SAMPLES // 2))
-    legs = [start + (end - start) * rise for start, end in pairwise(_PATH)]
-    return stroke * np.concatenate([[_PATH[0]], *legs])
+    legs = [start + (end - start) * rise for start, end in pairwise(turns)]
+    return stroke * np.concatenate([[turns[0]], *legs])
 
 
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:

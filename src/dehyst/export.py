@@ -21,7 +21,7 @@ from dehyst.header import Number, model_header, size_header
 from dehyst.operations import Operations, worst_case
 from dehyst.version import __version__
 
-__all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "sizes", "worst_case"]
+__all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "shipped", "sizes", "worst_case"]
 
 SOURCES = ("piezo.c", "dehyst.c", "dehyst_grades.c", "dehyst_smooth.c", "dehyst_wide.c", "dehyst_compensator.c")
 _HEADERS = ("piezo.h", "dehyst.h", "dehyst_parts.h", "dehyst_balance.h", "dehyst_config.h")
@@ -72,7 +72,7 @@ def code(compensator: Compensator, number: Number = "double") -> dict[str, str]:
     """
     if number not in ("double", "float"):
         raise ModelError(f"number: got {number!r}, need 'double' or 'float'")
-    files = {name: _shipped(name) for name in (*SOURCES, *_HEADERS)}
+    files = {name: shipped(name) for name in (*SOURCES, *_HEADERS)}
     if number == "float":
         files["dehyst_config.h"] = _single(files["dehyst_config.h"])
     return {**files, "model.h": model_header(compensator, number), "model_size.h": size_header(compensator, number)}
@@ -111,7 +111,7 @@ def export(
     """
     folder = Path(directory)
     files = code(compensator, number)
-    files |= {name: _shipped(name) for name in ("check.c", "Makefile", "LICENSE")}
+    files |= {name: shipped(name) for name in ("check.c", "Makefile", "LICENSE")}
     target = folder.resolve()
     draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
@@ -140,7 +140,7 @@ def _complete(draft: Path, compensator: Compensator, number: Number) -> Exported
     return made
 
 
-def _shipped(name: str) -> str:
+def shipped(name: str) -> str:
     """A text file that comes with the package; in an editable install the core's lie apart."""
     for root in sys.modules["dehyst"].__path__:
         path = Path(root) / "firmware" / name
@@ -219,7 +219,7 @@ def _footprints(draft: Path, number: Number) -> dict[str, Footprint]:
 def _readme(compensator: Compensator, number: Number, trace: Golden, made: Exported) -> str:
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
-    return Template(_shipped("README.md")).substitute(
+    return Template(shipped("README.md")).substitute(
         name=re.sub(r"[^\w .,()+-]", "_", compensator.actuator.name),
         version=__version__,
         number=number,

@@ -10,6 +10,8 @@ import numpy as np
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 
+_WHOLE = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class Foresight:
@@ -38,6 +40,8 @@ class Foresight:
     def of(cls, actuator: Actuator, period: float) -> Foresight:
         """For the delay and dynamics of an actuator that is stepped every `period` [s]."""
         late, dynamics = actuator.delay / period, actuator.dynamics
+        # What rounding leaves of a whole number of periods.
+        late = round(late) if abs(late - round(late)) < _WHOLE else late
         whole = math.floor(late)
         if dynamics is None and late == whole:
             return cls(np.ones(1), whole)

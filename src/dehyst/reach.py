@@ -9,9 +9,10 @@ import numpy as np
 from dehyst._native import NOTHING
 from dehyst.actuator import Actuator
 
-# Of creep's longest time constant: what is left after it is below rounding.
-_REST = 40.0
-_VISITS = 3
+# A step in creep's longest time constants: w moves evenly in it, and leaves strains of one part in so many.
+_REST = 1e9
+# Smooth elements forget slowly where they were.
+_VISITS = 60
 
 
 def reach_of(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:

@@ -2,41 +2,55 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Generic, final
 
 import numpy as np
 
 from dehyst._native import Array
 from dehyst.program import Norm, solve_blocks
-from dehyst.regression import Coefficients, Regression
+from dehyst.regression import AbstractRegression, Coefficients, Found, Regression
 from dehyst.rows import RowSource
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
-    """All rows of a regression.
+class AbstractStream(ABC, Generic[Found]):
+    """All rows of a regression, whatever the class of the model.
 
     Attributes
     ----------
     source : RowSource
-    regression : Regression
+    regression : AbstractRegression
         On some of the rows: everything but the rows counts, and they give the scales.
     """
 
     source: RowSource
-    regression: Regression
+    regression: AbstractRegression[Found]
 
     @property
     def whole(self) -> bool:
         """Whether the regression has all rows already."""
         return len(self.regression.rows) == len(self.source)
 
-    def fit_weighted(self, norm: Norm) -> Coefficients:
-        """As `Regression.fit_weighted`."""
+    def fit_weighted(self, norm: Norm) -> Found:
+        """As the regression's `fit_weighted`, of all rows."""
         if self.whole:
             return self.regression.fit_weighted(norm)
         return self._fit(norm, self._fit("l2", None))
+
+    @abstractmethod
+    def _fit(self, norm: Norm, before: Found | None) -> Found:
+        """Fit with the weights that a model found before gives."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Stream(AbstractStream[Coefficients]):
+    """All rows of a plain regression."""
+
+    regression: Regression
 
     def nuisances_of(self, model: Coefficients) -> Coefficients:
         """As `Regression.nuisances_of`."""
@@ -58,7 +72,6 @@ class Stream:
         return np.asarray(float(model.slopes.min()) / block.slope(model))
 
     def _fit(self, norm: Norm, before: Coefficients | None) -> Coefficients:
-        """Fit with the weights that a model found before gives."""
         epochs = np.arange(self.source.count)
         answer = solve_blocks(_Columns(self, before), self.regression.table(epochs), norm=norm)
         return self.regression.coefficients(answer, epochs)

@@ -123,7 +123,7 @@ class Frame:
             yield path, curve
 
     def with_checked_delay(self, structure: Structure | None = None) -> Frame:
-        """The same without a delay if held-out cycles are then missed by far less, by a structure: by default one of many parts.
+        """The same without a delay, if a structure (default: of many parts) then misses held-out cycles by far less.
 
         Where an actuator creeps fast or friction lets go gradually the displacement trails behind at every turn: a
         delay, for plain elements. A true delay fast creep can imitate, but not so much better.

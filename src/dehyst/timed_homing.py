@@ -81,7 +81,7 @@ class Swing:
         for value, name in ((least, "tolerance"), (1.0 if hold is None else hold, "hold")):
             if number(value, name) < 0 or (name == "tolerance" and value == 0):
                 raise ModelError(f"{name}: got {value}, need a positive number")
-        shown = drive or Drive(frequency=0.5 / _leg(actuator))
+        shown = drive or Drive(frequency=0.5 / leg_seconds(actuator))
         shown = replace(shown, base=ends[1], present=ends[0], limits=limits)
         wait = _rest(actuator) if hold is None else float(hold)
         found = cls(actuator, shown, ends, wait, limits, float(least), 2)
@@ -293,10 +293,13 @@ def _at_rest(state: State) -> State:
     return State(state.displacement, state.carts, state.creep, [state.displacement, 0.0], state.smooth)
 
 
-def _leg(actuator: Actuator) -> float:
-    """Seconds of a leg."""
+def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Drive().frequency) -> float:
+    """Seconds of a leg, where the drive does not say: a part of the longest creep time constant, `otherwise` without.
+
+    It is no shorter than an amplifier's lag and a resonance take to follow.
+    """
     creep = actuator.creep
-    seconds = 0.5 / Drive().frequency if creep is None else _LEG * float(creep.time_constants.max(initial=0.0))
+    seconds = otherwise if creep is None else _LEG * float(creep.time_constants.max(initial=0.0))
     if actuator.dynamics is not None:
         seconds = max(seconds, _PERIODS * 2 * pi / actuator.dynamics.frequency)
     return max(seconds, _RESTS * actuator.lag)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -186,6 +187,14 @@ class WideModel:
         pace = Pace(bounds, decay, gain, self.dynamics.transitions(durations, share))
         self._demand_solvable(self.dynamics, share, pace, durations)
         return pace
+
+    def amplifier(self, period: float) -> tuple[float, float, float, float]:
+        """Lag in periods [s]; then keep, from_old and from_new of a voltage that is straight between samples."""
+        if not self.lag:
+            return 0.0, 0.0, 0.0, 1.0
+        steps = period / self.lag
+        keep, mean = math.exp(-steps), -math.expm1(-steps) / steps
+        return 1 / steps, keep, mean - keep, 1 - mean
 
     def _demand_solvable(self, dynamics: Dynamics, share: float, pace: Pace, durations: Array) -> None:
         """An overshoot within one step pulls w back; it must not outdo the spring."""

@@ -5,42 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import final
 
 import numpy as np
 
 from dehyst._native import Array
 from dehyst.program import Norm, solve_blocks
-from dehyst.rows import RowSource
+from dehyst.stream import AbstractStream
 from dehyst.wide_regression import WideCoefficients, WideRegression
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class WideStream:
-    """All rows of a wider regression; see `dehyst.stream.Stream`.
+class WideStream(AbstractStream[WideCoefficients]):
+    """All rows of a wider regression; the gap of a fit is that of all rows."""
 
-    Attributes
-    ----------
-    source : RowSource
-    regression : WideRegression
-        On some of the rows: everything but the rows counts, and they give the scales.
-    """
-
-    source: RowSource
     regression: WideRegression
 
-    @property
-    def whole(self) -> bool:
-        """Whether the regression has all rows already."""
-        return len(self.regression.rows) == len(self.source)
-
-    def fit_weighted(self, norm: Norm) -> WideCoefficients:
-        """As `WideRegression.fit_weighted`; the gap is that of all rows."""
-        if self.whole:
-            return self.regression.fit_weighted(norm)
-        return self._fit(norm, self._fit("l2", None))
-
     def _fit(self, norm: Norm, before: WideCoefficients | None) -> WideCoefficients:
-        """Fit with the weights that a model found before gives."""
         epochs, some = np.arange(self.source.count), self.regression
         like = some.nuisances(epochs), some.bounded, some.target
         table = _Columns(self, before, norm)

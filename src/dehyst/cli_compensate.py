@@ -1,0 +1,196 @@
+"""`dehyst compensate`: a voltage that makes an actuator follow a file or a named scan, or a scan's wave table."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dehyst.console import (
+    PATH,
+    before_and_after,
+    came_from,
+    columns_options,
+    conclude,
+    json_option,
+    late_words,
+    read_model,
+    refuse_overwriting,
+    start_option,
+    start_state,
+    state_dict,
+    time_of_table,
+)
+from dehyst.scan_options import NAMES, named_scan, scan_options
+
+if TYPE_CHECKING:
+    from dehyst.actuator import Actuator
+    from dehyst.scans import Scan
+    from dehyst.wave_table import WaveTable
+
+_OF_SCANS = ("axis", "cycles", "cycle", *NAMES)
+_OF_TABLES = ("homing", "present", "approach", "start_up", "tolerance")
+
+
+@click.command()
+@click.argument("model", type=PATH)
+@click.argument("trajectory", type=PATH, required=False)
+@click.option("-o", "--output", type=PATH, required=True, help="Write time, displacement and voltage here (CSV).")
+@click.option(
+    "--limits", type=(float, float), metavar="LOW HIGH", help="Voltages allowed.  [default: those of the records]"
+)
+@click.option("--slew", type=float, metavar="V/S", help="Largest slew rate.")
+@scan_options
+@click.option("--axis", type=click.Choice(["x", "y"]), help="Of the scan, which MODEL moves.  [default: x]")
+@click.option("--cycles", type=int, metavar="N", help="Of the scan.  [default: 1]")
+@click.option(
+    "--cycle", type=PATH, metavar="TABLE", help="Write the scan's steady cycle here (CSV); the output then has a "
+    "phase: 0 homing, 1 start-up, 2 steady cycles."
+)  # fmt: skip
+@click.option("--homing", is_flag=True, help="With --cycle: begin with the shortest homing, not at --start.")
+@click.option("--present", type=float, metavar="V", help="With --homing: voltage now.  [default: 0]")
+@click.option(
+    "--approach", type=float, metavar="S", help="With --cycle: time to its first sample.  [default: shortest]"
+)
+@click.option(
+    "--start-up", type=int, metavar="N", help="With --cycle: cycles before the steady ones.  [default: by --tolerance]"
+)
+@click.option(
+    "--tolerance", type=float, metavar="UM", help="With --cycle: what is left to settle.  [default: 1e-4 of the stroke]"
+)
+@start_option
+@columns_options
+@json_option
+def compensate(
+    model: Path, trajectory: Path | None, output: Path, limits: tuple[float, float] | None, slew: float | None,
+    scan: str | None, start: str, as_json: bool, **options: Any,
+) -> None:  # fmt: skip
+    """Voltage that makes the actuator follow a TRAJECTORY or a --scan; adds voltage_V, within limits."""
+    from dehyst._errors import ModelError
+
+    if (trajectory is None) == (scan is None):
+        raise ModelError(f"compensate: got {'neither' if scan is None else 'both'} of TRAJECTORY and --scan, need one")
+    _refuse_idle(scan, options)
+    table = options.pop("cycle")
+    refuse_overwriting([model] if trajectory is None else [model, trajectory], output, table)
+    actuator = read_model(model)
+    if scan is None:
+        _follow(actuator, _of_file(trajectory, options), output, limits, slew, start, as_json)
+    found = named_scan(scan or "", options["sample_rate"], options)
+    axis, cycles = options["axis"] or "x", 1 if options["cycles"] is None else options["cycles"]
+    if table is None:
+        _follow(actuator, _of_scan(found, axis, cycles), output, limits, slew, start, as_json, found.warnings)
+    _tabulate(actuator, found, axis, cycles, (output, table), limits, slew, start, as_json, options)
+
+
+def _refuse_idle(scan: str | None, options: dict[str, Any]) -> None:
+    """An option that would do nothing is a mistake."""
+    from dehyst._errors import ModelError
+
+    def first(names: tuple[str, ...]) -> str | None:
+        given = [name for name in names if options[name] is not None and options[name] is not False]
+        return f"--{given[0].replace('_', '-')}" if given else None
+
+    if scan is None:
+        if (idle := first((*_OF_SCANS, *_OF_TABLES))) is not None:
+            raise ModelError(f"{idle}: got it with a TRAJECTORY, need --scan for it; leave one out")
+        return
+    if (idle := first(("displacement", "voltage", "time"))) is not None:
+        raise ModelError(f"{idle}: got it with --scan, which has no columns; leave it out")
+    if options["cycle"] is None and (idle := first(_OF_TABLES)) is not None:
+        raise ModelError(f"{idle}: got it without --cycle; give --cycle TABLE.csv, where the steady cycle shall go")
+    if options["present"] is not None and not options["homing"]:
+        raise ModelError("--present: got it without --homing; give both, or --start")
+    given = click.get_current_context().get_parameter_source("start")
+    if options["homing"] and given is click.core.ParameterSource.COMMANDLINE:
+        raise ModelError("--start: got it with --homing, after which the state is known; leave one out")
+
+
+def _of_file(trajectory: Path | None, options: dict[str, Any]) -> tuple[Any, dict[str, Any], dict[str, Any]]:
+    """Wanted displacement [m], its time column if there is one, and its derivatives: none."""
+    from dehyst.files import read_table
+
+    table = read_table(trajectory or "")
+    wanted = table.column("displacement", options["displacement"])
+    return wanted, time_of_table(table, wanted.size, options), {}
+
+
+def _of_scan(scan: Scan, axis: str, cycles: int) -> tuple[Any, dict[str, Any], dict[str, Any]]:
+    """Wanted displacement [m], its time and its derivatives."""
+    path = scan.path(axis)
+    if cycles != 1 or path.periodic:
+        path = path.repeated(cycles)
+    return path.displacement, {"time_s": path.time}, {"velocity": path.velocity, "acceleration": path.acceleration}
+
+
+def _follow(
+    actuator: Actuator, path: tuple[Any, dict[str, Any], dict[str, Any]], output: Path,
+    limits: tuple[float, float] | None, slew: float | None, start: str, as_json: bool, warnings: tuple[str, ...] = (),
+) -> None:  # fmt: skip
+    """Write the voltage of a path, and end."""
+    from dehyst.compensator import Compensator
+    from dehyst.files import write_columns
+
+    wanted, time, derivatives = path
+    command = Compensator(actuator, limits, slew).trajectory(
+        wanted, time=time.get("time_s"), **derivatives, state=start_state(actuator, start)
+    )
+    write_columns(output, {**time, "displacement_um": wanted * 1e6, "voltage_V": command.voltage,
+                           "expected_um": command.displacement * 1e6})  # fmt: skip
+    low, high = float(command.voltage.min()), float(command.voltage.max())
+    said = [*warnings, *command.warnings, *before_and_after(actuator, float(command.voltage[0]), start, slew)]
+    result = {"samples": wanted.size, "clamped": int(command.clamped.sum()), "lowest_V": low, "highest_V": high,
+              "warnings": said, "state": state_dict(command.state), "output": str(output)}  # fmt: skip
+    line = f"{wanted.size} samples, {low:.6g} to {high:.6g} V {came_from(actuator, start)}: {output}"
+    conclude(as_json, result, line, said)
+    sys.exit(1 if command.clamped.any() else 0)
+
+
+def _tabulate(
+    actuator: Actuator, scan: Scan, axis: str, cycles: int, outputs: tuple[Path, Path],
+    limits: tuple[float, float] | None, slew: float | None, start: str, as_json: bool, options: dict[str, Any],
+) -> None:  # fmt: skip
+    """Write the wave table of a scan and what comes before it, and end."""
+    from dehyst.files import write_columns
+    from dehyst.wave_table import wave_table
+
+    tolerance = options["tolerance"]
+    table = wave_table(
+        actuator, scan, axis=axis, limits=limits, slew_rate=slew,
+        state=None if options["homing"] else start_state(actuator, start), present=options["present"],
+        approach=options["approach"], cycles=options["start_up"],
+        tolerance=None if tolerance is None else tolerance * 1e-6,
+    )  # fmt: skip
+    played, cycle = table.played(cycles), table.cycle
+    write_columns(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
+    write_columns(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
+    said = [*table.warnings, *_before(actuator, table, start, slew)]
+    low, high = float(played.voltage.min()), float(played.voltage.max())
+    result = {
+        "samples": played.voltage.size, "sample_rate_Hz": table.sample_rate, "frequency_Hz": 1 / scan.period,
+        "homing_samples": 0 if table.homing is None else len(table.homing) - 1, "start_up_samples": len(table.start_up),
+        "start_up_cycles": table.cycles, "cycle_samples": len(cycle), "error_um": table.error * 1e6,
+        "unknown_um": table.unknown * 1e6, "certified": table.certified,
+        "clamped": table.clamped, "lowest_V": low, "highest_V": high, "warnings": said,
+        "state": state_dict(table.state), "output": str(outputs[0]), "table": str(outputs[1]),
+    }  # fmt: skip
+    cycles_of = f"{table.cycles} cycle{'s' * (table.cycles != 1)} of start-up, to {table.error * 1e6:.3g} um"
+    line = (
+        f"{played.voltage.size} samples, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: {outputs[0]}; "
+        f"{len(cycle)} samples a cycle: {outputs[1]}"
+    )
+    conclude(as_json, result, line, said)
+    sys.exit(1 if table.clamped or not table.certified else 0)
+
+
+def _columns(part: Any) -> dict[str, Any]:
+    return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}
+
+
+def _before(actuator: Actuator, table: WaveTable, start: str, slew: float | None) -> list[str]:
+    """What the file cannot hold."""
+    if table.homing is not None:
+        return late_words(actuator)
+    return before_and_after(actuator, float(table.start_up.voltage[0]), start, slew)

@@ -1,0 +1,98 @@
+"""Blocks for python-control: an actuator and a compensator whose whole memory is the block's state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dehyst._errors import MissingExtraError, ModelError
+from dehyst._native import Array, CoreError, Loop, number
+from dehyst.model import State
+from dehyst.wide import WideModel
+
+if TYPE_CHECKING:
+    from control import NonlinearIOSystem
+
+_LARGEST = float(np.finfo(np.float64).max)
+
+
+def actuator_block(model: WideModel, start: State, period: float | None, name: str) -> NonlinearIOSystem:
+    """See `dehyst.Actuator.to_control`; `start` is complete."""
+    if period is not None and number(period, "period") <= 0:
+        raise ModelError(f"period: got {period}, need a positive number of seconds")
+    if period is None and model.needs_time:
+        raise ModelError("creep, inertia or a lag need the time between samples; give period= [s]")
+    seconds = 0.0 if period is None else float(period)
+    pace = model.pace(np.array([0, 1]), np.array([seconds]))
+    numbers = np.array([-_LARGEST, _LARGEST, _LARGEST, *model.amplifier(seconds)])
+    loop = model.core.loop(pace, np.ones(1), numbers, _nothing_to_tell, model.held(start))
+    return _block(loop, loop.moved, loop.reached, ("voltage", "displacement"), labels(model, 1), period, name)
+
+
+def compensator_block(loop: Loop, states: list[str], period: float | None, name: str) -> NonlinearIOSystem:
+    """See `dehyst.Compensator.to_control`; the loop is the block's own and stands where it shall start."""
+    return _block(loop, loop.stepped, loop.offered, ("wanted", "voltage"), states, period, name)
+
+
+def labels(model: WideModel, taps: int) -> list[str]:
+    """Names of a loop's states, in the order of `row` in `src/loop.cpp`.
+
+    w and carts, creep's strains, smooth elements' elongations [m]; with dynamics y, y'/omega and the mass's push [m];
+    the voltage last sent; with a lag what acts and the two that were to act before [V]; with preview what was fed [m].
+    """
+    branches, elements = len(model.creep or ()), len(model.smooth or ())
+    found = ["w", *_numbered("cart", len(model.slip)), *_numbered("creep", branches), *_numbered("smooth", elements)]
+    found += ["y", "y_rate", "push"] if model.dynamics is not None else []
+    found += ["sent", *(["acting", *_numbered("wished", 2)] if model.lag else [])]
+    return [*found, *_numbered("fed", taps - 1)]
+
+
+def _block(
+    loop: Loop,
+    moved: Callable[[Array, float], Array],
+    seen: Callable[[Array, float], float],
+    signals: tuple[str, str],
+    states: list[str],
+    period: float | None,
+    name: str,
+) -> NonlinearIOSystem:
+    """A block of one input and one output; both functions depend on the state and input that they are given alone."""
+    try:
+        import control
+    except ImportError as error:
+        raise MissingExtraError.of("python-control", "control", "A block for python-control") from error
+
+    def update(_t: float, x: Any, u: Any, _params: Any) -> Array:
+        return np.asarray(_of(moved, x, u, signals[0]))
+
+    def output(_t: float, x: Any, u: Any, _params: Any) -> Array:
+        return np.array([_of(seen, x, u, signals[0])])
+
+    block = control.NonlinearIOSystem(
+        update, output, inputs=[signals[0]], outputs=[signals[1]], states=states,
+        dt=True if period is None else float(period), name=name,
+    )  # fmt: skip
+    block.start = loop.row()
+    block.start.flags.writeable = False
+    return block
+
+
+def _of(function: Callable[[Array, float], Any], x: Any, u: Any, what: str) -> Any:
+    given = float(np.ravel(u)[0])
+    try:
+        return function(np.ascontiguousarray(x, dtype=np.float64), given)
+    except CoreError as error:
+        raise ModelError(
+            f"block: got {what} = {given!r} and a state that do not go together: {error}. Give `start` of the block as "
+            "the initial state, and finite numbers"
+        ) from error
+
+
+def _numbered(name: str, count: int) -> list[str]:
+    return [f"{name}[{i}]" for i in range(count)]
+
+
+def _nothing_to_tell(_slewed: bool, _displacement: float, _voltage: float) -> None:
+    """An actuator has no limits."""

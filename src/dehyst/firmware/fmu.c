@@ -1,0 +1,192 @@
+#include "fmu.h"
+
+#include <float.h>
+#include <stdio.h>
+#include <string.h>
+
+/* snprintf may write nan, inf and numbers, none of them with a % sign. */
+#define REFUSE(f, ...) (snprintf((f)->message, sizeof(f)->message, __VA_ARGS__), 0)
+
+int fmu_begin(fmu *f)
+{
+    const dehyst_status status = piezo_begin(&f->piezo);
+    const dehyst_loop *loop = &f->piezo.loop;
+    const double y = piezo_displacement(&f->piezo), v = loop->sent;
+    f->phase = FMU_MADE;
+    f->time = 0;
+    f->told = 0;
+    f->message[0] = 0;
+    f->input = FMU_ACTUATOR ? v : y;
+    f->output = FMU_ACTUATOR ? y : v;
+    return status == DEHYST_OK ? 1 : REFUSE(f, "the model's numbers are refused (%d): export it again", (int)status);
+}
+
+int fmu_demand(fmu *f, int holds, const char *why) { return holds ? 1 : REFUSE(f, "%s", why); }
+
+int fmu_matches(fmu *f, const char *token)
+{
+    return fmu_demand(f, token != NULL && strcmp(token, FMU_TOKEN) == 0,
+                      "Instantiate: the token is not this model's; the description is of another FMU");
+}
+
+int fmu_enter(fmu *f, fmu_phase from, fmu_phase to, const char *function)
+{
+    if (f->phase != from) return REFUSE(f, "%s: not allowed now", function);
+    f->phase = to;
+    return 1;
+}
+
+int fmu_set(fmu *f, uint32_t reference, double value)
+{
+    if (reference != FMU_INPUT) return REFUSE(f, "variable %u: it is no input of real numbers", (unsigned)reference);
+    if (!fmu_finite(value))
+        return REFUSE(f, "%s: got %g, need a finite number of %s; the last one stays", FMU_INPUT_NAME, value,
+                      FMU_ACTUATOR ? "volts" : "metres");
+    f->input = value;
+    return 1;
+}
+
+int fmu_get(fmu *f, uint32_t reference, double *value)
+{
+    if (reference == FMU_TIME)
+        *value = f->time;
+    else if (reference == FMU_INPUT)
+        *value = f->input;
+    else if (reference == FMU_OUTPUT)
+        *value = f->output;
+    else
+        return REFUSE(f, "variable %u: it is no real number", (unsigned)reference);
+    return 1;
+}
+
+int fmu_count(fmu *f, uint32_t reference, uint64_t *value)
+{
+    if (FMU_ACTUATOR || (reference != FMU_LIMITED && reference != FMU_SLEWED))
+        return REFUSE(f, "variable %u: it is no whole number", (unsigned)reference);
+    *value = reference == FMU_LIMITED ? f->piezo.loop.limited : f->piezo.loop.slewed;
+    return 1;
+}
+
+/* The periods in a step, or 0. Steps are differences of times, each rounded. */
+static uint32_t periods(double from, double by)
+{
+    const double ratio = MODEL_PERIOD > 0 ? by / MODEL_PERIOD : 1;
+    double off = by;
+    uint32_t n;
+    if (!fmu_finite(from) || !(by > 0) || !(ratio < 1e9)) return 0;
+    if (!(MODEL_PERIOD > 0)) return 1;
+    n = (uint32_t)(ratio + 0.5);
+    off -= n * MODEL_PERIOD;
+    return (off < 0 ? -off : off) <= 1e-9 * by + 4 * DBL_EPSILON * (from < 0 ? -from : from) ? n : 0;
+}
+
+static int sample(fmu *f)
+{
+    piezo *p = &f->piezo;
+#if FMU_ACTUATOR
+    f->output = piezo_simulate(p, f->input);
+    if (fmu_finite(f->output) && fmu_finite(p->loop.state.memory.y)) return 1;
+#else
+    f->output = piezo_offer(p, f->input);
+    if (p->loop.offer != DEHYST_REFUSED) {
+        piezo_commit(p, f->output);
+        return 1;
+    }
+#endif
+    return REFUSE(f, "%s: got %g, more than the model can follow", FMU_INPUT_NAME, f->input);
+}
+
+int fmu_step(fmu *f, double from, double by)
+{
+    uint32_t n = periods(from, by);
+    fmu_memory before;
+    if (f->phase != FMU_RUNNING) return REFUSE(f, "DoStep: not allowed now; end the initialization first");
+    if (n == 0) {
+        if (MODEL_PERIOD > 0)
+            return REFUSE(f, "communication step: got %.17g s at %.17g s, need a whole multiple of %.17g s", by, from,
+                          MODEL_PERIOD);
+        return REFUSE(f, "communication step: got %.17g s at %.17g s, need a positive number", by, from);
+    }
+    fmu_save(f, &before);
+    while (n-- > 0)
+        if (!sample(f)) {
+            fmu_restore(f, &before);
+            return 0;
+        }
+    f->time = from + by;
+    return 1;
+}
+
+int fmu_clamped(fmu *f)
+{
+    const dehyst_loop *loop = &f->piezo.loop;
+    const int now = (loop->limited > 0) + 2 * (loop->slewed > 0), news = now & ~f->told;
+    f->told |= now;
+    if (FMU_ACTUATOR || !news) return 0;
+    (void)REFUSE(f, "CLAMPED: %.6g um wanted, %.6g V sent: %s", f->input * 1e6, f->output,
+                 news & 1 ? "that is a limit" : "the slew rate allows no more");
+    return 1;
+}
+
+static double *copied(double *to, const dehyst_real *from, int n)
+{
+    while (n-- > 0) *to++ = *from++;
+    return to;
+}
+
+static const double *taken(const double *from, dehyst_real *to, int n)
+{
+    while (n-- > 0) *to++ = *from++;
+    return from;
+}
+
+void fmu_save(const fmu *f, fmu_memory *memory)
+{
+    const dehyst_loop *loop = &f->piezo.loop;
+    const dehyst_wide_state *state = &loop->state;
+    const double scalar[FMU_SCALARS] = {
+        state->memory.y, state->y,        state->rate,     state->input, loop->sent,
+        loop->acting,    loop->wished[0], loop->wished[1], loop->asked,  loop->wish.w,
+        loop->wish.v,    loop->voltage,   f->input,        f->output,    f->time};
+    double *at = copied(memory->number, scalar, FMU_SCALARS);
+    at = copied(at, state->memory.cart, MODEL_ELEMENTS);
+    at = copied(at, state->strain, MODEL_BRANCHES);
+    at = copied(at, state->elongation, MODEL_SMOOTH);
+    copied(at, loop->fed, MODEL_TAPS);
+    memset(memory->token, 0, sizeof memory->token);
+    memcpy(memory->token, FMU_TOKEN, sizeof FMU_TOKEN);
+    memory->count[0] = loop->limited;
+    memory->count[1] = loop->slewed;
+    memory->count[2] = loop->refused;
+    memory->count[3] = (uint64_t)f->phase * 4 + (uint64_t)f->told;
+}
+
+/* The carts go where this instance has its own. Nothing is ever on offer between two steps. */
+void fmu_restore(fmu *f, const fmu_memory *memory)
+{
+    dehyst_loop *loop = &f->piezo.loop;
+    dehyst_wide_state *state = &loop->state;
+    dehyst_real *const scalar[FMU_SCALARS] = {
+        &state->memory.y, &state->y,        &state->rate,     &state->input, &loop->sent,
+        &loop->acting,    &loop->wished[0], &loop->wished[1], &loop->asked,  &loop->wish.w,
+        &loop->wish.v,    &loop->voltage,   &f->input,        &f->output,    &f->time};
+    const double *at = memory->number;
+    int i;
+    for (i = 0; i < FMU_SCALARS; i++) *scalar[i] = *at++;
+    at = taken(at, state->memory.cart, MODEL_ELEMENTS);
+    at = taken(at, state->strain, MODEL_BRANCHES);
+    at = taken(at, state->elongation, MODEL_SMOOTH);
+    taken(at, loop->fed, MODEL_TAPS);
+    loop->offer = DEHYST_NOTHING;
+    loop->limited = (unsigned long)memory->count[0];
+    loop->slewed = (unsigned long)memory->count[1];
+    loop->refused = (unsigned long)memory->count[2];
+    f->phase = (fmu_phase)(memory->count[3] / 4);
+    f->told = (int)(memory->count[3] % 4);
+}
+
+int fmu_fits(fmu *f, const void *bytes, size_t size)
+{
+    if (bytes != NULL && size == sizeof(fmu_memory) && memcmp(bytes, FMU_TOKEN, sizeof FMU_TOKEN) == 0) return 1;
+    return fmu_demand(f, 0, "state: it is of another model");
+}

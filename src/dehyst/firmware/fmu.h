@@ -1,0 +1,54 @@
+/* An FMU apart from the version of FMI: what goes in and comes out, whole periods, the memory as a row of numbers. */
+#ifndef FMU_H
+#define FMU_H
+
+#include "fmu_model.h"
+#include "piezo.h"
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* Value references. */
+enum { FMU_TIME, FMU_INPUT, FMU_OUTPUT, FMU_LIMITED, FMU_SLEWED };
+
+typedef enum fmu_phase { FMU_MADE, FMU_BEGINNING, FMU_RUNNING, FMU_ENDED } fmu_phase;
+
+/* The numbers of the loop that are not arrays, and input, output and time. */
+#define FMU_SCALARS 15
+#define FMU_NUMBERS (FMU_SCALARS + MODEL_ELEMENTS + MODEL_BRANCHES + MODEL_SMOOTH + MODEL_TAPS)
+
+/* All that an instance remembers, without a pointer; alike states are alike to the last byte. */
+typedef struct fmu_memory {
+    char token[sizeof FMU_TOKEN + 7 - (sizeof FMU_TOKEN + 7) % 8];
+    uint64_t count[4];
+    double number[FMU_NUMBERS];
+} fmu_memory;
+
+typedef struct fmu {
+    piezo piezo;
+    fmu_phase phase;
+    double input, output, time;
+    int told; /* of limits 1, of the slew rate 2 */
+    char message[240];
+} fmu;
+
+/* Those that may fail return 0 then, have moved nothing, and say why in `message`, which never holds a % sign. */
+int fmu_begin(fmu *f);
+int fmu_matches(fmu *f, const char *token);
+int fmu_demand(fmu *f, int holds, const char *why);
+int fmu_enter(fmu *f, fmu_phase from, fmu_phase to, const char *function);
+int fmu_set(fmu *f, uint32_t reference, double value);
+int fmu_get(fmu *f, uint32_t reference, double *value);
+int fmu_count(fmu *f, uint32_t reference, uint64_t *value);
+/* Goes on by as many periods as the step holds. Without a period, any step is one sample. */
+int fmu_step(fmu *f, double from, double by);
+/* 1 if something was clamped for the first time, and says what. */
+int fmu_clamped(fmu *f);
+
+static inline int fmu_finite(double a) { return a - a == 0; }
+
+void fmu_save(const fmu *f, fmu_memory *memory);
+void fmu_restore(fmu *f, const fmu_memory *memory);
+int fmu_fits(fmu *f, const void *bytes, size_t size);
+
+#endif

@@ -1,0 +1,119 @@
+"""`dehyst compensate --scan` as a process: files, messages, exit status."""
+
+import json
+from dataclasses import replace
+
+import bench
+import numpy as np
+import pytest
+from test_cli import run
+
+from dehyst import Actuator, Creep
+
+TRIANGLE = ("--scan", "triangle", "--low", 2, "--high", 12, "--frequency", 10)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a plain model, one that creeps, and a path."""
+    target = tmp_path_factory.mktemp("scans")
+    plain = replace(bench.plant(10), limits=(-50.0, 250.0))
+    plain.save(target / "model.json")
+    replace(plain, creep=Creep([0.05, 0.4], [1e6, 1.5e6])).save(target / "creep.json")
+    (target / "path.csv").write_text("time_s,displacement_um\n0,2\n0.1,5\n0.2,3\n")
+    return target
+
+
+def test_a_named_scan_takes_the_place_of_a_file(folder):
+    status, out, err = run(
+        "compensate", "model.json", *TRIANGLE, "--turns", 0.2, "-o", "out.csv", "--cycles", 2, cwd=folder
+    )
+    assert status == 0 and out.startswith("801 samples, ")
+    assert "ramp there slowly before you play the file" in err
+    header, *rows = (folder / "out.csv").read_text().splitlines()
+    assert header == "time_s,displacement_um,voltage_V,expected_um" and len(rows) == 801
+    values = np.array([row.split(",") for row in rows], dtype=float).T
+    assert (values[1].min(), values[1].max()) == (pytest.approx(2), pytest.approx(12))
+    actuator = Actuator.load(folder / "model.json")
+    top = actuator.turned(float(actuator.spring.displacement[-1]))
+    assert np.allclose(actuator.simulate(values[2], state=top).displacement * 1e6, values[1], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("model", ["model.json", "creep.json"])
+def test_a_wave_table_its_start_up_and_its_homing_make_the_actuator_follow(folder, model):
+    status, out, _ = run(
+        "compensate", model, *TRIANGLE, "--homing", "--present", 20, "--cycle", "table.csv", "--cycles", 60, "-o",
+        "o.csv", "--json", cwd=folder,
+    )  # fmt: skip
+    told = json.loads(out)
+    assert status == 0 and told["clamped"] == 0 and told["frequency_Hz"] == pytest.approx(10)
+    rows = np.loadtxt(folder / "o.csv", delimiter=",", skiprows=1).T
+    table = np.loadtxt(folder / "table.csv", delimiter=",", skiprows=1).T
+    assert (folder / "o.csv").read_text().startswith("time_s,phase,displacement_um,voltage_V,expected_um\n")
+    assert (folder / "table.csv").read_text().startswith("time_s,displacement_um,voltage_V,expected_um\n")
+    time, phase, wanted, voltage = rows[:4]
+    assert [int((phase == k).sum()) for k in (0, 1, 2)] == [told["homing_samples"], told["start_up_samples"], 60 * 400]
+    assert np.all(np.diff(phase) >= 0) and voltage[0] == 20
+    assert np.array_equal(voltage[-400:], table[2]) and np.array_equal(wanted[-400:], table[1])
+    actuator = Actuator.load(folder / model)
+    # It begins elsewhere than the file takes for granted: the homing is there for that.
+    state = actuator.turned(actuator.core.spring_inverse(20.0), rising=False)
+    made = actuator.simulate(voltage, time=time if model == "creep.json" else None, state=state).displacement * 1e6
+    assert np.abs(made - wanted)[-400:].max() <= (1e-7 if model == "creep.json" else 1e-9)
+
+
+def test_an_axis_of_a_raster_and_steps(folder):
+    plane = ("--scan", "raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 4, "--y-low", 3, "--y-high", 6)
+    for axis, ends in (("x", (2, 12)), ("y", (3, 6))):
+        assert run("compensate", "model.json", *plane, "--axis", axis, "-o", "r.csv", cwd=folder)[0] == 0
+        y = np.loadtxt(folder / "r.csv", delimiter=",", skiprows=1)[:, 1]
+        assert (y.min(), y.max()) == (pytest.approx(ends[0]), pytest.approx(ends[1]))
+    steps = ("--scan", "steps", "--levels", "2,6,10", "--dwell", 0.01, "--edge", 0.02, "--shape", "trapezoid")
+    assert run("compensate", "model.json", *steps, "-o", "s.csv", cwd=folder)[0] == 0
+
+
+@pytest.mark.parametrize("kind", [
+    ("spiral", "--frequency", 1, "--revolutions", 3, "--constant", "angular", "--y-low", 1, "--y-high", 11),
+    ("lissajous", "--frequency", 2, "--ratio", 3, 4, "--phase", 0, "--y-low", 5, "--y-high", 6),
+])  # fmt: skip
+def test_two_axes_in_the_middle_of_what_is_given(folder, kind):
+    name, *more = kind
+    given = ("--scan", name, "--low", 2, "--high", 12, *more, "--axis", "y")
+    assert run("compensate", "model.json", *given, "-o", "p.csv", cwd=folder)[0] == 0
+    y = np.loadtxt(folder / "p.csv", delimiter=",", skiprows=1)[:, 1]
+    low, high = more[-3], more[-1]
+    assert y[0] == pytest.approx(0.5 * (low + high)) and y.max() == pytest.approx(high, abs=0.01)
+
+
+def test_what_is_clamped_ends_with_status_1(folder):
+    given = (*TRIANGLE, "--limits", 0, 100, "--cycle", "t.csv", "--start", "relaxed")
+    status, _, err = run("compensate", "model.json", *given, "-o", "o.csv", cwd=folder)
+    assert status == 1
+    assert "CLAMPED: the steady cycle cannot be reached within the limits" in err
+
+
+@pytest.mark.parametrize("arguments, said", [
+    ((), "compensate: got neither of TRAJECTORY and --scan, need one"),
+    (("path.csv", *TRIANGLE), "compensate: got both of TRAJECTORY and --scan"),
+    (("path.csv", "--low", 2), "--low: got it with a TRAJECTORY, need --scan for it"),
+    (("path.csv", "--homing"), "--homing: got it with a TRAJECTORY"),
+    ((*TRIANGLE, "--time", "t"), "--time: got it with --scan, which has no columns"),
+    ((*TRIANGLE, "--homing"), "--homing: got it without --cycle; give --cycle TABLE.csv"),
+    ((*TRIANGLE, "--cycle", "t.csv", "--present", 3), "--present: got it without --homing"),
+    ((*TRIANGLE, "--cycle", "t.csv", "--homing", "--start", "top"), "--start: got it with --homing"),
+    ((*TRIANGLE, "--cycle", "o.csv"), "is the name of two outputs"),
+    ((*TRIANGLE, "--cycle", "model.json"), "is an input of this command too"),
+    ((*TRIANGLE, "--lines", 3), "--lines: got 3 with --scan triangle, which takes --low"),
+    ((*TRIANGLE[:-2],), "--scan triangle: got no --frequency, need --low, --high, --frequency"),
+    ((*TRIANGLE, "--axis", "y"), "axis: got 'y', need 'x'"),
+    ((*TRIANGLE, "--cycles", 0, "--turns", 2), "turns: got 2, need a share"),
+    ((*TRIANGLE, "--acceleration", 1000), r"acceleration: got 0.001 m/s^2 (1000 um/s^2), with which 10 um take"),
+    (("--scan", "steps", "--levels", "2,x", "--dwell", 1), "--levels: could not convert string to float: 'x'"),
+    (("--scan", "spiral", "--low", 2, "--high", 12, "--frequency", 1, "--revolutions", 3, "--y-high", 20),
+     "--y-low, --y-high: got 18 um, but x has 10 um"),
+])  # fmt: skip
+def test_wrong_options_end_with_status_2_and_a_sentence(folder, arguments, said):
+    before = (folder / "model.json").read_bytes()
+    status, out, err = run("compensate", "model.json", *arguments, "-o", "o.csv", cwd=folder)
+    assert status == 2 and out == "" and said in err
+    assert (folder / "model.json").read_bytes() == before
