@@ -139,6 +139,30 @@ def test_more_wrong_signs_than_there_is_room_for_still_end_in_the_optimum(monkey
     assert np.abs(found.residual).sum() == pytest.approx(best, rel=1e-5)
 
 
+def of_a_noisy_epoch(seed, rows=9000, noisy=700):
+    """Two epochs with a constant each; the few rows of the second are missed a thousand times as far."""
+    a, b, _ = table("random", seed, rows, 12)
+    second = np.arange(rows) >= rows - noisy
+    noise = np.random.default_rng(seed).normal(size=rows) * np.where(second, 10.0, 0.01)
+    return np.column_stack([~second, second]).astype(float), a, b + noise
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_epoch_that_is_missed_by_far_keeps_its_share_of_the_rows(seed):
+    """Were none of its rows in the program, nothing there would hold its constant against the sum of the others."""
+    free, a, b = of_a_noisy_epoch(seed)
+    rows, frame = np.hstack([free, a]), Problem(np.zeros((0, 14)), b[:0], 2, np.zeros((0, 14)), np.zeros(0))
+    sample, unit = reduction._sample(reduction.Whole(rows, b), frame, 6)
+    x = reduction.least_absolute(reduction.Whole(sample.rows, sample.goal), frame).x
+    divided, _ = reduction._divide(reduction.Whole(rows, b), frame, x, reduction._Doubt.of(sample), 2000)
+    assert (divided.places >= 9000 - 700).sum() > 0.15 * 700
+    found = reduction.least_absolute_deviations(divided.problem, divided.pull, unit)
+    assert found.optimal, found.status
+    whole = solve(free, a, b, norm="l1")
+    assert whole.optimal, whole.status
+    assert np.abs(whole.residual).sum() == pytest.approx(least(rows, b, 2), rel=1e-6)
+
+
 def bound(a, seed, count=20, depth=0.3):
     """Inequalities of random directions; all coefficients one half keep them, the best ones of these rows do not."""
     c = np.random.default_rng(seed).normal(size=(count, a.shape[1]))

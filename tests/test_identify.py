@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst import IdentifyError, Outcome, Record, RecordError, deviations, highs
+from dehyst import IdentifyError, Outcome, Record, RecordError, deviations, highs, reduction
 from dehyst.absolutes import Pair
 from dehyst.program import NORMS
 from dehyst.regression import Regression
 from dehyst.rows import collect
+from dehyst.structure import Structure
 
 PLANT = bench.plant(10)
 TOPS = bench.loops(PLANT, bench.DESCENDING_TOPS, name="tops")
@@ -232,6 +233,23 @@ def test_a_solver_that_fails_raises_or_is_told(monkeypatch, options):
     fit = dehyst.identify(TOPS, elements=10, throw=False, **options)
     assert (fit.actuator, fit.outcome, fit.errors) == (None, Outcome.FAILED, ())
     assert "time limit" in fit.status
+
+
+def test_a_wider_program_that_fails_raises_or_is_told(monkeypatch):
+    """What a solver leaves behind need not be an actuator."""
+    solved = reduction.least_absolute_deviations
+
+    def asleep(problem, pull, unit):
+        found = solved(problem, pull, unit)
+        return replace(found, x=np.full(found.x.size, -1.0), optimal=False, status="asleep")
+
+    monkeypatch.setattr(reduction, "least_absolute_deviations", asleep)
+    structure = Structure(elements=10, grades=4)
+    with pytest.raises(IdentifyError, match=r"Not identified: .* asleep"):
+        dehyst.identify(TOPS, structure=structure)
+    fit = dehyst.identify(TOPS, structure=structure, throw=False)
+    assert (fit.actuator, fit.outcome, fit.errors) == (None, Outcome.FAILED, ())
+    assert "asleep" in fit.status
 
 
 REFUSED = [

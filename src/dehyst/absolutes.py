@@ -33,6 +33,7 @@ _CENTRING = 0.5
 # Steps without progress before the best point so far is taken, rounding letting no better one be found: while products
 # are left, and once there are none.
 _PATIENCE, _SPENT = 15, 2
+_PIECE = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +175,7 @@ class _Newton:
         self._at, problem = at, at._p
         self._weight = 1 / (at.u / at.one + at.v / at.other)
         self._ratio = at.m / at.s
-        root = problem.rows * np.sqrt(self._weight)[:, None]
-        normal = root.T @ root + (problem.matrix.T * self._ratio) @ problem.matrix
+        normal = _gram(problem.rows, self._weight) + (problem.matrix.T * self._ratio) @ problem.matrix
         self._below = at.w / at.x[problem.free :]
         places = np.arange(problem.free, problem.unknowns)
         normal[places, places] += self._below
@@ -196,3 +196,12 @@ class _Newton:
         dw = rx / at.x[problem.free :] - self._below * dx[problem.free :]
         return ((ru + at.u * dy) / at.one, (rv - at.v * dy) / at.other, ds, dx, dy,
                 rs / at.s - self._ratio * ds, dw)  # fmt: skip
+
+
+def _gram(rows: Array, weight: Array) -> Array:
+    """Sum of weighted squares of rows (n, q), piece by piece: a copy of all would take as much room as they."""
+    total, root = np.zeros((rows.shape[1], rows.shape[1])), np.sqrt(weight)
+    for first in range(0, len(rows), _PIECE):
+        piece = rows[first : first + _PIECE] * root[first : first + _PIECE, None]
+        total += piece.T @ piece
+    return total

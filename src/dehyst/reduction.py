@@ -21,8 +21,8 @@ from dehyst.problem import OPTIMAL, TINY, Answer, Problem, failed
 
 # Up to so many rows for each coefficient a sample gains nothing.
 _WHOLE = 60
-# Numbers that rows in memory may have: 8 bytes each, and an interior point copies them two or three times.
-_MOST_NUMBERS = 8_000_000
+# Numbers that a sample of rows may have, and all rows in a program: 8 bytes each.
+_SAMPLED_NUMBERS, _MOST_NUMBERS = 8_000_000, 24_000_000
 _ROUNDS = 12
 # A sample is followed by all rows only if they are not more than so many times as many.
 _LEAP = 10
@@ -121,7 +121,7 @@ class _Divided:
 def least_absolute(blocks: Blocks, frame: Problem) -> Answer:
     """Minimise the sum of absolute residuals of all rows; `frame` has the limits, and no rows."""
     n, q = len(blocks), frame.unknowns
-    size = min(max(int(n ** (2 / 3) * q ** (1 / 3)), 20 * q), _MOST_NUMBERS // max(q, 1))
+    size = min(max(int(n ** (2 / 3) * q ** (1 / 3)), 20 * q), _SAMPLED_NUMBERS // max(q, 1))
     if n <= max(2 * size, _WHOLE * q):
         return _whole(_sample(blocks, frame, 1)[0])
     sample, unit = _sample(blocks, frame, -(-n // size))
@@ -172,6 +172,7 @@ def _reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, unit: fl
     if centre <= _EXACT * unit:
         # Zeros are a dual point: nothing is left to gain, and signs of rounding errors would mean nothing.
         return Answer(x, f"optimal (a sample of {sample.goal.size} of {n} rows meets all)", True, centre / unit)
+    # Where more than half of the rows are in the program all of them may as well be, if they may at all.
     best = failed(frame, "no round of the reduction gave an answer")
     for k in range(1, _ROUNDS + 1):
         found = least_absolute_deviations(divided.problem, divided.pull, unit)
@@ -184,7 +185,10 @@ def _reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, unit: fl
                 best = _judged(frame, found, gap, max(unit, primal), how)
             if gap <= max(_CLOSE * primal, _EXACT * unit) or not wrong.places.size:
                 break
-            if divided.places.size + wrong.places.size <= most:
+            many = divided.places.size + wrong.places.size
+            if n <= min(most, 2 * many):
+                break
+            if many <= most:
                 divided = _with(divided, wrong)
                 continue
         if primal < centre:
@@ -193,6 +197,8 @@ def _reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, unit: fl
             # Too many signs are wrong: the other rows pull harder than the kept ones can hold.
             room = min(4 * room, most)
         else:
+            break
+        if n <= min(most, 2 * room):
             break
         divided, centre = _divide(blocks, frame, x, doubt, room)
     return best if best.optimal or n > most else _whole(_sample(blocks, frame, 1)[0])
@@ -223,20 +229,28 @@ class _Doubt:
         shift = rows @ self.root
         return np.asarray(np.abs(residual) / np.sqrt(np.einsum("ij,ij->i", shift, shift) + TINY))
 
-    def cut(self, x: Array, share: float) -> float:
-        """The score below which this share of the sample lies."""
+    def cuts(self, x: Array, share: float) -> Array:
+        """For each group of rows, the score below which this share of those in the sample lies.
+
+        Were the rows of a record that is followed less well all summed up, the few of it that are left could not hold
+        the sum where a free coefficient is its own.
+        """
         residual = self.sample.goal - self.sample.rows @ x
-        return float(np.quantile(self.score(self.sample.rows, residual), min(share, 1.0)))
+        scores, groups = self.score(self.sample.rows, residual), _groups(self.sample, self.sample.rows)
+        cuts = np.full(self.sample.free + 1, np.inf)
+        for group in np.unique(groups):
+            cuts[group] = np.quantile(scores[groups == group], min(share, 1.0))
+        return cuts
 
 
 def _divide(blocks: Blocks, frame: Problem, x: Array, doubt: _Doubt, room: int) -> tuple[_Divided, float]:
     """Keep some `room` rows whose sign is most in doubt and add up the others; the sum of all absolute residuals."""
     parts: list[tuple[Array, Array, NDArray[np.intp]]] = []
     pull, value, primal, place, left = np.zeros(frame.unknowns), 0.0, 0.0, 0, room + room // 2
-    cut = doubt.cut(x, room / len(blocks))
+    cuts = doubt.cuts(x, room / len(blocks))
     for rows, goal in blocks:
         residual = goal - rows @ x
-        kept = np.flatnonzero(doubt.score(rows, residual) <= cut)[:left]
+        kept = np.flatnonzero(doubt.score(rows, residual) <= cuts[_groups(frame, rows)])[:left]
         signs = _signs(residual)
         signs[kept] = 0.0
         primal += float(np.abs(residual).sum())
@@ -246,6 +260,12 @@ def _divide(blocks: Blocks, frame: Problem, x: Array, doubt: _Doubt, room: int) 
         place, left = place + goal.size, left - kept.size
     some, goals, places = (np.concatenate(column) for column in zip(*parts, strict=True))
     return _Divided(replace(frame, rows=some, goal=goals), places, x, pull, value), primal
+
+
+def _groups(frame: Problem, rows: Array) -> NDArray[np.intp]:
+    """The first free coefficient of each row (n,), such as its epoch's constant; the number of free ones if it has none."""
+    own = rows[:, : frame.free] != 0
+    return np.where(own.any(axis=1), own.argmax(axis=1), frame.free) if frame.free else np.zeros(len(rows), np.intp)
 
 
 def _signs(residual: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from dehyst.actuator import Actuator
 from dehyst.composition import parts
@@ -32,8 +33,7 @@ class Wider:
     norm : str
     regression : WideRegression
     found : WideCoefficients
-    actuator : Actuator
-        Without limits and name.
+        Of an actuator only if its solution is optimal.
     """
 
     frame: Frame
@@ -41,18 +41,21 @@ class Wider:
     norm: Norm
     regression: WideRegression
     found: WideCoefficients
-    actuator: Actuator
 
     @classmethod
     def solve(cls, frame: Frame, structure: Structure, norm: Norm) -> Wider:
         """Solve the program."""
-        regression, found = frame.fitted(structure, norm)
-        reference = regression.rows.epoch[regression.rows.record == frame.widest].max()
-        actuator = Actuator(
-            **parts(regression.grid, found, found.offsets[int(reference)]),
-            dynamics=frame.inertia.dynamics, delay=frame.inertia.delay, lag=frame.inertia.lag,
+        return cls(frame, structure, norm, *frame.fitted(structure, norm))
+
+    @cached_property
+    def actuator(self) -> Actuator:
+        """Without limits and name."""
+        rows, inertia = self.regression.rows, self.frame.inertia
+        reference = int(rows.epoch[rows.record == self.frame.widest].max())
+        return Actuator(
+            **parts(self.regression.grid, self.found, self.found.offsets[reference]),
+            dynamics=inertia.dynamics, delay=inertia.delay, lag=inertia.lag,
         )  # fmt: skip
-        return cls(frame, structure, norm, regression, found, actuator)
 
     def playback(self) -> Playback:
         """The training records, to be simulated."""
