@@ -263,7 +263,7 @@ def _divide(blocks: Blocks, frame: Problem, x: Array, doubt: _Doubt, room: int) 
 
 
 def _groups(frame: Problem, rows: Array) -> NDArray[np.intp]:
-    """The first free coefficient of each row (n,), such as its epoch's constant; the number of free ones if it has none."""
+    """The first free coefficient of each row (n,), such as its epoch's constant; their number if it has none."""
     own = rows[:, : frame.free] != 0
     return np.where(own.any(axis=1), own.argmax(axis=1), frame.free) if frame.free else np.zeros(len(rows), np.intp)
 
