@@ -30,6 +30,8 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/coverage.py
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/size.py
+	$(BIN)/python benchmarks/latency.py
+	$(BIN)/python benchmarks/saturation.py
 	$(BIN)/python benchmarks/figure.py
 	$(BIN)/python benchmarks/readme.py
 	$(BIN)/python benchmarks/loop.py

@@ -1,4 +1,4 @@
-"""Put the figures of `accuracy.json`, `paper.json` and `speed.json` into the README, between its markers.
+"""Put the figures of the benchmarks' JSON files into the README, between its markers.
 
 With --check nothing is written; the exit status tells whether the README holds them already.
 """
@@ -103,9 +103,35 @@ def ratios(data: dict, path: str, job: str) -> str:
     return " | ".join(f"{data['paths'][path][f'{job} {n}']['ratio']:.2f}" for n in (10, 100, 1000))
 
 
+def steps(latency: dict, size: dict) -> list[str]:
+    """What a step in a loop takes: N = 10, from Python, in C and on a microcontroller."""
+    rows = ["", "| A step of the loop, N = 10 | from Python | in C | of `run` | `numpy.interp` a sample "
+            "| C over `numpy.interp` |", "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
+    for path, what in (("swept", "swept"), ("reversing", "reversing at every step")):
+        one = latency["plain"]["paths"][path]
+        rows.append(
+            f"| {what} | {one['step_ns']:.0f} ns | {one['c_step_ns']:.0f} ns | {one['run_ns']:.0f} ns "
+            f"| {one['interp_ns']:.1f} ns | {one['c_ratio']:.1f} |"
+        )
+    rows += ["", "| Bytes of firmware, N = 10, `-Os -flto` | flash | RAM | stack |", "| --- | --- | --- | --- |"]
+    for one in size["firmware"]:
+        if one["structure"] == "plain" and one["flags"].startswith("-Os -flto"):
+            rows.append(f"| {one['number']}, {one['processor']} | {one['flash']} | {one['ram']} | {one['stack']} |")
+    return rows
+
+
+def saturation(data: dict) -> list[str]:
+    """What clamped voltages leave behind."""
+    volts = f"{data['allowed_V'][1]:.0f} V allowed, {data['needed_V']:.0f} V needed"
+    rows = ["", f"| {volts} | largest error after saturation, % |", "| --- | --- |"]
+    return rows + [f"| {name} | {percent:.2f} |" for name, percent in data["after_saturation_percent"].items()]
+
+
 def table() -> str:
-    figures = [json.loads((HERE / name).read_text()) for name in ("accuracy.json", "paper.json", "speed.json")]
-    return "\n".join([*accuracy(figures[0]), *rivals(figures[0]), *paper(figures[1]), *speed(figures[2])]) + "\n"
+    names = ("accuracy", "paper", "speed", "latency", "size", "saturation")
+    data = {name: json.loads((HERE / f"{name}.json").read_text()) for name in names}
+    rows = [*accuracy(data["accuracy"]), *rivals(data["accuracy"]), *paper(data["paper"]), *speed(data["speed"])]
+    return "\n".join([*rows, *steps(data["latency"], data["size"]), *saturation(data["saturation"])]) + "\n"
 
 
 def main() -> int:

@@ -20,7 +20,7 @@ def test_its_figures_are_those_of_the_benchmarks():
 
 
 def test_its_code_runs(tmp_path, monkeypatch, capsys):
-    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[1]
+    code = "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
     write_record(tmp_path / "loops.csv", demo.record_loops(PlayActuator(plays=60))[0])
     monkeypatch.chdir(tmp_path)
     names = {}
@@ -28,6 +28,7 @@ def test_its_code_runs(tmp_path, monkeypatch, capsys):
     assert "loops: 0." in capsys.readouterr().out
     assert names["command"].voltage.shape == (1000,)
     assert names["command"].warnings == ()
+    assert names["compensator"].clamps == (0, 0)
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
