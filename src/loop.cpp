@@ -15,6 +15,7 @@ struct Loop {
     dehyst_loop loop;
     nb::object tell;
     bool told[2] = {false, false};
+    bool busy = false;
 
     // numbers: low, high, change, lag, keep, from_old, from_new.
     Loop(const Wide &wide_, Input decay_, Input gain_, Input transition, Input tap_, Input numbers, nb::object tell_)
@@ -57,11 +58,13 @@ struct Loop {
     }
 
     double offer(double u) {
+        demand_free();
         const double v = dehyst_loop_offer(&compensator, &loop, u);
         if (loop.offer != DEHYST_WISHED) check_offer(u);
         return v;
     }
     void commit(double v) {
+        demand_free();
         if (!std::isfinite(v)) throw CoreError("the voltage that was sent is not a finite number");
         dehyst_loop_commit(&compensator, &loop, v);
     }
@@ -70,15 +73,39 @@ struct Loop {
         dehyst_loop_commit(&compensator, &loop, v);
         return v;
     }
+    // Another thread may ask for a step while the interpreter is free: it is told.
+    struct Busy {
+        bool &flag;
+        explicit Busy(bool &flag_) : flag(flag_) { flag = true; }
+        ~Busy() { flag = false; }
+    };
+    void demand_free() const {
+        if (busy) throw std::runtime_error("this compensator is running in another thread; give each thread its own");
+    }
+
     Output run(Input u) {
+        demand_free();
         const size_t n = u.size();
         std::unique_ptr<double[]> out(new double[n + 1]);
         const double *source = u.data();
         {
+            const Busy mark(busy);
             nb::gil_scoped_release release;
             dehyst_loop_run(&compensator, &loop, source, out.get(), long(n));
         }
         return own<Output>(std::move(out), {n});
+    }
+    // Voltages, where each leads, and what was on offer.
+    std::tuple<Output, Output, Output> trace(Input u) {
+        const size_t n = u.size();
+        std::unique_ptr<double[]> v(new double[n + 1]), w(new double[n + 1]), offers(new double[n + 1]);
+        for (size_t t = 0; t < n; t++) {
+            v[t] = dehyst_loop_offer(&compensator, &loop, u.data()[t]);
+            offers[t] = loop.offer;
+            dehyst_loop_commit(&compensator, &loop, v[t]);
+            w[t] = loop.state.memory.y;
+        }
+        return {own<Output>(std::move(v), {n}), own<Output>(std::move(w), {n}), own<Output>(std::move(offers), {n})};
     }
 
     // Every number that a step reads, as the core made it.
@@ -195,6 +222,7 @@ void bind_loop(nb::module_ &m) {
         .def("commit", &Loop::commit)
         .def("step", &Loop::step)
         .def("run", &Loop::run)
+        .def("trace", &Loop::trace)
         .def("tables", &Loop::tables)
         .def("sent", &Loop::sent)
         .def("counts", &Loop::counts)

@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import threading
 import warnings
 from dataclasses import replace
 
@@ -277,6 +278,22 @@ def test_a_spoilt_snapshot_is_refused(change, message, tmp_path):
         compensator.restore(Snapshot.load(path))
     np.testing.assert_array_equal(compensator.snapshot().rest, before.rest)
     assert gap(compensator.state, before.state) == 0
+
+
+def test_two_threads_cannot_share_a_loop():
+    compensator, path = Compensator(PLANT, (-1e3, 1e3)), np.tile(wanted(4), 10_000)
+    running, refused = threading.Thread(target=compensator.run, args=(path,)), 0
+    running.start()
+    while running.is_alive():
+        try:
+            compensator.offer(5e-6)
+        except RuntimeError as error:
+            assert "another thread" in str(error)
+            refused += 1
+    assert refused
+    alone = Compensator(PLANT, (-1e3, 1e3))
+    alone.run(path)
+    assert gap(alone.state, compensator.state) == 0
 
 
 def test_a_reset_begins_again():

@@ -9,7 +9,7 @@ import strategies as our
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Compensator, Dynamics, ModelError, State
+from dehyst import Actuator, Compensator, Dynamics, ModelError, State, trajectory
 
 PLANT = bench.plant(10, seed=4)
 LOW, HIGH = 20.0, 150.0
@@ -169,6 +169,28 @@ def test_wider_actuators_too_are_told_what_was_sent(kind, seed, slewing, size):
     np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-9 * bench.STROKE)
     np.testing.assert_allclose(command.state.creep, motion.state.creep, atol=1e-9 * bench.STROKE)
     np.testing.assert_array_equal(command.displacement[~command.clamped], path[~command.clamped])
+
+
+@pytest.mark.parametrize("kind", ["plain", *WIDE])
+@given(st.integers(0, 10**6), st.booleans(), st.booleans())
+def test_even_steps_are_clamped_in_one_go_as_they_are_one_by_one(kind, seed, slewing, loaded):
+    """Two parts of a path at different rates: one by one where time is even, or piece by piece as where it is not."""
+    plant = replace(PLANT if kind == "plain" else wider(kind), load_stiffness=1e7)
+    path, time = wanted(seed), np.append(np.arange(250) * 1e-3, 0.25 + np.arange(150) * 2e-3)
+    load = 10 * np.sin(30 * time) if loaded else None
+    compensator = Compensator(plant, (LOW, HIGH), RATE if slewing else None)
+    commands = []
+    for few in (trajectory._FEW, 0):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(trajectory, "_FEW", few)
+            commands.append(compensator.trajectory(path, time=time, load=load))
+    one, other = commands
+    np.testing.assert_allclose(one.voltage, other.voltage, atol=1e-10 * HIGH)
+    np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-10 * bench.STROKE)
+    np.testing.assert_allclose(one.state.carts, other.state.carts, atol=1e-10 * bench.STROKE)
+    # Where a wish lies on a limit to rounding, one may call it clamped and the other not.
+    differ = one.clamped != other.clamped
+    assert np.abs(one.displacement - path)[differ].max(initial=0.0) < 1e-10 * bench.STROKE
 
 
 def smooth(size=1500):

@@ -144,7 +144,7 @@ def test_the_approach_is_smooth_and_keeps_the_limits_of_the_scan(seed, kind, sca
     state = our.make_state(PLAIN, seed, kind)
     wild = Compensator(PLAIN, (-1e4, 1e4))
     rate = 2000.0 if slewed else None
-    way = approach_to(path, replace(wild, slew_rate=rate), state, Limits())
+    way = approach_to(path, Compensator(wild.actuator, wild.limits, rate), state, Limits())
     if way is None:
         return
     assert way.displacement[0] == state.displacement and way.velocity[0] == 0

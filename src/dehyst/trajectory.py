@@ -10,13 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, number, untimely, vector
+from dehyst._native import Array, Held, number, untimely, vector
 from dehyst.actuator import Actuator, interval
+from dehyst.creep import clock
 from dehyst.model import Motion, State
 from dehyst.wide import Course
 
 Mask = NDArray[np.bool_]
 _CHUNK = 64
+_ANY = float(np.finfo(np.float64).max)
+# What `Loop.trace` calls an offer that was not clamped.
+_WISHED = 1
+# Runs of equal steps, each of which is set up anew.
+_FEW = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +137,10 @@ def follow(
         voltage[i], clamped[i] = allowed[good], True
         reached[i], state = path.sent(voltage, i, state)
         i, chunk = i + 1, _CHUNK
+        if path.steps_on:
+            # What is clamped once is soon clamped again: one by one, then, to the end.
+            voltage[i:], reached[i:], clamped[i:], state = path.stepped(i, voltage[i - 1], state, limits)
+            break
     if path.moves_on:
         motion = path.played(voltage, start)
         reached, state = motion.displacement, motion.state
@@ -177,6 +187,17 @@ class _Path:
         """Whether a mass or an amplifier still answers what was clamped before."""
         return self.actuator.dynamics is not None or self.actuator.lag > 0
 
+    @property
+    def steps_on(self) -> bool:
+        """Whether nothing moves on, and all but a few steps are of equal time."""
+        return not self.moves_on and self.clock[1].size <= _FEW
+
+    @cached_property
+    def clock(self) -> tuple[NDArray[np.int64], Array]:
+        """Runs of equal steps, see `_native.steps`; without time one."""
+        samples = self.wanted.size
+        return (np.array([0, samples]), np.zeros(1)) if self.time is None else clock(self.time, samples)
+
     @cached_property
     def course(self) -> dict[str, Array | None]:
         """What goes with the path, a value a sample."""
@@ -208,6 +229,27 @@ class _Path:
         first = i if not self.actuator.wide else max(i - 1, 0)
         motion = self.actuator.simulate(voltage[first : i + 1], **self._cut(first, i + 1), state=start)
         return float(motion.displacement[-1]), motion.state
+
+    def stepped(self, first: int, before: float, start: State, limits: Limits) -> tuple[Array, Array, Mask, State]:
+        """The samples from `first` on, each within limits: voltages, displacements, what was clamped, and the end."""
+        model, n, state = self.actuator.model, self.wanted.size, start
+        bounds, durations = self.clock
+        voltage, place, offers = np.empty(n), np.empty(n), np.empty(n)
+        w = self.wanted + self.lead
+        for r, seconds in enumerate(durations):
+            run = slice(max(int(bounds[r]), first), int(bounds[r + 1]))
+            if run.start >= run.stop:
+                continue
+            change = _ANY if limits.slew_rate is None else limits.slew_rate * seconds
+            numbers = np.array([limits.low, limits.high, change, 0.0, 0.0, 0.0, 1.0])
+            pace = model.pace(np.array([0, 1]), np.array([seconds]))
+            loop = model.core.loop(pace, np.ones(1), numbers, lambda *_: None, model.held(state))
+            loop.go_on(np.array([before, before, before, before, 0.0, 0.0, w[run.start - 1]]), 0, 0, 0)
+            voltage[run], place[run], offers[run] = loop.trace(w[run])
+            before, state = float(voltage[run.stop - 1]), model.state_of(Held(*loop.state()))
+        clamped = offers[first:] != _WISHED
+        reached = np.where(clamped, place[first:] - self.lead[first:], self.wanted[first:])
+        return voltage[first:], reached, clamped, state
 
     def played(self, voltage: Array, start: State) -> Motion:
         """What the whole command does."""
