@@ -167,7 +167,7 @@ def _sample(blocks: Blocks, frame: Problem, step: int) -> tuple[Problem, float]:
 
 def _reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, unit: float) -> Answer:
     n, most = len(blocks), _MOST_NUMBERS // frame.unknowns
-    doubt, room = _Doubt.of(sample), min(2 * sample.goal.size, most // 2)
+    doubt, room = _Doubt.of(sample), min(2 * sample.goal.size, _SAMPLED_NUMBERS // (2 * frame.unknowns))
     divided, centre = _divide(blocks, frame, x, doubt, room)
     if centre <= _EXACT * unit:
         # Zeros are a dual point: nothing is left to gain, and signs of rounding errors would mean nothing.
@@ -299,16 +299,19 @@ def _checked(blocks: Blocks, divided: _Divided, x: Array, most: int) -> tuple[fl
 
 
 def _with(divided: _Divided, more: _Wrong) -> _Divided:
-    """The same with these rows kept too."""
+    """The same with these rows kept too, put in their places: joined and then sorted they would be there twice."""
     places = np.concatenate([divided.places, more.places])
-    order = np.argsort(places, kind="stable")
+    place = np.empty(places.size, np.intp)
+    place[np.argsort(places, kind="stable")] = np.arange(places.size)
+    old, new = np.split(place, [divided.places.size])
     problem = divided.problem
-    rows = np.concatenate([problem.rows, more.rows])[order]
-    goal = np.concatenate([problem.goal, more.goal])[order]
+    rows, goal = np.empty((place.size, problem.unknowns)), np.empty(place.size)
+    rows[old], rows[new] = problem.rows, more.rows
+    goal[old], goal[new] = problem.goal, more.goal
     return replace(
         divided,
         problem=replace(problem, rows=rows, goal=goal),
-        places=places[order],
+        places=np.sort(places),
         pull=divided.pull - more.signs @ more.rows,
         value=divided.value - float(more.signs @ more.goal),
     )
