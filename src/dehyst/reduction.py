@@ -188,14 +188,15 @@ def _reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, unit: fl
             many = divided.places.size + wrong.places.size
             if n <= min(most, 2 * many):
                 break
-            if many <= most:
+            # Where more signs are wrong than rows are kept, others should be kept, next to the better answer.
+            if many <= most and (many <= 2 * divided.places.size or primal >= centre):
                 divided = _with(divided, wrong)
                 continue
         if primal < centre:
             x = found.x
         elif room < most:
             # Too many signs are wrong: the other rows pull harder than the kept ones can hold.
-            room = min(4 * room, most)
+            room = min(2 * room, most)
         else:
             break
         if n <= min(most, 2 * room):
