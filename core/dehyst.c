@@ -53,7 +53,7 @@ dehyst_status dehyst_slip_tabulate(int n, const dehyst_real *rho, const dehyst_r
     if (!is_finite(intercept[n]) || !is_finite(stiffness[0])) return DEHYST_ERR_FINITE;
     *inverse_step = n > 0 ? 1 / edge[0] : 0;
     for (i = 0; i < n; i++)
-        if (magnitude(edge[i] - (i + 1) * edge[0]) > (dehyst_real)1e-6 * edge[0]) *inverse_step = 0;
+        if (magnitude(edge[i] - (dehyst_real)(i + 1) * edge[0]) > (dehyst_real)1e-6 * edge[0]) *inverse_step = 0;
     return DEHYST_OK;
 }
 

@@ -269,12 +269,18 @@ typedef struct dehyst_loop {
 } dehyst_loop;
 
 dehyst_status dehyst_compensator_tabulate(dehyst_compensator *compensator);
-/* Start from loop->state, at rest at the voltage that holds it, as if its displacement had been fed for ever. */
+/* Start from loop->state, at rest at the voltage that holds it, as if its displacement had been fed for ever. If that
+ * voltage lies outside the limits the nearest of them is taken to have been sent. */
 dehyst_status dehyst_loop_begin(const dehyst_compensator *compensator, dehyst_loop *loop);
 /* The voltage for u. Nothing moves until it is committed: a voltage that was not sent leaves no trace. */
 dehyst_real dehyst_loop_offer(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u);
-/* A period has passed with the voltage v: what is on offer, or another that was really sent. */
+/* Whether v may have been sent: it lies no farther outside the limits than they are apart. */
+int dehyst_loop_believes(const dehyst_compensator *compensator, dehyst_real v);
+/* A period has passed with the voltage v: what is on offer, or another that was really sent; one that is not believed is
+ * counted as refused, and the last one is taken to act on. */
 void dehyst_loop_commit(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v);
+/* A period has passed with any voltage: the actuator alone, without limits. */
+void dehyst_loop_play(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v);
 /* Offer and commit; then n of them. */
 dehyst_real dehyst_loop_step(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u);
 void dehyst_loop_run(const dehyst_compensator *compensator, dehyst_loop *loop, const dehyst_real *u, dehyst_real *v,

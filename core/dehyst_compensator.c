@@ -16,6 +16,12 @@ dehyst_status dehyst_compensator_tabulate(dehyst_compensator *compensator)
     return is_finite(compensator->stiffness) ? DEHYST_OK : DEHYST_ERR_FINITE;
 }
 
+static dehyst_real within(const dehyst_compensator *compensator, dehyst_real v)
+{
+    v = v < compensator->low ? compensator->low : v;
+    return v > compensator->high ? compensator->high : v;
+}
+
 dehyst_status dehyst_loop_begin(const dehyst_compensator *compensator, dehyst_loop *loop)
 {
     const dehyst_wide *wide = &compensator->wide;
@@ -24,10 +30,10 @@ dehyst_status dehyst_loop_begin(const dehyst_compensator *compensator, dehyst_lo
     int m;
     if (status != DEHYST_OK) return status;
     if (loop->fed == NULL || (wide->plain.slip.size > 0 && loop->wish.cart == NULL)) return DEHYST_ERR_SIZE;
+    loop->state.input = wide->inertia ? loop->state.memory.y - wide->share * loop->state.y : 0;
     y = wide->inertia ? loop->state.y : loop->state.memory.y;
-    loop->state.input = wide->inertia ? loop->state.memory.y - wide->share * y : 0;
     for (m = 0; m < compensator->taps; m++) loop->fed[m] = y;
-    loop->sent = dehyst_wide_voltage(wide, &loop->state);
+    loop->sent = within(compensator, dehyst_wide_voltage(wide, &loop->state));
     loop->acting = loop->wished[0] = loop->wished[1] = loop->wish.v = loop->voltage = loop->sent;
     loop->asked = y;
     loop->wish.w = loop->state.memory.y;
@@ -62,11 +68,8 @@ static dehyst_real allowed(const dehyst_compensator *compensator, dehyst_loop *l
         loop->offer = DEHYST_SLEWED;
         v = v > loop->sent ? loop->sent + c->change : loop->sent - c->change;
     }
-    if (v < c->low || v > c->high) {
-        loop->offer = DEHYST_LIMITED;
-        v = v < c->low ? c->low : c->high;
-    }
-    return v;
+    if (within(c, v) != v) loop->offer = DEHYST_LIMITED;
+    return within(c, v);
 }
 
 dehyst_real dehyst_loop_offer(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u)
@@ -75,7 +78,7 @@ dehyst_real dehyst_loop_offer(const dehyst_compensator *compensator, dehyst_loop
     dehyst_real v;
     loop->asked = u;
     loop->wish.w = c->taps > 1 ? filtered(c, loop, u) : u;
-    loop->voltage = loop->sent;
+    loop->voltage = within(c, loop->sent);
     loop->offer = DEHYST_REFUSED;
     if (!is_finite(loop->wish.w)) return loop->voltage;
     dehyst_wide_wish(&c->wide, &c->pace, &loop->state, c->stiffness, &loop->wish);
@@ -99,27 +102,48 @@ static void follow(const dehyst_compensator *compensator, dehyst_loop *loop, deh
     }
 }
 
+static void end_period(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v)
+{
+    int m;
+    for (m = compensator->taps - 1; m > 0; m--) loop->fed[m] = loop->fed[m - 1];
+    if (loop->offer != DEHYST_NOTHING && is_finite(loop->asked)) loop->fed[0] = loop->asked;
+    loop->sent = v;
+    loop->offer = DEHYST_NOTHING;
+}
+
+int dehyst_loop_believes(const dehyst_compensator *compensator, dehyst_real v)
+{
+    const dehyst_real range = compensator->high - compensator->low;
+    return is_finite(v) && v >= compensator->low - range && v <= compensator->high + range;
+}
+
 void dehyst_loop_commit(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v)
 {
     const dehyst_compensator *c = compensator;
     const int as_offered = loop->offer != DEHYST_NOTHING && v == loop->voltage;
     const int as_wished = as_offered && loop->offer == DEHYST_WISHED;
-    int m;
     if (as_wished && !(c->lag > 0)) {
         dehyst_wide_fulfil(&c->wide, &c->pace, &loop->state, &loop->wish);
     } else {
-        if (!is_finite(v)) v = loop->sent;
         if (as_offered) {
             loop->limited += loop->offer == DEHYST_LIMITED;
             loop->slewed += loop->offer == DEHYST_SLEWED;
             loop->refused += loop->offer == DEHYST_REFUSED;
+        } else if (!dehyst_loop_believes(c, v)) {
+            loop->refused++;
+            v = loop->sent;
         }
         follow(c, loop, v, as_wished);
     }
-    for (m = c->taps - 1; m > 0; m--) loop->fed[m] = loop->fed[m - 1];
-    if (loop->offer != DEHYST_NOTHING && is_finite(loop->asked)) loop->fed[0] = loop->asked;
-    loop->sent = v;
+    end_period(c, loop, v);
+}
+
+void dehyst_loop_play(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v)
+{
     loop->offer = DEHYST_NOTHING;
+    if (!is_finite(v)) v = loop->sent;
+    follow(compensator, loop, v, 0);
+    end_period(compensator, loop, v);
 }
 
 dehyst_real dehyst_loop_step(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u)

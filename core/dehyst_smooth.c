@@ -20,7 +20,7 @@ dehyst_real dehyst_decay(dehyst_real x)
     int n, i;
     if (x > 40) return 1;
     n = (int)(x * (dehyst_real)1.4426950408889634 + (dehyst_real)0.5);
-    f = n * high - x + n * low;
+    f = (dehyst_real)n * high - x + (dehyst_real)n * low;
     t = f * f;
     c = f - t * ((dehyst_real)(1.0 / 6) -
                  t * ((dehyst_real)(1.0 / 360) -

@@ -65,7 +65,7 @@ struct Loop {
     }
     void commit(double v) {
         demand_free();
-        if (!std::isfinite(v)) throw CoreError("the voltage that was sent is not a finite number");
+        if (!dehyst_loop_believes(&compensator, v)) throw CoreError("nothing like the limits");
         dehyst_loop_commit(&compensator, &loop, v);
     }
     double step(double u) {

@@ -82,15 +82,15 @@ def test_steps_and_runs_are_one_and_the_memory_is_what_was_sent(name, seed, slew
     start = started(actuator, seed)
     low, high, rate = 30.0, 140.0, 3000.0 if slewing else None
     stepped, ran = (Compensator(actuator, (low, high), rate, period=PERIOD, state=start) for _ in range(2))
-    first = stepped.voltage
+    first, start = stepped.voltage, stepped.state
+    assert low <= first <= high
     voltage = quietly(lambda: np.array([stepped.step(y) for y in path]))
     np.testing.assert_array_equal(quietly(ran.run, path), voltage)
     assert voltage.min() >= low
     assert voltage.max() <= high
     changes = np.abs(np.diff(np.append(first, voltage)))
-    inside = low <= first <= high
     if slewing:
-        assert changes[0 if inside else 1 :].max() <= rate * PERIOD + 1e-12 * high
+        assert changes.max() <= rate * PERIOD + 1e-12 * high
     assert ran.clamps == stepped.clamps
     motion = replayed(actuator, start, voltage)
     for compensator in (stepped, ran):
@@ -103,6 +103,7 @@ def test_what_is_not_clamped_is_followed(name, seed):
     actuator, path = PLANTS[name], wanted(seed)
     start = started(actuator, seed)
     compensator = Compensator(actuator, (30.0, 140.0), period=PERIOD, state=start)
+    start = compensator.state
     clamped = np.zeros(path.size, dtype=bool)
     voltage = np.empty(path.size)
     for i, y in enumerate(path):
@@ -113,6 +114,35 @@ def test_what_is_not_clamped_is_followed(name, seed):
     assert np.abs(reached - path)[~clamped].max(initial=0.0) < 1e-11 * bench.STROKE
     assert compensator.clamps.limited == clamped.sum()
     assert compensator.clamps.slewed == 0
+
+
+@pytest.mark.parametrize("name", sorted(PLANTS))
+def test_a_start_beyond_the_limits_is_taken_to_have_been_brought_to_the_nearest(name):
+    actuator = PLANTS[name]
+    high = 0.5 * actuator.voltage(actuator.turned(0.9 * bench.STROKE))
+    compensator = Compensator(actuator, (0.0, high), 1e3, period=PERIOD, state=actuator.turned(0.9 * bench.STROKE))
+    assert compensator.voltage == pytest.approx(high, abs=1e-12 * high)
+    assert compensator.voltage <= high
+    assert actuator.voltage(compensator.state) == pytest.approx(high, abs=1e-9 * high)
+    if actuator.dynamics is not None:
+        assert compensator.state.motion[0] == compensator.state.displacement
+    assert high >= quietly(compensator.step, 0.9 * bench.STROKE) > high - 1e3 * PERIOD - 1e-9
+    with pytest.raises(ModelError, match="displacement: got nan"):
+        compensator.step(math.nan)
+    assert 0 <= compensator.voltage <= high
+
+
+@pytest.mark.parametrize("volts", [1e9, -1e9, 310.0, -101.0])
+def test_a_voltage_that_has_nothing_to_do_with_the_limits_was_not_sent(volts):
+    """Millivolts or counts read back for volts."""
+    compensator = Compensator(PLANT, (0, 100), state=PLANT.relaxed(20.0))
+    compensator.step(3e-6)
+    before = compensator.snapshot()
+    with pytest.raises(ModelError, match="has nothing to do with the limits 0 to 100 V"):
+        compensator.commit(volts)
+    assert gap(before.state, compensator.state) == 0
+    compensator.commit(199.0)
+    assert 0 <= compensator.offer(3e-6) <= 100
 
 
 def through_saturation(actuator, limits, turns=(0.3, 1, 0.2, 0.6, 0.3)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, CoreError, Held, Loop, checked, number, vector
+from dehyst._native import NOTHING, Array, CoreError, Held, Loop, checked, number, vector
 from dehyst.actuator import Actuator, interval
 from dehyst.control_blocks import compensator_block, labels
 from dehyst.foresight import Foresight
@@ -57,7 +58,8 @@ class Compensator:
     period : float, optional
         Seconds between steps; needed with a slew rate or `preview`, and by an actuator with creep, dynamics or a lag.
     state : State, optional
-        Where the actuator is, say as a homing leaves it; default the actuator's own.
+        Where the actuator is, say as a homing leaves it; default the actuator's own. If it is held by a voltage outside
+        the limits, it is taken to have been brought to the nearest limit.
     preview : bool, optional
         Make up for the actuator's delay and inertia too. The displacement given to a step is then the one wanted
         `samples_ahead` samples later. By default it is the one wanted now, and delay and inertia are left alone.
@@ -96,7 +98,8 @@ class Compensator:
         self.period = None if period is None else _positive(period)
         if preview and period is None:
             raise ModelError("preview needs the time between steps; give period= [s]")
-        self._start = actuator.model.fitted(actuator.state if state is None else state)
+        self._given = actuator.state if state is None else state
+        self._start = self._brought(self._given)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -143,9 +146,15 @@ class Compensator:
         Raises
         ------
         ModelError
-            If it is not finite: nothing has moved then.
+            If it is not finite, or farther outside the limits than they are apart: nothing has moved then.
         """
-        self._loop.commit(number(voltage, "voltage"))
+        try:
+            self._loop.commit(number(voltage, "voltage"))
+        except CoreError as error:
+            raise ModelError(
+                f"voltage: got {voltage:g} V, which has nothing to do with the limits {self._limits.words}; need what was "
+                "really sent, in volts"
+            ) from error
 
     def hold(self) -> None:
         """Take note that a period has passed in which nothing was sent: the last voltage still acts."""
@@ -206,7 +215,8 @@ class Compensator:
         load, velocity, acceleration : (n,) array_like, optional
             As in `Actuator.compensate`.
         state : State, optional
-            Where the actuator is; default: `self.state`. The first sample is not slew limited.
+            Where the actuator is; default: `self.state`, before any step as it was given. The first sample is not slew
+            limited.
 
         Raises
         ------
@@ -221,13 +231,13 @@ class Compensator:
             load=load,
             velocity=velocity,
             acceleration=acceleration,
-            start=self.state if state is None else state,
+            start=state if state is not None else self.state if self._running else self._given,
         )
 
     @property
     def voltage(self) -> float:
         """The last voltage sent [V]; at first the one that holds the actuator in its state."""
-        return self._loop.sent() if self._running else self.actuator.voltage(self._start)
+        return self._loop.sent() if self._running else self._limits.nearest(self.actuator.voltage(self._start))
 
     @property
     def state(self) -> State:
@@ -258,7 +268,7 @@ class Compensator:
             If it does not fit the actuator.
         """
         if state is not None:
-            self._start = self.actuator.model.fitted(state)
+            self._start, self._given = self._brought(state), state
         self.__dict__.pop("_loop", None)
 
     def snapshot(self) -> Snapshot:
@@ -323,6 +333,17 @@ class Compensator:
     def start(self) -> Held:
         """The state that it was made or last reset in, in the core's numbers."""
         return self.actuator.model.held(self._start)
+
+    def _brought(self, state: State) -> State:
+        """The state, complete; at the nearest limit if its voltage lies outside the limits."""
+        start = self.actuator.model.fitted(state)
+        held = self.actuator.voltage(start)
+        if held == self._limits.nearest(held):
+            return start
+        still = replace(self.actuator, lag=0.0, dynamics=None, state=replace(self.actuator.state, motion=NOTHING))
+        time = np.zeros(1) if still.needs_time else None
+        reached = still.simulate([self._limits.nearest(held)], time=time, state=replace(start, motion=NOTHING)).state
+        return self.actuator.model.fitted(reached)
 
     @property
     def _running(self) -> bool:

@@ -84,6 +84,10 @@ class Limits:
         """For a sentence."""
         return f"{self.low:.6g} to {self.high:.6g} V"
 
+    def nearest(self, voltage: float) -> float:
+        """The voltage [V], or the limit that it is beyond."""
+        return min(max(voltage, self.low), self.high)
+
     def steps(self, size: int, time: ArrayLike | None) -> Array:
         """Largest voltage step before each sample."""
         if self.slew_rate is None:

@@ -36,8 +36,7 @@ void piezo_hold(piezo *p) { dehyst_loop_commit(&model, &p->loop, p->loop.sent); 
 
 dehyst_real piezo_simulate(piezo *p, dehyst_real voltage)
 {
-    p->loop.offer = DEHYST_NOTHING;
-    dehyst_loop_commit(&model, &p->loop, voltage);
+    dehyst_loop_play(&model, &p->loop, voltage);
     return piezo_displacement(p);
 }
 
