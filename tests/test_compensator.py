@@ -1,6 +1,7 @@
 """The loop: what it sends is within limits, what it remembers is what was sent, and it goes on where it was stopped."""
 
 import copy
+import importlib.util
 import itertools
 import json
 import math
@@ -8,6 +9,7 @@ import pickle
 import threading
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import bench
 import numpy as np
@@ -173,6 +175,21 @@ def test_after_saturation_the_memory_is_true(seed):
     true, clipped = through_saturation(plant, (0.0, most / 1.3))
     assert true < 1e-9
     assert clipped > 0.5
+
+
+@pytest.mark.slow
+def test_after_saturation_a_virtual_actuator_is_where_it_should_be():
+    """Not of the model's class, identified from a record: the benchmark that the README shows."""
+    path = Path(__file__).resolve().parents[1] / "benchmarks" / "saturation.py"
+    spec = importlib.util.spec_from_file_location("saturation", path)
+    benchmark = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(benchmark)
+    found = benchmark.measure()
+    assert found["needed_V"] == pytest.approx(130, rel=1e-3)
+    assert found["outside"] == 0
+    assert found["largest_slew_rate_V_per_s"] <= 500 * (1 + 1e-9)
+    assert found["after_saturation_percent"][benchmark.TRUE] <= 0.1
+    assert found["after_saturation_percent"][benchmark.CLIPPED] > 5
 
 
 def test_an_offer_leaves_no_trace_until_it_is_committed():
