@@ -16,7 +16,7 @@ from dehyst.demo import record_loops, wanted_path
 from dehyst.truths import PlayActuator
 
 OUTPUT = Path(__file__).parent / "saturation.json"
-LIMITS, SLEW_RATE, PERIOD = (0.0, 100.0), 500.0, 1e-3
+LIMITS, SLEW_RATE, PERIOD = (0.0, 100.0), 2e3, 1e-3
 TRUE, CLIPPED = "memory follows what is sent", "clipped only"
 TURNS = (0.05, 1.0, 0.2, 0.6, 0.1, 0.5)
 LEG = 500

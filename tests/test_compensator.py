@@ -187,7 +187,7 @@ def test_after_saturation_a_virtual_actuator_is_where_it_should_be():
     found = benchmark.measure()
     assert found["needed_V"] == pytest.approx(130, rel=1e-3)
     assert found["outside"] == 0
-    assert found["largest_slew_rate_V_per_s"] <= 500 * (1 + 1e-9)
+    assert found["largest_slew_rate_V_per_s"] <= 2e3 * (1 + 1e-9)
     assert found["after_saturation_percent"][benchmark.TRUE] <= 0.1
     assert found["after_saturation_percent"][benchmark.CLIPPED] > 5
 
