@@ -104,7 +104,8 @@ def test_the_same_model_makes_the_same_file(fmus, version, tmp_path):
     export_fmu(again, tmp_path / "again.fmu", version)
     assert (tmp_path / "again.fmu").read_bytes() == path.read_bytes()
     tokens = {fmpy.read_model_description(fmus(model, version, kind)[0]).guid for model in MODELS for kind in KINDS}
-    assert len(tokens) == len(MODELS) * len(KINDS)
+    # But for a delay, "mass" and "preview" have one actuator, and an actuator does not look ahead.
+    assert len(tokens) == len(MODELS) * len(KINDS) - 1
 
 
 def test_without_a_compiler_it_holds_sources(tmp_path, monkeypatch):

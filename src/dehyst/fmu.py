@@ -29,6 +29,8 @@ _BINARY = {"2.0": "binaries/linux64", "3.0": "binaries/x86_64-linux"}
 _SOURCE = "all.c"
 # Not Python's file times: the same model gives the same file.
 _TIME = (1980, 1, 1, 0, 0, 0)
+# Limits that no voltage meets.
+_NONE = -1e300, 1e300
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-s")
 
 
@@ -79,6 +81,8 @@ def export_fmu(
             raise ModelError(f"{name}: got {value!r}, need {' or '.join(map(repr, known))}")
     if Path(path).suffix != ".fmu":
         raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
+    if kind == "actuator":
+        compensator = _unlimited(compensator)
     description = Description.of(compensator, version, kind)
     sources = _sources(compensator, version)
     token = _token(sources, version, kind)
@@ -99,6 +103,11 @@ def export_fmu(
             2,
         )
     write_atomically(path, _zipped(content))
+
+
+def _unlimited(compensator: Compensator) -> Compensator:
+    """The same actuator in the same state, without limits: it is to answer any voltage."""
+    return Compensator(compensator.actuator, _NONE, period=compensator.period, state=compensator.afresh().state)
 
 
 def _sources(compensator: Compensator, version: Version) -> dict[str, str]:

@@ -118,6 +118,15 @@ def model_header(compensator: Compensator, number: Number) -> str:
     ])  # fmt: skip
 
 
+def begun(compensator: Compensator) -> tuple[float, float]:
+    """Displacement [m] and voltage [V] where a loop begins that is like this one."""
+    loop = compensator.afresh()
+    loop.tables()  # makes the loop: what it begins with is its own
+    state, (low, high) = loop.state, loop.limits
+    place = float(state.motion[0]) if state.motion.size else state.displacement
+    return place, min(max(loop.voltage, low), high)
+
+
 class _Spelling:
     """How numbers are written in C: hexadecimal, so that not a bit is lost."""
 
