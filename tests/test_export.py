@@ -20,6 +20,7 @@ from dehyst import Actuator, ClampWarning, Compensator, FileFormatError, Maxwell
 from dehyst.export import SOURCES, code, export, sizes, worst_case
 from dehyst.footprint import CORTEX_M4, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT
 from dehyst.golden import Call, golden
+from dehyst.outset import Outset
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -429,9 +430,12 @@ def test_on_the_command_line(tmp_path):
     late = dehyst_export("--force", "--slew", "2e4")
     assert late.returncode == 2
     assert "give period=" in late.stderr
-    narrowed = subprocess.run([*command[:4], "--limits", "0", "100", "--force"], cwd=tmp_path, capture_output=True,
-                              text=True, check=False)  # fmt: skip
-    assert "outside the limits 0 to 100 V: choose another with --start" in narrowed.stderr
+    assert "memory begins at 0 um, " in done.stdout
+    assert "lower the voltage slowly from its highest, never back, to " in done.stdout
+    top = made.actuator.voltage(made.actuator.turned(bench.STROKE))
+    for high, said in ((top / 1.009, False), (top / 1.02, True)):
+        command[-1] = str(high)
+        assert ("memory begins at the nearest limit" in dehyst_export("--force").stderr) == said
 
 
 def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
@@ -443,6 +447,41 @@ def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
     assert f"#define MODEL_AHEAD {ahead}" in (tmp_path / "c" / "model_size.h").read_text()
     assert f"every {1 / wide_bench.RATE:.9g} s" in text
     assert str(made.operations.arithmetic) in text
+
+
+@pytest.mark.parametrize("kind", ["plain", "all", "moving"])
+def test_the_files_say_where_memory_begins(tmp_path, kind, unmeasured):
+    compensator = KINDS[kind]()
+    export(compensator, tmp_path / "c")
+    outset = Outset.of(compensator)
+    assert outset.voltage == np.clip(compensator.afresh().voltage, *compensator.limits)
+    for file in ("README.md", "model.h"):
+        text = (tmp_path / "c" / file).read_text()
+        assert f"{outset.displacement * 1e6:.6g} um, {outset.voltage:.6g} V" in text
+        assert outset.way in text
+
+
+@pytest.mark.parametrize("rising", [True, False])
+def test_the_way_to_where_memory_begins_leads_there(rising):
+    """Two ways: the words followed on the virtual actuator, and the state that was exported."""
+    actuator = bench.plant(10, seed=4)
+    low, high = actuator.voltage(actuator.turned(0, rising=False)), actuator.voltage(actuator.turned(bench.STROKE))
+    state = actuator.turned(bench.STROKE if rising else 0, rising=rising)
+    outset = Outset.of(Compensator(actuator, (low, high), state=state))
+    first, words = (low, "raise the voltage slowly from its lowest") if rising else (high, "lower the voltage slowly")
+    assert outset.way.startswith(words)
+    elsewhere = actuator.relaxed(0.5 * (low + high))
+    path = [actuator.voltage(elsewhere), *np.linspace(first, outset.voltage, 50)]
+    reached = actuator.simulate(path, state=elsewhere).displacement[-1]
+    assert reached == pytest.approx(outset.displacement, abs=1e-9 * bench.STROKE)
+
+
+def test_other_states_are_reached_by_other_ways():
+    actuator = bench.plant(10, seed=4)
+    odd = actuator.simulate([0.0, 120.0, 60.0], state=actuator.relaxed()).state
+    ways = [Outset.of(Compensator(actuator, LIMITS, state=state)).way for state in (actuator.relaxed(80), odd)]
+    assert ways[0].startswith("swing the voltage about 80 V, each swing smaller")
+    assert ways[1].startswith("play the voltages after which the actuator was in this state")
 
 
 def test_steps_warn_once_as_ever():

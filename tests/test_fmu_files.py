@@ -163,9 +163,12 @@ def test_the_command_line_writes_both_kinds(tmp_path):
     assert "outside the limits" in done.stderr
     done = cli("model.json", "a.fmu", "--period", PERIOD, "--fmu", "2.0", "--kind", "actuator", "--json", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
-    assert json.loads(done.stdout) == {
-        "fmu": "a.fmu", "version": "2.0", "kind": "actuator", "binary": True, "warnings": []
-    }  # fmt: skip
+    told = json.loads(done.stdout)
+    begins = told.pop("begins")
+    assert told == {"fmu": "a.fmu", "version": "2.0", "kind": "actuator", "binary": True, "warnings": []}
+    state = start_state(compensator.actuator, "top")
+    assert begins["voltage_V"] == compensator.actuator.voltage(state)
+    assert begins["displacement_m"] == state.displacement
     for name in ("c", "a"):
         assert validate_fmu(str(tmp_path / f"{name}.fmu")) == []
     with Slave(fmpy.extract(tmp_path / "a.fmu", tmp_path / "a")) as slave:

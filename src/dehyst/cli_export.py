@@ -20,12 +20,15 @@ from dehyst.console import (
 )
 
 if TYPE_CHECKING:
+    from dehyst.actuator import Actuator
     from dehyst.compensator import Compensator
     from dehyst.export import Exported
 
 
 # Limits that no voltage meets.
 _NONE = -1e300, 1e300
+# Share of the limits' range by which a start may lie outside without a word.
+_NEAR = 0.01
 
 
 @click.command()
@@ -66,12 +69,12 @@ def export(
     if fmu is not None:
         refuse_overwriting([model], directory)
         result, line, said = _write_fmu(compensator, directory, fmu, kind or "compensator", force)
-        conclude(as_json, result, f"{line} {came_from(actuator, start)}", said)
+        conclude(as_json, result, f"{line}\n{_begin_words(compensator, actuator, start, kind)}", said)
         return
     made = run(compensator, directory, number, force=force)
     said = _start_words(compensator)
-    result = {"directory": str(directory), "number": number, "warnings": said, **_numbers(made)}
-    line = f"{directory}: a compensator of {number}s {came_from(actuator, start)}\n{_table(made)}"
+    result = {"directory": str(directory), "number": number, "warnings": said, **_begins(compensator), **_numbers(made)}
+    line = f"{directory}: a compensator of {number}s\n{_begin_words(compensator, actuator, start)}\n{_table(made)}"
     conclude(as_json, result, line, said)
 
 
@@ -100,20 +103,36 @@ def _write_fmu(
         warnings.simplefilter("always", SourceOnlyWarning)
         export_fmu(compensator, path, version, kind)
     said = [str(one.message) for one in caught if issubclass(one.category, SourceOnlyWarning)]
-    result = {"fmu": str(path), "version": version, "kind": kind, "binary": not said}
+    result = {"fmu": str(path), "version": version, "kind": kind, "binary": not said, **_begins(compensator)}
     said += _start_words(compensator) if kind == "compensator" else []
     holds = "sources and a binary for Linux x86-64" if result["binary"] else "sources"
-    return {**result, "warnings": said}, f"{path}: an FMU {version} of the {kind}, {holds},", said
+    return {**result, "warnings": said}, f"{path}: an FMU {version} of the {kind}, {holds}", said
 
 
 def _start_words(compensator: Compensator) -> list[str]:
-    (low, high), present = compensator.limits, compensator.voltage
-    if low <= present <= high:
+    """A state that is clearly not within the limits."""
+    (low, high), present = compensator.limits, compensator.actuator.voltage(compensator.afresh().state)
+    if low - _NEAR * (high - low) <= present <= high + _NEAR * (high - low):
         return []
     return [
-        f"the state that it starts in is held by {present:.6g} V, outside the limits {low:.6g} to {high:.6g} V: choose "
-        "another with --start"
+        f"the state that it starts in is held by {present:.6g} V, outside the limits {low:.6g} to {high:.6g} V: memory "
+        "begins at the nearest limit; choose another state with --start"
     ]
+
+
+def _begins(compensator: Compensator) -> dict[str, Any]:
+    from dehyst.outset import Outset
+
+    outset = Outset.of(compensator)
+    return {"begins": {"displacement_m": outset.displacement, "voltage_V": outset.voltage, "way": outset.way}}
+
+
+def _begin_words(compensator: Compensator, actuator: Actuator, start: str, kind: str | None = None) -> str:
+    from dehyst.outset import Outset
+
+    outset = Outset.of(compensator)
+    said = f"memory begins at {outset.words} {came_from(actuator, start)}"
+    return said if kind == "actuator" else f"{said}; to bring the actuator there, {outset.way}"
 
 
 def _numbers(made: Exported) -> dict[str, Any]:

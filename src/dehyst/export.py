@@ -19,6 +19,7 @@ from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_
 from dehyst.golden import Golden, golden, trace_header
 from dehyst.header import Number, model_header, size_header
 from dehyst.operations import Operations, worst_case
+from dehyst.outset import Outset
 from dehyst.version import __version__
 
 __all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "shipped", "sizes", "worst_case"]
@@ -219,6 +220,7 @@ def _footprints(draft: Path, number: Number) -> dict[str, Footprint]:
 def _readme(compensator: Compensator, number: Number, trace: Golden, made: Exported) -> str:
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
+    outset = Outset.of(compensator)
     return Template(shipped("README.md")).substitute(
         name=re.sub(r"[^\w .,()+-]", "_", compensator.actuator.name),
         version=__version__,
@@ -229,6 +231,8 @@ def _readme(compensator: Compensator, number: Number, trace: Golden, made: Expor
         high=f"{high:.9g}",
         slew="" if slew is None else f" and change by {slew:.9g} V/s at most",
         ahead=f"\nGive each displacement {ahead} samples before its time (`MODEL_AHEAD`)." if ahead else "",
+        begins=outset.words,
+        way=outset.way,
         bytes=_bytes(made.footprints),
         arithmetic=made.operations.arithmetic,
         divisions=made.operations.divisions,

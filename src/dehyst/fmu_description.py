@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, TypeAlias
 from xml.etree import ElementTree
 
 from dehyst.compensator import Compensator
-from dehyst.header import begun
+from dehyst.outset import Outset
 from dehyst.version import __version__
 
 Version: TypeAlias = Literal["2.0", "3.0"]
@@ -133,7 +133,7 @@ def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variab
     summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{name}' follow a displacement."
     if compensator.slew_rate is not None:
         summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
-    y, _ = begun(compensator)
+    y = Outset.of(compensator).displacement
     return summary, (
         Variable("displacement", "input", "m", f"Displacement wanted {when}", y),
         Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
@@ -143,7 +143,7 @@ def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variab
 
 
 def _actuator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
-    _, v = begun(compensator)
+    v = Outset.of(compensator).voltage
     return f"The actuator '{name}': displacement that a voltage causes.", (
         Variable("voltage", "input", "V", "Voltage reached at the end of a step's first period, then held", v),
         Variable("displacement", "output", "m", "Displacement"),

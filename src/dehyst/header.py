@@ -11,6 +11,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._native import NOTHING, Array
 from dehyst.compensator import Compensator
+from dehyst.outset import Outset
 from dehyst.version import __version__
 
 Number: TypeAlias = Literal["double", "float"]
@@ -109,22 +110,13 @@ def model_header(compensator: Compensator, number: Number) -> str:
         '#include "model_size.h"',
         "",
         *arrays,
-        "/* Where it starts: w, y and y'/omega; then the memory. */",
+        *_begins(compensator),
         *(spell.array(name, values if values.size else np.zeros(1)) for name, values in begin.items()),
         _compensator(tables, used, spell),
         "",
         "#endif",
         "",
     ])  # fmt: skip
-
-
-def begun(compensator: Compensator) -> tuple[float, float]:
-    """Displacement [m] and voltage [V] where a loop begins that is like this one."""
-    loop = compensator.afresh()
-    loop.tables()  # makes the loop: what it begins with is its own
-    state, (low, high) = loop.state, loop.limits
-    place = float(state.motion[0]) if state.motion.size else state.displacement
-    return place, min(max(loop.voltage, low), high)
 
 
 class _Spelling:
@@ -208,6 +200,15 @@ def _compensator(tables: Tables, used: Tables, spell: _Spelling) -> str:
         f" {spell.one(stiffness)}}};",
     ]
     return "static const dehyst_compensator model = " + "\n".join(rows)
+
+
+def _begins(compensator: Compensator) -> list[str]:
+    outset = Outset.of(compensator)
+    return [
+        f"/* Where it starts, at {outset.words}. To bring the actuator there:",
+        f" * {outset.way}.",
+        " * w, y and y'/omega; then the memory. */",
+    ]
 
 
 def _demand_float(tables: Tables) -> None:
