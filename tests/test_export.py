@@ -277,6 +277,17 @@ def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
         sizes(tmp_path / "c")
 
 
+@pytest.mark.parametrize("given", [firmware.plain().actuator, None, 3, "model.json"])
+def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
+    for run in (export, lambda one, _: worst_case(one), lambda one, _: code(one)):
+        with pytest.raises(ModelError, match="need a Compensator; pass Compensator"):
+            run(given, tmp_path / "c")
+    for path in (None, 3, b"c", "a\0b"):
+        with pytest.raises(FileFormatError, match="need the name of a file or a folder; give a path"):
+            export(firmware.plain(), path)
+    assert list(tmp_path.iterdir()) == []
+
+
 def narrow(rho, knots):
     """A plain actuator whose numbers are nearly alike."""
     rho, knots = np.asarray(rho), np.asarray(knots)

@@ -143,6 +143,29 @@ def test_refusals(tmp_path):
         export_fmu(ALL["plain"], tmp_path / "x.zip")
     with pytest.raises(ModelError, match="give period="):
         export_fmu(Compensator(ALL["creep"].actuator, (0, 1)), tmp_path / "x.fmu")
+    with pytest.raises(ModelError, match="got Actuator, need a Compensator; pass Compensator"):
+        export_fmu(ALL["plain"].actuator, tmp_path / "x.fmu")
+    with pytest.raises(FileFormatError, match="got 7, need the name of a file or a folder; give a path"):
+        export_fmu(ALL["plain"], 7)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_there_is_replaced_by_force_only(tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", "/nowhere/cc")
+    path = tmp_path / "x.fmu"
+    path.write_text("mine")
+    with pytest.raises(FileFormatError, match="is there already; replace it with force"):
+        export_fmu(ALL["plain"], path)
+    assert path.read_text() == "mine"
+    with pytest.warns(SourceOnlyWarning):
+        export_fmu(ALL["plain"], path, force=True)
+    assert zipfile.is_zipfile(path)
+    ALL["plain"].actuator.save(tmp_path / "model.json")
+    assert (
+        cli("model.json", "x.fmu", "--fmu", "--force", "--limits", 0, 100, "--period", 1, cwd=tmp_path).returncode == 0
+    )
+    with pytest.raises(FileFormatError, match="this is a folder"), pytest.warns(SourceOnlyWarning):
+        export_fmu(ALL["plain"], (tmp_path / "folder.fmu").mkdir() or tmp_path / "folder.fmu")
 
 
 def cli(*arguments, cwd):
@@ -181,10 +204,11 @@ def test_the_command_line_writes_both_kinds(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--kind", "actuator"], "give --fmu too"),
+        ([], "an FMU? give --fmu"),
+        (["--kind", "actuator"], "an FMU? give --fmu"),
         (["--fmu", "2.0", "--number", "float"], "an FMU has doubles"),
         (["--fmu", "2.0", "--kind", "actuator", "--preview"], "leave out --limits, --slew, --preview"),
-        (["--fmu", "2.0", "--limits", "0", "100"], "is there already; replace it with --force"),
+        (["--fmu", "2.0", "--limits", "0", "100"], "is there already; replace it with force (--force)"),
     ],
 )
 def test_the_command_line_refuses(tmp_path, options, words):

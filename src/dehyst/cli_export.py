@@ -60,6 +60,8 @@ def export(
     from dehyst.compensator import Compensator
     from dehyst.export import export as run
 
+    if fmu is None and directory.suffix == ".fmu":
+        raise click.UsageError(f"{directory}: an FMU? give --fmu; a folder's name cannot end in .fmu")
     _demand_of_fmu(fmu, kind, number, limited=limits is not None or slew is not None or preview)
     actuator = read_model(model)
     state = start_state(actuator, start)
@@ -94,14 +96,11 @@ def _write_fmu(
     compensator: Compensator, path: Path, version: Any, kind: Any, force: bool
 ) -> tuple[dict[str, Any], str, list[str]]:
     """What is to be told of it: as JSON, in a line, and in words of warning."""
-    from dehyst._errors import FileFormatError
     from dehyst.fmu import SourceOnlyWarning, export_fmu
 
-    if path.exists() and not force:
-        raise FileFormatError(f"{path}: is there already; replace it with --force or give another name")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)
-        export_fmu(compensator, path, version, kind)
+        export_fmu(compensator, path, version, kind, force=force)
     said = [str(one.message) for one in caught if issubclass(one.category, SourceOnlyWarning)]
     result = {"fmu": str(path), "version": version, "kind": kind, "binary": not said, **_begins(compensator)}
     said += _start_words(compensator) if kind == "compensator" else []

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst.compensator import Compensator
-from dehyst.files import PathLike
+from dehyst.files import PathLike, path_of
 from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT, Footprint, run, sizes
 from dehyst.golden import Golden, golden, trace_header
-from dehyst.header import Number, model_header, size_header
+from dehyst.header import Number, demand_compensator, model_header, size_header
 from dehyst.operations import Operations, worst_case
 from dehyst.outset import Outset
 from dehyst.version import __version__
@@ -69,8 +69,9 @@ def code(compensator: Compensator, number: Number = "double") -> dict[str, str]:
     Raises
     ------
     ModelError
-        If the number type is another one, or floats cannot hold this model.
+        If it is no Compensator, the number type is another one, or floats cannot hold this model.
     """
+    demand_compensator(compensator)
     if number not in ("double", "float"):
         raise ModelError(f"number: got {number!r}, need 'double' or 'float'")
     files = {name: shipped(name) for name in (*SOURCES, *_HEADERS)}
@@ -106,11 +107,11 @@ def export(
     Raises
     ------
     ModelError
-        If the number type is another one, or floats cannot hold this model.
+        If it is no Compensator, the number type is another one, or floats cannot hold this model.
     FileFormatError
-        If the folder holds other files, or cannot be written.
+        If it is no path, the folder holds other files, or cannot be written.
     """
-    folder = Path(directory)
+    folder = path_of(directory)
     files = code(compensator, number)
     files |= {name: shipped(name) for name in ("check.c", "Makefile", "LICENSE")}
     target = folder.resolve()

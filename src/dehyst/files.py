@@ -23,6 +23,7 @@ from dehyst.signals import FloatArray
 __all__ = [
     "PathLike",
     "Table",
+    "path_of",
     "read",
     "read_json",
     "read_table",
@@ -184,6 +185,13 @@ def write_json(path: PathLike, data: Mapping[str, Any]) -> None:
             f"{path}: cannot be told in JSON ({error}); use text, finite numbers, booleans, None, lists and dicts"
         ) from error
     write_atomically(path, text + "\n")
+
+
+def path_of(value: object) -> Path:
+    """A path, or FileFormatError if it is none."""
+    if not isinstance(value, str | os.PathLike) or not isinstance(name := os.fspath(value), str) or "\0" in name:
+        raise FileFormatError(f"got {value!r}, need the name of a file or a folder; give a path")
+    return Path(name)
 
 
 def write_atomically(path: PathLike, data: str | bytes) -> None:

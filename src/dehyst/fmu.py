@@ -19,9 +19,10 @@ from typing import get_args
 from dehyst._errors import FileFormatError, ModelError
 from dehyst.compensator import Compensator
 from dehyst.export import SOURCES, code, shipped
-from dehyst.files import PathLike, write_atomically
+from dehyst.files import PathLike, path_of, write_atomically
 from dehyst.fmu_description import Description, Kind, Version
 from dehyst.footprint import run
+from dehyst.header import demand_compensator
 from dehyst.version import __version__
 
 _SPOKEN = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
@@ -47,6 +48,8 @@ def export_fmu(
     path: PathLike,
     version: Version = "3.0",
     kind: Kind = "compensator",
+    *,
+    force: bool = False,
 ) -> None:
     """Write an FMU for co-simulation, which starts from the state that the compensator was made or last reset in.
 
@@ -63,24 +66,26 @@ def export_fmu(
     kind : {"compensator", "actuator"}, optional
         Displacement [m] in and voltage [V] out, with the numbers of clamped samples; or the virtual actuator, voltage
         in and displacement out, which knows no limits.
+    force : bool, optional
+        Replace a file of this name.
 
     Raises
     ------
     ModelError
-        If the version or the kind is none of these, or the compensator lacks a period that it needs.
+        If it is no Compensator, the version or the kind is none of these, or it lacks a period that it needs.
     FileFormatError
-        If the file cannot be written, or its name does not end in .fmu.
+        If the file is there already or cannot be written, or its name does not end in .fmu.
 
     Warns
     -----
     SourceOnlyWarning
         If there is no C compiler, it fails, or this is not Linux on x86-64: the FMU then holds sources only.
     """
+    demand_compensator(compensator)
     for name, value, known in (("version", version, get_args(Version)), ("kind", kind, get_args(Kind))):
         if value not in known:
             raise ModelError(f"{name}: got {value!r}, need {' or '.join(map(repr, known))}")
-    if Path(path).suffix != ".fmu":
-        raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
+    _demand_free(path_of(path), force)
     if kind == "actuator":
         compensator = _unlimited(compensator)
     description = Description.of(compensator, version, kind)
@@ -103,6 +108,13 @@ def export_fmu(
             2,
         )
     write_atomically(path, _zipped(content))
+
+
+def _demand_free(path: Path, force: bool) -> None:
+    if path.suffix != ".fmu":
+        raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
+    if path.is_file() and not force:
+        raise FileFormatError(f"{path}: is there already; replace it with force (--force) or give another name")
 
 
 def _unlimited(compensator: Compensator) -> Compensator:

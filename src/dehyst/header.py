@@ -37,6 +37,20 @@ _POSITIVE = {
 }
 
 
+def demand_compensator(value: object) -> None:
+    """Refuse what is no Compensator.
+
+    Raises
+    ------
+    ModelError
+    """
+    if not isinstance(value, Compensator):
+        raise ModelError(
+            f"compensator: got {type(value).__name__}, need a Compensator; pass Compensator(actuator, limits), made "
+            "from the actuator"
+        )
+
+
 class Sizes(NamedTuple):
     """How many of each part a loop has: elements, spring's knots, grades, transformer's knots, creep, smooth, taps."""
 
