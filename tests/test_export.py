@@ -288,6 +288,69 @@ def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
     assert list(tmp_path.iterdir()) == []
 
 
+TWO_AXES = """
+#include <stdio.h>
+#include "x_axis.h"
+#include "y_axis.h"
+
+static x_axis x;
+static y_axis y;
+
+int main(void)
+{
+    double a, b;
+    if (x_axis_begin(&x) != DEHYST_OK || y_axis_begin(&y) != DEHYST_OK) return 1;
+    while (scanf("%la %la", &a, &b) == 2) printf("%a %a\\n", x_axis_step(&x, a), y_axis_step(&y, b));
+    return X_AXIS_MODEL_AHEAD == Y_AXIS_MODEL_AHEAD;
+}
+"""
+
+
+def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path, unmeasured):
+    need("gcc", "make")
+    models = {"x_axis": KINDS["plain"](), "y_axis": KINDS["moving"]()}
+    for name, compensator in models.items():
+        folder = export(compensator, tmp_path / name, name=name).folder
+        assert {f"{name}.c", f"{name}.h", f"{name}_model.h", f"{name}_model_size.h"} < {
+            p.name for p in folder.iterdir()
+        }
+        for path in folder.iterdir():
+            text = path.read_text()
+            assert "piezo_" not in text and not re.search(r"\b(MODEL_|PIEZO_H)", text), path
+        status, said = make(folder, "check", "symbols")
+        assert status == 0, said
+        assert sizes(folder, "gcc").ram == sizes(written(tmp_path / f"{name}_piezo", compensator), "gcc").ram
+        assert sizes(folder, "gcc").stack == sizes(tmp_path / f"{name}_piezo", "gcc").stack
+        export(compensator, folder, force=True, name=name)
+    (tmp_path / "main.c").write_text(TWO_AXES)
+    core = [f"x_axis/{name}" for name in SOURCES if name != "piezo.c"]
+    both = ["x_axis/x_axis.c", "y_axis/y_axis.c", "-Ix_axis", "-Iy_axis"]
+    firmware.run(["gcc", *STRICT, "-O2", "main.c", *core, *both, "-o", "both"], tmp_path)
+    wished = [firmware.wishes(compensator, 500) for compensator in models.values()]
+    given = "".join(f"{a.hex()} {b.hex()}\n" for a, b in zip(*(w.tolist() for w in wished), strict=True))
+    lines = firmware.run(["./both"], tmp_path, input=given).split()
+    got = np.array([float.fromhex(word) for word in lines]).reshape(-1, 2)
+    for column, compensator, wishes in zip(got.T, models.values(), wished, strict=True):
+        np.testing.assert_array_equal(column, compensator.run(wishes))
+
+
+@pytest.mark.parametrize("name", ["", "7x", "a-b", "ü", "_x", "dehyst_x", "Dehyst", "double", "class", "loop", "model",
+                                  "trace", "stdio", "Check", "main", "a" * 41, None])  # fmt: skip
+def test_names_that_mean_something_else_are_refused(tmp_path, name):
+    with pytest.raises(ModelError, match=r"^name: got "):
+        export(firmware.plain(), tmp_path / "c", name=name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["x", "y", "Stage_2", "a" * 40])
+def test_other_names_compile(tmp_path, name, unmeasured):
+    need("gcc")
+    folder = export(firmware.plain(), tmp_path / "c", name=name).folder
+    sources = [name + ".c" if source == "piezo.c" else source for source in SOURCES]
+    firmware.run(["gcc", *STRICT, "-c", "check.c", *sources], folder)
+    firmware.run(["g++", "-Wall", "-Werror", "-fsyntax-only", "-x", "c++", f"{name}.h"], folder)
+
+
 def narrow(rho, knots):
     """A plain actuator whose numbers are nearly alike."""
     rho, knots = np.asarray(rho), np.asarray(knots)
@@ -435,7 +498,8 @@ def test_on_the_command_line(tmp_path):
     again = dehyst_export()
     assert again.returncode == 2
     assert again.stderr.startswith("dehyst: c: holds an earlier export")
-    done = dehyst_export("--force", "--number", "float", "--start", "bottom")
+    done = dehyst_export("--force", "--number", "float", "--start", "bottom", "--name", "stage")
+    assert (tmp_path / "c" / "stage_model.h").exists()
     assert done.returncode == 0
     assert "a step: at most" in done.stdout
     late = dehyst_export("--force", "--slew", "2e4")

@@ -42,6 +42,8 @@ _NEAR = 0.01
 @click.option("--slew", type=float, metavar="V/S", help="Largest slew rate; needs --period.")
 @click.option("--period", type=float, metavar="S", help="Seconds between steps; a model with time in it needs them.")
 @click.option("--preview", is_flag=True, help="Make up for delay and inertia; displacements are then given ahead.")
+@click.option("--name", metavar="NAME", help="Of files, type and calls, so that several models go into one firmware.  "
+              "[default: piezo]")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace an earlier export.")
 @click.option("--fmu", type=click.Choice(["2.0", "3.0"]), is_flag=False, flag_value="3.0",
               help="Write an FMU of this version of FMI instead.  [without a version: 3.0]")  # fmt: skip
@@ -51,7 +53,7 @@ _NEAR = 0.01
 @json_option
 def export(
     model: Path, directory: Path, number: Any, limits: tuple[float, float] | None, slew: float | None,
-    period: float | None, preview: bool, force: bool, fmu: Any, kind: Any, start: str, as_json: bool,
+    period: float | None, preview: bool, name: str | None, force: bool, fmu: Any, kind: Any, start: str, as_json: bool,
 ) -> None:  # fmt: skip
     """Write a MODEL's compensator as C into DIR: files, numbers, a README, and a trace that `make check` replays.
 
@@ -62,7 +64,7 @@ def export(
 
     if fmu is None and directory.suffix == ".fmu":
         raise click.UsageError(f"{directory}: an FMU? give --fmu; a folder's name cannot end in .fmu")
-    _demand_of_fmu(fmu, kind, number, limited=limits is not None or slew is not None or preview)
+    _demand_of_fmu(fmu, kind, number, name, limited=limits is not None or slew is not None or preview)
     actuator = read_model(model)
     state = start_state(actuator, start)
     compensator = Compensator(
@@ -73,17 +75,19 @@ def export(
         result, line, said = _write_fmu(compensator, directory, fmu, kind or "compensator", force)
         conclude(as_json, result, f"{line}\n{_begin_words(compensator, actuator, start, kind)}", said)
         return
-    made = run(compensator, directory, number, force=force)
+    made = run(compensator, directory, number, force=force, **({} if name is None else {"name": name}))
     said = _start_words(compensator)
     result = {"directory": str(directory), "number": number, "warnings": said, **_begins(compensator), **_numbers(made)}
     line = f"{directory}: a compensator of {number}s\n{_begin_words(compensator, actuator, start)}\n{_table(made)}"
     conclude(as_json, result, line, said)
 
 
-def _demand_of_fmu(fmu: str | None, kind: str | None, number: str, *, limited: bool) -> None:
+def _demand_of_fmu(fmu: str | None, kind: str | None, number: str, name: str | None, *, limited: bool) -> None:
     """Refuse options that do not go together."""
     if fmu is None and kind is not None:
         raise click.UsageError("--kind is of an FMU: give --fmu too")
+    if fmu is not None and name is not None:
+        raise click.UsageError("--name is of C: an FMU is named by its model; leave it out")
     if fmu is not None and number != "double":
         raise click.UsageError("--number float: an FMU has doubles; leave it out")
     if kind == "actuator" and limited:

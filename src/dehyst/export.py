@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import secrets
 import shutil
-import sys
 import tempfile
 from contextlib import suppress
 from pathlib import Path
@@ -14,15 +13,16 @@ from typing import NamedTuple
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst.compensator import Compensator
-from dehyst.files import PathLike, path_of
+from dehyst.files import PathLike, path_of, shipped
 from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT, Footprint, run, sizes
 from dehyst.golden import Golden, golden, trace_header
 from dehyst.header import Number, demand_compensator, model_header, size_header
+from dehyst.naming import DEFAULT, demand_name, file_of, name_in, text_of
 from dehyst.operations import Operations, worst_case
 from dehyst.outset import Outset
 from dehyst.version import __version__
 
-__all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "shipped", "sizes", "worst_case"]
+__all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "sizes", "worst_case"]
 
 SOURCES = ("piezo.c", "dehyst.c", "dehyst_grades.c", "dehyst_smooth.c", "dehyst_wide.c", "dehyst_compensator.c")
 _HEADERS = ("piezo.h", "dehyst.h", "dehyst_parts.h", "dehyst_balance.h", "dehyst_config.h")
@@ -63,25 +63,33 @@ class Exported(NamedTuple):
     error: float | None
 
 
-def code(compensator: Compensator, number: Number = "double") -> dict[str, str]:
-    """The C files of a compensator by name: `SOURCES` and the headers that they include.
+def code(compensator: Compensator, number: Number = "double", name: str = DEFAULT) -> dict[str, str]:
+    """The C files of a compensator by name: `SOURCES` and the headers that they include, as `export` writes them.
 
     Raises
     ------
     ModelError
-        If it is no Compensator, the number type is another one, or floats cannot hold this model.
+        If it is no Compensator, the number type is another one, floats cannot hold this model, or the name is none in
+        C or means something else there.
     """
     demand_compensator(compensator)
     if number not in ("double", "float"):
         raise ModelError(f"number: got {number!r}, need 'double' or 'float'")
-    files = {name: shipped(name) for name in (*SOURCES, *_HEADERS)}
+    demand_name(name)
+    files = {file: shipped(file) for file in (*SOURCES, *_HEADERS)}
     if number == "float":
         files["dehyst_config.h"] = _single(files["dehyst_config.h"])
-    return {**files, "model.h": model_header(compensator, number), "model_size.h": size_header(compensator, number)}
+    files |= {file: text_of(files[file], name) for file in ("piezo.c", "piezo.h")}
+    for file, header in (("model.h", model_header), ("model_size.h", size_header)):
+        # The first line has the actuator's name.
+        title, body = header(compensator, number).split("\n", 1)
+        files[file] = f"{title}\n{text_of(body, name)}"
+    return {file_of(file, name): text for file, text in files.items()}
 
 
 def export(
-    compensator: Compensator, directory: PathLike, number: Number = "double", *, force: bool = False
+    compensator: Compensator, directory: PathLike, number: Number = "double", *, force: bool = False,
+    name: str = DEFAULT,
 ) -> Exported:  # fmt: skip
     """Write a compensator as C: all of it, or nothing.
 
@@ -99,6 +107,9 @@ def export(
         float: every number is rounded once. The error against double is measured if there is a compiler.
     force : bool, optional
         Replace an earlier export. Other files are never replaced.
+    name : str, optional
+        Of the type and the calls, a name in C, so that several models go into one firmware: files are then NAME.c,
+        NAME.h, NAME_model.h and NAME_model_size.h, and macros begin with it.
 
     Returns
     -------
@@ -107,20 +118,21 @@ def export(
     Raises
     ------
     ModelError
-        If it is no Compensator, the number type is another one, or floats cannot hold this model.
+        If it is no Compensator, the number type is another one, floats cannot hold this model, or the name is none in
+        C or means something else there.
     FileFormatError
         If it is no path, the folder holds other files, or cannot be written.
     """
     folder = path_of(directory)
-    files = code(compensator, number)
-    files |= {name: shipped(name) for name in ("check.c", "Makefile", "LICENSE")}
+    files = code(compensator, number, name)
+    files |= {file: text_of(shipped(file), name) for file in ("check.c", "Makefile")} | {"LICENSE": shipped("LICENSE")}
     target = folder.resolve()
     draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
         _demand_free(folder, force)
         draft.mkdir()
         _write(draft, files)
-        measured = _complete(draft, compensator, number)
+        measured = _complete(draft, compensator, number, name)
         _put(draft, target)
     except OSError as error:
         raise FileFormatError(f"{folder}: cannot be written ({error.strerror}); check the folder's rights") from error
@@ -129,26 +141,17 @@ def export(
     return measured._replace(folder=folder)
 
 
-def _complete(draft: Path, compensator: Compensator, number: Number) -> Exported:
+def _complete(draft: Path, compensator: Compensator, number: Number, name: str) -> Exported:
     """Add what needs the other files: the trace with its bound, and the README with what was measured."""
     trace, error = golden(compensator), None
     _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
     if number == "float":
-        error = _float_error(draft)
+        error = _float_error(draft, name)
         most = _UNMEASURED if error is None else _MARGIN * error
         _write(draft, {"trace.h": trace_header(trace, _LEAST, most)})
     made = Exported(draft, _footprints(draft, number), worst_case(compensator), error)
-    _write(draft, {"README.md": _readme(compensator, number, trace, made)})
+    _write(draft, {"README.md": _readme(compensator, number, trace, made, name)})
     return made
-
-
-def shipped(name: str) -> str:
-    """A text file that comes with the package; in an editable install the core's lie apart."""
-    for root in sys.modules["dehyst"].__path__:
-        path = Path(root) / "firmware" / name
-        if path.is_file():
-            return path.read_text(encoding="utf-8")
-    raise FileFormatError(f"firmware/{name}: not found beside the package; install dehyst again")
 
 
 def _single(config: str) -> str:
@@ -167,8 +170,10 @@ def _demand_free(folder: Path, force: bool) -> None:
     if not folder.is_dir():
         raise FileFormatError(f"{folder}: is a file, need the name of a folder")
     there = sorted(path.name for path in folder.iterdir())
-    other = [name for name in there if name not in _FILES and not _BUILT.fullmatch(name)]
-    if other or (there and "model.h" not in there):
+    earlier = name_in(folder)
+    own = {file_of(file, earlier or DEFAULT) for file in _FILES}
+    other = [name for name in there if name not in own and not _BUILT.fullmatch(name)]
+    if other or (there and earlier is None):
         named = ", ".join((other or there)[:3])
         raise FileFormatError(f"{folder}: holds other files ({named}); give the name of a new or an empty folder")
     if there and not force:
@@ -194,12 +199,12 @@ def _write(folder: Path, files: dict[str, str]) -> None:
         (folder / name).write_text(text, encoding="utf-8", newline="\n")
 
 
-def _float_error(folder: Path) -> float | None:
+def _float_error(folder: Path, name: str) -> float | None:
     """Largest error of the trace in floats, as a share of the range; None without a compiler."""
     with tempfile.TemporaryDirectory() as work:
-        program = str(Path(work) / "check")
+        program, sources = str(Path(work) / "check"), [file_of(file, name) for file in SOURCES]
         try:
-            run(["cc", *STRICT, "-O2", "check.c", *SOURCES, "-o", program], folder)
+            run(["cc", *STRICT, "-O2", "check.c", *sources, "-o", program], folder)
             found = _MEASURED.search(run([program], folder))
         except FileFormatError:
             return None
@@ -218,23 +223,27 @@ def _footprints(draft: Path, number: Number) -> dict[str, Footprint]:
     return found
 
 
-def _readme(compensator: Compensator, number: Number, trace: Golden, made: Exported) -> str:
+def _readme(compensator: Compensator, number: Number, trace: Golden, made: Exported, own: str) -> str:
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
     outset = Outset.of(compensator)
-    return Template(shipped("README.md")).substitute(
+    return Template(text_of(shipped("README.md"), own)).substitute(
         name=re.sub(r"[^\w .,()+-]", "_", compensator.actuator.name),
         version=__version__,
         number=number,
         every="a sample" if period is None else f"every {period:.9g} s",
-        timer="this model does not depend on time" if period is None else f"every {period:.9g} s, MODEL_PERIOD",
+        timer="this model does not depend on time"
+        if period is None
+        else text_of(f"every {period:.9g} s, MODEL_PERIOD", own),
         low=f"{low:.9g}",
         high=f"{high:.9g}",
         slew="" if slew is None else f" and change by {slew:.9g} V/s at most",
-        ahead=f"\nGive each displacement {ahead} samples before its time (`MODEL_AHEAD`)." if ahead else "",
+        ahead=text_of(f"\nGive each displacement {ahead} samples before its time (`MODEL_AHEAD`).", own)
+        if ahead
+        else "",
         begins=outset.words,
         way=outset.way,
-        bytes=_bytes(made.footprints),
+        bytes=text_of(_bytes(made.footprints), own),
         arithmetic=made.operations.arithmetic,
         divisions=made.operations.divisions,
         comparisons=made.operations.comparisons,

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import secrets
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from math import isfinite
@@ -27,6 +28,7 @@ __all__ = [
     "read",
     "read_json",
     "read_table",
+    "shipped",
     "time_of",
     "write_atomically",
     "write_columns",
@@ -192,6 +194,15 @@ def path_of(value: object) -> Path:
     if not isinstance(value, str | os.PathLike) or not isinstance(name := os.fspath(value), str) or "\0" in name:
         raise FileFormatError(f"got {value!r}, need the name of a file or a folder; give a path")
     return Path(name)
+
+
+def shipped(name: str) -> str:
+    """A text file that comes with the package; in an editable install the core's lie apart."""
+    for root in sys.modules["dehyst"].__path__:
+        path = Path(root) / "firmware" / name
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise FileFormatError(f"firmware/{name}: not found beside the package; install dehyst again")
 
 
 def write_atomically(path: PathLike, data: str | bytes) -> None:

@@ -18,8 +18,8 @@ from typing import get_args
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst.compensator import Compensator
-from dehyst.export import SOURCES, code, shipped
-from dehyst.files import PathLike, path_of, write_atomically
+from dehyst.export import SOURCES, code
+from dehyst.files import PathLike, path_of, shipped, write_atomically
 from dehyst.fmu_description import Description, Kind, Version
 from dehyst.footprint import run
 from dehyst.header import demand_compensator
