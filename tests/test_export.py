@@ -268,13 +268,43 @@ def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch):
 def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     made = export(firmware.plain(), tmp_path / "c", "float")
-    assert (made.footprints, made.error) == ({}, None)
+    assert (made.footprints, made.error, made.unmeasured) == ({}, None, "no C compiler (cc) was found")
     text = (tmp_path / "c" / "README.md").read_text()
-    assert "Not measured, for want of a compiler" in text
-    assert "taken to be below 1e-03 of the range" in text
+    assert "Not measured on this computer: no C compiler (cc) was found." in text
+    assert "it is taken to be below 1e-03 of the range" in text
     assert "TRACE_MOST 0.001" in (tmp_path / "c" / "trace.h").read_text()
     with pytest.raises(FileFormatError, match="cc: cannot be run"):
         sizes(tmp_path / "c")
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+def test_a_compiler_that_fails_is_told_from_none(tmp_path, monkeypatch, number):
+    broken = tmp_path / "cc"
+    broken.write_text("#!/bin/sh\necho 'licence expired' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    made = export(firmware.plain(), tmp_path / "c", number)
+    assert made.unmeasured is not None
+    assert made.unmeasured.startswith("the C compiler failed (cc -std=c99 ...: licence expired")
+    assert made.unmeasured in (tmp_path / "c" / "README.md").read_text()
+    firmware.plain().actuator.save(tmp_path / "model.json")
+    command = [str(Path(sys.executable).parent / "dehyst"), "export", "model.json", "d", "--limits", "0", "250"]
+    for more, said in (([], True), (["--no-measure", "--force"], False)):
+        done = subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert ("bytes and errors were not measured on this computer: the C compiler failed" in done.stderr) == said
+
+
+def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
+    def fail(*_):
+        raise AssertionError("compiled")
+
+    monkeypatch.setattr("dehyst.export.run", fail)
+    monkeypatch.setattr("dehyst.export.sizes", fail)
+    for number in ("double", "float"):
+        made = export(firmware.plain(), tmp_path / number, number, measure=False)
+        assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not asked for")
+        assert "Not measured on this computer: not asked for." in (tmp_path / number / "README.md").read_text()
+    assert "TRACE_MOST 0.001" in (tmp_path / "float" / "trace.h").read_text()
 
 
 @pytest.mark.parametrize("given", [firmware.plain().actuator, None, 3, "model.json"])

@@ -207,6 +207,8 @@ def test_the_command_line_writes_both_kinds(tmp_path):
         ([], "an FMU? give --fmu"),
         (["--kind", "actuator"], "an FMU? give --fmu"),
         (["--fmu", "2.0", "--number", "float"], "an FMU has doubles"),
+        (["--fmu", "--name", "x"], "an FMU has its model's name"),
+        (["--fmu", "--no-measure"], "an FMU has its model's name"),
         (["--fmu", "2.0", "--kind", "actuator", "--preview"], "leave out --limits, --slew, --preview"),
         (["--fmu", "2.0", "--limits", "0", "100"], "is there already; replace it with force (--force)"),
     ],

@@ -44,6 +44,8 @@ _NEAR = 0.01
 @click.option("--preview", is_flag=True, help="Make up for delay and inertia; displacements are then given ahead.")
 @click.option("--name", metavar="NAME", help="Of files, type and calls, so that several models go into one firmware.  "
               "[default: piezo]")  # fmt: skip
+@click.option("--measure/--no-measure", default=True, help="Compile it to tell its bytes and the error of floats, "
+              "which takes seconds.  [default: measure]")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace an earlier export.")
 @click.option("--fmu", type=click.Choice(["2.0", "3.0"]), is_flag=False, flag_value="3.0",
               help="Write an FMU of this version of FMI instead.  [without a version: 3.0]")  # fmt: skip
@@ -53,7 +55,8 @@ _NEAR = 0.01
 @json_option
 def export(
     model: Path, directory: Path, number: Any, limits: tuple[float, float] | None, slew: float | None,
-    period: float | None, preview: bool, name: str | None, force: bool, fmu: Any, kind: Any, start: str, as_json: bool,
+    period: float | None, preview: bool, name: str | None, measure: bool, force: bool, fmu: Any, kind: Any,
+    start: str, as_json: bool,
 ) -> None:  # fmt: skip
     """Write a MODEL's compensator as C into DIR: files, numbers, a README, and a trace that `make check` replays.
 
@@ -64,7 +67,7 @@ def export(
 
     if fmu is None and directory.suffix == ".fmu":
         raise click.UsageError(f"{directory}: an FMU? give --fmu; a folder's name cannot end in .fmu")
-    _demand_of_fmu(fmu, kind, number, name, limited=limits is not None or slew is not None or preview)
+    _demand_of_fmu(fmu, kind, number, name, measure, limited=limits is not None or slew is not None or preview)
     actuator = read_model(model)
     state = start_state(actuator, start)
     compensator = Compensator(
@@ -75,19 +78,24 @@ def export(
         result, line, said = _write_fmu(compensator, directory, fmu, kind or "compensator", force)
         conclude(as_json, result, f"{line}\n{_begin_words(compensator, actuator, start, kind)}", said)
         return
-    made = run(compensator, directory, number, force=force, **({} if name is None else {"name": name}))
+    named = {} if name is None else {"name": name}
+    made = run(compensator, directory, number, force=force, measure=measure, **named)
     said = _start_words(compensator)
+    if measure and made.unmeasured is not None:
+        said.append(f"bytes and errors were not measured on this computer: {made.unmeasured}")
     result = {"directory": str(directory), "number": number, "warnings": said, **_begins(compensator), **_numbers(made)}
     line = f"{directory}: a compensator of {number}s\n{_begin_words(compensator, actuator, start)}\n{_table(made)}"
     conclude(as_json, result, line, said)
 
 
-def _demand_of_fmu(fmu: str | None, kind: str | None, number: str, name: str | None, *, limited: bool) -> None:
+def _demand_of_fmu(
+    fmu: str | None, kind: str | None, number: str, name: str | None, measure: bool, *, limited: bool
+) -> None:
     """Refuse options that do not go together."""
     if fmu is None and kind is not None:
         raise click.UsageError("--kind is of an FMU: give --fmu too")
-    if fmu is not None and name is not None:
-        raise click.UsageError("--name is of C: an FMU is named by its model; leave it out")
+    if fmu is not None and (name is not None or not measure):
+        raise click.UsageError("--name and --no-measure are of C: an FMU has its model's name; leave them out")
     if fmu is not None and number != "double":
         raise click.UsageError("--number float: an FMU has doubles; leave it out")
     if kind == "actuator" and limited:
@@ -145,6 +153,7 @@ def _numbers(made: Exported) -> dict[str, Any]:
         "operations": {"arithmetic": operations.arithmetic, "divisions": operations.divisions,
                        "comparisons": operations.comparisons},
         "error_of_range": made.error,
+        "unmeasured": made.unmeasured,
     }  # fmt: skip
 
 

@@ -6,7 +6,6 @@ import re
 import secrets
 import shutil
 import tempfile
-from contextlib import suppress
 from pathlib import Path
 from string import Template
 from typing import NamedTuple
@@ -33,8 +32,9 @@ _BUILT = re.compile(r".*\.(o|ci|su)|check_program")
 _LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
 _ANY = 1e300
 _INDENT = " " * 22 + "# "
+_COMPILER, _UNASKED = "cc", "not asked for"
 _PROCESSORS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "this computer, -O2": ("cc", ("-O2",)),
+    "this computer, -O2": (_COMPILER, ("-O2",)),
     "Cortex-M4, -O2": ("arm-none-eabi-gcc", CORTEX_M4),
     "Cortex-M4, -Os -flto": ("arm-none-eabi-gcc", CORTEX_M4_SMALL),
     "Cortex-M4F, -O2": ("arm-none-eabi-gcc", CORTEX_M4F),
@@ -54,13 +54,16 @@ class Exported(NamedTuple):
     operations : Operations
         Of a step, at most.
     error : float or None
-        Of floats: the largest error of the trace, as a share of the limits or of the reach; None without a compiler.
+        Of floats: the largest error of the trace, as a share of the limits or of the reach; None if not measured.
+    unmeasured : str or None
+        Why bytes or error were not measured on this computer; None if they were.
     """
 
     folder: Path
     footprints: dict[str, Footprint]
     operations: Operations
     error: float | None
+    unmeasured: str | None
 
 
 def code(compensator: Compensator, number: Number = "double", name: str = DEFAULT) -> dict[str, str]:
@@ -89,7 +92,7 @@ def code(compensator: Compensator, number: Number = "double", name: str = DEFAUL
 
 def export(
     compensator: Compensator, directory: PathLike, number: Number = "double", *, force: bool = False,
-    name: str = DEFAULT,
+    name: str = DEFAULT, measure: bool = True,
 ) -> Exported:  # fmt: skip
     """Write a compensator as C: all of it, or nothing.
 
@@ -110,6 +113,8 @@ def export(
     name : str, optional
         Of the type and the calls, a name in C, so that several models go into one firmware: files are then NAME.c,
         NAME.h, NAME_model.h and NAME_model_size.h, and macros begin with it.
+    measure : bool, optional
+        Compile it, for bytes and for the error of floats, which takes seconds; False: README goes without.
 
     Returns
     -------
@@ -132,7 +137,7 @@ def export(
         _demand_free(folder, force)
         draft.mkdir()
         _write(draft, files)
-        measured = _complete(draft, compensator, number, name)
+        measured = _complete(draft, compensator, number, name, measure)
         _put(draft, target)
     except OSError as error:
         raise FileFormatError(f"{folder}: cannot be written ({error.strerror}); check the folder's rights") from error
@@ -141,17 +146,43 @@ def export(
     return measured._replace(folder=folder)
 
 
-def _complete(draft: Path, compensator: Compensator, number: Number, name: str) -> Exported:
+def _complete(draft: Path, compensator: Compensator, number: Number, name: str, measure: bool) -> Exported:
     """Add what needs the other files: the trace with its bound, and the README with what was measured."""
-    trace, error = golden(compensator), None
+    trace = golden(compensator)
     _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
+    made = Exported(draft, {}, worst_case(compensator), None, None if measure else _UNASKED)
+    if measure:
+        made = _measured(made, number, name)
     if number == "float":
-        error = _float_error(draft, name)
-        most = _UNMEASURED if error is None else _MARGIN * error
+        most = _UNMEASURED if made.error is None else _MARGIN * made.error
         _write(draft, {"trace.h": trace_header(trace, _LEAST, most)})
-    made = Exported(draft, _footprints(draft, number), worst_case(compensator), error)
     _write(draft, {"README.md": _readme(compensator, number, trace, made, name)})
     return made
+
+
+def _measured(made: Exported, number: Number, name: str) -> Exported:
+    """With what the compilers at hand make of it, or why they do not."""
+    found, error, why = {}, None, None
+    if number == "float":
+        try:
+            error = _float_error(made.folder, name)
+        except FileFormatError as failure:
+            why = _reason(failure)
+    for processor, (compiler, flags) in _PROCESSORS.items():
+        # Its unit knows floats only.
+        if processor.startswith("Cortex-M4F") and number == "double":
+            continue
+        try:
+            found[processor] = sizes(made.folder, compiler, flags)
+        except FileFormatError as failure:
+            why = _reason(failure) if compiler == _COMPILER else why
+    return made._replace(footprints=found, error=error, unmeasured=why)
+
+
+def _reason(failure: FileFormatError) -> str:
+    if shutil.which(_COMPILER) is None:
+        return f"no C compiler ({_COMPILER}) was found"
+    return f"the C compiler failed ({failure})"
 
 
 def _single(config: str) -> str:
@@ -199,28 +230,15 @@ def _write(folder: Path, files: dict[str, str]) -> None:
         (folder / name).write_text(text, encoding="utf-8", newline="\n")
 
 
-def _float_error(folder: Path, name: str) -> float | None:
-    """Largest error of the trace in floats, as a share of the range; None without a compiler."""
+def _float_error(folder: Path, name: str) -> float:
+    """Largest error of the trace in floats, as a share of the range."""
     with tempfile.TemporaryDirectory() as work:
         program, sources = str(Path(work) / "check"), [file_of(file, name) for file in SOURCES]
-        try:
-            run(["cc", *STRICT, "-O2", "check.c", *sources, "-o", program], folder)
-            found = _MEASURED.search(run([program], folder))
-        except FileFormatError:
-            return None
-    return float(found[1]) if found else None
-
-
-def _footprints(draft: Path, number: Number) -> dict[str, Footprint]:
-    """What the compilers at hand make of it."""
-    found = {}
-    for processor, (compiler, flags) in _PROCESSORS.items():
-        # Its unit knows floats only.
-        if processor.startswith("Cortex-M4F") and number == "double":
-            continue
-        with suppress(FileFormatError):
-            found[processor] = sizes(draft, compiler, flags)
-    return found
+        run([_COMPILER, *STRICT, "-O2", "check.c", *sources, "-o", program], folder)
+        found = _MEASURED.search(run([program], folder))
+    if found is None:
+        raise FileFormatError("check.c: did not tell the error of floats; install dehyst again")
+    return float(found[1])
 
 
 def _readme(compensator: Compensator, number: Number, trace: Golden, made: Exported, own: str) -> str:
@@ -243,29 +261,35 @@ def _readme(compensator: Compensator, number: Number, trace: Golden, made: Expor
         else "",
         begins=outset.words,
         way=outset.way,
-        bytes=text_of(_bytes(made.footprints), own),
+        bytes=text_of(_bytes(made), own),
         arithmetic=made.operations.arithmetic,
         divisions=made.operations.divisions,
         comparisons=made.operations.comparisons,
         rows=len(trace.rows),
-        error=_error_words(number, made.error),
+        error=_error_words(number, made),
         config="" if number == "double" else ", its numbers made floats in `dehyst_config.h`",
     )
 
 
-def _error_words(number: Number, error: float | None) -> str:
+def _error_words(number: Number, made: Exported) -> str:
     if number == "double":
         return ": the same bits"
-    if error is None:
-        most = f"{_UNMEASURED:.0e} of the range"
-        return f"; its error, not\n{_INDENT}measured for want of a compiler, is taken to be below {most}"
-    most = f"{_MARGIN * error:.1e}"
-    return f"; errors are {error:.1e}\n{_INDENT}of the range at most, to be above {_LEAST:.0e} and below {most}"
+    if made.error is None:
+        return f"; the error was not\n{_INDENT}measured, it is taken to be below {_UNMEASURED:.0e} of the range"
+    most = f"{_MARGIN * made.error:.1e}"
+    return f"; errors are {made.error:.1e}\n{_INDENT}of the range at most, to be above {_LEAST:.0e} and below {most}"
 
 
-def _bytes(footprints: dict[str, Footprint]) -> str:
-    if not footprints:
-        return "Not measured, for want of a compiler: `dehyst.export.sizes(folder, compiler)` does, or `size *.o`."
+def _bytes(made: Exported) -> str:
+    if made.unmeasured is not None:
+        left_out = (
+            f"Not measured on this computer: {made.unmeasured}. Later `dehyst.export.sizes(folder, compiler)` does."
+        )
+        return left_out if not made.footprints else f"{left_out}\n\n{_table(made.footprints)}"
+    return _table(made.footprints)
+
+
+def _table(footprints: dict[str, Footprint]) -> str:
     return "\n".join([
         "| bytes | flash | RAM for one `piezo` | stack |",
         "| --- | --- | --- | --- |",
