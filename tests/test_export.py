@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -238,7 +239,7 @@ def test_folders_that_hold_something_else_are_left_alone(tmp_path, unmeasured):
     (folder / "notes.txt").write_text("mine")
     before = sorted(folder.iterdir())
     for force in (False, True):
-        with pytest.raises(FileFormatError, match=r"holds other files \(notes.txt\)"):
+        with pytest.raises(FileFormatError, match=r"holds other files \(notes.txt\).*own files must live outside"):
             export(compensator, folder, force=force)
     assert sorted(folder.iterdir()) == before
     other = tmp_path / "core"
@@ -413,7 +414,7 @@ def test_models_that_floats_cannot_hold_are_refused():
 def test_floats_stay_within_the_limits(limits):
     compensator = Compensator(bench.plant(3), limits, 1234.567, period=1e-3)
     files = code(compensator, "float")
-    found = [float.fromhex(number) for number in re.findall(r"(?:LOW|HIGH) (\S+)f", files["model_size.h"])]
+    found = [float(np.float32(number)) for number in re.findall(r"(?:LOW|HIGH) (\S+)f", files["model_size.h"])]
     steps = [float(abs(np.spacing(np.float32(limit)))) for limit in limits]
     assert limits[0] <= found[0] < limits[0] + steps[0]
     assert limits[1] - steps[1] < found[1] <= limits[1]
@@ -440,6 +441,35 @@ def test_no_name_breaks_out_of_its_comment(tmp_path, name):
     compensator = firmware.plain()
     named = Compensator(replace(compensator.actuator, name=name), LIMITS)
     firmware.run(["gcc", *STRICT, "-c", *SOURCES], written(tmp_path / "c", named))
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("standard", ["c++98", "c++11", "c++17"])
+def test_any_cpp_takes_the_headers_and_reads_the_same_numbers(tmp_path, standard, number):
+    need("g++")
+    compensator = Compensator(bench.plant(3), (-20.7, 1e3 / 3), 1234.567, period=1e-4 / 3)
+    folder = written(tmp_path / "c", compensator, number)
+    (folder / "told.cc").write_text(
+        '#include <cstdio>\n#include "piezo.h"\nint main() '
+        '{ std::printf("%.17g %.17g %.17g", (double)MODEL_LOW, (double)MODEL_HIGH, (double)MODEL_PERIOD); }\n'
+    )
+    firmware.run(["g++", f"-std={standard}", "-Wall", "-Wextra", "-Werror", "-pedantic", "told.cc", "-o", "t"], folder)
+    told = [float(word) for word in firmware.run(["./t"], folder).split()]
+    expected = [*compensator.limits, compensator.period]
+    if number == "double":
+        assert told == expected
+    else:
+        assert told[2] == float(np.float32(expected[2]))
+        np.testing.assert_allclose(told, expected, rtol=2**-23)
+
+
+def test_for_another_processor_as_the_makefile_says(tmp_path):
+    need("make", "arm-none-eabi-gcc")
+    folder = export(firmware.plain(), tmp_path / "c", measure=False).folder
+    example = re.search(r"^#   make (clean all symbols .*)$", (folder / "Makefile").read_text(), re.MULTILINE)[1]
+    status, said = make(folder, *shlex.split(example))
+    assert status == 0, said
+    assert "no symbol is needed from outside" in said
 
 
 def adversary(compensator, steps=200):
@@ -548,7 +578,11 @@ def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
     text = (tmp_path / "c" / "README.md").read_text()
     ahead = KINDS["moving"]().samples_ahead
     assert ahead > 0
-    assert f"Give each displacement {ahead} samples before its time" in text
+    assert (
+        f"{{\n        /* Give each displacement {ahead} samples before its time, MODEL_AHEAD. */\n        dac_write("
+        in text
+    )
+    assert "Wishes must be smooth" in text
     assert f"#define MODEL_AHEAD {ahead}" in (tmp_path / "c" / "model_size.h").read_text()
     assert f"every {1 / wide_bench.RATE:.9g} s" in text
     assert str(made.operations.arithmetic) in text
@@ -587,6 +621,12 @@ def test_other_states_are_reached_by_other_ways():
     ways = [Outset.of(Compensator(actuator, LIMITS, state=state)).way for state in (actuator.relaxed(80), odd)]
     assert ways[0].startswith("swing the voltage about 80 V, each swing smaller")
     assert ways[1].startswith("play the voltages after which the actuator was in this state")
+
+
+def test_a_model_that_is_not_ahead_says_nothing_of_it(tmp_path):
+    export(firmware.plain(), tmp_path / "c", measure=False)
+    text = (tmp_path / "c" / "README.md").read_text()
+    assert "Wishes must be smooth" not in text and "before its time" not in text
 
 
 def test_steps_warn_once_as_ever():

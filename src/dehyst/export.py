@@ -31,6 +31,12 @@ _BUILT = re.compile(r".*\.(o|ci|su)|check_program")
 # A float's error, as a share of the range: above the first, or the number type was not rewritten everywhere.
 _LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
 _ANY = 1e300
+_AHEAD = "\n        /* Give each displacement {ahead} samples before its time, MODEL_AHEAD. */"
+_SMOOTH = """
+
+Wishes must be smooth, without jumps, corners or noise: what is late is made up for by differences between samples, and
+these make such wishes large. Voltages stay within the limits all the same.
+"""
 _INDENT = " " * 22 + "# "
 _COMPILER, _UNASKED = "cc", "not asked for"
 _PROCESSORS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -206,7 +212,10 @@ def _demand_free(folder: Path, force: bool) -> None:
     other = [name for name in there if name not in own and not _BUILT.fullmatch(name)]
     if other or (there and earlier is None):
         named = ", ".join((other or there)[:3])
-        raise FileFormatError(f"{folder}: holds other files ({named}); give the name of a new or an empty folder")
+        raise FileFormatError(
+            f"{folder}: holds other files ({named}); an export replaces its folder whole, so own files must live "
+            "outside it: give the name of a new or an empty folder"
+        )
     if there and not force:
         raise FileFormatError(f"{folder}: holds an earlier export; replace it with force (--force) or name another")
 
@@ -244,7 +253,7 @@ def _float_error(folder: Path, name: str) -> float:
 def _readme(compensator: Compensator, number: Number, trace: Golden, made: Exported, own: str) -> str:
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
-    outset = Outset.of(compensator)
+    outset, tables = Outset.of(compensator), compensator.tables()
     return Template(text_of(shipped("README.md"), own)).substitute(
         name=re.sub(r"[^\w .,()+-]", "_", compensator.actuator.name),
         version=__version__,
@@ -256,9 +265,8 @@ def _readme(compensator: Compensator, number: Number, trace: Golden, made: Expor
         low=f"{low:.9g}",
         high=f"{high:.9g}",
         slew="" if slew is None else f" and change by {slew:.9g} V/s at most",
-        ahead=text_of(f"\nGive each displacement {ahead} samples before its time (`MODEL_AHEAD`).", own)
-        if ahead
-        else "",
+        ahead=text_of(_AHEAD.format(ahead=ahead), own) if ahead else "",
+        smooth=_SMOOTH if tables["tap"].size > 1 or compensator.actuator.lag else "",
         begins=outset.words,
         way=outset.way,
         bytes=text_of(_bytes(made), own),
