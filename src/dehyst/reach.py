@@ -14,6 +14,7 @@ from dehyst.model import State
 _REST = 1e9
 # Smooth elements forget slowly where they were.
 _VISITS = 60
+_ROUNDING = 1e-12
 
 
 def reach_of(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
@@ -36,7 +37,7 @@ def brought(actuator: Actuator, state: State, limits: tuple[float, float]) -> St
     start = actuator.model.fitted(state)
     held = actuator.voltage(start)
     nearest = min(max(held, limits[0]), limits[1])
-    if held == nearest:
+    if abs(held - nearest) <= _ROUNDING * (limits[1] - limits[0]):
         return start
     slow = _slow(actuator)
     time = np.zeros(1) if slow.needs_time else None
