@@ -1,11 +1,14 @@
 """A compensator as C: the bits of Python here and on an emulated Cortex-M4, within stated bytes and operations."""
 
 import json
+import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
+import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -373,12 +376,49 @@ def test_names_that_mean_something_else_are_refused(tmp_path, name):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["x", "y", "Stage_2", "a" * 40])
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
+@pytest.mark.parametrize("more", [[], ["--fmu"]])
+def test_ended_from_outside_it_leaves_nothing(tmp_path, more):
+    """While a compiler is at work."""
+    for name in ("work", "temporary", "bin"):
+        (tmp_path / name).mkdir()
+    slow = tmp_path / "bin" / "cc"
+    slow.write_text('#!/bin/sh\n: > "$TMPDIR/../started"\nexec sleep 60\n')
+    slow.chmod(0o755)
+    firmware.plain().actuator.save(tmp_path / "model.json")
+    command = [str(Path(sys.executable).parent / "dehyst"), "export", "../model.json", "c.fmu" if more else "c"]
+    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
+    running = subprocess.Popen(
+        [*command, "--limits", "0", "250", *more],
+        cwd=tmp_path / "work",
+        env={**os.environ, "PATH": path, "CC": "cc", "TMPDIR": str(tmp_path / "temporary")},
+        stderr=subprocess.PIPE,
+    )
+    for _ in range(600):
+        if (tmp_path / "started").exists():
+            break
+        time.sleep(0.05)
+    running.terminate()
+    _, said = running.communicate(timeout=30)
+    assert (running.returncode, said) == (128 + signal.SIGTERM, b"")
+    assert (tmp_path / "started").exists()
+    for name in ("work", "temporary"):
+        assert list((tmp_path / name).iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["x", "y", "stage", "Stage_2", "a" * 40])
 def test_other_names_compile(tmp_path, name, unmeasured):
     need("gcc")
     folder = export(firmware.plain(), tmp_path / "c", name=name).folder
     sources = [name + ".c" if source == "piezo.c" else source for source in SOURCES]
-    firmware.run(["gcc", *STRICT, "-c", "check.c", *sources], folder)
+    example = re.search(r"^    (#include.*?^)    }\n\n", (folder / "README.md").read_text(), re.MULTILINE | re.DOTALL)[
+        1
+    ]
+    bench_words = (
+        "void start_timer(void), dac_write(double);\ndouble next_displacement(void);\nvoid timer_interrupt(void);\n"
+    )
+    (folder / "example.c").write_text(f"{bench_words}{example}}}\n")
+    firmware.run(["gcc", *STRICT, "-c", "example.c", "check.c", *sources], folder)
     firmware.run(["g++", "-Wall", "-Werror", "-fsyntax-only", "-x", "c++", f"{name}.h"], folder)
 
 

@@ -254,7 +254,11 @@ def _readme(compensator: Compensator, number: Number, trace: Golden, made: Expor
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
     outset, tables = Outset.of(compensator), compensator.tables()
-    return Template(text_of(shipped("README.md"), own)).substitute(
+    text = shipped("README.md")
+    if own != DEFAULT:
+        # The example's variable must not be called as its type.
+        text = text_of(re.sub(r"\bstage\b", "piezo_1", text), own)
+    return Template(text).substitute(
         name=re.sub(r"[^\w .,()+-]", "_", compensator.actuator.name),
         version=__version__,
         number=number,
