@@ -118,6 +118,22 @@ def test_another_step_is_refused_and_moves_nothing(fmus, version, by):
         assert category == "logStatusError" and f"need a whole multiple of {PERIOD:.17g} s" in message
 
 
+@pytest.mark.parametrize("off", [PERIOD, -PERIOD, 1e-7 * PERIOD, 1e3, np.nan, np.inf])
+@pytest.mark.parametrize("model", ["creep", "timeless"])
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_step_from_where_it_does_not_stand_is_refused_and_moves_nothing(fmus, version, model, off):
+    with Slave(fmus(model, version, "compensator")[1]) as slave:
+        slave.run(PATH[:20])
+        before = slave.state()
+        with pytest.raises(FMICallException, match="error"):
+            slave.fmu.doStep(currentCommunicationPoint=slave.time + off, communicationStepSize=PERIOD)
+        assert slave.state() == before
+        word = "communication point: got" if np.isfinite(off) else "communication step: got"
+        assert slave.said[-1][1].startswith(word)
+        slave.time *= 1 + 1e-16
+        slave.step()
+
+
 @pytest.mark.parametrize("version", VERSIONS)
 def test_steps_between_rounded_times_are_steps(fmus, version):
     """As an importer takes them: differences of times far from zero."""
