@@ -1,5 +1,6 @@
 """A compensator as C: the bits of Python here and on an emulated Cortex-M4, within stated bytes and operations."""
 
+import errno
 import json
 import os
 import re
@@ -259,13 +260,17 @@ def test_folders_that_hold_something_else_are_left_alone(tmp_path, unmeasured):
     assert {path.name for path in tmp_path.iterdir()} == {"c", "core", "empty"}
 
 
-def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "advice"),
+    [(errno.ENOSPC, "make room there"), (errno.EACCES, "check the folder's rights"), (errno.EIO, "room and rights")],
+)
+def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch, number, advice):
     def fail(*_):
-        raise OSError(28, "No space left on device")
+        raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr("dehyst.export._readme", fail)
-    with pytest.raises(FileFormatError, match="cannot be written"):
-        export(firmware.plain(), tmp_path / "c")
+    with pytest.raises(FileFormatError, match=rf"cannot be written \({os.strerror(number)}\); .*{advice}"):
+        export(firmware.plain(), tmp_path / "c", measure=False)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst.compensator import Compensator
-from dehyst.files import PathLike, path_of, shipped
+from dehyst.files import PathLike, path_of, shipped, unwritten
 from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT, Footprint, run, sizes
 from dehyst.golden import Golden, golden, trace_header
 from dehyst.header import Number, demand_compensator, model_header, size_header
@@ -146,7 +146,7 @@ def export(
         measured = _complete(draft, compensator, number, name, measure)
         _put(draft, target)
     except OSError as error:
-        raise FileFormatError(f"{folder}: cannot be written ({error.strerror}); check the folder's rights") from error
+        raise unwritten(folder, error) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
     return measured._replace(folder=folder)
