@@ -480,7 +480,22 @@ def test_sanitizers_find_nothing(tmp_path, kind, number, unmeasured):
     firmware.run(["./check"], folder)
 
 
-@pytest.mark.parametrize("name", ["*/ int evil; /*", 'quote"d\\', "ünder", "a\nb"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "*/ int evil; /*",
+        'quote"d\\',
+        "ünder",
+        "a\nb",
+        "*/*/",
+        "/*/",
+        "*\n/",
+        "??/",
+        "\u202e*/",
+        "\\",
+        "a\u2028*/\udc80",
+    ],
+)
 def test_no_name_breaks_out_of_its_comment(tmp_path, name):
     need("gcc")
     compensator = firmware.plain()
@@ -515,6 +530,24 @@ def test_for_another_processor_as_the_makefile_says(tmp_path):
     status, said = make(folder, *shlex.split(example))
     assert status == 0, said
     assert "no symbol is needed from outside" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ('Möbius P-753.1CD [#7: 15 µm] & "x"', None),
+        ("50 % of $name", None),
+        ("piezo MODEL_7", None),
+        ("a*/b\nc", "a* /b c"),
+    ],
+)
+def test_the_name_of_a_model_is_kept_in_comments(tmp_path, name, kept):
+    compensator = Compensator(replace(firmware.plain().actuator, name=name), LIMITS)
+    folder = export(compensator, tmp_path / "c", measure=False, name="stage").folder
+    for file in ("stage_model.h", "stage_model_size.h"):
+        assert f"actuator '{kept or name}', made by" in (folder / file).read_text(encoding="utf-8")
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    assert readme.startswith("# " + (name if kept is None else "a*/b c") + ": a compensator in C")
 
 
 def adversary(compensator, steps=200):

@@ -16,7 +16,7 @@ from dehyst.files import PathLike, path_of, shipped, unwritten
 from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT, Footprint, run, sizes
 from dehyst.golden import Golden, golden, trace_header
 from dehyst.header import Number, demand_compensator, model_header, size_header
-from dehyst.naming import DEFAULT, demand_name, file_of, name_in, text_of
+from dehyst.naming import DEFAULT, demand_name, file_of, name_in, printable, text_of
 from dehyst.operations import Operations, worst_case
 from dehyst.outset import Outset
 from dehyst.version import __version__
@@ -259,7 +259,7 @@ def _readme(compensator: Compensator, number: Number, trace: Golden, made: Expor
         # The example's variable must not be called as its type.
         text = text_of(re.sub(r"\bstage\b", "piezo_1", text), own)
     return Template(text).substitute(
-        name=re.sub(r"[^\w .,()+-]", "_", compensator.actuator.name),
+        name=printable(compensator.actuator.name),
         version=__version__,
         number=number,
         every="a sample" if period is None else f"every {period:.9g} s",
