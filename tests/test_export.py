@@ -1,11 +1,15 @@
 """A compensator as C: the bits of Python here and on an emulated Cortex-M4, within stated bytes and operations."""
 
+import errno
 import json
+import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
+import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -256,13 +260,17 @@ def test_folders_that_hold_something_else_are_left_alone(tmp_path, unmeasured):
     assert {path.name for path in tmp_path.iterdir()} == {"c", "core", "empty"}
 
 
-def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "advice"),
+    [(errno.ENOSPC, "make room there"), (errno.EACCES, "check the folder's rights"), (errno.EIO, "room and rights")],
+)
+def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch, number, advice):
     def fail(*_):
-        raise OSError(28, "No space left on device")
+        raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr("dehyst.export._readme", fail)
-    with pytest.raises(FileFormatError, match="cannot be written"):
-        export(firmware.plain(), tmp_path / "c")
+    with pytest.raises(FileFormatError, match=rf"cannot be written \({os.strerror(number)}\); .*{advice}"):
+        export(firmware.plain(), tmp_path / "c", measure=False)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -373,12 +381,49 @@ def test_names_that_mean_something_else_are_refused(tmp_path, name):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["x", "y", "Stage_2", "a" * 40])
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
+@pytest.mark.parametrize("more", [[], ["--fmu"]])
+def test_ended_from_outside_it_leaves_nothing(tmp_path, more):
+    """While a compiler is at work."""
+    for name in ("work", "temporary", "bin"):
+        (tmp_path / name).mkdir()
+    slow = tmp_path / "bin" / "cc"
+    slow.write_text('#!/bin/sh\n: > "$TMPDIR/../started"\nexec sleep 60\n')
+    slow.chmod(0o755)
+    firmware.plain().actuator.save(tmp_path / "model.json")
+    command = [str(Path(sys.executable).parent / "dehyst"), "export", "../model.json", "c.fmu" if more else "c"]
+    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
+    running = subprocess.Popen(
+        [*command, "--limits", "0", "250", *more],
+        cwd=tmp_path / "work",
+        env={**os.environ, "PATH": path, "CC": "cc", "TMPDIR": str(tmp_path / "temporary")},
+        stderr=subprocess.PIPE,
+    )
+    for _ in range(600):
+        if (tmp_path / "started").exists():
+            break
+        time.sleep(0.05)
+    running.terminate()
+    _, said = running.communicate(timeout=30)
+    assert (running.returncode, said) == (128 + signal.SIGTERM, b"")
+    assert (tmp_path / "started").exists()
+    for name in ("work", "temporary"):
+        assert list((tmp_path / name).iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["x", "y", "stage", "Stage_2", "a" * 40])
 def test_other_names_compile(tmp_path, name, unmeasured):
     need("gcc")
     folder = export(firmware.plain(), tmp_path / "c", name=name).folder
     sources = [name + ".c" if source == "piezo.c" else source for source in SOURCES]
-    firmware.run(["gcc", *STRICT, "-c", "check.c", *sources], folder)
+    example = re.search(r"^    (#include.*?^)    }\n\n", (folder / "README.md").read_text(), re.MULTILINE | re.DOTALL)[
+        1
+    ]
+    bench_words = (
+        "void start_timer(void), dac_write(double);\ndouble next_displacement(void);\nvoid timer_interrupt(void);\n"
+    )
+    (folder / "example.c").write_text(f"{bench_words}{example}}}\n")
+    firmware.run(["gcc", *STRICT, "-c", "example.c", "check.c", *sources], folder)
     firmware.run(["g++", "-Wall", "-Werror", "-fsyntax-only", "-x", "c++", f"{name}.h"], folder)
 
 
@@ -435,7 +480,22 @@ def test_sanitizers_find_nothing(tmp_path, kind, number, unmeasured):
     firmware.run(["./check"], folder)
 
 
-@pytest.mark.parametrize("name", ["*/ int evil; /*", 'quote"d\\', "ünder", "a\nb"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "*/ int evil; /*",
+        'quote"d\\',
+        "ünder",
+        "a\nb",
+        "*/*/",
+        "/*/",
+        "*\n/",
+        "??/",
+        "\u202e*/",
+        "\\",
+        "a\u2028*/\udc80",
+    ],
+)
 def test_no_name_breaks_out_of_its_comment(tmp_path, name):
     need("gcc")
     compensator = firmware.plain()
@@ -470,6 +530,24 @@ def test_for_another_processor_as_the_makefile_says(tmp_path):
     status, said = make(folder, *shlex.split(example))
     assert status == 0, said
     assert "no symbol is needed from outside" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ('Möbius P-753.1CD [#7: 15 µm] & "x"', None),
+        ("50 % of $name", None),
+        ("piezo MODEL_7", None),
+        ("a*/b\nc", "a* /b c"),
+    ],
+)
+def test_the_name_of_a_model_is_kept_in_comments(tmp_path, name, kept):
+    compensator = Compensator(replace(firmware.plain().actuator, name=name), LIMITS)
+    folder = export(compensator, tmp_path / "c", measure=False, name="stage").folder
+    for file in ("stage_model.h", "stage_model_size.h"):
+        assert f"actuator '{kept or name}', made by" in (folder / file).read_text(encoding="utf-8")
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    assert readme.startswith("# " + (name if kept is None else "a*/b c") + ": a compensator in C")
 
 
 def adversary(compensator, steps=200):
@@ -593,7 +671,8 @@ def test_the_files_say_where_memory_begins(tmp_path, kind, unmeasured):
     compensator = KINDS[kind]()
     export(compensator, tmp_path / "c")
     outset = Outset.of(compensator)
-    assert outset.voltage == np.clip(compensator.afresh().voltage, *compensator.limits)
+    held = compensator.actuator.voltage(compensator.afresh().state)
+    assert outset.voltage == pytest.approx(np.clip(held, *compensator.limits), rel=1e-12)
     for file in ("README.md", "model.h"):
         text = (tmp_path / "c" / file).read_text()
         assert f"{outset.displacement * 1e6:.6g} um, {outset.voltage:.6g} V" in text

@@ -77,10 +77,11 @@ def test_simulate_fmu_gives_the_same(fmus, model, version):
 @pytest.mark.parametrize("version", VERSIONS)
 def test_before_the_first_step_it_rests_in_the_start_state(fmus, version, kind):
     fresh = ALL["mass"].afresh()
-    low, high = fresh.limits
+    if kind == "compensator":
+        fresh.tables()  # the loop is made: it begins within its limits
     start = fresh.state.motion[0], fresh.voltage
     if kind == "compensator":
-        start = start[0], min(max(start[1], low), high)
+        start = start[0], float(np.clip(start[1], *fresh.limits))
     with Slave(fmus("mass", version, kind)[1]) as slave:
         assert tuple(slave.read([INPUT, OUTPUT])) == (start if kind == "compensator" else start[::-1])
         if kind == "actuator":  # held there, it stays
@@ -116,6 +117,22 @@ def test_another_step_is_refused_and_moves_nothing(fmus, version, by):
         assert slave.state() == before
         category, message = slave.said[-1]
         assert category == "logStatusError" and f"need a whole multiple of {PERIOD:.17g} s" in message
+
+
+@pytest.mark.parametrize("off", [PERIOD, -PERIOD, 1e-7 * PERIOD, 1e3, np.nan, np.inf])
+@pytest.mark.parametrize("model", ["creep", "timeless"])
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_step_from_where_it_does_not_stand_is_refused_and_moves_nothing(fmus, version, model, off):
+    with Slave(fmus(model, version, "compensator")[1]) as slave:
+        slave.run(PATH[:20])
+        before = slave.state()
+        with pytest.raises(FMICallException, match="error"):
+            slave.fmu.doStep(currentCommunicationPoint=slave.time + off, communicationStepSize=PERIOD)
+        assert slave.state() == before
+        word = "communication point: got" if np.isfinite(off) else "communication step: got"
+        assert slave.said[-1][1].startswith(word)
+        slave.time *= 1 + 1e-16
+        slave.step()
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -270,11 +287,12 @@ def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, version, tmp_path)
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_actuator_knows_no_limits_of_the_compensator(version, tmp_path):
-    compensator = Compensator(ALL["plain"].actuator, (60, 61))
+    actuator = ALL["plain"].actuator
+    state = actuator.relaxed()
+    compensator = Compensator(actuator, (60, 61), state=state)
     export_fmu(compensator, tmp_path / "x.fmu", version, "actuator")
     volts = np.array([0.0, 160.0, 20.0, 90.0])
-    given = np.append(compensator.voltage, volts)
-    expected = compensator.actuator.simulate(given, state=compensator.state).displacement[1:]
+    expected = actuator.simulate(np.append(actuator.voltage(state), volts), state=state).displacement[1:]
     with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x")) as slave:
         np.testing.assert_allclose(slave.run(volts), expected, rtol=0, atol=1e-12 * bench.STROKE)
 

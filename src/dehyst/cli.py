@@ -25,6 +25,7 @@ from dehyst.console import (
     finite,
     json_option,
     lagging,
+    leave_cleanly,
     path_of,
     progress_line,
     range_words,
@@ -42,8 +43,10 @@ from dehyst.version import __version__
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, prog_name="dehyst")
-def main() -> None:
+@click.pass_context
+def main(context: click.Context) -> None:
     """Take the hysteresis out of piezoelectric actuators."""
+    leave_cleanly(context)
 
 
 main.add_command(compare)

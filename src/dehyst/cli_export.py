@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dehyst.actuator import Actuator
     from dehyst.compensator import Compensator
     from dehyst.export import Exported
+    from dehyst.model import State
 
 
 # Limits that no voltage meets.
@@ -75,12 +76,12 @@ def export(
     )
     if fmu is not None:
         refuse_overwriting([model], directory)
-        result, line, said = _write_fmu(compensator, directory, fmu, kind or "compensator", force)
+        result, line, said = _write_fmu(compensator, state, directory, fmu, kind or "compensator", force)
         conclude(as_json, result, f"{line}\n{_begin_words(compensator, actuator, start, kind)}", said)
         return
     named = {} if name is None else {"name": name}
     made = run(compensator, directory, number, force=force, measure=measure, **named)
-    said = _start_words(compensator)
+    said = _start_words(compensator, state)
     if measure and made.unmeasured is not None:
         said.append(f"bytes and errors were not measured on this computer: {made.unmeasured}")
     result = {"directory": str(directory), "number": number, "warnings": said, **_begins(compensator), **_numbers(made)}
@@ -105,7 +106,7 @@ def _demand_of_fmu(
 
 
 def _write_fmu(
-    compensator: Compensator, path: Path, version: Any, kind: Any, force: bool
+    compensator: Compensator, state: State, path: Path, version: Any, kind: Any, force: bool
 ) -> tuple[dict[str, Any], str, list[str]]:
     """What is to be told of it: as JSON, in a line, and in words of warning."""
     from dehyst.fmu import SourceOnlyWarning, export_fmu
@@ -115,14 +116,14 @@ def _write_fmu(
         export_fmu(compensator, path, version, kind, force=force)
     said = [str(one.message) for one in caught if issubclass(one.category, SourceOnlyWarning)]
     result = {"fmu": str(path), "version": version, "kind": kind, "binary": not said, **_begins(compensator)}
-    said += _start_words(compensator) if kind == "compensator" else []
+    said += _start_words(compensator, state) if kind == "compensator" else []
     holds = "sources and a binary for Linux x86-64" if result["binary"] else "sources"
     return {**result, "warnings": said}, f"{path}: an FMU {version} of the {kind}, {holds}", said
 
 
-def _start_words(compensator: Compensator) -> list[str]:
+def _start_words(compensator: Compensator, state: State) -> list[str]:
     """A state that is clearly not within the limits."""
-    (low, high), present = compensator.limits, compensator.actuator.voltage(compensator.afresh().state)
+    (low, high), present = compensator.limits, compensator.actuator.voltage(state)
     if low - _NEAR * (high - low) <= present <= high + _NEAR * (high - low):
         return []
     return [

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +36,17 @@ class Commands(click.Group):
         except MemoryError:
             click.echo("dehyst: not enough memory; resample the record or cut it", err=True)
             sys.exit(2)
+
+
+def leave_cleanly(context: click.Context) -> None:
+    """Leave on SIGTERM as on an error, so that drafts and temporary folders go; until the context ends."""
+
+    def leave(number: int, _: object) -> None:
+        sys.exit(128 + number)
+
+    if threading.current_thread() is threading.main_thread():
+        before = signal.signal(signal.SIGTERM, leave)
+        context.call_on_close(lambda: signal.signal(signal.SIGTERM, before))
 
 
 class ManyToValidate(click.Command):

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst.compensator import Compensator
-from dehyst.files import PathLike, path_of, shipped
+from dehyst.files import PathLike, path_of, shipped, unwritten
 from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT, Footprint, run, sizes
 from dehyst.golden import Golden, golden, trace_header
 from dehyst.header import Number, demand_compensator, model_header, size_header
-from dehyst.naming import DEFAULT, demand_name, file_of, name_in, text_of
+from dehyst.naming import DEFAULT, demand_name, file_of, name_in, printable, text_of
 from dehyst.operations import Operations, worst_case
 from dehyst.outset import Outset
 from dehyst.version import __version__
@@ -146,7 +146,7 @@ def export(
         measured = _complete(draft, compensator, number, name, measure)
         _put(draft, target)
     except OSError as error:
-        raise FileFormatError(f"{folder}: cannot be written ({error.strerror}); check the folder's rights") from error
+        raise unwritten(folder, error) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
     return measured._replace(folder=folder)
@@ -254,8 +254,12 @@ def _readme(compensator: Compensator, number: Number, trace: Golden, made: Expor
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
     outset, tables = Outset.of(compensator), compensator.tables()
-    return Template(text_of(shipped("README.md"), own)).substitute(
-        name=re.sub(r"[^\w .,()+-]", "_", compensator.actuator.name),
+    text = shipped("README.md")
+    if own != DEFAULT:
+        # The example's variable must not be called as its type.
+        text = text_of(re.sub(r"\bstage\b", "piezo_1", text), own)
+    return Template(text).substitute(
+        name=printable(compensator.actuator.name),
         version=__version__,
         number=number,
         every="a sample" if period is None else f"every {period:.9g} s",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -30,6 +31,7 @@ __all__ = [
     "read_table",
     "shipped",
     "time_of",
+    "unwritten",
     "write_atomically",
     "write_columns",
     "write_json",
@@ -205,6 +207,17 @@ def shipped(name: str) -> str:
     raise FileFormatError(f"firmware/{name}: not found beside the package; install dehyst again")
 
 
+def unwritten(path: PathLike, error: OSError) -> FileFormatError:
+    """What to raise of a file or a folder that cannot be written, with advice that fits."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        advice = "make room there, or name a place that has some"
+    elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        advice = "check the folder's rights"
+    else:
+        advice = "check the name, and the folder's room and rights"
+    return FileFormatError(f"{path}: cannot be written ({error.strerror}); {advice}")
+
+
 def write_atomically(path: PathLike, data: str | bytes) -> None:
     """Write a file wholly or not at all: under another name in its folder first, then renamed.
 
@@ -227,7 +240,7 @@ def write_atomically(path: PathLike, data: str | bytes) -> None:
         if not special:
             draft.replace(target)
     except OSError as error:
-        raise FileFormatError(f"{path}: cannot be written ({error.strerror}); check the folder's rights") from error
+        raise unwritten(path, error) from error
     finally:
         if not special:
             draft.unlink(missing_ok=True)

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple, TypeAlias
 from xml.etree import ElementTree
 
 from dehyst.compensator import Compensator
+from dehyst.naming import printable
 from dehyst.outset import Outset
 from dehyst.version import __version__
 
@@ -58,7 +59,7 @@ class Description:
     @classmethod
     def of(cls, compensator: Compensator, version: Version, kind: Kind) -> Description:
         """Describe it as it was when made or last reset."""
-        period, words = compensator.period or 0.0, _printable(compensator.actuator.name)
+        period, words = compensator.period or 0.0, printable(compensator.actuator.name)
         pace = f"One step every {period!r} s." if period else "It does not depend on time: any step is one sample."
         make = _compensator if kind == "compensator" else _actuator
         summary, variables = make(compensator, words)
@@ -220,11 +221,6 @@ def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTre
 
 def _flag(value: bool) -> str:
     return "true" if value else "false"
-
-
-def _printable(name: str) -> str:
-    """XML can hold no control characters."""
-    return "".join(one if one.isprintable() else " " for one in name).strip() or "actuator"
 
 
 def _text(root: ElementTree.Element) -> str:

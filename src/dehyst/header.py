@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -11,6 +10,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._native import NOTHING, Array
 from dehyst.compensator import Compensator
+from dehyst.naming import in_comment
 from dehyst.outset import Outset
 from dehyst.version import __version__
 
@@ -254,5 +254,5 @@ def _demand_float(tables: Tables) -> None:
 
 
 def _title(compensator: Compensator) -> list[str]:
-    name = re.sub(r"[^\w .,()+-]", "_", compensator.actuator.name, flags=re.ASCII)
+    name = in_comment(compensator.actuator.name)
     return [f"/* Numbers of the actuator '{name}', made by dehyst {__version__}: V, m, s. Do not edit. */"]

@@ -64,6 +64,16 @@ def text_of(text: str, name: str) -> str:
     return re.sub(r"\bMODEL_", f"{name.upper()}_MODEL_", text.replace("PIEZO_H", f"{name.upper()}_H"))
 
 
+def printable(name: str) -> str:
+    """The name of a model in a line of text, without what no XML and no terminal should see."""
+    return "".join(one if one.isprintable() else " " for one in name).strip() or "actuator"
+
+
+def in_comment(name: str) -> str:
+    """The same in a comment of C, where only the marks of comments mean something."""
+    return printable(name).replace("*/", "* /").replace("/*", "/ *")
+
+
 def name_in(folder: Path) -> str | None:
     """The name of the export that a folder holds; None if it holds none."""
     if (folder / "model.h").is_file():

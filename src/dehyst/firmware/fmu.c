@@ -74,17 +74,22 @@ int fmu_count(fmu *f, uint32_t reference, uint64_t *value)
     return 1;
 }
 
-/* The periods in a step, or 0. Steps are differences of times, each rounded. */
+/* Whether two times are one: steps are differences of times, each rounded. */
+static int alike(double a, double b, double from, double by)
+{
+    const double off = a < b ? b - a : a - b;
+    return off <= 1e-9 * by + 4 * DBL_EPSILON * (from < 0 ? -from : from);
+}
+
+/* The periods in a step, or 0. */
 static uint32_t periods(double from, double by)
 {
     const double ratio = MODEL_PERIOD > 0 ? by / MODEL_PERIOD : 1;
-    double off = by;
     uint32_t n;
     if (!fmu_finite(from) || !(by > 0) || !(ratio < 1e9)) return 0;
     if (!(MODEL_PERIOD > 0)) return 1;
     n = (uint32_t)(ratio + 0.5);
-    off -= n * MODEL_PERIOD;
-    return (off < 0 ? -off : off) <= 1e-9 * by + 4 * DBL_EPSILON * (from < 0 ? -from : from) ? n : 0;
+    return alike(by, n * MODEL_PERIOD, from, by) ? n : 0;
 }
 
 static int sample(fmu *f)
@@ -114,6 +119,8 @@ int fmu_step(fmu *f, double from, double by)
                           MODEL_PERIOD);
         return REFUSE(f, "communication step: got %.17g s at %.17g s, need a positive number", by, from);
     }
+    if (!alike(from, f->time, from, by))
+        return REFUSE(f, "communication point: got %.17g s, need %.17g s, where the last step ended", from, f->time);
     fmu_save(f, &before);
     while (n-- > 0)
         if (!sample(f)) {
