@@ -20,6 +20,7 @@ def folder(tmp_path_factory):
     plain = replace(bench.plant(10), limits=(-50.0, 250.0))
     plain.save(target / "model.json")
     replace(plain, creep=Creep([0.05, 0.4], [1e6, 1.5e6])).save(target / "creep.json")
+    replace(plain, creep=Creep([5.0, 50.0], [2e5, 2e5])).save(target / "slow.json")
     (target / "path.csv").write_text("time_s,displacement_um\n0,2\n0.1,5\n0.2,3\n")
     return target
 
@@ -117,3 +118,26 @@ def test_wrong_options_end_with_status_2_and_a_sentence(folder, arguments, said)
     status, out, err = run("compensate", "model.json", *arguments, "-o", "o.csv", cwd=folder)
     assert status == 2 and out == "" and said in err
     assert (folder / "model.json").read_bytes() == before
+
+
+def test_a_long_homing_is_told_before_it_is_written(folder):
+    given = (*TRIANGLE, "--homing", "--cycle", "t.csv", "-o", "long.csv")
+    _, out, err = run("compensate", "slow.json", *given, "--json", cwd=folder)
+    told, rows = json.loads(out), np.loadtxt(folder / "long.csv", delimiter=",", skiprows=1)
+    assert f"s of start-up, 0.1 s of cycles: {told['samples']} rows" in err
+    assert f"the homing has {told['homing_samples']} rows" in err and "play it by its time column" in err
+    assert told["samples"] == len(rows) < 5e5 and told["homing_s"] > 200
+    first = rows[rows[:, 1] == 1][0]
+    assert first[0] == pytest.approx(told["homing_s"], abs=1e-9)
+
+
+@pytest.mark.parametrize("arguments, said", [
+    (("--start-up", 10_000_000), "4e+09 samples of start-up, need 12500 at most"),
+    (("--cycles", 100_000_000), "--cycles: got 100000000, 4e+10 rows, need 12500 at most"),
+    (("--cycles", 12_500), "5e+06 rows at most; try a lower --sample-rate"),
+])  # fmt: skip
+def test_files_that_no_one_can_use_are_not_written(folder, arguments, said):
+    table = () if "--cycles" in arguments and arguments[1] > 12_500 else ("--cycle", "no-table.csv")
+    status, out, err = run("compensate", "model.json", *TRIANGLE, *table, *arguments, "-o", "no.csv", cwd=folder)
+    assert status == 2 and said in err and out == ""
+    assert not (folder / "no.csv").exists() and not (folder / "no-table.csv").exists()

@@ -206,9 +206,36 @@ def test_the_homing_begins_at_the_present_voltage_and_keeps_the_slew_rate():
     assert played.voltage[end] == pytest.approx(30.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("parts", [{}, {"dynamics": Dynamics(2 * np.pi * 300, 0.03, 1e6)}])
+def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
+    slow = replace(PLAIN, creep=Creep([5.0, 50.0], [2e5, 2e5]), **parts)
+    table = wave_table(slow, TRIANGLE)
+    assert table.homing.duration * table.sample_rate > 9e5
+    assert table.sample_rate / table.homing.sample_rate == round(table.sample_rate / table.homing.sample_rate)
+    played = table.played(2)
+    assert played.time.size == table.rows(2) and (played.phase == 0).sum() == table.homing_rows.size < 5e4
+    steps = np.diff(played.time)
+    assert steps.min() > 0.99 / table.sample_rate
+    # All that was left out lies on straight lines between rows.
+    whole = np.interp(table.homing.time, played.time, played.voltage)
+    assert np.abs(whole - table.homing.voltage)[:-1].max() <= 1e-9
+    # What was simulated with every sample is what the rows alone make, at the rows and after them.
+    made = slow.simulate(played.voltage, time=played.time, state=slow.relaxed(float(played.voltage[0]))).displacement
+    assert np.abs(made - played.expected)[played.phase == 0].max() <= 1e-5 * strokes(TRIANGLE)
+    assert np.abs(made - played.displacement)[-800:].max() <= table.error + table.unknown + 1e-4 * strokes(TRIANGLE)
+
+
+def test_a_short_homing_is_sampled_as_the_scan_is():
+    table = wave_table(ACTUATORS["creep"], TRIANGLE)
+    assert table.homing.sample_rate == table.sample_rate
+    played = table.played(1)
+    np.testing.assert_allclose(played.time, np.arange(played.time.size) / table.sample_rate, rtol=1e-12)
+
+
 @pytest.mark.parametrize("options, said", [
     ({"axis": "y"}, "axis: got 'y', need 'x'"),
-    ({"cycles": -1}, "cycles: got -1, need a whole number, 0 or more"),
+    ({"cycles": -1}, "cycles: got -1, need a whole number, 0 or more, 10000000 at most"),
+    ({"cycles": 10**7}, "cycles: got 10000000, 4e[+]09 samples of start-up, need 12500 at most"),
     ({"tolerance": 0.0}, "tolerance: got 0, need a number above 0"),
     ({"approach": -1.0}, "approach: got -1, need a number above 0"),
     ({"scan": Steps((2 * UM, 5 * UM), 0.1, seconds=0.1, closed=False)}, "scan: got one that ends elsewhere"),

@@ -16,6 +16,7 @@ from dehyst.console import (
     conclude,
     json_option,
     late_words,
+    progress_line,
     read_model,
     refuse_overwriting,
     start_option,
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from dehyst.wave_table import WaveTable
 
 _OF_SCANS = ("axis", "cycles", "cycle", *NAMES)
+# A file of more is of no use to anyone, and is 300 MB.
+_MOST_ROWS = 5_000_000
 _OF_TABLES = ("homing", "present", "approach", "start_up", "tolerance")
 
 
@@ -119,6 +122,7 @@ def _of_file(trajectory: Path | None, options: dict[str, Any]) -> tuple[Any, dic
 
 def _of_scan(scan: Scan, axis: str, cycles: int) -> tuple[Any, dict[str, Any], dict[str, Any]]:
     """Wanted displacement [m], its time and its derivatives."""
+    _refuse_cycles(scan, cycles)
     path = scan.path(axis)
     if cycles != 1 or path.periodic:
         path = path.repeated(cycles)
@@ -156,22 +160,29 @@ def _tabulate(
     from dehyst.files import write_columns
     from dehyst.wave_table import wave_table
 
-    tolerance = options["tolerance"]
+    _refuse_cycles(scan, cycles)
+    tolerance, tell = options["tolerance"], progress_line()
+    tell("homing, and the steady cycle")
     table = wave_table(
         actuator, scan, axis=axis, limits=limits, slew_rate=slew,
         state=None if options["homing"] else start_state(actuator, start), present=options["present"],
         approach=options["approach"], cycles=options["start_up"],
         tolerance=None if tolerance is None else tolerance * 1e-6,
     )  # fmt: skip
+    tell("")
+    _tell_long(table, cycles)
+    tell(f"writing {table.rows(cycles)} rows")
     played, cycle = table.played(cycles), table.cycle
     write_columns(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
     write_columns(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
+    tell("")
     said = [*table.warnings, *_before(actuator, table, start, slew)]
     low, high = float(played.voltage.min()), float(played.voltage.max())
     result = {
         "samples": played.voltage.size, "sample_rate_Hz": table.sample_rate, "frequency_Hz": 1 / scan.period,
-        "homing_samples": 0 if table.homing is None else len(table.homing) - 1, "start_up_samples": len(table.start_up),
-        "start_up_cycles": table.cycles, "cycle_samples": len(cycle), "error_um": table.error * 1e6,
+        "homing_samples": table.homing_rows.size, "homing_s": _homing_seconds(table),
+        "start_up_samples": len(table.start_up), "start_up_cycles": table.cycles,
+        "cycle_samples": len(cycle), "error_um": table.error * 1e6,
         "unknown_um": table.unknown * 1e6, "certified": table.certified,
         "clamped": table.clamped, "lowest_V": low, "highest_V": high, "warnings": said,
         "state": state_dict(table.state), "output": str(outputs[0]), "table": str(outputs[1]),
@@ -194,3 +205,40 @@ def _before(actuator: Actuator, table: WaveTable, start: str, slew: float | None
     if table.homing is not None:
         return late_words(actuator)
     return before_and_after(actuator, float(table.start_up.voltage[0]), start, slew)
+
+
+def _homing_seconds(table: WaveTable) -> float:
+    return 0.0 if table.homing is None else table.homing.duration
+
+
+def _refuse_cycles(scan: Scan, cycles: int) -> None:
+    from dehyst._errors import RecordError
+
+    if cycles * scan.samples > _MOST_ROWS:
+        raise RecordError(
+            f"--cycles: got {cycles}, {cycles * scan.samples:.4g} rows, need {_MOST_ROWS // scan.samples} at most "
+            f"({_MOST_ROWS:g} rows); repeat one cycle instead"
+        )
+
+
+def _tell_long(table: WaveTable, cycles: int) -> None:
+    """Say how long what is written takes; raises RecordError if that is more than a file should hold."""
+    from dehyst._errors import RecordError
+
+    rows, rate = table.rows(cycles), table.sample_rate
+    parts = (_homing_seconds(table), "homing"), (len(table.start_up) / rate, "start-up"), (
+        cycles * len(table.cycle) / rate, "cycles")  # fmt: skip
+    said = ", ".join(f"{seconds:.4g} s of {name}" for seconds, name in parts if seconds)
+    if rows > _MOST_ROWS:
+        raise RecordError(
+            f"--output: got {said}, {rows} rows at {rate:g} Hz, need {_MOST_ROWS:g} rows at most; try a lower "
+            "--sample-rate, fewer --cycles or --start-up, or no --homing and --start where the actuator stands"
+        )
+    click.echo(f"dehyst: {said}: {rows} rows", err=True)
+    homing = table.homing
+    if homing is not None and table.homing_rows.size < homing.duration * rate - 0.5:
+        click.echo(
+            f"dehyst: the homing has {table.homing_rows.size} rows, {1 / homing.sample_rate:.3g} s or more apart: play "
+            "it by its time column, straight from row to row",
+            err=True,
+        )

@@ -7,12 +7,13 @@ from math import ceil, log
 
 import numpy as np
 
+from dehyst._errors import RecordError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.approach import follow
 from dehyst.compensator import Compensator
 from dehyst.model import State
-from dehyst.scan import Path
+from dehyst.scan import Path, whole
 from dehyst.steady import steady_state
 from dehyst.trajectory import Command
 
@@ -52,6 +53,17 @@ class Settled:
     state: State
     clamped: int
     warnings: tuple[str, ...]
+
+
+def start_up_cycles(cycles: object, path: Path) -> int:
+    """Return `cycles` as cycles that a start-up may have; raises RecordError."""
+    found, most = whole(cycles, "cycles", 0), _MOST_SAMPLES // len(path)
+    if found > most:
+        raise RecordError(
+            f"cycles: got {found}, {found * len(path):.4g} samples of start-up, need {most} at most "
+            f"({_MOST_SAMPLES:g} samples); try fewer, or a lower sample rate"
+        )
+    return found
 
 
 def settle(
