@@ -141,3 +141,12 @@ def test_files_that_no_one_can_use_are_not_written(folder, arguments, said):
     status, out, err = run("compensate", "model.json", *TRIANGLE, *table, *arguments, "-o", "no.csv", cwd=folder)
     assert status == 2 and said in err and out == ""
     assert not (folder / "no.csv").exists() and not (folder / "no-table.csv").exists()
+
+
+def test_what_is_not_settled_ends_with_status_1(folder):
+    given = (*TRIANGLE, "--cycle", "t.csv", "--start", "relaxed", "--json")
+    for more, wanted in (("--start-up", 1), 1), (("--start-up", 1, "--tolerance", 5), 0):
+        status, out, err = run("compensate", "slow.json", *given, *more, "-o", "o.csv", cwd=folder)
+        told = json.loads(out)
+        assert (status, told["settled"], told["clamped"]) == (wanted, not wanted, 0)
+        assert ("NOT SETTLED: after 1 cycle of start-up" in err) == bool(wanted)

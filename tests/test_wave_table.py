@@ -129,12 +129,13 @@ def test_creep_whose_time_constant_is_long_settles_at_once_in_the_table():
 def test_a_table_that_comes_too_early_is_said_with_the_cycles_that_would_do():
     slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
     table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=2)
-    assert table.cycles == 2
+    assert table.cycles == 2 and not table.settled
     assert "after 2 cycles of start-up the first steady cycle comes off by up to" in table.warnings[-1]
     more = int(table.warnings[-1].split("creep takes ")[1].split()[0])
     enough = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=2 + more)
     assert enough.error <= 1.01e-4 * strokes(TRIANGLE)
     found = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0))
+    assert found.settled and enough.tolerance == pytest.approx(1e-4 * strokes(TRIANGLE))
     assert 0.8 * (2 + more) < found.cycles <= 2 + more
 
 
@@ -243,3 +244,24 @@ def test_a_short_homing_is_sampled_as_the_scan_is():
 def test_what_cannot_be_is_refused(options, said):
     with pytest.raises(RecordError, match=said):
         wave_table(PLAIN, **{"scan": TRIANGLE, "state": PLAIN.relaxed(20.0), **options})
+
+
+def test_creep_that_no_start_up_can_outlast_is_said_so():
+    slow = replace(PLAIN, creep=Creep([1e5], [2e6]))
+    table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=1)
+    assert "NOT SETTLED: after 1 cycle of start-up" in table.warnings[-1]
+    assert table.warnings[-1].endswith("but a start-up has 12500 cycles at most; play the table for so long and wait")
+
+
+def test_a_clipped_table_that_is_not_settled_says_that_no_number_is_known():
+    slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
+    table = wave_table(slow, TRIANGLE, limits=(0.0, 120.0), state=slow.relaxed(20.0))
+    assert table.clamped and not table.settled and table.cycles == 47
+    assert "how many would do is not known" in table.warnings[-1]
+    assert table.warnings[-1].endswith("it tries 47 at most and 100000 samples; give cycles=96 to see")
+
+
+def test_creep_without_clipping_is_followed_for_a_thousand_cycles():
+    slow = replace(PLAIN, creep=Creep([500.0], [2e5]))
+    table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0))
+    assert (table.cycles, table.settled, table.clamped) == (1000, False, 0)

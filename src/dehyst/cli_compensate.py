@@ -50,7 +50,7 @@ _OF_TABLES = ("homing", "present", "approach", "start_up", "tolerance")
 @click.option("--cycles", type=int, metavar="N", help="Of the scan.  [default: 1]")
 @click.option(
     "--cycle", type=PATH, metavar="TABLE", help="Write the scan's steady cycle here (CSV); the output then has a "
-    "phase: 0 homing, 1 start-up, 2 steady cycles."
+    "phase: 0 homing, 1 start-up, 2 steady cycles. Status 1 if clipped, not settled, or the homing is not certified."
 )  # fmt: skip
 @click.option("--homing", is_flag=True, help="With --cycle: begin with the shortest homing, not at --start.")
 @click.option("--present", type=float, metavar="V", help="With --homing: voltage now.  [default: 0]")
@@ -183,7 +183,7 @@ def _tabulate(
         "homing_samples": table.homing_rows.size, "homing_s": _homing_seconds(table),
         "start_up_samples": len(table.start_up), "start_up_cycles": table.cycles,
         "cycle_samples": len(cycle), "error_um": table.error * 1e6,
-        "unknown_um": table.unknown * 1e6, "certified": table.certified,
+        "unknown_um": table.unknown * 1e6, "certified": table.certified, "settled": table.settled,
         "clamped": table.clamped, "lowest_V": low, "highest_V": high, "warnings": said,
         "state": state_dict(table.state), "output": str(outputs[0]), "table": str(outputs[1]),
     }  # fmt: skip
@@ -193,7 +193,7 @@ def _tabulate(
         f"{len(cycle)} samples a cycle: {outputs[1]}"
     )
     conclude(as_json, result, line, said)
-    sys.exit(1 if table.clamped or not table.certified else 0)
+    sys.exit(0 if table.settled and table.certified and not table.clamped else 1)
 
 
 def _columns(part: Any) -> dict[str, Any]:

@@ -262,6 +262,11 @@ def whole(value: object, what: str, least: int = 1) -> int:
     raise RecordError(f"{what}: got {value!r}, need a whole number, {least} or more, {_MOST_WHOLE} at most")
 
 
+def counted(number: int, noun: str) -> str:
+    """Write so many of a noun, plural if that is right."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def one_of(value: object, what: str, words: tuple[str, ...]) -> None:
     """Raise RecordError unless `value` is one of the words."""
     if value not in words:

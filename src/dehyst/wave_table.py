@@ -66,6 +66,8 @@ class WaveTable:
         Cycles in the start-up, after which the steady table may be played.
     error : float
         How far the first cycle of the steady table comes off the later ones [m], by the model.
+    tolerance : float
+        How far it was allowed to come off [m].
     unknown : float
         How far the displacement may be from what is expected after the homing [m]; 0 if the state was given.
     certified : bool
@@ -87,6 +89,7 @@ class WaveTable:
     cycle: Stretch
     cycles: int
     error: float
+    tolerance: float
     unknown: float
     certified: bool
     state: State
@@ -94,6 +97,11 @@ class WaveTable:
     actuator: Actuator
     clamped: int
     warnings: tuple[str, ...]
+
+    @property
+    def settled(self) -> bool:
+        """Whether the tolerance is kept."""
+        return self.error <= self.tolerance
 
     @property
     def sample_rate(self) -> float:
@@ -184,8 +192,8 @@ def wave_table(
     approach : float, optional
         Seconds to the first sample; by default as short as the speed and acceleration of the scan and the limits allow.
     cycles : int, optional
-        Cycles in the start-up; by default as many as the tolerance needs, 1000 at most. The axes of one scan should
-        be given the same `approach` and `cycles`, those of the slower one.
+        Cycles in the start-up; by default as many as the tolerance needs, 1000 and 5e6 samples at most; while
+        voltages are clipped, 47 and 1e5 samples at most. The axes of one scan should be given the same `approach` and `cycles`, those of the slower one.
     tolerance : float, optional
         How far the first steady cycle may come off [m]; by default 1e-4 of the stroke.
 
@@ -210,8 +218,8 @@ def wave_table(
     reach = Limits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
     way = approach_to(path, compensator, start, reach, approach)
     found = settle(compensator, path, way, start, least, wanted)
-    return WaveTable(homing, found.start_up, found.cycle, found.cycles, found.error, unknown, sure, found.state, start,
-                     actuator, found.clamped, (*said, *found.warnings))  # fmt: skip
+    return WaveTable(homing, found.start_up, found.cycle, found.cycles, found.error, least, unknown, sure,
+                     found.state, start, actuator, found.clamped, (*said, *found.warnings))  # fmt: skip
 
 
 def _homing(
