@@ -24,6 +24,7 @@ from dehyst.console import (
     state_dict,
     time_of_table,
 )
+from dehyst.option_words import in_options, said_in_options
 from dehyst.scan_options import NAMES, named_scan, scan_options
 
 if TYPE_CHECKING:
@@ -81,11 +82,12 @@ def compensate(
     actuator = read_model(model)
     if scan is None:
         _follow(actuator, _of_file(trajectory, options), output, limits, slew, start, as_json)
-    found = named_scan(scan or "", options["sample_rate"], options)
     axis, cycles = options["axis"] or "x", 1 if options["cycles"] is None else options["cycles"]
-    if table is None:
-        _follow(actuator, _of_scan(found, axis, cycles), output, limits, slew, start, as_json, found.warnings)
-    _tabulate(actuator, found, axis, cycles, (output, table), limits, slew, start, as_json, options)
+    with said_in_options():
+        found = named_scan(scan or "", options["sample_rate"], options)
+        if table is None:
+            _follow(actuator, _of_scan(found, axis, cycles), output, limits, slew, start, as_json, found.warnings)
+        _tabulate(actuator, found, axis, cycles, (output, table), limits, slew, start, as_json, options)
 
 
 def _refuse_idle(scan: str | None, options: dict[str, Any]) -> None:
@@ -147,7 +149,7 @@ def _follow(
     said = [*warnings, *command.warnings, *before_and_after(actuator, float(command.voltage[0]), start, slew)]
     result = {"samples": wanted.size, "clamped": int(command.clamped.sum()), "lowest_V": low, "highest_V": high,
               "warnings": said, "state": state_dict(command.state), "output": str(output)}  # fmt: skip
-    line = f"{wanted.size} samples, {low:.6g} to {high:.6g} V {came_from(actuator, start)}: {output}"
+    line = f"{_samples(wanted.size)}, {low:.6g} to {high:.6g} V {came_from(actuator, start)}: {output}"
     conclude(as_json, result, line, said)
     sys.exit(1 if command.clamped.any() else 0)
 
@@ -157,11 +159,14 @@ def _tabulate(
     limits: tuple[float, float] | None, slew: float | None, start: str, as_json: bool, options: dict[str, Any],
 ) -> None:  # fmt: skip
     """Write the wave table of a scan and what comes before it, and end."""
+    from dehyst._errors import RecordError
     from dehyst.files import write_columns
     from dehyst.wave_table import wave_table
 
     _refuse_cycles(scan, cycles)
     tolerance, tell = options["tolerance"], progress_line()
+    if tolerance is not None and not tolerance > 0:
+        raise RecordError(f"--tolerance: got {tolerance:g}, need a length above 0 in um")
     tell("homing, and the steady cycle")
     table = wave_table(
         actuator, scan, axis=axis, limits=limits, slew_rate=slew,
@@ -176,7 +181,7 @@ def _tabulate(
     write_columns(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
     write_columns(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
     tell("")
-    said = [*table.warnings, *_before(actuator, table, start, slew)]
+    said = [*map(in_options, table.warnings), *_before(actuator, table, start, slew)]
     low, high = float(played.voltage.min()), float(played.voltage.max())
     result = {
         "samples": played.voltage.size, "sample_rate_Hz": table.sample_rate, "frequency_Hz": 1 / scan.period,
@@ -189,11 +194,15 @@ def _tabulate(
     }  # fmt: skip
     cycles_of = f"{table.cycles} cycle{'s' * (table.cycles != 1)} of start-up, to {table.error * 1e6:.3g} um"
     line = (
-        f"{played.voltage.size} samples, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: {outputs[0]}; "
-        f"{len(cycle)} samples a cycle: {outputs[1]}"
+        f"{_samples(played.voltage.size)}, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: "
+        f"{outputs[0]}; {_samples(len(cycle))} a cycle: {outputs[1]}"
     )
     conclude(as_json, result, line, said)
     sys.exit(0 if table.settled and table.certified and not table.clamped else 1)
+
+
+def _samples(count: int) -> str:
+    return f"{count} sample{'s' * (count != 1)}"
 
 
 def _columns(part: Any) -> dict[str, Any]:
@@ -214,6 +223,13 @@ def _homing_seconds(table: WaveTable) -> float:
 def _refuse_cycles(scan: Scan, cycles: int) -> None:
     from dehyst._errors import RecordError
 
+    if cycles < 0:
+        raise RecordError(f"--cycles: got {cycles}, need a whole number, 0 or more")
+    if scan.samples > _MOST_ROWS:
+        raise RecordError(
+            f"--scan: got {scan.samples} rows a period at {scan.rate:g} Hz, need {_MOST_ROWS:g} at most; try a lower "
+            "--sample-rate, or a scan of fewer lines"
+        )
     if cycles * scan.samples > _MOST_ROWS:
         raise RecordError(
             f"--cycles: got {cycles}, {cycles * scan.samples:.4g} rows, need {_MOST_ROWS // scan.samples} at most "

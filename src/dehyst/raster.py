@@ -12,7 +12,7 @@ from dehyst._errors import RecordError
 from dehyst._native import Array
 from dehyst.edge import Bridge, Point, Rounding, Travel
 from dehyst.excitation import refuse_long
-from dehyst.scan import Limits, Scan, between, one_of, whole
+from dehyst.scan import Limits, Scan, between, counted, one_of, whole
 from dehyst.triangle import Triangle
 
 Slow: TypeAlias = Literal["staircase", "ramp"]
@@ -73,7 +73,10 @@ class Raster(Scan):
         if self.back is not None:
             object.__setattr__(self, "back", whole(self.back, "back", 0 if self.slow == "staircase" else 1))
             self._limits.refuse(
-                f"y on its way back in {self.back} lines", self._return(self.back).peaks, self.frequency, self._height
+                f"y on its way back in {counted(self.back, 'line')}",
+                self._return(self.back).peaks,
+                self.frequency,
+                self._height,
             )
         refuse_long(self.samples, self.rate)
 

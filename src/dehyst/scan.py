@@ -285,9 +285,10 @@ def samples_of(seconds: float, rate: float) -> int:
     if count > LEG_SAMPLES - 1:
         refuse_long(int(min(count, 1e15)) + 1, rate)
         return int(np.ceil(count))
+    few = f"{count:.3g}"
     raise RecordError(
-        f"sample_rate: got {rate:g} Hz, {count:.3g} samples for {seconds:.4g} s, need {LEG_SAMPLES} at least; try "
-        f"{LEG_SAMPLES / seconds:.4g} Hz"
+        f"sample_rate: got {rate:g} Hz, {few} sample{'s' * (few != '1')} for {seconds:.4g} s, need {LEG_SAMPLES} at "
+        f"least; try {LEG_SAMPLES / seconds:.4g} Hz"
     )
 
 

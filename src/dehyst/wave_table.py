@@ -193,7 +193,8 @@ def wave_table(
         Seconds to the first sample; by default as short as the speed and acceleration of the scan and the limits allow.
     cycles : int, optional
         Cycles in the start-up; by default as many as the tolerance needs, 1000 and 5e6 samples at most; while
-        voltages are clipped, 47 and 1e5 samples at most. The axes of one scan should be given the same `approach` and `cycles`, those of the slower one.
+        voltages are clipped, 47 and 1e5 samples at most. The axes of one scan should be given the same `approach` and
+        `cycles`, those of the slower one.
     tolerance : float, optional
         How far the first steady cycle may come off [m]; by default 1e-4 of the stroke.
 
@@ -228,6 +229,11 @@ def _homing(
     """The homing in the scan's samples, what it is worth, and what is to be said."""
     actuator, limits = compensator.actuator, interval(compensator.limits or ())
     now = min(max(0.0, limits[0]), limits[1]) if present is None else volts(present, "present")
+    if not limits[0] <= now <= limits[1]:
+        raise RecordError(
+            f"present: got {now:.9g} V, but the limits are {limits[0]:g} to {limits[1]:g} V; ramp there first, or "
+            "widen the limits if actuator and amplifier allow it"
+        )
     if drive is None:
         slowly = max(0.5 / _HOMING_FREQUENCY, 0.5 * scan.period)
         drive = Drive(frequency=0.5 / leg_seconds(actuator, slowly), sample_rate=scan.rate)
