@@ -143,8 +143,11 @@ def _follow(
     command = Compensator(actuator, limits, slew).trajectory(
         wanted, time=time.get("time_s"), **derivatives, state=start_state(actuator, start)
     )
+    tell = progress_line()
+    tell(f"writing {wanted.size} rows")
     write_columns(output, {**time, "displacement_um": wanted * 1e6, "voltage_V": command.voltage,
                            "expected_um": command.displacement * 1e6})  # fmt: skip
+    tell("")
     low, high = float(command.voltage.min()), float(command.voltage.max())
     said = [*warnings, *command.warnings, *before_and_after(actuator, float(command.voltage[0]), start, slew)]
     result = {"samples": wanted.size, "clamped": int(command.clamped.sum()), "lowest_V": low, "highest_V": high,
