@@ -16,22 +16,24 @@ from dehyst.demo import record_loops, wanted_path
 from dehyst.truths import PlayActuator
 
 OUTPUT = Path(__file__).parent / "saturation.json"
-LIMITS = 0.0, 100.0
+LIMITS, SLEW_RATE, PERIOD = (0.0, 100.0), 2e3, 1e-3
+TRUE, CLIPPED = "memory follows what is sent", "clipped only"
 TURNS = (0.05, 1.0, 0.2, 0.6, 0.1, 0.5)
 LEG = 500
 
 
-def main() -> None:
+def measure() -> dict:
+    """Errors, voltages outside the limits, and the largest step of a voltage."""
     truth = PlayActuator(highest=1.3 * LIMITS[1])
     actuator = dehyst.identify(record_loops(truth)[0]).actuator
     wanted = wanted_path(truth.stroke, TURNS)
     homing = np.concatenate([np.linspace(0, truth.highest, LEG), np.linspace(truth.highest, 0, LEG)])
     homed = actuator.simulate(homing).state
     free = actuator.compensate(wanted, state=homed).voltage
-    compensator = dehyst.Compensator(actuator, LIMITS, state=homed)
+    compensator = dehyst.Compensator(actuator, LIMITS, SLEW_RATE, period=PERIOD, state=homed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", dehyst.ClampWarning)
-        sent = {"memory follows what is sent": compensator.run(wanted), "clipped only": np.clip(free, *LIMITS)}
+        sent = {TRUE: compensator.run(wanted), CLIPPED: np.clip(free, *LIMITS)}
     left = 1 + max(int(np.flatnonzero((v <= LIMITS[0]) | (v >= LIMITS[1]))[-1]) for v in sent.values())
     result = {"allowed_V": LIMITS, "needed_V": float(free.max()), "outside": 0, "after_saturation_percent": {}}
     for name, voltage in sent.items():
@@ -39,6 +41,12 @@ def main() -> None:
         error = truth.drive(voltage, measured=False) - wanted
         result["outside"] += int(np.count_nonzero((voltage < LIMITS[0]) | (voltage > LIMITS[1])))
         result["after_saturation_percent"][name] = float(100 * np.abs(error[left:]).max() / truth.stroke)
+    steps = np.diff(np.append(dehyst.Compensator(actuator, LIMITS, state=homed).voltage, sent[TRUE]))
+    return {**result, "largest_slew_rate_V_per_s": float(np.abs(steps).max() / PERIOD)}
+
+
+def main() -> None:
+    result = measure()
     OUTPUT.write_text(json.dumps(result, indent=1) + "\n")
     print(f"{LIMITS[1]:.1f} V allowed, {result['needed_V']:.1f} V needed; largest error after saturation:")
     for name, percent in result["after_saturation_percent"].items():

@@ -4,13 +4,14 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import dehyst
 from dehyst import Actuator
-from dehyst.files import read_table, write_record
+from dehyst.files import read_table, write_columns, write_record
 from dehyst.truths import PlayActuator
 
 
@@ -332,3 +333,32 @@ def test_an_actuator_that_creeps_is_told_the_time(folder):
     status, _, err = run("simulate", "creeping.json", "timeless.csv", "-o", "z.csv", cwd=folder)
     assert status == 2
     assert "this actuator creeps, so that the answer depends on time" in err
+
+
+def test_a_mass_is_taken_to_be_led_to_the_first_sample(folder, tmp_path):
+    """The way there is ramped slowly, as is said: nothing rings from it."""
+    actuator = Actuator.load(folder / "model.json")
+    swinging = dehyst.Dynamics(2 * np.pi * 300, 0.03)
+    replace(actuator, dynamics=swinging, lag=1e-4, state=None).save(tmp_path / "swinging.json")
+    time = np.arange(3000) * 1e-4
+    wanted = 7 - 4 * np.cos(2 * np.pi * 10 * time)
+    write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": wanted})
+    status, _, err = run("compensate", "swinging.json", "path.csv", "-o", "out.csv", cwd=tmp_path)
+    assert status == 0, err
+    assert "ramp there slowly" in err
+    expected = read_table(tmp_path / "out.csv").column("displacement", "expected_um")
+    assert np.abs(expected - 1e-6 * wanted).max() < 0.01e-6
+    # In Python, where the start is given, a mass that does not begin where it stands is said to ring.
+    started = Actuator.load(tmp_path / "swinging.json")
+    command = dehyst.Compensator(started).trajectory(1e-6 * wanted, time=time)
+    assert not command.followed
+    assert any("does not begin where the actuator stands" in one for one in command.warnings)
+
+
+def test_a_start_is_within_the_limits(folder, tmp_path):
+    write_columns(tmp_path / "path.csv", {"time_s": np.arange(3.0), "displacement_um": np.array([3.0, 4.0, 3.0])})
+    limits = ("--limits", 0, 100)
+    status, out, err = run("compensate", folder / "model.json", "path.csv", *limits, "-o", "out.csv", cwd=tmp_path)
+    assert status == 0, err
+    assert "(coming from the top, 100 V)" in out
+    assert "from that of the start, 100 V: ramp there" in err

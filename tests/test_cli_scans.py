@@ -123,7 +123,7 @@ def test_what_is_clamped_ends_with_status_1(folder):
     ((*TRIANGLE, "--sample-rate", 1e8), "--scan: got 10000000 rows a period at 1e+08 Hz, need 5e+06 at most; try a"),
     ((*TRIANGLE, "--limits", 5, 2), "--limits: got (5.0, 2.0), need"),
     (("--scan", "raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 100_000),
-     "--scan: got 40000400 rows a period at 4000 Hz, need 5e+06 at most; try a lower --sample-rate, or a scan of fewer"),
+     "--scan: got 40000400 rows a period at 4000 Hz, need 5e+06 at most; try a lower --sample-rate, or a scan of"),
     ((*TRIANGLE, "--slew", -2), "--slew: got -2.0, need"),
     ((*TRIANGLE, "--cycles", -1), "--cycles: got -1, need a whole number, 0 or more"),
     ((*TRIANGLE, "--cycle", "t.csv", "--start-up", -1), "--start-up: got -1, need a whole number, 0 or more"),

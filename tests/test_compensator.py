@@ -1,11 +1,15 @@
 """The loop: what it sends is within limits, what it remembers is what was sent, and it goes on where it was stopped."""
 
+import copy
+import importlib.util
 import itertools
 import json
 import math
+import pickle
 import threading
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import bench
 import numpy as np
@@ -173,6 +177,21 @@ def test_after_saturation_the_memory_is_true(seed):
     assert clipped > 0.5
 
 
+@pytest.mark.slow
+def test_after_saturation_a_virtual_actuator_is_where_it_should_be():
+    """Not of the model's class, identified from a record: the benchmark that the README shows."""
+    path = Path(__file__).resolve().parents[1] / "benchmarks" / "saturation.py"
+    spec = importlib.util.spec_from_file_location("saturation", path)
+    benchmark = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(benchmark)
+    found = benchmark.measure()
+    assert found["needed_V"] == pytest.approx(130, rel=1e-3)
+    assert found["outside"] == 0
+    assert found["largest_slew_rate_V_per_s"] <= 2e3 * (1 + 1e-9)
+    assert found["after_saturation_percent"][benchmark.TRUE] <= 0.1
+    assert found["after_saturation_percent"][benchmark.CLIPPED] > 5
+
+
 def test_an_offer_leaves_no_trace_until_it_is_committed():
     actuator = PLANTS["all"]
     one, other = (Compensator(actuator, FREE, period=PERIOD, state=started(actuator, 2)) for _ in range(2))
@@ -293,6 +312,8 @@ def test_a_snapshot_of_another_loop_is_refused(tmp_path):
         ({"version": 2}, "version 2"),
         ({"counts": [1, 2]}, "three whole numbers"),
         ({"counts": [1, 2, -1]}, "three whole numbers"),
+        ({"counts": [10**30, 0, 0]}, "three whole numbers"),
+        ({"version": True}, "version True"),
         ({"rest": [0.0]}, "got 1 numbers beside the state, need 7"),
         ({"rest": "none"}, "list of numbers"),
         ({"extra": 1}, "unknown keys"),
@@ -324,6 +345,45 @@ def test_two_threads_cannot_share_a_loop():
     alone = Compensator(PLANT, (-1e3, 1e3))
     alone.run(path)
     assert gap(alone.state, compensator.state) == 0
+
+
+@pytest.mark.parametrize("name", sorted(PLANTS))
+def test_copies_and_pickles_have_a_memory_of_their_own(name):
+    path = wanted(8)
+    one = Compensator(PLANTS[name], (20, 140), 5e3, period=PERIOD, state=started(PLANTS[name], 1))
+    quietly(one.run, path[:100])
+    others = [copy.deepcopy(one), pickle.loads(pickle.dumps(one))]
+    rest = quietly(one.run, path[100:])
+    for other in others:
+        assert other.clamps != one.clamps
+        np.testing.assert_array_equal(quietly(other.run, path[100:]), rest)
+    fresh = pickle.loads(pickle.dumps(Compensator(PLANT, FREE)))
+    assert fresh.clamps == (0, 0)
+    assert "20 to 140 V, 5000 V/s, every 0.005 s" in repr(one)
+
+
+def test_what_is_no_snapshot_or_lies_outside_the_limits_is_refused(tmp_path):
+    wide, narrow = Compensator(PLANT, (0, 200)), Compensator(PLANT, (0, 50))
+    wide.step(12e-6)
+    with pytest.raises(ModelError, match="lies outside the limits 0 to 50 V"):
+        narrow.restore(wide.snapshot())
+    for bad in (None, "loop.json"):
+        with pytest.raises(ModelError, match="need a Snapshot"):
+            narrow.restore(bad)
+
+
+@pytest.mark.parametrize("period", [1e-12, 1e-300])
+def test_a_period_too_short_to_look_ahead_is_refused(period):
+    for parts in ({"delay": 1e-3}, {"dynamics": Dynamics(100.0, 0.1)}):
+        with pytest.raises(ModelError, match="too short to look ahead"):
+            Compensator(replace(PLANT, **parts), FREE, period=period, preview=True).step(0.0)
+    with pytest.raises(ModelError, match="allow no change"):
+        Compensator(PLANT, FREE, 1e-300, period=1e-300).step(0.0)
+
+
+def test_masked_values_are_refused():
+    with pytest.raises(ModelError, match="masked values"):
+        Compensator(PLANT, FREE).run(np.ma.array([5e-6, 6e-6], mask=[False, True]))
 
 
 def test_a_reset_begins_again():

@@ -308,7 +308,7 @@ def test_the_code_on_its_page_runs(tmp_path, monkeypatch):
         exec(code, names)
     assert names["compensator"].clamps == (0, 0)
     time = 1e-3 * np.arange(names["sent"].size + 1)
-    begun = Compensator(actuator, (0, 200), period=1e-3)
+    begun = names["begun"]
     y = actuator.simulate(np.append(begun.voltage, names["sent"]), time=time, state=begun.state).displacement[1:]
     bench.assert_close(y, names["wanted"], 1e-12 * bench.STROKE)
     # The loop of blocks has the true model: there is nothing for the integral to add.

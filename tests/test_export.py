@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from dehyst import Actuator, ClampWarning, Compensator, FileFormatError, Maxwell
 from dehyst.export import SOURCES, code, export, sizes, worst_case
 from dehyst.footprint import CORTEX_M4, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT
 from dehyst.golden import Call, golden
+from dehyst.outset import Outset
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -237,7 +239,7 @@ def test_folders_that_hold_something_else_are_left_alone(tmp_path, unmeasured):
     (folder / "notes.txt").write_text("mine")
     before = sorted(folder.iterdir())
     for force in (False, True):
-        with pytest.raises(FileFormatError, match=r"holds other files \(notes.txt\)"):
+        with pytest.raises(FileFormatError, match=r"holds other files \(notes.txt\).*own files must live outside"):
             export(compensator, folder, force=force)
     assert sorted(folder.iterdir()) == before
     other = tmp_path / "core"
@@ -267,13 +269,117 @@ def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch):
 def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     made = export(firmware.plain(), tmp_path / "c", "float")
-    assert (made.footprints, made.error) == ({}, None)
+    assert (made.footprints, made.error, made.unmeasured) == ({}, None, "no C compiler (cc) was found")
     text = (tmp_path / "c" / "README.md").read_text()
-    assert "Not measured, for want of a compiler" in text
-    assert "taken to be below 1e-03 of the range" in text
+    assert "Not measured on this computer: no C compiler (cc) was found." in text
+    assert "it is taken to be below 1e-03 of the range" in text
     assert "TRACE_MOST 0.001" in (tmp_path / "c" / "trace.h").read_text()
     with pytest.raises(FileFormatError, match="cc: cannot be run"):
         sizes(tmp_path / "c")
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+def test_a_compiler_that_fails_is_told_from_none(tmp_path, monkeypatch, number):
+    broken = tmp_path / "cc"
+    broken.write_text("#!/bin/sh\necho 'licence expired' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    made = export(firmware.plain(), tmp_path / "c", number)
+    assert made.unmeasured is not None
+    assert made.unmeasured.startswith("the C compiler failed (cc -std=c99 ...: licence expired")
+    assert made.unmeasured in (tmp_path / "c" / "README.md").read_text()
+    firmware.plain().actuator.save(tmp_path / "model.json")
+    command = [str(Path(sys.executable).parent / "dehyst"), "export", "model.json", "d", "--limits", "0", "250"]
+    for more, said in (([], True), (["--no-measure", "--force"], False)):
+        done = subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert ("bytes and errors were not measured on this computer: the C compiler failed" in done.stderr) == said
+
+
+def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
+    def fail(*_):
+        raise AssertionError("compiled")
+
+    monkeypatch.setattr("dehyst.export.run", fail)
+    monkeypatch.setattr("dehyst.export.sizes", fail)
+    for number in ("double", "float"):
+        made = export(firmware.plain(), tmp_path / number, number, measure=False)
+        assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not asked for")
+        assert "Not measured on this computer: not asked for." in (tmp_path / number / "README.md").read_text()
+    assert "TRACE_MOST 0.001" in (tmp_path / "float" / "trace.h").read_text()
+
+
+@pytest.mark.parametrize("given", [firmware.plain().actuator, None, 3, "model.json"])
+def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
+    for run in (export, lambda one, _: worst_case(one), lambda one, _: code(one)):
+        with pytest.raises(ModelError, match="need a Compensator; pass Compensator"):
+            run(given, tmp_path / "c")
+    for path in (None, 3, b"c", "a\0b"):
+        with pytest.raises(FileFormatError, match="need the name of a file or a folder; give a path"):
+            export(firmware.plain(), path)
+    assert list(tmp_path.iterdir()) == []
+
+
+TWO_AXES = """
+#include <stdio.h>
+#include "x_axis.h"
+#include "y_axis.h"
+
+static x_axis x;
+static y_axis y;
+
+int main(void)
+{
+    double a, b;
+    if (x_axis_begin(&x) != DEHYST_OK || y_axis_begin(&y) != DEHYST_OK) return 1;
+    while (scanf("%la %la", &a, &b) == 2) printf("%a %a\\n", x_axis_step(&x, a), y_axis_step(&y, b));
+    return X_AXIS_MODEL_AHEAD == Y_AXIS_MODEL_AHEAD;
+}
+"""
+
+
+def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path, unmeasured):
+    need("gcc", "make")
+    models = {"x_axis": KINDS["plain"](), "y_axis": KINDS["moving"]()}
+    for name, compensator in models.items():
+        folder = export(compensator, tmp_path / name, name=name).folder
+        assert {f"{name}.c", f"{name}.h", f"{name}_model.h", f"{name}_model_size.h"} < {
+            p.name for p in folder.iterdir()
+        }
+        for path in folder.iterdir():
+            text = path.read_text()
+            assert "piezo_" not in text and not re.search(r"\b(MODEL_|PIEZO_H)", text), path
+        status, said = make(folder, "check", "symbols")
+        assert status == 0, said
+        assert sizes(folder, "gcc").ram == sizes(written(tmp_path / f"{name}_piezo", compensator), "gcc").ram
+        assert sizes(folder, "gcc").stack == sizes(tmp_path / f"{name}_piezo", "gcc").stack
+        export(compensator, folder, force=True, name=name)
+    (tmp_path / "main.c").write_text(TWO_AXES)
+    core = [f"x_axis/{name}" for name in SOURCES if name != "piezo.c"]
+    both = ["x_axis/x_axis.c", "y_axis/y_axis.c", "-Ix_axis", "-Iy_axis"]
+    firmware.run(["gcc", *STRICT, "-O2", "main.c", *core, *both, "-o", "both"], tmp_path)
+    wished = [firmware.wishes(compensator, 500) for compensator in models.values()]
+    given = "".join(f"{a.hex()} {b.hex()}\n" for a, b in zip(*(w.tolist() for w in wished), strict=True))
+    lines = firmware.run(["./both"], tmp_path, input=given).split()
+    got = np.array([float.fromhex(word) for word in lines]).reshape(-1, 2)
+    for column, compensator, wishes in zip(got.T, models.values(), wished, strict=True):
+        np.testing.assert_array_equal(column, compensator.run(wishes))
+
+
+@pytest.mark.parametrize("name", ["", "7x", "a-b", "ü", "_x", "dehyst_x", "Dehyst", "double", "class", "loop", "model",
+                                  "trace", "stdio", "Check", "main", "a" * 41, None])  # fmt: skip
+def test_names_that_mean_something_else_are_refused(tmp_path, name):
+    with pytest.raises(ModelError, match=r"^name: got "):
+        export(firmware.plain(), tmp_path / "c", name=name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["x", "y", "Stage_2", "a" * 40])
+def test_other_names_compile(tmp_path, name, unmeasured):
+    need("gcc")
+    folder = export(firmware.plain(), tmp_path / "c", name=name).folder
+    sources = [name + ".c" if source == "piezo.c" else source for source in SOURCES]
+    firmware.run(["gcc", *STRICT, "-c", "check.c", *sources], folder)
+    firmware.run(["g++", "-Wall", "-Werror", "-fsyntax-only", "-x", "c++", f"{name}.h"], folder)
 
 
 def narrow(rho, knots):
@@ -308,7 +414,7 @@ def test_models_that_floats_cannot_hold_are_refused():
 def test_floats_stay_within_the_limits(limits):
     compensator = Compensator(bench.plant(3), limits, 1234.567, period=1e-3)
     files = code(compensator, "float")
-    found = [float.fromhex(number) for number in re.findall(r"(?:LOW|HIGH) (\S+)f", files["model_size.h"])]
+    found = [float(np.float32(number)) for number in re.findall(r"(?:LOW|HIGH) (\S+)f", files["model_size.h"])]
     steps = [float(abs(np.spacing(np.float32(limit)))) for limit in limits]
     assert limits[0] <= found[0] < limits[0] + steps[0]
     assert limits[1] - steps[1] < found[1] <= limits[1]
@@ -335,6 +441,35 @@ def test_no_name_breaks_out_of_its_comment(tmp_path, name):
     compensator = firmware.plain()
     named = Compensator(replace(compensator.actuator, name=name), LIMITS)
     firmware.run(["gcc", *STRICT, "-c", *SOURCES], written(tmp_path / "c", named))
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("standard", ["c++98", "c++11", "c++17"])
+def test_any_cpp_takes_the_headers_and_reads_the_same_numbers(tmp_path, standard, number):
+    need("g++")
+    compensator = Compensator(bench.plant(3), (-20.7, 1e3 / 3), 1234.567, period=1e-4 / 3)
+    folder = written(tmp_path / "c", compensator, number)
+    (folder / "told.cc").write_text(
+        '#include <cstdio>\n#include "piezo.h"\nint main() '
+        '{ std::printf("%.17g %.17g %.17g", (double)MODEL_LOW, (double)MODEL_HIGH, (double)MODEL_PERIOD); }\n'
+    )
+    firmware.run(["g++", f"-std={standard}", "-Wall", "-Wextra", "-Werror", "-pedantic", "told.cc", "-o", "t"], folder)
+    told = [float(word) for word in firmware.run(["./t"], folder).split()]
+    expected = [*compensator.limits, compensator.period]
+    if number == "double":
+        assert told == expected
+    else:
+        assert told[2] == float(np.float32(expected[2]))
+        np.testing.assert_allclose(told, expected, rtol=2**-23)
+
+
+def test_for_another_processor_as_the_makefile_says(tmp_path):
+    need("make", "arm-none-eabi-gcc")
+    folder = export(firmware.plain(), tmp_path / "c", measure=False).folder
+    example = re.search(r"^#   make (clean all symbols .*)$", (folder / "Makefile").read_text(), re.MULTILINE)[1]
+    status, said = make(folder, *shlex.split(example))
+    assert status == 0, said
+    assert "no symbol is needed from outside" in said
 
 
 def adversary(compensator, steps=200):
@@ -423,15 +558,19 @@ def test_on_the_command_line(tmp_path):
     again = dehyst_export()
     assert again.returncode == 2
     assert again.stderr.startswith("dehyst: c: holds an earlier export")
-    done = dehyst_export("--force", "--number", "float", "--start", "bottom")
+    done = dehyst_export("--force", "--number", "float", "--start", "bottom", "--name", "stage")
+    assert (tmp_path / "c" / "stage_model.h").exists()
     assert done.returncode == 0
     assert "a step: at most" in done.stdout
     late = dehyst_export("--force", "--slew", "2e4")
     assert late.returncode == 2
     assert "give period=" in late.stderr
-    narrowed = subprocess.run([*command[:4], "--limits", "0", "100", "--force"], cwd=tmp_path, capture_output=True,
-                              text=True, check=False)  # fmt: skip
-    assert "outside the limits 0 to 100 V: choose another with --start" in narrowed.stderr
+    assert "memory begins at 0 um, " in done.stdout
+    assert "lower the voltage slowly from its highest, never back, to " in done.stdout
+    top = made.actuator.voltage(made.actuator.turned(bench.STROKE))
+    for high, said in ((top / 1.009, False), (top / 1.02, True)):
+        command[-1] = str(high)
+        assert ("memory begins at the nearest limit" in dehyst_export("--force").stderr) == said
 
 
 def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
@@ -439,10 +578,55 @@ def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
     text = (tmp_path / "c" / "README.md").read_text()
     ahead = KINDS["moving"]().samples_ahead
     assert ahead > 0
-    assert f"Give each displacement {ahead} samples before its time" in text
+    assert (
+        f"{{\n        /* Give each displacement {ahead} samples before its time, MODEL_AHEAD. */\n        dac_write("
+        in text
+    )
+    assert "Wishes must be smooth" in text
     assert f"#define MODEL_AHEAD {ahead}" in (tmp_path / "c" / "model_size.h").read_text()
     assert f"every {1 / wide_bench.RATE:.9g} s" in text
     assert str(made.operations.arithmetic) in text
+
+
+@pytest.mark.parametrize("kind", ["plain", "all", "moving"])
+def test_the_files_say_where_memory_begins(tmp_path, kind, unmeasured):
+    compensator = KINDS[kind]()
+    export(compensator, tmp_path / "c")
+    outset = Outset.of(compensator)
+    assert outset.voltage == np.clip(compensator.afresh().voltage, *compensator.limits)
+    for file in ("README.md", "model.h"):
+        text = (tmp_path / "c" / file).read_text()
+        assert f"{outset.displacement * 1e6:.6g} um, {outset.voltage:.6g} V" in text
+        assert outset.way in text
+
+
+@pytest.mark.parametrize("rising", [True, False])
+def test_the_way_to_where_memory_begins_leads_there(rising):
+    """Two ways: the words followed on the virtual actuator, and the state that was exported."""
+    actuator = bench.plant(10, seed=4)
+    low, high = actuator.voltage(actuator.turned(0, rising=False)), actuator.voltage(actuator.turned(bench.STROKE))
+    state = actuator.turned(bench.STROKE if rising else 0, rising=rising)
+    outset = Outset.of(Compensator(actuator, (low, high), state=state))
+    first, words = (low, "raise the voltage slowly from its lowest") if rising else (high, "lower the voltage slowly")
+    assert outset.way.startswith(words)
+    elsewhere = actuator.relaxed(0.5 * (low + high))
+    path = [actuator.voltage(elsewhere), *np.linspace(first, outset.voltage, 50)]
+    reached = actuator.simulate(path, state=elsewhere).displacement[-1]
+    assert reached == pytest.approx(outset.displacement, abs=1e-9 * bench.STROKE)
+
+
+def test_other_states_are_reached_by_other_ways():
+    actuator = bench.plant(10, seed=4)
+    odd = actuator.simulate([0.0, 120.0, 60.0], state=actuator.relaxed()).state
+    ways = [Outset.of(Compensator(actuator, LIMITS, state=state)).way for state in (actuator.relaxed(80), odd)]
+    assert ways[0].startswith("swing the voltage about 80 V, each swing smaller")
+    assert ways[1].startswith("play the voltages after which the actuator was in this state")
+
+
+def test_a_model_that_is_not_ahead_says_nothing_of_it(tmp_path):
+    export(firmware.plain(), tmp_path / "c", measure=False)
+    text = (tmp_path / "c" / "README.md").read_text()
+    assert "Wishes must be smooth" not in text and "before its time" not in text
 
 
 def test_steps_warn_once_as_ever():

@@ -23,6 +23,9 @@ from fmu_rig import (
     wanted,
 )
 
+from dehyst import Compensator
+from dehyst.fmu import export_fmu
+
 FMICallException = fmpy.fmi1.FMICallException
 
 
@@ -74,7 +77,10 @@ def test_simulate_fmu_gives_the_same(fmus, model, version):
 @pytest.mark.parametrize("version", VERSIONS)
 def test_before_the_first_step_it_rests_in_the_start_state(fmus, version, kind):
     fresh = ALL["mass"].afresh()
+    low, high = fresh.limits
     start = fresh.state.motion[0], fresh.voltage
+    if kind == "compensator":
+        start = start[0], min(max(start[1], low), high)
     with Slave(fmus("mass", version, kind)[1]) as slave:
         assert tuple(slave.read([INPUT, OUTPUT])) == (start if kind == "compensator" else start[::-1])
         if kind == "actuator":  # held there, it stays
@@ -195,6 +201,82 @@ def test_the_state_of_another_model_is_refused(fmus, version):
             with pytest.raises(FMICallException):
                 other.restore(data)
             assert other.said[-1][1] == "state: it is of another model"
+
+
+def checksum(data):
+    """FNV-1a of 64 bits, of what lies behind it."""
+    value = 14695981039346656037
+    for byte in data[48:]:
+        value = ((value ^ byte) * 1099511628211) % 2**64
+    return value.to_bytes(8, "little")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_damaged_state_is_refused(fmus, version, kind):
+    """Any bit of it turned, and numbers that no FMU writes, though their checksum fits."""
+    with Slave(fmus("creep", version, kind)[1]) as slave:
+        given = PATH[:20] if kind == "compensator" else actuator_voltages("creep")[:20]
+        slave.run(given)
+        data = slave.state()
+        assert data[40:48] == checksum(data)
+        for bit in range(40 * 8, len(data) * 8, 31):
+            broken = bytearray(data)
+            broken[bit // 8] ^= 1 << bit % 8
+            with pytest.raises(FMICallException):
+                slave.restore(bytes(broken))
+            assert slave.said[-1][1] == "state: its checksum does not fit; it is not what was serialized"
+        low, high = ALL["creep"].limits
+        sent = 80 + 8 * 4
+        for at, value, words in (
+            (80, np.nan, "a number of it is not finite"),
+            (len(data) - 8, np.inf, "a number of it is not finite"),
+            (sent, np.nextafter(high, np.inf), "its voltage lies outside the limits"),
+            (sent + 8 * 9, -1e6, "its voltage lies outside the limits"),
+        ):
+            broken = bytearray(data)
+            broken[at : at + 8] = np.float64(value).tobytes()
+            broken[40:48] = checksum(broken)
+            if kind == "actuator" and "limits" in words:
+                slave.restore(bytes(broken))
+                continue
+            with pytest.raises(FMICallException):
+                slave.restore(bytes(broken))
+            assert words in slave.said[-1][1]
+        if kind == "compensator":
+            assert low <= slave.read([OUTPUT])[0] <= high
+        slave.restore(data)
+        assert slave.state() == data
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, version, tmp_path):
+    """Also before the first step, and where a state is held by a voltage outside them."""
+    folder = fmus("creep", version, "compensator")[1]
+    voltage = next(one for one in fmpy.read_model_description(folder).modelVariables if one.name == "voltage")
+    assert (float(voltage.min), float(voltage.max)) == ALL["creep"].limits
+    actuator = ALL["plain"].actuator
+    low, high = narrow = 60.0, 61.0
+    export_fmu(Compensator(actuator, narrow, state=actuator.relaxed()), tmp_path / "x.fmu", version)
+    with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x"), begin=False) as slave:
+        assert slave.read([OUTPUT]) == [low]
+        slave.begin()
+        assert slave.read([OUTPUT]) == [low]
+        sent = slave.run(PATH)
+        assert low <= sent.min() and sent.max() <= high
+    free = fmpy.read_model_description(fmus("creep", version, "actuator")[1]).modelVariables
+    assert all(one.min is None and one.max is None for one in free)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_actuator_knows_no_limits_of_the_compensator(version, tmp_path):
+    compensator = Compensator(ALL["plain"].actuator, (60, 61))
+    export_fmu(compensator, tmp_path / "x.fmu", version, "actuator")
+    volts = np.array([0.0, 160.0, 20.0, 90.0])
+    given = np.append(compensator.voltage, volts)
+    expected = compensator.actuator.simulate(given, state=compensator.state).displacement[1:]
+    with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x")) as slave:
+        np.testing.assert_allclose(slave.run(volts), expected, rtol=0, atol=1e-12 * bench.STROKE)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -55,6 +55,8 @@ def matrix(values: ArrayLike, what: str) -> Array:
 
 
 def _doubles(values: ArrayLike, what: str) -> Array:
+    if np.ma.is_masked(values):
+        raise ModelError(f"{what}: got an array with masked values, need all of them")
     try:
         given = np.asarray(values)
         if given.dtype.kind not in "iuf" and given.size:
@@ -82,7 +84,17 @@ def number(value: object, what: str) -> float:
     raise ModelError(f"{what}: got {value!r}, need a finite number")
 
 
-class Core:
+class _Rebuilt:
+    """Tables that are pickled and copied as the numbers they were made from."""
+
+    __slots__ = ("_core", "_made_from")
+    _made_from: tuple[Array, ...]
+
+    def __reduce__(self) -> tuple[type, tuple[Array, ...]]:
+        return type(self), self._made_from
+
+
+class Core(_Rebuilt):
     """An actuator's tables in C. Equations and names: `core/dehyst.h`.
 
     Parameters
@@ -98,9 +110,10 @@ class Core:
         If the core refuses the numbers.
     """
 
-    __slots__ = ("_core",)
+    __slots__ = ()
 
     def __init__(self, rho: Array, kappa: Array, knots: Array, values: Array) -> None:
+        self._made_from = rho, kappa, knots, values
         try:
             self._core = _core.Core(rho, kappa, knots, values)
         except _core.CoreError as error:
@@ -137,7 +150,7 @@ class Core:
         return out, float(position), moved
 
 
-class WideCore:
+class WideCore(_Rebuilt):
     """A wider actuator's tables in C: graded and smooth elements, transformer, creep, inertia. Names: `core/dehyst.h`.
 
     Parameters
@@ -165,15 +178,16 @@ class WideCore:
         If the core refuses the numbers.
     """
 
-    __slots__ = ("_core",)
+    __slots__ = ()
 
     def __init__(
         self, rho: Array, kappa: Array, knots: Array, values: Array, grade_knots: Array, grades: Array,
         voltages: Array, drives: Array, creep: Array, inertia: Array, lengths: Array, closings: Array, smooth: Array,
     ) -> None:  # fmt: skip
+        self._made_from = (rho, kappa, knots, values, grade_knots, grades, voltages, drives, creep, inertia, lengths,
+                           closings, smooth)  # fmt: skip
         try:
-            self._core = _core.Wide(rho, kappa, knots, values, grade_knots, grades, voltages, drives, creep, inertia,
-                                    lengths, closings, smooth)  # fmt: skip
+            self._core = _core.Wide(*self._made_from)
         except _core.CoreError as error:
             raise ModelError(f"impossible actuator: {error}") from error
 

@@ -20,7 +20,7 @@ from dehyst.console import (
     read_model,
     refuse_overwriting,
     start_option,
-    start_state,
+    start_within,
     state_dict,
     time_of_table,
 )
@@ -138,10 +138,14 @@ def _follow(
     """Write the voltage of a path, and end."""
     from dehyst.compensator import Compensator
     from dehyst.files import write_columns
+    from dehyst.reach import led_to
 
     wanted, time, derivatives = path
+    begin = start_within(actuator, start, limits)
+    # The way to the first sample is to be ramped slowly, as is said below.
+    first = led_to(actuator, begin, float(wanted[0])) if wanted.size and actuator.model.moves_on else begin
     command = Compensator(actuator, limits, slew).trajectory(
-        wanted, time=time.get("time_s"), **derivatives, state=start_state(actuator, start)
+        wanted, time=time.get("time_s"), **derivatives, state=first
     )
     tell = progress_line()
     tell(f"writing {wanted.size} rows")
@@ -149,12 +153,12 @@ def _follow(
                            "expected_um": command.displacement * 1e6})  # fmt: skip
     tell("")
     low, high = float(command.voltage.min()), float(command.voltage.max())
-    said = [*warnings, *command.warnings, *before_and_after(actuator, float(command.voltage[0]), start, slew)]
+    said = [*warnings, *command.warnings, *before_and_after(actuator, float(command.voltage[0]), start, begin, slew)]
     result = {"samples": wanted.size, "clamped": int(command.clamped.sum()), "lowest_V": low, "highest_V": high,
               "warnings": said, "state": state_dict(command.state), "output": str(output)}  # fmt: skip
-    line = f"{_samples(wanted.size)}, {low:.6g} to {high:.6g} V {came_from(actuator, start)}: {output}"
+    line = f"{_samples(wanted.size)}, {low:.6g} to {high:.6g} V {came_from(actuator, start, begin)}: {output}"
     conclude(as_json, result, line, said)
-    sys.exit(1 if command.clamped.any() else 0)
+    sys.exit(0 if command.followed else 1)
 
 
 def _tabulate(
@@ -171,20 +175,22 @@ def _tabulate(
     if tolerance is not None and not tolerance > 0:
         raise RecordError(f"--tolerance: got {tolerance:g}, need a length above 0 in um")
     tell("homing, and the steady cycle")
-    table = wave_table(
-        actuator, scan, axis=axis, limits=limits, slew_rate=slew,
-        state=None if options["homing"] else start_state(actuator, start), present=options["present"],
-        approach=options["approach"], cycles=options["start_up"],
-        tolerance=None if tolerance is None else tolerance * 1e-6,
-    )  # fmt: skip
-    tell("")
+    try:
+        table = wave_table(
+            actuator, scan, axis=axis, limits=limits, slew_rate=slew,
+            state=None if options["homing"] else start_within(actuator, start, limits), present=options["present"],
+            approach=options["approach"], cycles=options["start_up"],
+            tolerance=None if tolerance is None else tolerance * 1e-6,
+        )  # fmt: skip
+    finally:
+        tell("")
     _tell_long(table, cycles)
     tell(f"writing {table.rows(cycles)} rows")
     played, cycle = table.played(cycles), table.cycle
     write_columns(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
     write_columns(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
     tell("")
-    said = [*map(in_options, table.warnings), *_before(actuator, table, start, slew)]
+    said = [*map(in_options, table.warnings), *_before(actuator, table, start, limits, slew)]
     low, high = float(played.voltage.min()), float(played.voltage.max())
     result = {
         "samples": played.voltage.size, "sample_rate_Hz": table.sample_rate, "frequency_Hz": 1 / scan.period,
@@ -212,11 +218,14 @@ def _columns(part: Any) -> dict[str, Any]:
     return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}
 
 
-def _before(actuator: Actuator, table: WaveTable, start: str, slew: float | None) -> list[str]:
+def _before(
+    actuator: Actuator, table: WaveTable, start: str, limits: tuple[float, float] | None, slew: float | None
+) -> list[str]:
     """What the file cannot hold."""
     if table.homing is not None:
         return late_words(actuator)
-    return before_and_after(actuator, float(table.start_up.voltage[0]), start, slew)
+    begin = start_within(actuator, start, limits)
+    return before_and_after(actuator, float(table.start_up.voltage[0]), start, begin, slew)
 
 
 def _homing_seconds(table: WaveTable) -> float:

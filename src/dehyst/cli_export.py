@@ -20,12 +20,15 @@ from dehyst.console import (
 )
 
 if TYPE_CHECKING:
+    from dehyst.actuator import Actuator
     from dehyst.compensator import Compensator
     from dehyst.export import Exported
 
 
 # Limits that no voltage meets.
 _NONE = -1e300, 1e300
+# Share of the limits' range by which a start may lie outside without a word.
+_NEAR = 0.01
 
 
 @click.command()
@@ -39,6 +42,10 @@ _NONE = -1e300, 1e300
 @click.option("--slew", type=float, metavar="V/S", help="Largest slew rate; needs --period.")
 @click.option("--period", type=float, metavar="S", help="Seconds between steps; a model with time in it needs them.")
 @click.option("--preview", is_flag=True, help="Make up for delay and inertia; displacements are then given ahead.")
+@click.option("--name", metavar="NAME", help="Of files, type and calls, so that several models go into one firmware.  "
+              "[default: piezo]")  # fmt: skip
+@click.option("--measure/--no-measure", default=True, help="Compile it to tell its bytes and the error of floats, "
+              "which takes seconds.  [default: measure]")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace an earlier export.")
 @click.option("--fmu", type=click.Choice(["2.0", "3.0"]), is_flag=False, flag_value="3.0",
               help="Write an FMU of this version of FMI instead.  [without a version: 3.0]")  # fmt: skip
@@ -48,7 +55,8 @@ _NONE = -1e300, 1e300
 @json_option
 def export(
     model: Path, directory: Path, number: Any, limits: tuple[float, float] | None, slew: float | None,
-    period: float | None, preview: bool, force: bool, fmu: Any, kind: Any, start: str, as_json: bool,
+    period: float | None, preview: bool, name: str | None, measure: bool, force: bool, fmu: Any, kind: Any,
+    start: str, as_json: bool,
 ) -> None:  # fmt: skip
     """Write a MODEL's compensator as C into DIR: files, numbers, a README, and a trace that `make check` replays.
 
@@ -57,7 +65,9 @@ def export(
     from dehyst.compensator import Compensator
     from dehyst.export import export as run
 
-    _demand_of_fmu(fmu, kind, number, limited=limits is not None or slew is not None or preview)
+    if fmu is None and directory.suffix == ".fmu":
+        raise click.UsageError(f"{directory}: an FMU? give --fmu; a folder's name cannot end in .fmu")
+    _demand_of_fmu(fmu, kind, number, name, measure, limited=limits is not None or slew is not None or preview)
     actuator = read_model(model)
     state = start_state(actuator, start)
     compensator = Compensator(
@@ -66,19 +76,26 @@ def export(
     if fmu is not None:
         refuse_overwriting([model], directory)
         result, line, said = _write_fmu(compensator, directory, fmu, kind or "compensator", force)
-        conclude(as_json, result, f"{line} {came_from(actuator, start)}", said)
+        conclude(as_json, result, f"{line}\n{_begin_words(compensator, actuator, start, kind)}", said)
         return
-    made = run(compensator, directory, number, force=force)
+    named = {} if name is None else {"name": name}
+    made = run(compensator, directory, number, force=force, measure=measure, **named)
     said = _start_words(compensator)
-    result = {"directory": str(directory), "number": number, "warnings": said, **_numbers(made)}
-    line = f"{directory}: a compensator of {number}s {came_from(actuator, start)}\n{_table(made)}"
+    if measure and made.unmeasured is not None:
+        said.append(f"bytes and errors were not measured on this computer: {made.unmeasured}")
+    result = {"directory": str(directory), "number": number, "warnings": said, **_begins(compensator), **_numbers(made)}
+    line = f"{directory}: a compensator of {number}s\n{_begin_words(compensator, actuator, start)}\n{_table(made)}"
     conclude(as_json, result, line, said)
 
 
-def _demand_of_fmu(fmu: str | None, kind: str | None, number: str, *, limited: bool) -> None:
+def _demand_of_fmu(
+    fmu: str | None, kind: str | None, number: str, name: str | None, measure: bool, *, limited: bool
+) -> None:
     """Refuse options that do not go together."""
     if fmu is None and kind is not None:
         raise click.UsageError("--kind is of an FMU: give --fmu too")
+    if fmu is not None and (name is not None or not measure):
+        raise click.UsageError("--name and --no-measure are of C: an FMU has its model's name; leave them out")
     if fmu is not None and number != "double":
         raise click.UsageError("--number float: an FMU has doubles; leave it out")
     if kind == "actuator" and limited:
@@ -91,29 +108,42 @@ def _write_fmu(
     compensator: Compensator, path: Path, version: Any, kind: Any, force: bool
 ) -> tuple[dict[str, Any], str, list[str]]:
     """What is to be told of it: as JSON, in a line, and in words of warning."""
-    from dehyst._errors import FileFormatError
     from dehyst.fmu import SourceOnlyWarning, export_fmu
 
-    if path.exists() and not force:
-        raise FileFormatError(f"{path}: is there already; replace it with --force or give another name")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)
-        export_fmu(compensator, path, version, kind)
+        export_fmu(compensator, path, version, kind, force=force)
     said = [str(one.message) for one in caught if issubclass(one.category, SourceOnlyWarning)]
-    result = {"fmu": str(path), "version": version, "kind": kind, "binary": not said}
+    result = {"fmu": str(path), "version": version, "kind": kind, "binary": not said, **_begins(compensator)}
     said += _start_words(compensator) if kind == "compensator" else []
     holds = "sources and a binary for Linux x86-64" if result["binary"] else "sources"
-    return {**result, "warnings": said}, f"{path}: an FMU {version} of the {kind}, {holds},", said
+    return {**result, "warnings": said}, f"{path}: an FMU {version} of the {kind}, {holds}", said
 
 
 def _start_words(compensator: Compensator) -> list[str]:
-    (low, high), present = compensator.limits, compensator.voltage
-    if low <= present <= high:
+    """A state that is clearly not within the limits."""
+    (low, high), present = compensator.limits, compensator.actuator.voltage(compensator.afresh().state)
+    if low - _NEAR * (high - low) <= present <= high + _NEAR * (high - low):
         return []
     return [
-        f"the state that it starts in is held by {present:.6g} V, outside the limits {low:.6g} to {high:.6g} V: choose "
-        "another with --start"
+        f"the state that it starts in is held by {present:.6g} V, outside the limits {low:.6g} to {high:.6g} V: memory "
+        "begins at the nearest limit; choose another state with --start"
     ]
+
+
+def _begins(compensator: Compensator) -> dict[str, Any]:
+    from dehyst.outset import Outset
+
+    outset = Outset.of(compensator)
+    return {"begins": {"displacement_m": outset.displacement, "voltage_V": outset.voltage, "way": outset.way}}
+
+
+def _begin_words(compensator: Compensator, actuator: Actuator, start: str, kind: str | None = None) -> str:
+    from dehyst.outset import Outset
+
+    outset = Outset.of(compensator)
+    said = f"memory begins at {outset.words} {came_from(actuator, start)}"
+    return said if kind == "actuator" else f"{said}; to bring the actuator there, {outset.way}"
 
 
 def _numbers(made: Exported) -> dict[str, Any]:
@@ -123,6 +153,7 @@ def _numbers(made: Exported) -> dict[str, Any]:
         "operations": {"arithmetic": operations.arithmetic, "divisions": operations.divisions,
                        "comparisons": operations.comparisons},
         "error_of_range": made.error,
+        "unmeasured": made.unmeasured,
     }  # fmt: skip
 
 

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import NOTHING, Array, CoreError, Held, Loop, checked, number, vector
+from dehyst._native import Array, CoreError, Held, Loop, checked, number, vector
 from dehyst.actuator import Actuator, interval
 from dehyst.control_blocks import compensator_block, labels
 from dehyst.foresight import Foresight
 from dehyst.model import State
-from dehyst.reach import reach_of
+from dehyst.reach import brought, reach_of
 from dehyst.snapshot import Snapshot, key_of
 from dehyst.trajectory import Command, Limits, follow
 
@@ -93,13 +92,41 @@ class Compensator:
         low_high = actuator.limits if limits is None else limits
         if low_high is None:
             raise ModelError("no voltage limits: the actuator has none and none were given; give limits=(low, high)")
-        self.actuator, self.preview = actuator, bool(preview)
+        self._actuator, self._preview = actuator, bool(preview)
         self._limits = Limits(*interval(low_high), slew_rate)
-        self.period = None if period is None else _positive(period)
+        self._period = None if period is None else _positive(period)
         if preview and period is None:
             raise ModelError("preview needs the time between steps; give period= [s]")
         self._given = actuator.state if state is None else state
-        self._start = self._brought(self._given)
+        self._start = brought(actuator, self._given, self.limits)
+
+    def __repr__(self) -> str:
+        slew = "" if self.slew_rate is None else f", {self.slew_rate:g} V/s"
+        period = "" if self.period is None else f", every {self.period:g} s"
+        return (
+            f"<Compensator of {self.actuator.name!r}, {self._limits.words}{slew}{period}, now at {self.voltage:.6g} V, "
+            f"{self.clamps.limited} limited, {self.clamps.slewed} slewed>"
+        )
+
+    def __reduce__(self) -> tuple[Callable[..., Compensator], tuple[object, ...]]:
+        """Copied and pickled with its memory."""
+        made = self._actuator, self.limits, self.slew_rate, self._period, self._given, self._preview
+        return _remade, (made, self.snapshot() if self._running else None)
+
+    @property
+    def actuator(self) -> Actuator:
+        """The model."""
+        return self._actuator
+
+    @property
+    def period(self) -> float | None:
+        """Seconds between steps."""
+        return self._period
+
+    @property
+    def preview(self) -> bool:
+        """Whether delay and inertia are made up for."""
+        return self._preview
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -152,8 +179,8 @@ class Compensator:
             self._loop.commit(number(voltage, "voltage"))
         except CoreError as error:
             raise ModelError(
-                f"voltage: got {voltage:g} V, which has nothing to do with the limits {self._limits.words}; need what was "
-                "really sent, in volts"
+                f"voltage: got {voltage:g} V, which has nothing to do with the limits {self._limits.words}; need what "
+                "was really sent, in volts"
             ) from error
 
     def hold(self) -> None:
@@ -268,7 +295,7 @@ class Compensator:
             If it does not fit the actuator.
         """
         if state is not None:
-            self._start, self._given = self._brought(state), state
+            self._start, self._given = brought(self.actuator, state, self.limits), state
         self.__dict__.pop("_loop", None)
 
     def snapshot(self) -> Snapshot:
@@ -283,12 +310,18 @@ class Compensator:
         ModelError
             If it is of another actuator, period or preview.
         """
+        if not isinstance(snapshot, Snapshot):
+            raise ModelError(f"snapshot: got {type(snapshot).__name__}, need a Snapshot; Snapshot.load reads a file")
         if snapshot.key != self._key:
             raise ModelError("snapshot: it is of another actuator, period or preview; make the compensator as it was")
         state = self.actuator.model.held(self.actuator.model.fitted(snapshot.state))
         if snapshot.rest.size != self._loop.rest().size:
             raise ModelError(
                 f"snapshot: got {snapshot.rest.size} numbers beside the state, need {self._loop.rest().size}"
+            )
+        if not self._limits.low <= snapshot.rest[0] <= self._limits.high:
+            raise ModelError(
+                f"snapshot: its voltage, {snapshot.rest[0]:g} V, lies outside the limits {self._limits.words}"
             )
         checked(self._loop.begin, *state)
         checked(self._loop.go_on, snapshot.rest, *snapshot.counts)
@@ -334,17 +367,6 @@ class Compensator:
         """The state that it was made or last reset in, in the core's numbers."""
         return self.actuator.model.held(self._start)
 
-    def _brought(self, state: State) -> State:
-        """The state, complete; at the nearest limit if its voltage lies outside the limits."""
-        start = self.actuator.model.fitted(state)
-        held = self.actuator.voltage(start)
-        if held == self._limits.nearest(held):
-            return start
-        still = replace(self.actuator, lag=0.0, dynamics=None, state=replace(self.actuator.state, motion=NOTHING))
-        time = np.zeros(1) if still.needs_time else None
-        reached = still.simulate([self._limits.nearest(held)], time=time, state=replace(start, motion=NOTHING)).state
-        return self.actuator.model.fitted(reached)
-
     @property
     def _running(self) -> bool:
         return "_loop" in self.__dict__
@@ -369,8 +391,18 @@ class Compensator:
         seconds = 0.0 if period is None else period
         pace = model.pace(np.array([0, 1]), np.array([seconds]))
         change = float(np.finfo(np.float64).max) if slew is None else slew * seconds
+        if change <= 0:
+            raise ModelError(f"slew_rate: {slew:g} V/s allow no change in {seconds:g} s; give more, or a longer period")
         numbers = np.array([*self.limits, change, *model.amplifier(seconds)])
         return model.core.loop(pace, self._foresight.taps, numbers, _tell, model.held(self._start))
+
+
+def _remade(made: tuple[Any, ...], memory: Snapshot | None) -> Compensator:
+    actuator, limits, slew_rate, period, state, preview = made
+    compensator = Compensator(actuator, limits, slew_rate, period=period, state=state, preview=preview)
+    if memory is not None:
+        compensator.restore(memory)
+    return compensator
 
 
 def _tell(slewed: bool, displacement: float, voltage: float) -> None:

@@ -135,6 +135,14 @@ def read_model(path: Path) -> Actuator:
     return actuator
 
 
+def start_within(actuator: Actuator, start: str, limits: tuple[float, float] | None) -> State:
+    """Return the state that the word of the option means, or the nearest that the limits let the actuator have."""
+    from dehyst.reach import brought
+
+    state, allowed = start_state(actuator, start), limits or actuator.limits
+    return state if allowed is None else brought(actuator, state, allowed)
+
+
 def start_state(actuator: Actuator, start: str) -> State:
     """Return the state that the word of the option means."""
     knots = actuator.spring.displacement
@@ -155,9 +163,9 @@ def _homed(actuator: Actuator) -> State:
     return shortest_homing(actuator, present=end, stiff_only=True, drive=Drive()).state
 
 
-def came_from(actuator: Actuator, start: str) -> str:
-    """What the first sample takes for granted."""
-    voltage = f"{actuator.voltage(start_state(actuator, start)):.4g} V"
+def came_from(actuator: Actuator, start: str, state: State | None = None) -> str:
+    """What the first sample takes for granted: the state that the word means, or the one that was made of it."""
+    voltage = f"{actuator.voltage(start_state(actuator, start) if state is None else state):.4g} V"
     said = {"relaxed": f"(from rest, relaxed, at {voltage})", "homed": f"(homed, at {voltage})"}
     return said.get(start, f"(coming from the {start}, {voltage})")
 
@@ -183,10 +191,10 @@ def lagging(displacement: Any, actuator: Actuator, time: dict[str, Any]) -> Any:
     return np.interp(time["time_s"] - actuator.delay, time["time_s"], displacement)
 
 
-def before_and_after(actuator: Actuator, first: float, start: str, slew: float | None) -> list[str]:
-    """What the file cannot hold: the way to its first voltage, and the lag of the stage."""
+def before_and_after(actuator: Actuator, first: float, start: str, state: State, slew: float | None) -> list[str]:
+    """What the file cannot hold: the way from the state to its first voltage, and the lag of the stage."""
     said = []
-    present = actuator.voltage(start_state(actuator, start))
+    present = actuator.voltage(state)
     if abs(first - present) > 0.01 * max(abs(value) for value in (present, *(actuator.limits or ()))):
         within = "slowly" if slew is None else "within the slew rate"
         said.append(

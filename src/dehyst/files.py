@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import secrets
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from math import isfinite
@@ -23,9 +24,11 @@ from dehyst.signals import FloatArray
 __all__ = [
     "PathLike",
     "Table",
+    "path_of",
     "read",
     "read_json",
     "read_table",
+    "shipped",
     "time_of",
     "write_atomically",
     "write_columns",
@@ -184,6 +187,22 @@ def write_json(path: PathLike, data: Mapping[str, Any]) -> None:
             f"{path}: cannot be told in JSON ({error}); use text, finite numbers, booleans, None, lists and dicts"
         ) from error
     write_atomically(path, text + "\n")
+
+
+def path_of(value: object) -> Path:
+    """A path, or FileFormatError if it is none."""
+    if not isinstance(value, str | os.PathLike) or not isinstance(name := os.fspath(value), str) or "\0" in name:
+        raise FileFormatError(f"got {value!r}, need the name of a file or a folder; give a path")
+    return Path(name)
+
+
+def shipped(name: str) -> str:
+    """A text file that comes with the package; in an editable install the core's lie apart."""
+    for root in sys.modules["dehyst"].__path__:
+        path = Path(root) / "firmware" / name
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise FileFormatError(f"firmware/{name}: not found beside the package; install dehyst again")
 
 
 def write_atomically(path: PathLike, data: str | bytes) -> None:

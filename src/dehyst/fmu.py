@@ -18,10 +18,11 @@ from typing import get_args
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst.compensator import Compensator
-from dehyst.export import SOURCES, code, shipped
-from dehyst.files import PathLike, write_atomically
+from dehyst.export import SOURCES, code
+from dehyst.files import PathLike, path_of, shipped, write_atomically
 from dehyst.fmu_description import Description, Kind, Version
 from dehyst.footprint import run
+from dehyst.header import demand_compensator
 from dehyst.version import __version__
 
 _SPOKEN = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
@@ -29,6 +30,8 @@ _BINARY = {"2.0": "binaries/linux64", "3.0": "binaries/x86_64-linux"}
 _SOURCE = "all.c"
 # Not Python's file times: the same model gives the same file.
 _TIME = (1980, 1, 1, 0, 0, 0)
+# Limits that no voltage meets.
+_NONE = -1e300, 1e300
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-s")
 
 
@@ -45,6 +48,8 @@ def export_fmu(
     path: PathLike,
     version: Version = "3.0",
     kind: Kind = "compensator",
+    *,
+    force: bool = False,
 ) -> None:
     """Write an FMU for co-simulation, which starts from the state that the compensator was made or last reset in.
 
@@ -61,24 +66,28 @@ def export_fmu(
     kind : {"compensator", "actuator"}, optional
         Displacement [m] in and voltage [V] out, with the numbers of clamped samples; or the virtual actuator, voltage
         in and displacement out, which knows no limits.
+    force : bool, optional
+        Replace a file of this name.
 
     Raises
     ------
     ModelError
-        If the version or the kind is none of these, or the compensator lacks a period that it needs.
+        If it is no Compensator, the version or the kind is none of these, or it lacks a period that it needs.
     FileFormatError
-        If the file cannot be written, or its name does not end in .fmu.
+        If the file is there already or cannot be written, or its name does not end in .fmu.
 
     Warns
     -----
     SourceOnlyWarning
         If there is no C compiler, it fails, or this is not Linux on x86-64: the FMU then holds sources only.
     """
+    demand_compensator(compensator)
     for name, value, known in (("version", version, get_args(Version)), ("kind", kind, get_args(Kind))):
         if value not in known:
             raise ModelError(f"{name}: got {value!r}, need {' or '.join(map(repr, known))}")
-    if Path(path).suffix != ".fmu":
-        raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
+    _demand_free(path_of(path), force)
+    if kind == "actuator":
+        compensator = _unlimited(compensator)
     description = Description.of(compensator, version, kind)
     sources = _sources(compensator, version)
     token = _token(sources, version, kind)
@@ -99,6 +108,18 @@ def export_fmu(
             2,
         )
     write_atomically(path, _zipped(content))
+
+
+def _demand_free(path: Path, force: bool) -> None:
+    if path.suffix != ".fmu":
+        raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
+    if path.is_file() and not force:
+        raise FileFormatError(f"{path}: is there already; replace it with force (--force) or give another name")
+
+
+def _unlimited(compensator: Compensator) -> Compensator:
+    """The same actuator in the same state, without limits: it is to answer any voltage."""
+    return Compensator(compensator.actuator, _NONE, period=compensator.period, state=compensator.afresh().state)
 
 
 def _sources(compensator: Compensator, version: Version) -> dict[str, str]:

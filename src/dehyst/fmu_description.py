@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple, TypeAlias
 from xml.etree import ElementTree
 
 from dehyst.compensator import Compensator
+from dehyst.outset import Outset
 from dehyst.version import __version__
 
 Version: TypeAlias = Literal["2.0", "3.0"]
@@ -26,6 +27,7 @@ class Variable(NamedTuple):
     unit: str
     description: str
     start: float | None = None
+    range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -131,27 +133,21 @@ def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variab
     summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{name}' follow a displacement."
     if compensator.slew_rate is not None:
         summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
-    y, _ = _at_start(compensator)
+    y = Outset.of(compensator).displacement
     return summary, (
         Variable("displacement", "input", "m", f"Displacement wanted {when}", y),
-        Variable("voltage", "output", "V", "Voltage to be reached at the end of the step"),
+        Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
         Variable("limited", "output", "", "Samples whose voltage was cut at a limit"),
         Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
     )
 
 
 def _actuator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
-    _, v = _at_start(compensator)
+    v = Outset.of(compensator).voltage
     return f"The actuator '{name}': displacement that a voltage causes.", (
         Variable("voltage", "input", "V", "Voltage reached at the end of a step's first period, then held", v),
         Variable("displacement", "output", "m", "Displacement"),
     )
-
-
-def _at_start(compensator: Compensator) -> tuple[float, float]:
-    """Displacement [m] and voltage [V]."""
-    start = compensator.start()
-    return float(start.motion[0]) if start.motion.size else start.w, compensator.afresh().voltage
 
 
 def _fill_2(root: ElementTree.Element, description: Description, source: str) -> None:
@@ -167,7 +163,7 @@ def _fill_2(root: ElementTree.Element, description: Description, source: str) ->
         attributes = {"name": one.name, "valueReference": str(reference)} | _roles(one)
         scalar = _add(variables, "ScalarVariable", description=one.description, **attributes)
         if one.unit:
-            _add(scalar, "Real", unit=one.unit, **_start(one))
+            _add(scalar, "Real", unit=one.unit, **_numbers(one))
         else:
             _add(scalar, "Integer")
     structure = _add(root, "ModelStructure")
@@ -188,7 +184,7 @@ def _fill_3(root: ElementTree.Element, description: Description) -> None:
     for reference, one in enumerate(description.variables):
         attributes = {"name": one.name, "valueReference": str(reference)} | _roles(one)
         if one.unit:
-            attributes |= {"unit": one.unit} | _start(one)
+            attributes |= {"unit": one.unit} | _numbers(one)
         _add(variables, "Float64" if one.unit else "UInt64", description=one.description, **attributes)
     structure = _add(root, "ModelStructure")
     for part in ("Output", "InitialUnknown"):
@@ -213,8 +209,9 @@ def _roles(one: Variable) -> dict[str, str]:
     return roles | {"initial": "calculated"} if one.causality == "output" else roles
 
 
-def _start(one: Variable) -> dict[str, str]:
-    return {} if one.start is None else {"start": repr(one.start)}
+def _numbers(one: Variable) -> dict[str, str]:
+    numbers = {} if one.range is None else {"min": repr(one.range[0]), "max": repr(one.range[1])}
+    return numbers if one.start is None else numbers | {"start": repr(one.start)}
 
 
 def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:

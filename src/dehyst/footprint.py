@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from dehyst._errors import FileFormatError
 from dehyst.files import PathLike
+from dehyst.naming import DEFAULT, name_in, text_of
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
 _M4, _UNIT = ("-mcpu=cortex-m4", "-mthumb"), ("-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
@@ -69,7 +70,8 @@ def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O
         for source in (*Path(directory).glob("*.c"), *Path(directory).glob("*.h")):
             if source.name != "check.c":
                 shutil.copy(source, folder)
-        (folder / "program.c").write_text(_PROGRAM)
+        name = name_in(folder) or DEFAULT
+        (folder / "program.c").write_text(text_of(_PROGRAM, name))
         sources = sorted(path.name for path in folder.glob("*.c"))
         options = [*STRICT, *_BARE, *flags]
         graphs = _compile(folder, compiler, options, sources)
@@ -78,10 +80,12 @@ def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O
         # Whole programs are compiled when they are linked.
         late = ["-fcallgraph-info=su", *_BARE] if graphs else []
         run([compiler, *flags, *late, *link, *objects, "-lgcc", "-o", "program"], folder)
-        (folder / "room.c").write_text(_ROOM)
+        (folder / "room.c").write_text(text_of(_ROOM, name))
         run([compiler, *options, "-fno-lto", "-c", "room.c"], folder)
         text, data, _ = _size(folder, compiler, "program")
-        return Footprint(text + data, sum(_size(folder, compiler, "room.o")), _deepest(folder) if graphs else None)
+        return Footprint(
+            text + data, sum(_size(folder, compiler, "room.o")), _deepest(folder, name) if graphs else None
+        )
 
 
 def run(command: Sequence[str], folder: Path) -> str:
@@ -122,8 +126,8 @@ def _size(folder: Path, compiler: str, file: str) -> tuple[int, int, int]:
     return int(row[0]), int(row[1]), int(row[2])
 
 
-def _deepest(folder: Path) -> int:
-    """Bytes of the deepest chain of calls that begins at a call of `piezo.h`; nothing here calls itself."""
+def _deepest(folder: Path, name: str) -> int:
+    """Bytes of the deepest chain of calls that begins at a call of `NAME.h`; nothing here calls itself."""
     frames: dict[str, int] = {}
     calls: dict[str, set[str]] = {}
     for graph in folder.glob("*.ci"):
@@ -132,13 +136,14 @@ def _deepest(folder: Path) -> int:
         for caller, called in _CALL.findall(text):
             calls.setdefault(caller, set()).add(called)
 
-    def below(name: str) -> int:
-        return frames.get(name, 0) + _most(below(called) for called in calls.get(name, ()))
+    def below(caller: str) -> int:
+        return frames.get(caller, 0) + _most(below(called) for called in calls.get(caller, ()))
 
     # Compiled as a whole, a step may have become a part of the program; titles then begin with a file.
-    own = {name: name.rpartition(":")[2] for name in frames}
-    inlined = "piezo_step" not in own.values()
-    return _most(below(name) for name, call in own.items() if call.startswith("piezo_") or (inlined and call == "main"))
+    own = {title: title.rpartition(":")[2] for title in frames}
+    inlined = f"{name}_step" not in own.values()
+    begins = f"{name}_"
+    return _most(below(title) for title, call in own.items() if call.startswith(begins) or (inlined and call == "main"))
 
 
 def _most(values: Iterable[int]) -> int:

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dehyst._errors import ModelError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 
 _WHOLE = 1e-9
+# Steps of a delay, or of a radian of the resonance.
+_FARTHEST = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +41,19 @@ class Foresight:
 
     @classmethod
     def of(cls, actuator: Actuator, period: float) -> Foresight:
-        """For the delay and dynamics of an actuator that is stepped every `period` [s]."""
+        """For the delay and dynamics of an actuator that is stepped every `period` [s].
+
+        Raises
+        ------
+        ModelError
+            If delay or swing take more than a million steps.
+        """
         late, dynamics = actuator.delay / period, actuator.dynamics
+        if late > _FARTHEST or (dynamics is not None and dynamics.frequency * period < 1 / _FARTHEST):
+            raise ModelError(
+                f"period: got {period:g} s, which is too short to look ahead by a delay of {actuator.delay:g} s or a "
+                "swing of the mass; give a longer one, or leave preview out"
+            )
         # What rounding leaves of a whole number of periods.
         late = round(late) if abs(late - round(late)) < _WHOLE else late
         whole = math.floor(late)

@@ -11,6 +11,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._native import NOTHING, Array
 from dehyst.compensator import Compensator
+from dehyst.outset import Outset
 from dehyst.version import __version__
 
 Number: TypeAlias = Literal["double", "float"]
@@ -36,6 +37,20 @@ _POSITIVE = {
 }
 
 
+def demand_compensator(value: object) -> None:
+    """Refuse what is no Compensator.
+
+    Raises
+    ------
+    ModelError
+    """
+    if not isinstance(value, Compensator):
+        raise ModelError(
+            f"compensator: got {type(value).__name__}, need a Compensator; pass Compensator(actuator, limits), made "
+            "from the actuator"
+        )
+
+
 class Sizes(NamedTuple):
     """How many of each part a loop has: elements, spring's knots, grades, transformer's knots, creep, smooth, taps."""
 
@@ -59,7 +74,7 @@ def size_header(compensator: Compensator, number: Number) -> str:
     """Text of `model_size.h`: macros that others than `piezo.c` need too."""
     tables = _tables(compensator, number)
     sizes, (low, high) = Sizes.of(tables), tables["loop"][:2].tolist()
-    spell = _Spelling(number)
+    spell = _Spelling(number).plain
     lines = [
         "#ifndef MODEL_SIZE_H",
         "#define MODEL_SIZE_H",
@@ -71,11 +86,11 @@ def size_header(compensator: Compensator, number: Number) -> str:
         "#define MODEL_ROOM(n) ((n) > 0 ? (n) : 1)",
         "",
         "/* Seconds between steps; 0: this model does not depend on time. */",
-        f"#define MODEL_PERIOD {spell.one(compensator.period or 0.0)}",
+        f"#define MODEL_PERIOD {spell(compensator.period or 0.0)}",
         "/* A displacement is to be given so many samples before its time. */",
         f"#define MODEL_AHEAD {compensator.samples_ahead}",
-        f"#define MODEL_LOW {spell.one(low)} /* V */",
-        f"#define MODEL_HIGH {spell.one(high)} /* V */",
+        f"#define MODEL_LOW {spell(low)} /* V */",
+        f"#define MODEL_HIGH {spell(high)} /* V */",
         "",
         "#endif",
     ]
@@ -109,7 +124,7 @@ def model_header(compensator: Compensator, number: Number) -> str:
         '#include "model_size.h"',
         "",
         *arrays,
-        "/* Where it starts: w, y and y'/omega; then the memory. */",
+        *_begins(compensator),
         *(spell.array(name, values if values.size else np.zeros(1)) for name, values in begin.items()),
         _compensator(tables, used, spell),
         "",
@@ -119,7 +134,7 @@ def model_header(compensator: Compensator, number: Number) -> str:
 
 
 class _Spelling:
-    """How numbers are written in C: hexadecimal, so that not a bit is lost."""
+    """How numbers are written in C: hexadecimal, so that not a bit is lost, where only C reads them."""
 
     def __init__(self, number: Number) -> None:
         self.number = number
@@ -128,6 +143,10 @@ class _Spelling:
         if value == _LARGEST:
             return "DEHYST_LARGEST"
         return float(value).hex() if self.number == "double" else f"{float(np.float32(value)).hex()}f"
+
+    def plain(self, value: float) -> str:
+        """As every C++ takes it: the shortest decimal that is rounded to the same number."""
+        return repr(float(value)) if self.number == "double" else f"{np.float32(value)!s}f"
 
     def some(self, values: Array) -> str:
         return ", ".join(self.one(value) for value in values.tolist())
@@ -199,6 +218,15 @@ def _compensator(tables: Tables, used: Tables, spell: _Spelling) -> str:
         f" {spell.one(stiffness)}}};",
     ]
     return "static const dehyst_compensator model = " + "\n".join(rows)
+
+
+def _begins(compensator: Compensator) -> list[str]:
+    outset = Outset.of(compensator)
+    return [
+        f"/* Where it starts, at {outset.words}. To bring the actuator there:",
+        f" * {outset.way}.",
+        " * w, y and y'/omega; then the memory. */",
+    ]
 
 
 def _demand_float(tables: Tables) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dehyst.compensator import Compensator
-from dehyst.header import Sizes
+from dehyst.header import Sizes, demand_compensator
 
 # Steps of `dehyst_smooth_solve` beside those that pass events.
 _TRIES = 200
@@ -40,7 +40,13 @@ def worst_case(compensator: Compensator) -> Operations:
 
     It follows the functions of `core/`, every branch taken where it costs most: an offer, then the actuator simulated
     with a voltage that is not the wish, past every breakaway and every knot on the way.
+
+    Raises
+    ------
+    ModelError
+        If it is no Compensator.
     """
+    demand_compensator(compensator)
     tables = compensator.tables()
     sizes, inertia = Sizes.of(tables), tables["inertia"].size > 0
     known = _known(sizes, inertia)

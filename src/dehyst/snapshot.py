@@ -15,6 +15,8 @@ from dehyst.model import State
 
 FORMAT = "dehyst-loop"
 VERSION = 1
+# Counts of the core hold no more on every machine.
+_MOST = 2**31
 # Entries of a model file that a loop does not depend on, or has its own of.
 _FREE = {"name", "provenance", "limits", "state"}
 
@@ -70,13 +72,15 @@ class Snapshot:
             If it is no snapshot of this version.
         """
         data = read_json(path)
-        if data.get("format") != FORMAT or data.get("version") != VERSION:
+        if data.get("format") != FORMAT or type(data.get("version")) is not int or data["version"] != VERSION:
             raise ModelError(
                 f"{path}: got format {data.get('format')!r} version {data.get('version')!r}, need {FORMAT!r} {VERSION}"
             )
         model_file.demand_keys(data, {"format", "version", "key", "state", "rest", "counts"}, "snapshot")
         counts = data["counts"]
-        if not (isinstance(counts, list) and len(counts) == 3 and all(type(n) is int and n >= 0 for n in counts)):
+        if not (
+            isinstance(counts, list) and len(counts) == 3 and all(type(n) is int and 0 <= n < _MOST for n in counts)
+        ):
             raise ModelError(f"{path}: counts: got {counts!r}, need three whole numbers")
         return cls(str(data["key"]), model_file.state(data), model_file.numbers(data["rest"], "rest"), tuple(counts))
 

@@ -21,6 +21,9 @@ _CHUNK = 64
 _ANY = float(np.finfo(np.float64).max)
 # What `Loop.trace` calls an offer that was not clamped.
 _WISHED = 1
+_ROUNDING = 1e-12
+# Of the spring's knots: a miss that is worth a sentence.
+_WORTH = 1e-3
 # Runs of equal steps, each of which is set up anew.
 _FEW = 64
 
@@ -41,7 +44,11 @@ class Command:
     state : State
         The state that the clamped voltage leads to.
     warnings : tuple of str
-        What was clamped, in sentences; empty if nothing was.
+        What was clamped, and whether the path is missed for another reason, in sentences; empty if all is well.
+    missed : float
+        Largest distance [m] of `displacement` from the wanted path.
+    followed : bool
+        Whether nothing was clamped, and the path is missed by no more than a thousandth of the range of the spring.
     """
 
     voltage: Array
@@ -49,6 +56,8 @@ class Command:
     clamped: Mask
     state: State
     warnings: tuple[str, ...]
+    missed: float
+    followed: bool
 
 
 @dataclass(frozen=True)
@@ -129,9 +138,10 @@ def follow(
         wish, after = path.followed(i, stop, state)
         before = voltage[i - 1] if i else wish[0]
         allowed = limits.allowed(wish, before, steps[i:stop])
-        bad = np.flatnonzero(allowed != wish)
+        # What rounding leaves of a wish that lies on a limit is no clamp.
+        bad = np.flatnonzero(np.abs(allowed - wish) > _ROUNDING * (limits.high - limits.low))
         good = int(bad[0]) if bad.size else stop - i
-        voltage[i : i + good], reached[i : i + good] = wish[:good], wanted[i : i + good]
+        voltage[i : i + good], reached[i : i + good] = allowed[:good], wanted[i : i + good]
         if not bad.size:
             i, state, chunk = stop, after, 2 * chunk
             continue
@@ -148,8 +158,20 @@ def follow(
     if path.moves_on:
         motion = path.played(voltage, start)
         reached, state = motion.displacement, motion.state
-    said = (*_clamps(limits, voltage, wanted, reached, clamped), *_extrapolates(actuator, voltage))
-    return Command(voltage, reached, clamped, state, said)
+    missed = float(np.abs(wanted - reached).max(initial=0.0))
+    said = _clamps(limits, voltage, missed, clamped)
+    followed = not clamped.any() and missed <= _WORTH * float(np.ptp(actuator.spring.displacement))
+    if not followed and not clamped.any():
+        said = (*said, _lagged(missed))
+    return Command(voltage, reached, clamped, state, (*said, *_extrapolates(actuator, voltage)), missed, followed)
+
+
+def _lagged(missed: float) -> str:
+    """Where nothing was clamped only a mass or an amplifier can be left behind."""
+    return (
+        f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin where the "
+        "actuator stands, or moves faster than its samples tell"
+    )
 
 
 def _extrapolates(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
@@ -162,16 +184,16 @@ def _extrapolates(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
     return (f"{count} voltages lie outside the identified range {low:.6g} to {high:.6g} V: extrapolated",)
 
 
-def _clamps(limits: Limits, voltage: Array, wanted: Array, reached: Array, clamped: Mask) -> tuple[str, ...]:
+def _clamps(limits: Limits, voltage: Array, missed: float, clamped: Mask) -> tuple[str, ...]:
     count = int(np.count_nonzero(clamped))
     if not count:
         return ()
     at_limit = int(np.count_nonzero(clamped & ((voltage <= limits.low) | (voltage >= limits.high))))
-    first, miss = int(np.flatnonzero(clamped)[0]), float(np.abs(wanted - reached).max())
+    first = int(np.flatnonzero(clamped)[0])
     why = f"{at_limit} at the limits {limits.words}, {count - at_limit} by the slew rate"
     return (
         f"CLAMPED: {count} of {voltage.size} voltages ({why}), the first at sample {first}; the path is missed by "
-        f"up to {miss * 1e6:.4g} um",
+        f"up to {missed * 1e6:.4g} um",
     )
 
 
@@ -189,7 +211,7 @@ class _Path:
     @property
     def moves_on(self) -> bool:
         """Whether a mass or an amplifier still answers what was clamped before."""
-        return self.actuator.dynamics is not None or self.actuator.lag > 0
+        return self.actuator.model.moves_on
 
     @property
     def steps_on(self) -> bool:
@@ -252,6 +274,7 @@ class _Path:
             voltage[run], place[run], offers[run] = loop.trace(w[run])
             before, state = float(voltage[run.stop - 1]), model.state_of(Held(*loop.state()))
         clamped = offers[first:] != _WISHED
+        clamped &= np.abs(place - w)[first:] > _ROUNDING * float(np.ptp(model.spring.displacement))
         reached = np.where(clamped, place[first:] - self.lead[first:], self.wanted[first:])
         return voltage[first:], reached, clamped, state
 

@@ -47,7 +47,12 @@ class WideModel:
     @property
     def needs_time(self) -> bool:
         """Whether the answer depends on time."""
-        return self.creep is not None or self.dynamics is not None or self.lag > 0
+        return self.creep is not None or self.moves_on
+
+    @property
+    def moves_on(self) -> bool:
+        """Whether a mass or an amplifier still answers what was before."""
+        return self.dynamics is not None or self.lag > 0
 
     @cached_property
     def core(self) -> WideCore:

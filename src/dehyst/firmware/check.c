@@ -3,6 +3,7 @@
 #include "trace.h"
 
 #include <float.h>
+#include <math.h>
 #include <stdio.h>
 
 #define MOST_SAID 5
@@ -13,14 +14,13 @@ static double magnitude_of(double a) { return a < 0 ? -a : a; }
 static double answer(const trace_row *row, piezo *loop, piezo *actuator)
 {
     const dehyst_real given = (dehyst_real)row->given;
-    dehyst_real nothing = 0;
     switch (row->what) {
     case TRACE_STEP: return piezo_step(loop, given);
     case TRACE_OFFER: return piezo_offer(loop, given);
     case TRACE_COMMIT: piezo_commit(loop, given); return piezo_displacement(loop);
     case TRACE_ACCEPT: piezo_commit(loop, loop->loop.voltage); return piezo_displacement(loop);
     case TRACE_HOLD: piezo_hold(loop); return piezo_displacement(loop);
-    case TRACE_NONSENSE: return piezo_step(loop, nothing / nothing);
+    case TRACE_NONSENSE: return piezo_step(loop, (dehyst_real)NAN);
     default: return piezo_simulate(actuator, given);
     }
 }

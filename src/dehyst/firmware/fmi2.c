@@ -186,17 +186,18 @@ FMI(fmi2Status, SerializedFMUstateSize)(fmi2Component c, fmi2FMUstate state, siz
 FMI(fmi2Status, SerializeFMUstate)(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
     if (state == NULL || size < sizeof(fmu_memory)) return absent(c, "SerializeFMUstate: no state, or no room for it");
-    memcpy(bytes, state, sizeof(fmu_memory));
+    fmu_serialize(state, bytes);
     return fmi2OK;
 }
 
 FMI(fmi2Status, DeSerializeFMUstate)(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
 {
     instance *i = c;
-    if (!fmu_fits(&i->fmu, bytes, size)) return tell(i, fmi2Error);
+    fmu_memory found;
+    if (!fmu_deserialize(&i->fmu, bytes, size, &found)) return tell(i, fmi2Error);
     if (*state == NULL) *state = malloc(sizeof(fmu_memory));
     if (*state == NULL) return absent(c, "DeSerializeFMUstate: no memory is left");
-    memcpy(*state, bytes, sizeof(fmu_memory));
+    memcpy(*state, &found, sizeof found);
     return fmi2OK;
 }
 

@@ -147,17 +147,18 @@ FMI(fmi3Status, SerializedFMUStateSize)(fmi3Instance c, fmi3FMUState state, size
 FMI(fmi3Status, SerializeFMUState)(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size)
 {
     if (state == NULL || size < sizeof(fmu_memory)) return absent(c, "SerializeFMUState: no state, or no room for it");
-    memcpy(bytes, state, sizeof(fmu_memory));
+    fmu_serialize(state, bytes);
     return fmi3OK;
 }
 
 FMI(fmi3Status, DeserializeFMUState)(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
 {
     instance *i = c;
-    if (!fmu_fits(&i->fmu, bytes, size)) return tell(i, fmi3Error);
+    fmu_memory found;
+    if (!fmu_deserialize(&i->fmu, bytes, size, &found)) return tell(i, fmi3Error);
     if (*state == NULL) *state = malloc(sizeof(fmu_memory));
     if (*state == NULL) return absent(c, "DeserializeFMUState: no memory is left");
-    memcpy(*state, bytes, sizeof(fmu_memory));
+    memcpy(*state, &found, sizeof found);
     return fmi3OK;
 }
 

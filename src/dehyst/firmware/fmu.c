@@ -7,11 +7,18 @@
 /* snprintf may write nan, inf and numbers, none of them with a % sign. */
 #define REFUSE(f, ...) (snprintf((f)->message, sizeof(f)->message, __VA_ARGS__), 0)
 
+/* The compensator's output keeps to its limits even before the first step. */
+static double within(double v)
+{
+    if (FMU_ACTUATOR) return v;
+    return v < MODEL_LOW ? MODEL_LOW : v > MODEL_HIGH ? MODEL_HIGH : v;
+}
+
 int fmu_begin(fmu *f)
 {
     const dehyst_status status = piezo_begin(&f->piezo);
     const dehyst_loop *loop = &f->piezo.loop;
-    const double y = piezo_displacement(&f->piezo), v = loop->sent;
+    const double y = piezo_displacement(&f->piezo), v = within(loop->sent);
     f->phase = FMU_MADE;
     f->time = 0;
     f->told = 0;
@@ -153,6 +160,7 @@ void fmu_save(const fmu *f, fmu_memory *memory)
     at = copied(at, state->strain, MODEL_BRANCHES);
     at = copied(at, state->elongation, MODEL_SMOOTH);
     copied(at, loop->fed, MODEL_TAPS);
+    memory->check = 0;
     memset(memory->token, 0, sizeof memory->token);
     memcpy(memory->token, FMU_TOKEN, sizeof FMU_TOKEN);
     memory->count[0] = loop->limited;
@@ -185,8 +193,43 @@ void fmu_restore(fmu *f, const fmu_memory *memory)
     f->told = (int)(memory->count[3] % 4);
 }
 
-int fmu_fits(fmu *f, const void *bytes, size_t size)
+/* FNV-1a of 64 bits, over all behind `check`. */
+static uint64_t checksum(const fmu_memory *memory)
 {
-    if (bytes != NULL && size == sizeof(fmu_memory) && memcmp(bytes, FMU_TOKEN, sizeof FMU_TOKEN) == 0) return 1;
-    return fmu_demand(f, 0, "state: it is of another model");
+    const unsigned char *at = (const unsigned char *)memory->count, *end = (const unsigned char *)(memory + 1);
+    uint64_t sum = 14695981039346656037u;
+    while (at < end) sum = (sum ^ *at++) * 1099511628211u;
+    return sum;
+}
+
+/* What no FMU of this model has written, though its checksum may fit. */
+static const char *flaw(const fmu_memory *memory)
+{
+    int i;
+    for (i = 0; i < FMU_NUMBERS; i++)
+        if (!fmu_finite(memory->number[i])) return "state: a number of it is not finite";
+    if (memory->count[3] / 4 > FMU_ENDED) return "state: it is in no phase of an FMU's life";
+    for (i = 0; i < FMU_SCALARS; i++)
+        if ((i == FMU_SENT || i == FMU_OFFERED || i == FMU_GIVEN) && within(memory->number[i]) != memory->number[i])
+            return "state: its voltage lies outside the limits";
+    return NULL;
+}
+
+void fmu_serialize(const fmu_memory *memory, void *bytes)
+{
+    fmu_memory sealed = *memory;
+    sealed.check = checksum(&sealed);
+    memcpy(bytes, &sealed, sizeof sealed);
+}
+
+int fmu_deserialize(fmu *f, const void *bytes, size_t size, fmu_memory *memory)
+{
+    const char *why;
+    if (bytes == NULL || size != sizeof *memory || memcmp(bytes, FMU_TOKEN, sizeof FMU_TOKEN) != 0)
+        return fmu_demand(f, 0, "state: it is of another model");
+    memcpy(memory, bytes, sizeof *memory);
+    if (memory->check != checksum(memory))
+        return fmu_demand(f, 0, "state: its checksum does not fit; it is not what was serialized");
+    why = flaw(memory);
+    return fmu_demand(f, why == NULL, why);
 }

@@ -15,11 +15,14 @@ typedef enum fmu_phase { FMU_MADE, FMU_BEGINNING, FMU_RUNNING, FMU_ENDED } fmu_p
 
 /* The numbers of the loop that are not arrays, and input, output and time. */
 #define FMU_SCALARS 15
+/* Of these, the voltages that are sent. */
+enum { FMU_SENT = 4, FMU_OFFERED = 11, FMU_GIVEN = 13 };
 #define FMU_NUMBERS (FMU_SCALARS + MODEL_ELEMENTS + MODEL_BRANCHES + MODEL_SMOOTH + MODEL_TAPS)
 
 /* All that an instance remembers, without a pointer; alike states are alike to the last byte. */
 typedef struct fmu_memory {
     char token[sizeof FMU_TOKEN + 7 - (sizeof FMU_TOKEN + 7) % 8];
+    uint64_t check; /* of what follows; only in a serialised state */
     uint64_t count[4];
     double number[FMU_NUMBERS];
 } fmu_memory;
@@ -49,6 +52,8 @@ static inline int fmu_finite(double a) { return a - a == 0; }
 
 void fmu_save(const fmu *f, fmu_memory *memory);
 void fmu_restore(fmu *f, const fmu_memory *memory);
-int fmu_fits(fmu *f, const void *bytes, size_t size);
+/* A memory as bytes, with a checksum; and back, 0 if they are not what was written. */
+void fmu_serialize(const fmu_memory *memory, void *bytes);
+int fmu_deserialize(fmu *f, const void *bytes, size_t size, fmu_memory *memory);
 
 #endif

@@ -20,7 +20,7 @@ typedef struct piezo {
     dehyst_real fed[MODEL_TAPS];
 } piezo;
 
-/* Start from the state that was exported. DEHYST_OK, or the memory is not to be used. */
+/* Comes before every other call: start from the state that was exported. DEHYST_OK, or the memory is not to be used. */
 dehyst_status piezo_begin(piezo *p);
 /* The voltage to send now; the memory takes it to be sent. If the displacement is not a number, the last voltage. */
 dehyst_real piezo_step(piezo *p, dehyst_real displacement);
