@@ -20,6 +20,7 @@ def folder(tmp_path_factory):
     plain = replace(bench.plant(10), limits=(-50.0, 250.0))
     plain.save(target / "model.json")
     replace(plain, creep=Creep([0.05, 0.4], [1e6, 1.5e6])).save(target / "creep.json")
+    replace(plain, creep=Creep([5.0, 50.0], [2e5, 2e5])).save(target / "slow.json")
     (target / "path.csv").write_text("time_s,displacement_um\n0,2\n0.1,5\n0.2,3\n")
     return target
 
@@ -105,9 +106,30 @@ def test_what_is_clamped_ends_with_status_1(folder):
     ((*TRIANGLE, "--cycle", "model.json"), "is an input of this command too"),
     ((*TRIANGLE, "--lines", 3), "--lines: got 3 with --scan triangle, which takes --low"),
     ((*TRIANGLE[:-2],), "--scan triangle: got no --frequency, need --low, --high, --frequency"),
-    ((*TRIANGLE, "--axis", "y"), "axis: got 'y', need 'x'"),
-    ((*TRIANGLE, "--cycles", 0, "--turns", 2), "turns: got 2, need a share"),
-    ((*TRIANGLE, "--acceleration", 1000), r"acceleration: got 0.001 m/s^2 (1000 um/s^2), with which 10 um take"),
+    ((*TRIANGLE, "--axis", "y"), "--axis: got 'y', need 'x'"),
+    ((*TRIANGLE, "--cycles", 0, "--turns", 2), "--turns: got 2, need a share"),
+    ((*TRIANGLE, "--acceleration", 1000), "--acceleration: got 1000 um/s^2, with which 10 um take"),
+    (("--scan", "triangle", "--low", 12, "--high", 2, "--frequency", 10), "--low, --high: got 12 and 2 um, need"),
+    (("--scan", "triangle", "--low", 2, "--high", 12e6, "--frequency", 10),
+     "--high: got 1.2e+07 um, need 1e+06 um at most; give micrometres, such as 5"),
+    (("--scan", "steps", "--levels", "2,2", "--dwell", 0.1, "--edge", 1), "--levels: got 2 um twice in a row"),
+    (("--scan", "steps", "--levels", "2", "--dwell", 0.1, "--edge", 1), "--levels: got 2 um alone, need two"),
+    (("--scan", "steps", "--levels", "2,6", "--dwell", 0.1), "--edge: got none, and no acceleration"),
+    (("--scan", "steps", "--levels", "2,6", "--dwell", 0.1, "--edge", 1e-3, "--acceleration", 10),
+     "--edge: got 0.001 s for 4 um, which takes 1.52 s at least within 10 um/s^2; try"),
+    (("--scan", "lissajous", "--low", 2, "--high", 12, "--frequency", 1, "--phase", 1e9),
+     "--phase: got 1e+09, need an angle in degrees, -36000 to 36000"),
+    ((*TRIANGLE, "--sample-rate", 20), "--sample-rate: got 20 Hz, 1 sample for 0.05 s"),
+    ((*TRIANGLE, "--sample-rate", 1e8), "--scan: got 10000000 rows a period at 1e+08 Hz, need 5e+06 at most; try a"),
+    ((*TRIANGLE, "--limits", 5, 2), "--limits: got (5.0, 2.0), need"),
+    (("--scan", "raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 100_000),
+     "--scan: got 40000400 rows a period at 4000 Hz, need 5e+06 at most; try a lower --sample-rate, or a scan of"),
+    ((*TRIANGLE, "--slew", -2), "--slew: got -2.0, need"),
+    ((*TRIANGLE, "--cycles", -1), "--cycles: got -1, need a whole number, 0 or more"),
+    ((*TRIANGLE, "--cycle", "t.csv", "--start-up", -1), "--start-up: got -1, need a whole number, 0 or more"),
+    ((*TRIANGLE, "--cycle", "t.csv", "--tolerance", -1), "--tolerance: got -1, need a length above 0 in um"),
+    ((*TRIANGLE, "--cycle", "t.csv", "--approach", -1), "--approach: got -1, need a number above 0"),
+    ((*TRIANGLE, "--cycle", "t.csv", "--homing", "--present", 900), "--present: got 900 V, but the limits are -50"),
     (("--scan", "steps", "--levels", "2,x", "--dwell", 1), "--levels: could not convert string to float: 'x'"),
     (("--scan", "spiral", "--low", 2, "--high", 12, "--frequency", 1, "--revolutions", 3, "--y-high", 20),
      "--y-low, --y-high: got 18 um, but x has 10 um"),
@@ -117,3 +139,36 @@ def test_wrong_options_end_with_status_2_and_a_sentence(folder, arguments, said)
     status, out, err = run("compensate", "model.json", *arguments, "-o", "o.csv", cwd=folder)
     assert status == 2 and out == "" and said in err
     assert (folder / "model.json").read_bytes() == before
+
+
+def test_a_long_homing_is_told_before_it_is_written(folder):
+    given = (*TRIANGLE, "--homing", "--cycle", "t.csv", "-o", "long.csv")
+    _, out, err = run("compensate", "slow.json", *given, "--json", cwd=folder)
+    told, rows = json.loads(out), np.loadtxt(folder / "long.csv", delimiter=",", skiprows=1)
+    assert f"s of start-up, 0.1 s of cycles: {told['samples']} rows" in err
+    assert f"the homing has {told['homing_samples']} rows" in err and "play it by its time column" in err
+    assert told["samples"] == len(rows) < 5e5 and told["homing_s"] > 200
+    first = rows[rows[:, 1] == 1][0]
+    assert first[0] == pytest.approx(told["homing_s"], abs=1e-9)
+
+
+@pytest.mark.parametrize("arguments, said", [
+    (("--start-up", 10_000_000), "--start-up: got 10000000, 4e+09 samples of start-up, need 12500 at most"),
+    (("--cycles", 100_000_000), "--cycles: got 100000000, 4e+10 rows, need 12500 at most"),
+    (("--cycles", 12_500), "5e+06 rows at most; try a lower --sample-rate"),
+])  # fmt: skip
+def test_files_that_no_one_can_use_are_not_written(folder, arguments, said):
+    table = () if "--cycles" in arguments and arguments[1] > 12_500 else ("--cycle", "no-table.csv")
+    status, out, err = run("compensate", "model.json", *TRIANGLE, *table, *arguments, "-o", "no.csv", cwd=folder)
+    assert status == 2 and said in err and out == ""
+    assert not (folder / "no.csv").exists() and not (folder / "no-table.csv").exists()
+
+
+def test_what_is_not_settled_ends_with_status_1(folder):
+    given = (*TRIANGLE, "--cycle", "t.csv", "--start", "relaxed", "--json")
+    for more, wanted in (("--start-up", 1), 1), (("--start-up", 1, "--tolerance", 5), 0):
+        status, out, err = run("compensate", "slow.json", *given, *more, "-o", "o.csv", cwd=folder)
+        told = json.loads(out)
+        assert (status, told["settled"], told["clamped"]) == (wanted, not wanted, 0)
+        assert ("NOT SETTLED: after 1 cycle of start-up" in err) == bool(wanted)
+        assert "cycles=" not in err and ("; give --start-up " in err) == bool(wanted)

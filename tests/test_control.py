@@ -251,7 +251,7 @@ def test_refusals():
     for block in (actuator.to_control(), Compensator(actuator, ANY).to_control()):
         for bad in (np.nan, np.inf):
             for function in (block.outfcn, block.updfcn):
-                with pytest.raises(ModelError, match=f"block: got .* = {bad}"):
+                with pytest.raises(ModelError, match=f"block: got .* = .*{bad}.*, need one finite number"):
                     function(0.0, block.start, np.array([bad]), {})
         broken = block.start.copy()
         broken[1] += 1.0
@@ -262,8 +262,34 @@ def test_refusals():
 
 def test_a_linearisation_is_refused():
     block = bench.plant(10).to_control()
-    with pytest.raises(ModelError, match="a cart lies farther from the displacement than its breakaway elongation"):
-        control.linearize(block, block.start, [100.0], eps=1e-10)
+    for start in (block.start, 0):
+        with pytest.raises(ModelError, match=r"linearize: linearising, and looking for an operating point"):
+            control.linearize(block, start, [100.0], eps=1e-10)
+    with pytest.raises(ModelError, match=r"control.find_operating_point[)], are not possible, for they change one"):
+        control.find_operating_point(block, block.start, [100.0])
+    # Of a loop of blocks the parts are asked, each number of their memory alone.
+    loop = control.interconnect([block], inputs="voltage", outputs="displacement")
+    with pytest.raises(ModelError, match=r"a cart lies farther .* If it was given: linearising, and looking"):
+        control.linearize(loop, block.start, [100.0], eps=1e-10)
+
+
+def test_what_is_no_input_or_name_is_refused():
+    actuator = bench.plant(10)
+    for block, what in (actuator.to_control(), "voltage"), (Compensator(actuator, ANY).to_control(), "wanted"):
+        for function in (block.outfcn, block.updfcn):
+            for bad in ([], [1.0, 2.0], None):
+                with pytest.raises(ModelError, match=f"block: got {what} = .*, need one finite number"):
+                    function(0.0, block.start, bad, {})
+            with pytest.raises(ModelError, match=f"block: got .* for {what}, need finite numbers"):
+                function(0.0, block.start, "x", {})
+            with pytest.raises(ModelError, match=r"block: got \['x'\] for the state, need finite numbers"):
+                function(0.0, ["x"], [1e-6], {})
+        with pytest.raises(ModelError, match=rf"block: got {what} = \[\], need one finite number"):
+            block.output(0, block.start, [])
+    for make in (actuator.to_control, Compensator(actuator, ANY).to_control):
+        for name in (5, None, ""):
+            with pytest.raises(ModelError, match=r"name: got .*, need a word, such as 'stage'"):
+                make(name=name)
 
 
 def test_without_python_control_it_says_what_to_install(monkeypatch):

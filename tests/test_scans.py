@@ -302,3 +302,18 @@ def test_a_spiral_and_a_figure_can_be_had_at_the_frequency_that_is_said():
 def test_a_coarse_centre_is_said():
     assert "near the centre it turns by" in Spiral(UM, 8, 1, sample_rate=1000).warnings[0]
     assert Spiral(UM, 8, 1).warnings == ()
+
+
+@pytest.mark.parametrize("slow", ["staircase", "ramp"])
+@pytest.mark.parametrize("lines, acceleration", [(64, 0.2), (64, 1.0), (9000, 0.01), (9000, 0.002)])
+def test_a_raster_goes_back_in_as_few_lines_as_its_limits_allow(slow, lines, acceleration):
+    given = {"y_high": 5e-3, "slow": slow, "turns": 0.7}
+    raster = Raster(2 * UM, 3 * UM, 10, lines, **given, speed=1.0, acceleration=acceleration)
+
+    def hardest(back):
+        free = Raster(2 * UM, 3 * UM, 10, lines, **given, back=back)
+        way = back * free.fast.samples + (free.fast.legs[1] if slow == "staircase" else 0)
+        return np.abs(free.path("y").acceleration[-way:]).max()
+
+    assert 1 < raster.pause < 1000
+    assert hardest(raster.pause) <= acceleration * (1 + 1e-8) < hardest(raster.pause - 1)

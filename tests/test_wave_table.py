@@ -129,12 +129,13 @@ def test_creep_whose_time_constant_is_long_settles_at_once_in_the_table():
 def test_a_table_that_comes_too_early_is_said_with_the_cycles_that_would_do():
     slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
     table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=2)
-    assert table.cycles == 2
+    assert table.cycles == 2 and not table.settled
     assert "after 2 cycles of start-up the first steady cycle comes off by up to" in table.warnings[-1]
     more = int(table.warnings[-1].split("creep takes ")[1].split()[0])
     enough = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=2 + more)
     assert enough.error <= 1.01e-4 * strokes(TRIANGLE)
     found = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0))
+    assert found.settled and enough.tolerance == pytest.approx(1e-4 * strokes(TRIANGLE))
     assert 0.8 * (2 + more) < found.cycles <= 2 + more
 
 
@@ -206,9 +207,37 @@ def test_the_homing_begins_at_the_present_voltage_and_keeps_the_slew_rate():
     assert played.voltage[end] == pytest.approx(30.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("parts", [{}, {"dynamics": Dynamics(2 * np.pi * 300, 0.03, 1e6)}])
+def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
+    slow = replace(PLAIN, creep=Creep([5.0, 50.0], [2e5, 2e5]), **parts)
+    table = wave_table(slow, TRIANGLE)
+    assert table.homing.duration * table.sample_rate > 9e5
+    assert table.sample_rate / table.homing.sample_rate == round(table.sample_rate / table.homing.sample_rate)
+    played = table.played(2)
+    assert played.time.size == table.rows(2) and (played.phase == 0).sum() == table.homing_rows.size < 5e4
+    steps = np.diff(played.time)
+    assert steps.min() > 0.99 / table.sample_rate
+    # All that was left out lies on straight lines between rows.
+    whole = np.interp(table.homing.time, played.time, played.voltage)
+    assert np.abs(whole - table.homing.voltage)[:-1].max() <= 1e-9
+    # What was simulated with every sample is what the rows alone make, at the rows and after them.
+    made = slow.simulate(played.voltage, time=played.time, state=slow.relaxed(float(played.voltage[0]))).displacement
+    assert np.abs(made - played.expected)[played.phase == 0].max() <= 1e-5 * strokes(TRIANGLE)
+    assert np.abs(made - played.displacement)[-800:].max() <= table.error + table.unknown + 1e-4 * strokes(TRIANGLE)
+
+
+def test_a_short_homing_is_sampled_as_the_scan_is():
+    table = wave_table(ACTUATORS["creep"], TRIANGLE)
+    assert table.homing.sample_rate == table.sample_rate
+    played = table.played(1)
+    np.testing.assert_allclose(played.time, np.arange(played.time.size) / table.sample_rate, rtol=1e-12)
+
+
 @pytest.mark.parametrize("options, said", [
     ({"axis": "y"}, "axis: got 'y', need 'x'"),
-    ({"cycles": -1}, "cycles: got -1, need a whole number, 0 or more"),
+    ({"cycles": -1}, "cycles: got -1, need a whole number, 0 or more, 10000000 at most"),
+    ({"state": None, "present": 900.0}, "present: got 900 V, but the limits are -50 to 250 V; ramp there first"),
+    ({"cycles": 10**7}, "cycles: got 10000000, 4e[+]09 samples of start-up, need 12500 at most"),
     ({"tolerance": 0.0}, "tolerance: got 0, need a number above 0"),
     ({"approach": -1.0}, "approach: got -1, need a number above 0"),
     ({"scan": Steps((2 * UM, 5 * UM), 0.1, seconds=0.1, closed=False)}, "scan: got one that ends elsewhere"),
@@ -216,3 +245,24 @@ def test_the_homing_begins_at_the_present_voltage_and_keeps_the_slew_rate():
 def test_what_cannot_be_is_refused(options, said):
     with pytest.raises(RecordError, match=said):
         wave_table(PLAIN, **{"scan": TRIANGLE, "state": PLAIN.relaxed(20.0), **options})
+
+
+def test_creep_that_no_start_up_can_outlast_is_said_so():
+    slow = replace(PLAIN, creep=Creep([1e5], [2e6]))
+    table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=1)
+    assert "NOT SETTLED: after 1 cycle of start-up" in table.warnings[-1]
+    assert table.warnings[-1].endswith("but a start-up has 12500 cycles at most; play the table for so long and wait")
+
+
+def test_a_clipped_table_that_is_not_settled_says_that_no_number_is_known():
+    slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
+    table = wave_table(slow, TRIANGLE, limits=(0.0, 120.0), state=slow.relaxed(20.0))
+    assert table.clamped and not table.settled and table.cycles == 47
+    assert "how many would do is not known" in table.warnings[-1]
+    assert table.warnings[-1].endswith("it tries 47 at most and 100000 samples; give cycles=96 to see")
+
+
+def test_creep_without_clipping_is_followed_for_a_thousand_cycles():
+    slow = replace(PLAIN, creep=Creep([500.0], [2e5]))
+    table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0))
+    assert (table.cycles, table.settled, table.clamped) == (1000, False, 0)

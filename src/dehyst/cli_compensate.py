@@ -16,6 +16,7 @@ from dehyst.console import (
     conclude,
     json_option,
     late_words,
+    progress_line,
     read_model,
     refuse_overwriting,
     start_option,
@@ -23,6 +24,7 @@ from dehyst.console import (
     state_dict,
     time_of_table,
 )
+from dehyst.option_words import in_options, said_in_options
 from dehyst.scan_options import NAMES, named_scan, scan_options
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
     from dehyst.wave_table import WaveTable
 
 _OF_SCANS = ("axis", "cycles", "cycle", *NAMES)
+# A file of more is of no use to anyone, and is 300 MB.
+_MOST_ROWS = 5_000_000
 _OF_TABLES = ("homing", "present", "approach", "start_up", "tolerance")
 
 
@@ -47,7 +51,7 @@ _OF_TABLES = ("homing", "present", "approach", "start_up", "tolerance")
 @click.option("--cycles", type=int, metavar="N", help="Of the scan.  [default: 1]")
 @click.option(
     "--cycle", type=PATH, metavar="TABLE", help="Write the scan's steady cycle here (CSV); the output then has a "
-    "phase: 0 homing, 1 start-up, 2 steady cycles."
+    "phase: 0 homing, 1 start-up, 2 steady cycles. Status 1 if clipped, not settled, or the homing is not certified."
 )  # fmt: skip
 @click.option("--homing", is_flag=True, help="With --cycle: begin with the shortest homing, not at --start.")
 @click.option("--present", type=float, metavar="V", help="With --homing: voltage now.  [default: 0]")
@@ -78,11 +82,12 @@ def compensate(
     actuator = read_model(model)
     if scan is None:
         _follow(actuator, _of_file(trajectory, options), output, limits, slew, start, as_json)
-    found = named_scan(scan or "", options["sample_rate"], options)
     axis, cycles = options["axis"] or "x", 1 if options["cycles"] is None else options["cycles"]
-    if table is None:
-        _follow(actuator, _of_scan(found, axis, cycles), output, limits, slew, start, as_json, found.warnings)
-    _tabulate(actuator, found, axis, cycles, (output, table), limits, slew, start, as_json, options)
+    with said_in_options():
+        found = named_scan(scan or "", options["sample_rate"], options)
+        if table is None:
+            _follow(actuator, _of_scan(found, axis, cycles), output, limits, slew, start, as_json, found.warnings)
+        _tabulate(actuator, found, axis, cycles, (output, table), limits, slew, start, as_json, options)
 
 
 def _refuse_idle(scan: str | None, options: dict[str, Any]) -> None:
@@ -119,6 +124,7 @@ def _of_file(trajectory: Path | None, options: dict[str, Any]) -> tuple[Any, dic
 
 def _of_scan(scan: Scan, axis: str, cycles: int) -> tuple[Any, dict[str, Any], dict[str, Any]]:
     """Wanted displacement [m], its time and its derivatives."""
+    _refuse_cycles(scan, cycles)
     path = scan.path(axis)
     if cycles != 1 or path.periodic:
         path = path.repeated(cycles)
@@ -141,13 +147,16 @@ def _follow(
     command = Compensator(actuator, limits, slew).trajectory(
         wanted, time=time.get("time_s"), **derivatives, state=first
     )
+    tell = progress_line()
+    tell(f"writing {wanted.size} rows")
     write_columns(output, {**time, "displacement_um": wanted * 1e6, "voltage_V": command.voltage,
                            "expected_um": command.displacement * 1e6})  # fmt: skip
+    tell("")
     low, high = float(command.voltage.min()), float(command.voltage.max())
     said = [*warnings, *command.warnings, *before_and_after(actuator, float(command.voltage[0]), start, begin, slew)]
     result = {"samples": wanted.size, "clamped": int(command.clamped.sum()), "lowest_V": low, "highest_V": high,
               "warnings": said, "state": state_dict(command.state), "output": str(output)}  # fmt: skip
-    line = f"{wanted.size} samples, {low:.6g} to {high:.6g} V {came_from(actuator, start, begin)}: {output}"
+    line = f"{_samples(wanted.size)}, {low:.6g} to {high:.6g} V {came_from(actuator, start, begin)}: {output}"
     conclude(as_json, result, line, said)
     sys.exit(0 if command.followed else 1)
 
@@ -157,36 +166,52 @@ def _tabulate(
     limits: tuple[float, float] | None, slew: float | None, start: str, as_json: bool, options: dict[str, Any],
 ) -> None:  # fmt: skip
     """Write the wave table of a scan and what comes before it, and end."""
+    from dehyst._errors import RecordError
     from dehyst.files import write_columns
     from dehyst.wave_table import wave_table
 
-    tolerance = options["tolerance"]
-    table = wave_table(
-        actuator, scan, axis=axis, limits=limits, slew_rate=slew,
-        state=None if options["homing"] else start_within(actuator, start, limits), present=options["present"],
-        approach=options["approach"], cycles=options["start_up"],
-        tolerance=None if tolerance is None else tolerance * 1e-6,
-    )  # fmt: skip
+    _refuse_cycles(scan, cycles)
+    tolerance, tell = options["tolerance"], progress_line()
+    if tolerance is not None and not tolerance > 0:
+        raise RecordError(f"--tolerance: got {tolerance:g}, need a length above 0 in um")
+    tell("homing, and the steady cycle")
+    try:
+        table = wave_table(
+            actuator, scan, axis=axis, limits=limits, slew_rate=slew,
+            state=None if options["homing"] else start_within(actuator, start, limits), present=options["present"],
+            approach=options["approach"], cycles=options["start_up"],
+            tolerance=None if tolerance is None else tolerance * 1e-6,
+        )  # fmt: skip
+    finally:
+        tell("")
+    _tell_long(table, cycles)
+    tell(f"writing {table.rows(cycles)} rows")
     played, cycle = table.played(cycles), table.cycle
     write_columns(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
     write_columns(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
-    said = [*table.warnings, *_before(actuator, table, start, limits, slew)]
+    tell("")
+    said = [*map(in_options, table.warnings), *_before(actuator, table, start, limits, slew)]
     low, high = float(played.voltage.min()), float(played.voltage.max())
     result = {
         "samples": played.voltage.size, "sample_rate_Hz": table.sample_rate, "frequency_Hz": 1 / scan.period,
-        "homing_samples": 0 if table.homing is None else len(table.homing) - 1, "start_up_samples": len(table.start_up),
-        "start_up_cycles": table.cycles, "cycle_samples": len(cycle), "error_um": table.error * 1e6,
-        "unknown_um": table.unknown * 1e6, "certified": table.certified,
+        "homing_samples": table.homing_rows.size, "homing_s": _homing_seconds(table),
+        "start_up_samples": len(table.start_up), "start_up_cycles": table.cycles,
+        "cycle_samples": len(cycle), "error_um": table.error * 1e6,
+        "unknown_um": table.unknown * 1e6, "certified": table.certified, "settled": table.settled,
         "clamped": table.clamped, "lowest_V": low, "highest_V": high, "warnings": said,
         "state": state_dict(table.state), "output": str(outputs[0]), "table": str(outputs[1]),
     }  # fmt: skip
     cycles_of = f"{table.cycles} cycle{'s' * (table.cycles != 1)} of start-up, to {table.error * 1e6:.3g} um"
     line = (
-        f"{played.voltage.size} samples, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: {outputs[0]}; "
-        f"{len(cycle)} samples a cycle: {outputs[1]}"
+        f"{_samples(played.voltage.size)}, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: "
+        f"{outputs[0]}; {_samples(len(cycle))} a cycle: {outputs[1]}"
     )
     conclude(as_json, result, line, said)
-    sys.exit(1 if table.clamped or not table.certified else 0)
+    sys.exit(0 if table.settled and table.certified and not table.clamped else 1)
+
+
+def _samples(count: int) -> str:
+    return f"{count} sample{'s' * (count != 1)}"
 
 
 def _columns(part: Any) -> dict[str, Any]:
@@ -201,3 +226,47 @@ def _before(
         return late_words(actuator)
     begin = start_within(actuator, start, limits)
     return before_and_after(actuator, float(table.start_up.voltage[0]), start, begin, slew)
+
+
+def _homing_seconds(table: WaveTable) -> float:
+    return 0.0 if table.homing is None else table.homing.duration
+
+
+def _refuse_cycles(scan: Scan, cycles: int) -> None:
+    from dehyst._errors import RecordError
+
+    if cycles < 0:
+        raise RecordError(f"--cycles: got {cycles}, need a whole number, 0 or more")
+    if scan.samples > _MOST_ROWS:
+        raise RecordError(
+            f"--scan: got {scan.samples} rows a period at {scan.rate:g} Hz, need {_MOST_ROWS:g} at most; try a lower "
+            "--sample-rate, or a scan of fewer lines"
+        )
+    if cycles * scan.samples > _MOST_ROWS:
+        raise RecordError(
+            f"--cycles: got {cycles}, {cycles * scan.samples:.4g} rows, need {_MOST_ROWS // scan.samples} at most "
+            f"({_MOST_ROWS:g} rows); repeat one cycle instead"
+        )
+
+
+def _tell_long(table: WaveTable, cycles: int) -> None:
+    """Say how long what is written takes; raises RecordError if that is more than a file should hold."""
+    from dehyst._errors import RecordError
+
+    rows, rate = table.rows(cycles), table.sample_rate
+    parts = (_homing_seconds(table), "homing"), (len(table.start_up) / rate, "start-up"), (
+        cycles * len(table.cycle) / rate, "cycles")  # fmt: skip
+    said = ", ".join(f"{seconds:.4g} s of {name}" for seconds, name in parts if seconds)
+    if rows > _MOST_ROWS:
+        raise RecordError(
+            f"--output: got {said}, {rows} rows at {rate:g} Hz, need {_MOST_ROWS:g} rows at most; try a lower "
+            "--sample-rate, fewer --cycles or --start-up, or no --homing and --start where the actuator stands"
+        )
+    click.echo(f"dehyst: {said}: {rows} rows", err=True)
+    homing = table.homing
+    if homing is not None and table.homing_rows.size < homing.duration * rate - 0.5:
+        click.echo(
+            f"dehyst: the homing has {table.homing_rows.size} rows, {1 / homing.sample_rate:.3g} s or more apart: play "
+            "it by its time column, straight from row to row",
+            err=True,
+        )

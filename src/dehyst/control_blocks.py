@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
@@ -15,6 +15,11 @@ from dehyst.wide import WideModel
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
 
+_LINEAR = (
+    "linearising, and looking for an operating point (control.linearize, control.find_operating_point), are not "
+    "possible, for they change one number of the memory alone, which friction would not hold, and the slope on the "
+    "way up is not that on the way down"
+)
 _LARGEST = float(np.finfo(np.float64).max)
 
 
@@ -64,6 +69,9 @@ def _block(
     except ImportError as error:
         raise MissingExtraError.of("python-control", "control", "A block for python-control") from error
 
+    if not isinstance(name, str) or not name:
+        raise ModelError(f"name: got {name!r}, need a word, such as 'stage'")
+
     def update(_t: float, x: Any, u: Any, _params: Any) -> Array:
         return np.asarray(_of(moved, x, u, signals[0]))
 
@@ -76,18 +84,32 @@ def _block(
     )  # fmt: skip
     block.start = loop.row()
     block.start.flags.writeable = False
+    block.linearize = _not_linear
     return block
 
 
 def _of(function: Callable[[Array, float], Any], x: Any, u: Any, what: str) -> Any:
-    given = float(np.ravel(u)[0])
+    state, given = _row(x, "the state"), _row(u, what)
+    if given.size != 1 or not np.isfinite(given[0]):
+        raise ModelError(f"block: got {what} = {np.ravel(u).tolist()}, need one finite number")
     try:
-        return function(np.ascontiguousarray(x, dtype=np.float64), given)
+        return function(state, float(given[0]))
     except CoreError as error:
         raise ModelError(
-            f"block: got {what} = {given!r} and a state that do not go together: {error}. Give `start` of the block as "
-            "the initial state, and finite numbers"
+            f"block: got {what} = {float(given[0])!r} and a state that no history leaves behind: {error}. Give `start` "
+            f"of the block, or a state that it came to, as the initial state. If it was given: {_LINEAR}"
         ) from error
+
+
+def _row(values: Any, what: str) -> Array:
+    try:
+        return np.array(values, dtype=np.float64, ndmin=1).ravel()
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"block: got {np.ravel(values).tolist()} for {what}, need finite numbers") from error
+
+
+def _not_linear(*_given: Any, **_options: Any) -> NoReturn:
+    raise ModelError(f"linearize: {_LINEAR}; measure the slope by playing a small cycle, and a large one")
 
 
 def _numbered(name: str, count: int) -> list[str]:

@@ -12,7 +12,7 @@ from dehyst._errors import RecordError
 from dehyst._native import Array
 from dehyst.edge import Bridge, Point, Rounding, Travel
 from dehyst.excitation import refuse_long
-from dehyst.scan import Limits, Scan, between, one_of, whole
+from dehyst.scan import Limits, Scan, between, counted, one_of, whole
 from dehyst.triangle import Triangle
 
 Slow: TypeAlias = Literal["staircase", "ramp"]
@@ -73,7 +73,10 @@ class Raster(Scan):
         if self.back is not None:
             object.__setattr__(self, "back", whole(self.back, "back", 0 if self.slow == "staircase" else 1))
             self._limits.refuse(
-                f"y on its way back in {self.back} lines", self._return(self.back).peaks, self.frequency, self._height
+                f"y on its way back in {counted(self.back, 'line')}",
+                self._return(self.back).peaks,
+                self.frequency,
+                self._height,
             )
         refuse_long(self.samples, self.rate)
 
@@ -100,9 +103,13 @@ class Raster(Scan):
             return self.back
         own = max(abs(edge.speed) for edge in self.fast.edges), max(edge.acceleration for edge in self.fast.edges)
         kept = Limits(self.speed or own[0], self.acceleration or own[1])
-        for back in range(0 if self.slow == "staircase" else 1, 100 * self.lines):
-            if kept.hold(self._return(back).peaks):
-                return back
+        # The longer it takes, the gentler it is.
+        low, high = 0 if self.slow == "staircase" else 1, 100 * self.lines - 1
+        if kept.hold(self._return(high).peaks):
+            while low < high:
+                middle = (low + high) // 2
+                low, high = (low, middle) if kept.hold(self._return(middle).peaks) else (middle + 1, high)
+            return low
         raise RecordError(
             f"back: got none, and y does not come back within {100 * self.lines} lines; give the number of lines that "
             "it may take, or wider limits"
@@ -130,14 +137,12 @@ class Raster(Scan):
     def _stairs(self) -> list[Travel]:
         """All but the step back to the first line."""
         forth, retrace = self.fast.legs
-        levels = self.levels
-        parts = []
-        for line, level in enumerate(levels):
-            parts.append(Travel(np.full(forth, level), np.zeros(forth), np.zeros(forth)))
-            if line + 1 < self.lines:
-                step = Bridge(Point(level), Point(float(levels[line + 1])), retrace / self.rate)
-                parts.append(step.at(self._times(retrace)))
-        return parts
+        levels, still = self.levels, np.zeros(forth)
+        step = Bridge(Point(0.0), Point(self._height / (self.lines - 1)), retrace / self.rate).at(self._times(retrace))
+        line = Travel(*(np.concatenate([still, row]) for row in step))
+        y = levels[:-1, None] + line.displacement
+        v, a = (np.tile(row, self.lines - 1) for row in line[1:])
+        return [Travel(y.ravel(), v, a), Travel(still + levels[-1], still, still)]
 
     @property
     def levels(self) -> Array:

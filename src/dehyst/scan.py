@@ -20,6 +20,7 @@ LEG_SAMPLES = 4
 # By this much a limit may be surpassed, so that what meets it exactly is let pass.
 SLACK = 1e-9
 _MOST_METRES = 1.0
+_MOST_WHOLE = 10**7
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,9 +257,14 @@ def share(value: object, what: str, most: float = 1.0) -> float:
 
 def whole(value: object, what: str, least: int = 1) -> int:
     """Return `value` as a whole number; raises RecordError."""
-    if isinstance(value, int | np.integer) and not isinstance(value, bool) and least <= value <= 10**7:
+    if isinstance(value, int | np.integer) and not isinstance(value, bool) and least <= value <= _MOST_WHOLE:
         return int(value)
-    raise RecordError(f"{what}: got {value!r}, need a whole number, {least} or more")
+    raise RecordError(f"{what}: got {value!r}, need a whole number, {least} or more, {_MOST_WHOLE} at most")
+
+
+def counted(number: int, noun: str) -> str:
+    """Write so many of a noun, plural if that is right."""
+    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def one_of(value: object, what: str, words: tuple[str, ...]) -> None:
@@ -279,9 +285,10 @@ def samples_of(seconds: float, rate: float) -> int:
     if count > LEG_SAMPLES - 1:
         refuse_long(int(min(count, 1e15)) + 1, rate)
         return int(np.ceil(count))
+    few = f"{count:.3g}"
     raise RecordError(
-        f"sample_rate: got {rate:g} Hz, {count:.3g} samples for {seconds:.4g} s, need {LEG_SAMPLES} at least; try "
-        f"{LEG_SAMPLES / seconds:.4g} Hz"
+        f"sample_rate: got {rate:g} Hz, {few} sample{'s' * (few != '1')} for {seconds:.4g} s, need {LEG_SAMPLES} at "
+        f"least; try {LEG_SAMPLES / seconds:.4g} Hz"
     )
 
 

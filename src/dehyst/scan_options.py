@@ -55,6 +55,7 @@ _NEEDS = {
 }
 NAMES = tuple(flag[2:].replace("-", "_") for flag, _ in _OPTIONS)
 _MICRO = 1e-6
+_MOST_DEGREES = 36_000
 
 
 def scan_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -124,10 +125,15 @@ def _spiral(given: dict[str, Any], rate: float | None) -> Scan:
 def _lissajous(given: dict[str, Any], rate: float | None) -> Scan:
     from math import radians
 
+    from dehyst._errors import RecordError
     from dehyst.scans import Lissajous
 
     (x, a), (y, b) = _middles(given)
     if "phase" in given:
+        if not abs(given["phase"]) <= _MOST_DEGREES:
+            raise RecordError(
+                f"--phase: got {given['phase']:g}, need an angle in degrees, {-_MOST_DEGREES} to {_MOST_DEGREES}"
+            )
         given["phase"] = radians(given["phase"])
     return Lissajous((a, b), centre=(x, y), **given, sample_rate=rate)
 
@@ -140,6 +146,8 @@ def _steps(given: dict[str, Any], rate: float | None) -> Scan:
         levels = tuple(float(level) * _MICRO for level in given.pop("levels").split(","))
     except ValueError as error:
         raise RecordError(f"--levels: {error}; need displacements in um with commas, such as 0,10,20") from error
+    if len(levels) < 2:
+        raise RecordError(f"--levels: got {levels[0] / _MICRO:g} um alone, need two at least, such as 0,10,20")
     return Steps(levels, seconds=given.pop("edge", None), **given, sample_rate=rate)
 
 

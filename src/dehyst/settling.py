@@ -7,12 +7,13 @@ from math import ceil, log
 
 import numpy as np
 
+from dehyst._errors import RecordError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.approach import follow
 from dehyst.compensator import Compensator
 from dehyst.model import State
-from dehyst.scan import Path
+from dehyst.scan import Path, counted, whole
 from dehyst.steady import steady_state
 from dehyst.trajectory import Command
 
@@ -52,6 +53,17 @@ class Settled:
     state: State
     clamped: int
     warnings: tuple[str, ...]
+
+
+def start_up_cycles(cycles: object, path: Path) -> int:
+    """Return `cycles` as cycles that a start-up may have; raises RecordError."""
+    found, most = whole(cycles, "cycles", 0), _MOST_SAMPLES // len(path)
+    if found > most:
+        raise RecordError(
+            f"cycles: got {found}, {found * len(path):.4g} samples of start-up, need {most} at most "
+            f"({_MOST_SAMPLES:g} samples); try fewer, or a lower sample rate"
+        )
+    return found
 
 
 def settle(
@@ -124,7 +136,7 @@ class _Task:
             f"CLAMPED: the steady cycle cannot be reached within the limits; each misses the path by up to "
             f"{miss * 1e6:.4g} um",
             *command.warnings,
-            *self._late(taken - 1, error),
+            *self._late_clamped(taken - 1, error),
         )
         return Settled(self._stretch(command, 0, end - size), self._cycle(voltage, expected), taken - 1, error,
                        command.state, int(command.clamped[:-1].sum()), said)  # fmt: skip
@@ -174,16 +186,35 @@ class _Task:
         """What is to be said if the steady cycle comes too early."""
         if error <= self.tolerance:
             return ()
-        said = (
-            f"after {taken} cycles of start-up the first steady cycle comes off by up to {error * 1e6:.3g} um, not "
-            f"{self.tolerance * 1e6:.3g} um"
-        )
-        creep = self.actuator.creep
+        said, creep = self._off(taken, error), self.actuator.creep
         if creep is None or not len(creep):
             return (f"{said}; give more cycles=",)
         period = len(self.path) / self.path.sample_rate
         more = ceil(float(creep.time_constants.max()) / period * log(error / self.tolerance))
-        return (f"{said}: creep takes {more} more, {more * period:.3g} s; give cycles={taken + more}, or wait",)
+        said, most = f"{said}: creep takes {counted(more, 'cycle')} more, {more * period:.3g} s", self.most
+        if taken + more <= most:
+            return (f"{said}; give cycles={taken + more}, or wait",)
+        return (f"{said}, but a start-up has {counted(most, 'cycle')} at most; play the table for so long and wait",)
+
+    def _late_clamped(self, taken: int, error: float) -> tuple[str, ...]:
+        """The same where voltages are clamped: nothing tells how they settle but going on."""
+        if error <= self.tolerance:
+            return ()
+        return (
+            f"{self._off(taken, error)}; where the voltage is clipped, how many would do is not known, and by itself "
+            f"it tries {_CLAMPED[-1] - 1} at most and {_MOST_CLAMPED:g} samples; give cycles={2 * (taken + 1)} to see",
+        )
+
+    @property
+    def most(self) -> int:
+        """Cycles that a start-up may have."""
+        return _MOST_SAMPLES // len(self.path)
+
+    def _off(self, taken: int, error: float) -> str:
+        return (
+            f"NOT SETTLED: after {counted(taken, 'cycle')} of start-up the first steady cycle comes off by up to "
+            f"{error * 1e6:.3g} um, not {self.tolerance * 1e6:.3g} um"
+        )
 
     def _stretch(self, command: Command, start: int, stop: int) -> Stretch:
         wanted = self._wanted_rows(command.voltage.size)
