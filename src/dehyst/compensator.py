@@ -277,6 +277,11 @@ class Compensator:
         return Clamps(*self._loop.counts()[:2]) if self._running else Clamps(0, 0)
 
     @property
+    def asked_start(self) -> State:
+        """The state that it was made or last reset in, before that was brought within the limits."""
+        return self._given
+
+    @property
     def samples_ahead(self) -> int:
         """How many samples before its time a displacement must be given to `step`; 0 without `preview`."""
         return self._foresight.ahead
@@ -356,7 +361,7 @@ class Compensator:
     def afresh(self) -> Compensator:
         """Another one like it, as it was when made or last reset."""
         return Compensator(
-            self.actuator, self.limits, self.slew_rate, period=self.period, state=self._start, preview=self.preview
+            self.actuator, self.limits, self.slew_rate, period=self.period, state=self._given, preview=self.preview
         )
 
     def tables(self) -> dict[str, Array]:

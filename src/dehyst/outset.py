@@ -10,6 +10,9 @@ from dehyst.actuator import Actuator
 from dehyst.compensator import Compensator
 from dehyst.model import State
 
+# Of the limits' range.
+_NEAR = 0.01
+
 
 class Outset(NamedTuple):
     """Displacement [m] and voltage [V] of the memory at the beginning, and the way there in words."""
@@ -21,13 +24,12 @@ class Outset(NamedTuple):
     @classmethod
     def of(cls, compensator: Compensator) -> Outset:
         """Of a loop like this one, as it was made or last reset."""
-        loop = compensator.afresh()
-        asked = loop.state
-        loop.tables()  # makes the loop: what it begins with is its own
-        state, (low, high) = loop.state, loop.limits
+        loop, actuator = compensator.afresh(), compensator.actuator
+        state, (low, high), asked = loop.state, loop.limits, loop.asked_start
         place = float(state.motion[0]) if state.motion.size else state.displacement
-        voltage = min(max(loop.voltage, low), high)
-        return cls(place, voltage, _way(loop.actuator, asked, voltage))
+        # A little beyond the limits, the state that was asked for tells the way as well.
+        near = abs(actuator.voltage(asked) - loop.voltage) <= _NEAR * (high - low)
+        return cls(place, loop.voltage, _way(actuator, asked if near else state, loop.voltage))
 
     @property
     def words(self) -> str:
