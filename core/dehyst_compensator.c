@@ -16,7 +16,7 @@ dehyst_status dehyst_compensator_tabulate(dehyst_compensator *compensator)
     return is_finite(compensator->stiffness) ? DEHYST_OK : DEHYST_ERR_FINITE;
 }
 
-static dehyst_real within(const dehyst_compensator *compensator, dehyst_real v)
+static dehyst_real nearest_allowed(const dehyst_compensator *compensator, dehyst_real v)
 {
     v = v < compensator->low ? compensator->low : v;
     return v > compensator->high ? compensator->high : v;
@@ -33,7 +33,7 @@ dehyst_status dehyst_loop_begin(const dehyst_compensator *compensator, dehyst_lo
     loop->state.input = wide->inertia ? loop->state.memory.y - wide->share * loop->state.y : 0;
     y = wide->inertia ? loop->state.y : loop->state.memory.y;
     for (m = 0; m < compensator->taps; m++) loop->fed[m] = y;
-    loop->sent = within(compensator, dehyst_wide_voltage(wide, &loop->state));
+    loop->sent = nearest_allowed(compensator, dehyst_wide_voltage(wide, &loop->state));
     loop->acting = loop->wished[0] = loop->wished[1] = loop->wish.v = loop->voltage = loop->sent;
     loop->asked = y;
     loop->wish.w = loop->state.memory.y;
@@ -68,8 +68,8 @@ static dehyst_real allowed(const dehyst_compensator *compensator, dehyst_loop *l
         loop->offer = DEHYST_SLEWED;
         v = v > loop->sent ? loop->sent + c->change : loop->sent - c->change;
     }
-    if (within(c, v) != v) loop->offer = DEHYST_LIMITED;
-    return within(c, v);
+    if (nearest_allowed(c, v) != v) loop->offer = DEHYST_LIMITED;
+    return nearest_allowed(c, v);
 }
 
 dehyst_real dehyst_loop_offer(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u)
@@ -78,7 +78,7 @@ dehyst_real dehyst_loop_offer(const dehyst_compensator *compensator, dehyst_loop
     dehyst_real v;
     loop->asked = u;
     loop->wish.w = c->taps > 1 ? filtered(c, loop, u) : u;
-    loop->voltage = within(c, loop->sent);
+    loop->voltage = nearest_allowed(c, loop->sent);
     loop->offer = DEHYST_REFUSED;
     if (!is_finite(loop->wish.w)) return loop->voltage;
     dehyst_wide_wish(&c->wide, &c->pace, &loop->state, c->stiffness, &loop->wish);

@@ -72,7 +72,7 @@ def actuator_voltages(model):
 def displacements(model, volts, start=None):
     """Of `Actuator.simulate`, from the start state on."""
     compensator = ALL[model]
-    actuator, start = compensator.actuator, compensator.afresh().state if start is None else start
+    actuator, start = compensator.actuator, compensator.asked_start if start is None else start
     given = np.append(actuator.voltage(start), volts)
     time = np.arange(given.size) * PERIOD if compensator.period else None
     return actuator.simulate(given, time=time, state=start).displacement[1:]

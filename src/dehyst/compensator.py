@@ -115,7 +115,7 @@ class Compensator:
 
     @property
     def actuator(self) -> Actuator:
-        """The model."""
+        """The model of the actuator."""
         return self._actuator
 
     @property

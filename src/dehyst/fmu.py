@@ -119,7 +119,7 @@ def _demand_free(path: Path, force: bool) -> None:
 
 def _unlimited(compensator: Compensator) -> Compensator:
     """The same actuator in the same state, without limits: it is to answer any voltage."""
-    return Compensator(compensator.actuator, _NONE, period=compensator.period, state=compensator.afresh().state)
+    return Compensator(compensator.actuator, _NONE, period=compensator.period, state=compensator.asked_start)
 
 
 def _sources(compensator: Compensator, version: Version) -> dict[str, str]:

@@ -105,6 +105,8 @@ def run(command: Sequence[str], folder: Path) -> str:
         raise FileFormatError(f"{command[0]}: cannot be run ({error}); name a compiler that is installed") from error
     if done.returncode:
         said = (done.stderr.strip() or done.stdout.strip() or f"status {done.returncode}").splitlines()
+        # The places that a compiler names first do not say what is wrong.
+        said = [line for line in said if "error" in line.lower()] or said
         raise FileFormatError(f"{' '.join(command[:2])} ...: {said[0]}; need a C99 compiler for the processor")
     return done.stdout
 
