@@ -8,6 +8,8 @@ import re
 import sys
 from pathlib import Path
 
+from readme import fill
+
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "docs" / "control.md"
 BLOCK = re.compile(r"(<!-- figures: loop -->\n).*?(<!-- end of figures -->)", re.DOTALL)
@@ -64,18 +66,5 @@ def band(found: dict) -> str:
     return words if up is None or (down is not None and up > down) else f"{words} (up at {up:.3g} Hz)"
 
 
-def main() -> int:
-    text = PAGE.read_text()
-    if not BLOCK.search(text):
-        print(f"{PAGE.name} has lost its markers")
-        return 1
-    figures = table(json.loads((HERE / "loop.json").read_text()))
-    wanted = BLOCK.sub(lambda found: found[1] + figures + found[2], text)
-    if "--check" in sys.argv:
-        return 0 if wanted == text else 1
-    PAGE.write_text(wanted)
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(fill(PAGE, BLOCK, table(json.loads((HERE / "loop.json").read_text()))))

@@ -134,17 +134,18 @@ def table() -> str:
     return "\n".join([*rows, *steps(data["latency"], data["size"]), *saturation(data["saturation"])]) + "\n"
 
 
-def main() -> int:
-    text = README.read_text()
-    if not BLOCK.search(text):
-        print("README.md has lost its markers")
+def fill(page: Path, block: re.Pattern[str], figures: str) -> int:
+    """Put figures between a page's markers, or with --check see whether they are there; the exit status."""
+    text = page.read_text()
+    if not block.search(text):
+        print(f"{page.name} has lost its markers")
         return 1
-    wanted = BLOCK.sub(lambda found: found[1] + table() + found[2], text)
+    wanted = block.sub(lambda found: found[1] + figures + found[2], text)
     if "--check" in sys.argv:
         return 0 if wanted == text else 1
-    README.write_text(wanted)
+    page.write_text(wanted)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(fill(README, BLOCK, table()))

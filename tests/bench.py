@@ -38,6 +38,15 @@ def plant(elements=10, *, seed=0, curved=0.3, share=0.4):
     return Actuator(MaxwellSlip(rho, kappa), Spring(y, eta))
 
 
+def wild_path(seed, size, beyond, corners):
+    """Displacement [m] of legs between random corners, so many, up to a share of STROKE beyond it; half are rough."""
+    rng = np.random.default_rng(seed)
+    count = rng.integers(*corners)
+    at = np.sort(rng.choice(np.arange(1, size - 1), count, replace=False))
+    y = np.interp(np.arange(size), [0, *at, size], rng.uniform(-beyond, 1 + beyond, count + 2))
+    return STROKE * (y + 0.05 * rng.normal(size=size) * rng.integers(0, 2))
+
+
 def path(turns, samples=100):
     """Displacement [m] through turning points given as fractions of STROKE, half a cosine for each leg."""
     u = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, samples + 1) / samples)

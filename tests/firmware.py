@@ -183,7 +183,7 @@ def told(voltages, clamps, *, every):
     return [*(f"{bits:016x}" for bits in (*words[::every].tolist(), value)), f"{clamps.limited} {clamps.slewed}"]
 
 
-def run(command, folder, **options):
+def must_run(command, folder, **options):
     """What a command prints that must succeed."""
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=900, **options)
     assert done.returncode == 0, f"{done.stdout}{done.stderr}"
@@ -199,8 +199,8 @@ def driven(folder, compensator, samples, *, every, compiler="gcc", options=("-O2
     """Lines that DRIVER prints, compiled for this computer."""
     (folder / "driver.c").write_text(DRIVER)
     defines = _defines(compensator, samples, every)
-    run([compiler, *STRICT, *options, *defines, "driver.c", *SOURCES, "-o", "driver"], folder)
-    return run(["./driver"], folder).splitlines()
+    must_run([compiler, *STRICT, *options, *defines, "driver.c", *SOURCES, "-o", "driver"], folder)
+    return must_run(["./driver"], folder).splitlines()
 
 
 def emulated(folder, compensator, samples, *, every):
@@ -210,8 +210,10 @@ def emulated(folder, compensator, samples, *, every):
     (folder / "board.ld").write_text(BOARD)
     defines = _defines(compensator, samples, every)
     link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
-    run(["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F, *defines, "driver.c", *SOURCES, *link, "-o", "driver.elf"], folder)
-    return run([*QEMU, "driver.elf"], folder).splitlines()
+    must_run(
+        ["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F, *defines, "driver.c", *SOURCES, *link, "-o", "driver.elf"], folder
+    )
+    return must_run([*QEMU, "driver.elf"], folder).splitlines()
 
 
 def counted(folder, given):
@@ -220,9 +222,9 @@ def counted(folder, given):
     shutil.copytree(folder, work, dirs_exist_ok=True)
     (work / "dehyst_config.h").write_text(COUNTING)
     (work / "counter.cc").write_text(COUNTER)
-    run(["g++", "-std=c++17", "-O1", "-ffp-contract=off", "-Drestrict=__restrict", "-x", "c++", *SOURCES, "counter.cc",
-         "-o", "counter"], work)  # fmt: skip
-    *voltages, most = run(["./counter"], work, input="\n".join(float(x).hex() for x in given)).splitlines()
+    as_cpp = ["-std=c++17", "-O1", "-ffp-contract=off", "-Drestrict=__restrict", "-x", "c++"]
+    must_run(["g++", *as_cpp, *SOURCES, "counter.cc", "-o", "counter"], work)
+    *voltages, most = must_run(["./counter"], work, input="\n".join(float(x).hex() for x in given)).splitlines()
     return tuple(int(n) for n in most.split()), np.array([float.fromhex(v) for v in voltages])
 
 
@@ -273,5 +275,5 @@ def painted(folder):
         (folder / name).write_text(text)
     link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
     flags = ["-Wno-dangling-pointer"]
-    run(["arm-none-eabi-gcc", *STRICT, *flags, *CORTEX_M4F, "paint.c", *SOURCES, *link, "-o", "paint.elf"], folder)
-    return tuple(int(n) for n in run([*QEMU, "paint.elf"], folder).split())
+    must_run(["arm-none-eabi-gcc", *STRICT, *flags, *CORTEX_M4F, "paint.c", *SOURCES, *link, "-o", "paint.elf"], folder)
+    return tuple(int(n) for n in must_run([*QEMU, "paint.elf"], folder).split())

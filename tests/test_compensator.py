@@ -38,12 +38,8 @@ PLANTS |= {name: replace(PLANT, **parts) for name, parts in MOVING.items()}
 
 
 def wanted(seed, size=300):
-    """Legs, rests and steps, some beyond what the limits allow."""
-    rng = np.random.default_rng(seed)
-    corners = rng.integers(3, 15)
-    at = np.sort(rng.choice(np.arange(1, size - 1), corners, replace=False))
-    y = np.interp(np.arange(size), [0, *at, size], rng.uniform(-0.1, 1.1, corners + 2))
-    return bench.STROKE * (y + 0.05 * rng.normal(size=size) * rng.integers(0, 2))
+    """Some of it lies beyond what the limits allow."""
+    return bench.wild_path(seed, size, beyond=0.1, corners=(3, 15))
 
 
 def started(actuator, seed):

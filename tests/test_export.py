@@ -216,13 +216,15 @@ def test_strict_compilers_find_nothing_and_nothing_is_needed(tmp_path, kind, num
     if number == "double":
         strict = [flag for flag in strict if flag != "-Wdouble-promotion"]
     for optimise in ("-O0", "-O3"):
-        firmware.run(["gcc", *strict, optimise, "-c", *SOURCES], folder)
+        firmware.must_run(["gcc", *strict, optimise, "-c", *SOURCES], folder)
     if shutil.which("arm-none-eabi-gcc") is None:
         return
     for flags in (CORTEX_M4, CORTEX_M4F):
-        firmware.run(["arm-none-eabi-gcc", *strict, *flags, "-c", *SOURCES], folder)
-        firmware.run(["arm-none-eabi-gcc", "-nostdlib", "-r", *(f"{s[:-2]}.o" for s in SOURCES), "-o", "all.o"], folder)
-        needed = set(re.findall(r"U (\S+)", firmware.run(["arm-none-eabi-nm", "-u", "all.o"], folder)))
+        firmware.must_run(["arm-none-eabi-gcc", *strict, *flags, "-c", *SOURCES], folder)
+        firmware.must_run(
+            ["arm-none-eabi-gcc", "-nostdlib", "-r", *(f"{s[:-2]}.o" for s in SOURCES), "-o", "all.o"], folder
+        )
+        needed = set(re.findall(r"U (\S+)", firmware.must_run(["arm-none-eabi-nm", "-u", "all.o"], folder)))
         assert all(name.startswith("__aeabi_") for name in needed), needed
         if number == "float":
             # Not one operation slips into double, and the unit needs no help.
@@ -364,10 +366,10 @@ def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path, unmeas
     (tmp_path / "main.c").write_text(TWO_AXES)
     core = [f"x_axis/{name}" for name in SOURCES if name != "piezo.c"]
     both = ["x_axis/x_axis.c", "y_axis/y_axis.c", "-Ix_axis", "-Iy_axis"]
-    firmware.run(["gcc", *STRICT, "-O2", "main.c", *core, *both, "-o", "both"], tmp_path)
+    firmware.must_run(["gcc", *STRICT, "-O2", "main.c", *core, *both, "-o", "both"], tmp_path)
     wished = [firmware.wishes(compensator, 500) for compensator in models.values()]
     given = "".join(f"{a.hex()} {b.hex()}\n" for a, b in zip(*(w.tolist() for w in wished), strict=True))
-    lines = firmware.run(["./both"], tmp_path, input=given).split()
+    lines = firmware.must_run(["./both"], tmp_path, input=given).split()
     got = np.array([float.fromhex(word) for word in lines]).reshape(-1, 2)
     for column, compensator, wishes in zip(got.T, models.values(), wished, strict=True):
         np.testing.assert_array_equal(column, compensator.run(wishes))
@@ -423,8 +425,9 @@ def test_other_names_compile(tmp_path, name, unmeasured):
         "void start_timer(void), dac_write(double);\ndouble next_displacement(void);\nvoid timer_interrupt(void);\n"
     )
     (folder / "example.c").write_text(f"{bench_words}{example}}}\n")
-    firmware.run(["gcc", *STRICT, "-c", "example.c", "check.c", *sources], folder)
-    firmware.run(["g++", "-Wall", "-Werror", "-fsyntax-only", "-x", "c++", f"{name}.h"], folder)
+    firmware.must_run(["gcc", *STRICT, "-c", "example.c", "check.c", *sources], folder)
+    assert (folder / f"{name}.o").exists()
+    firmware.must_run(["g++", "-Wall", "-Werror", "-fsyntax-only", "-x", "c++", f"{name}.h"], folder)
 
 
 def narrow(rho, knots):
@@ -476,8 +479,9 @@ def test_sanitizers_find_nothing(tmp_path, kind, number, unmeasured):
     need("gcc")
     folder = export(KINDS[kind](), tmp_path / "c", number).folder
     watched = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    firmware.run(["gcc", *STRICT, *watched, "check.c", *SOURCES, "-o", "check"], folder)
-    firmware.run(["./check"], folder)
+    firmware.must_run(["gcc", *STRICT, *watched, "check.c", *SOURCES, "-o", "check"], folder)
+    said = firmware.must_run(["./check"], folder)
+    assert re.match(r"double: 0 of \d+ answers differ" if number == "double" else r"float: ", said), said
 
 
 @pytest.mark.parametrize(
@@ -500,7 +504,11 @@ def test_no_name_breaks_out_of_its_comment(tmp_path, name):
     need("gcc")
     compensator = firmware.plain()
     named = Compensator(replace(compensator.actuator, name=name), LIMITS)
-    firmware.run(["gcc", *STRICT, "-c", *SOURCES], written(tmp_path / "c", named))
+    folder = written(tmp_path / "c", named)
+    firmware.must_run(["gcc", *STRICT, "-c", *SOURCES], folder)
+    symbols = firmware.must_run(["nm", "--defined-only", "piezo.o"], folder)
+    assert "piezo_step" in symbols
+    assert "evil" not in symbols
 
 
 @pytest.mark.parametrize("number", ["double", "float"])
@@ -513,8 +521,10 @@ def test_any_cpp_takes_the_headers_and_reads_the_same_numbers(tmp_path, standard
         '#include <cstdio>\n#include "piezo.h"\nint main() '
         '{ std::printf("%.17g %.17g %.17g", (double)MODEL_LOW, (double)MODEL_HIGH, (double)MODEL_PERIOD); }\n'
     )
-    firmware.run(["g++", f"-std={standard}", "-Wall", "-Wextra", "-Werror", "-pedantic", "told.cc", "-o", "t"], folder)
-    told = [float(word) for word in firmware.run(["./t"], folder).split()]
+    firmware.must_run(
+        ["g++", f"-std={standard}", "-Wall", "-Wextra", "-Werror", "-pedantic", "told.cc", "-o", "t"], folder
+    )
+    told = [float(word) for word in firmware.must_run(["./t"], folder).split()]
     expected = [*compensator.limits, compensator.period]
     if number == "double":
         assert told == expected

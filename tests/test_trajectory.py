@@ -17,12 +17,8 @@ RATE = 2e4
 
 
 def wanted(seed, size=400):
-    """A path of steps, ramps and rests that leaves what the limits allow on both sides."""
-    rng = np.random.default_rng(seed)
-    corners = rng.integers(2, 12)
-    at = np.sort(rng.choice(np.arange(1, size - 1), corners, replace=False))
-    y = np.interp(np.arange(size), [0, *at, size], rng.uniform(-0.3, 1.3, corners + 2))
-    return bench.STROKE * (y + 0.05 * rng.normal(size=size) * rng.integers(0, 2))
+    """It leaves what the limits allow on both sides."""
+    return bench.wild_path(seed, size, beyond=0.3, corners=(2, 12))
 
 
 def times(seed, size):
