@@ -7,7 +7,11 @@
     ├── FileFormatError(ValueError)     a file that cannot be read or written
     ├── ModelError(ValueError)          an actuator, element or state with impossible numbers
     ├── IdentifyError(ValueError)       a question that the records cannot answer
-    └── MissingExtraError(ImportError)  an optional dependency that is not installed
+    ├── MissingExtraError(ImportError)  an optional dependency that is not installed
+    └── RigError(OSError)               an instrument that does not do what is needed
+        ├── LinkError(ConnectionError)      its connection: refused, lost, silent, garbled
+        ├── DeviceError                     it says itself that something is wrong
+        └── SensorError                     its reading tells nothing of the displacement
 
 Every message says what was got, what is needed and what to try.
 """
@@ -42,3 +46,19 @@ class MissingExtraError(DehystError, ImportError):
     def of(cls, package: str, extra: str, purpose: str) -> MissingExtraError:
         """Build the message from the missing `package`, the `extra` that brings it and the `purpose`."""
         return cls(f"{purpose} needs {package}, which is not installed. Try: pip install 'dehyst[{extra}]'")
+
+
+class RigError(DehystError, OSError):
+    """An instrument that does not do what is needed; its voltage was brought to a safe value if it could be."""
+
+
+class LinkError(RigError, ConnectionError):
+    """The connection to an instrument: refused, lost, silent, or what comes is no answer."""
+
+
+class DeviceError(RigError):
+    """An instrument reports an error, or does something else than it was told."""
+
+
+class SensorError(RigError):
+    """The displacement that an instrument reads cannot be one: it does not move, or no further, with the voltage."""

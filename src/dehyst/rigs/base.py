@@ -1,0 +1,372 @@
+"""What every rig is: where a voltage meets an actuator. Limits, slew rate and retreat are kept here, for all rigs."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import TracebackType
+from typing import Any, NamedTuple, Self, TypeVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import DehystError, DeviceError, LinkError, RecordError, RigError
+from dehyst._native import Array
+from dehyst.compensator import ClampWarning
+from dehyst.excitation import Excitation
+from dehyst.record import Record
+from dehyst.rigs.watch import SensorWatch
+from dehyst.trajectory import Limits
+
+# Seconds from one step of a ramp to the next; a host keeps no better time.
+_TICK = 0.01
+# A rig that nobody gave a slew rate takes this part of a second for its whole range.
+_SHORTEST_SWEEP = 0.1
+# By so much of the range a voltage that is read back may differ from the one that was sent.
+_ASTRAY = 0.05
+
+_Kind = TypeVar("_Kind", bound=np.generic[Any])
+
+
+class Reading(NamedTuple):
+    """What a rig reads: time [s] of its own clock, voltage [V], displacement [m]."""
+
+    time: float
+    voltage: float
+    displacement: float
+
+
+class Samples(NamedTuple):
+    """Some samples of a record being made, in order: time (n,) [s], voltage (n,) [V], displacement (n,) [m]."""
+
+    time: Array
+    voltage: Array
+    displacement: Array
+
+
+Listener = Callable[[Samples], None]
+
+
+class AbstractRig(ABC):
+    """An amplifier and a sensor around one actuator.
+
+    A leaf opens its link in ``__init__``, calls ``super().__init__`` with what the device says of itself, and writes
+    the methods whose names begin with an underscore; see ``docs/rigs.md``. All that sends a voltage is final here.
+
+    Parameters
+    ----------
+    name : str
+        What the instrument says it is.
+    device : Limits
+        What the device allows; its slew rate may be None.
+    limits : (float, float), optional
+        Voltages that the user allows [V]; what the device does not allow is left out.
+    slew_rate : float, optional
+        Largest abs(dv/dt) [V/s] that the user allows; by default the device's, or the whole range in 0.1 s.
+    longest : int, optional
+        Samples that one `_wave` takes; default any number.
+    axis : str
+        Which of the device's axes this is.
+
+    Attributes
+    ----------
+    limits : Limits
+        What is kept to: never wider than the device's nor than the user's, always with a slew rate.
+    slew_rate : float
+        That slew rate [V/s].
+    safe : float
+        The voltage [V] to retreat to: the one within the limits nearest to 0 V.
+
+    Raises
+    ------
+    RigError
+        If no voltage is allowed by both device and user.
+    """
+
+    def __init__(
+        self, name: str, device: Limits, *, limits: tuple[float, float] | None = None,
+        slew_rate: float | None = None, longest: int | None = None, axis: str = "1",
+    ) -> None:  # fmt: skip
+        self.name, self.axis, self.longest = name, axis, longest
+        self.limits = _common(device, limits, slew_rate)
+        self.slew_rate = float(self.limits.slew_rate or math.inf)
+        if longest is not None and longest < 2:
+            raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
+        self.safe = self.limits.nearest(0.0)
+        self._closed = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        slew = f"{self.slew_rate:.6g} V/s"
+        return f"<{type(self).__name__} '{self.name}', axis {self.axis}: {self.limits.words}, {slew}>"
+
+    @final
+    def set_voltage(self, voltage: float) -> float:
+        """Ramp to a voltage [V] within the slew rate; returns the one that was sent.
+
+        What lies outside of the limits is clamped, with a `ClampWarning`.
+
+        Raises
+        ------
+        RecordError
+            If it is not a finite number; nothing was sent.
+        RigError
+            If the device does not do it; a retreat was tried.
+        """
+        self._refuse_closed()
+        asked = float(voltage)
+        if not math.isfinite(asked):
+            raise RecordError(f"voltage: got {voltage}, need a finite number of volts; nothing was sent")
+        sent = self.limits.nearest(asked)
+        if sent != asked:
+            warnings.warn(
+                f"{asked:.6g} V was asked for and {sent:.6g} V sent: {self.limits.words} is allowed",
+                ClampWarning, stacklevel=2,
+            )  # fmt: skip
+        with self._safely():
+            self._ramp(sent)
+        return sent
+
+    @final
+    def read(self) -> Reading:
+        """Read the instrument once.
+
+        Raises
+        ------
+        RigError
+            If there is no answer, or none that is finite.
+        """
+        self._refuse_closed()
+        return self._checked_reading()
+
+    @final
+    def play(self, excitation: Excitation, listen: Listener = lambda _: None) -> Record:
+        """Ramp to the first voltage of an excitation and play it, at the rate of the device nearest to its own.
+
+        Whatever goes wrong, and on Ctrl-C, the wave is stopped and the voltage brought to `safe`; `listen` has had all
+        samples that came.
+
+        Parameters
+        ----------
+        excitation : Excitation
+        listen : callable
+            Called with each lot of `Samples` as it comes; what it raises stops the wave.
+
+        Returns
+        -------
+        Record
+            Voltage and displacement as the device recorded them, in its own time.
+
+        Raises
+        ------
+        RecordError
+            If the excitation leaves the limits or is too steep; nothing was sent.
+        RigError
+            If the device, its link or its sensor fails.
+        """
+        self._refuse_closed()
+        rate = self.nearest_rate(excitation.sample_rate)
+        self._refuse(excitation, rate)
+        came: list[Samples] = []
+        watch = SensorWatch(self.limits.high - self.limits.low)
+        with self._safely():
+            self._ramp(float(excitation.voltage[0]))
+            for piece in self._pieces(excitation.voltage):
+                for samples in self._piece(piece, rate):
+                    came.append(samples)
+                    listen(samples)
+                    watch.see(samples.voltage, samples.displacement)
+        time_, voltage, displacement = (np.concatenate(columns) for columns in zip(*came, strict=True))
+        return Record(time_, voltage, displacement, excitation.name, {"rig": self.name, "axis": self.axis})
+
+    @final
+    def retreat(self) -> float:
+        """Stop what is played and ramp to the safe voltage [V], which is returned; Ctrl-C waits until it is there.
+
+        Raises
+        ------
+        RigError
+            If the device does not do it.
+        """
+        with _uninterrupted() as late:
+            self._halt()
+            self._ramp(self.safe)
+        for number in late[:1]:
+            signal.raise_signal(number)
+        return self.safe
+
+    @final
+    def close(self) -> None:
+        """Let the instrument go, at the voltage where it is. May be called twice."""
+        if not self._closed:
+            self._closed = True
+            self._close()
+
+    @final
+    def rows(self, count: int) -> NDArray[np.intp]:
+        """Which of `count` voltages each sample of a record belongs to: where pieces join, two have the same."""
+        return np.concatenate(list(self._pieces(np.arange(count))))
+
+    def nearest_rate(self, sample_rate: float) -> float:
+        """The rate [Hz] nearest to `sample_rate` at which the device can play; by default that itself."""
+        return sample_rate
+
+    @abstractmethod
+    def _read(self) -> Reading:
+        """Read time, voltage and displacement once."""
+
+    @abstractmethod
+    def _put(self, voltage: float) -> None:
+        """Send one voltage [V], at once; it is within the limits, and one small step from the last."""
+
+    @abstractmethod
+    def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
+        """Play voltages (n,) [V], n <= longest, at `rate` [Hz], beginning where the output is; yield samples early.
+
+        One sample of the record for each voltage. Times go on from one call to the next.
+        """
+
+    @abstractmethod
+    def _halt(self) -> None:
+        """Stop what is being played, if anything is; the voltage stays where it is."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Let the link go; raises nothing."""
+
+    def _wait(self, seconds: float) -> None:
+        """Let time pass."""
+        time.sleep(seconds)
+
+    def _ramp(self, end: float) -> None:
+        """Go from the voltage that is read to `end` in steps of what the slew rate allows."""
+        present = self._present()
+        step = self.slew_rate * _TICK
+        while present != end:
+            present = end if abs(end - present) <= step else present + math.copysign(step, end - present)
+            self._put(self.limits.nearest(present))
+            self._wait(_TICK)
+
+    def _present(self) -> float:
+        """The voltage that is read [V]; a readback's error may put it a little outside of the limits."""
+        voltage = self._checked_reading().voltage
+        present = self.limits.nearest(voltage)
+        if abs(voltage - present) > _ASTRAY * (self.limits.high - self.limits.low):
+            raise DeviceError(
+                f"{self.name}: stands at {voltage:.6g} V, but {self.limits.words} is allowed; bring it there by hand, "
+                "or widen the limits if device and actuator allow it"
+            )
+        return present
+
+    def _checked_reading(self) -> Reading:
+        reading = self._read()
+        if not all(map(math.isfinite, reading)):
+            raise LinkError(f"{self.name}: read {reading}, need finite numbers; check the device and its sensor")
+        return reading
+
+    def _pieces(self, voltage: NDArray[_Kind]) -> Iterator[NDArray[_Kind]]:
+        """The voltages (n,) in pieces that the device takes, each beginning where the one before ended."""
+        longest = self.longest or voltage.size
+        for start in range(0, max(1, voltage.size - 1), longest - 1):
+            yield voltage[start : start + longest]
+
+    def _piece(self, voltage: Array, rate: float) -> Iterator[Samples]:
+        """Play one piece; what comes is looked at before it is believed."""
+        count = 0
+        # A recorder may be a sample or two late.
+        steepest = 2 * float(np.abs(np.diff(voltage)).max())
+        for samples in self._wave(voltage, rate):
+            sent = voltage[count : count + len(samples.time)]
+            count += len(samples.time)
+            if count > voltage.size or not all(bool(np.isfinite(column).all()) for column in samples):
+                raise LinkError(
+                    f"{self.name}: got {count} samples for {voltage.size}, or some that are not finite; check the link"
+                )
+            yield samples
+            astray = float(np.abs(samples.voltage - sent).max(initial=0.0))
+            if astray > max(_ASTRAY * (self.limits.high - self.limits.low), steepest):
+                raise DeviceError(
+                    f"{self.name}: its output is {astray:.4g} V away from what was sent; is the amplifier on, the "
+                    "servo off and the channel the right one?"
+                )
+        if count < voltage.size:
+            raise DeviceError(f"{self.name}: recorded {count} of {voltage.size} samples; check its data recorder")
+
+    def _refuse(self, excitation: Excitation, rate: float) -> None:
+        low, high = excitation.voltage_range
+        if low < self.limits.low or high > self.limits.high:
+            raise RecordError(
+                f"{excitation.name}: goes from {low:.6g} to {high:.6g} V, but {self.name} may have {self.limits.words}; ask "
+                " for less, or widen the limits if device and actuator allow it; nothing was sent"
+            )
+        steepest = float(np.abs(np.diff(excitation.voltage)).max()) * rate
+        # Rates that a device rounds, and rounding.
+        if steepest > self.slew_rate * (1 + 1e-6):
+            raise RecordError(
+                f"{excitation.name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {self.name} may have "
+                f"{self.slew_rate:.6g} V/s; play it slower; nothing was sent"
+            )
+
+    def _refuse_closed(self) -> None:
+        if self._closed:
+            raise RigError(f"{self.name}: is closed; open it again")
+
+    @contextmanager
+    def _safely(self) -> Iterator[None]:
+        """Retreat when anything goes wrong within, Ctrl-C too; what became of the voltage is noted on the error."""
+        try:
+            yield
+        except BaseException as error:
+            error.add_note(self._retreated())
+            raise
+
+    def _retreated(self) -> str:
+        """Retreat if the link still lives; what became of it, as a sentence."""
+        try:
+            with _uninterrupted():
+                return f"The voltage was brought to {self.retreat():.6g} V."
+        except (DehystError, OSError) as error:
+            with suppress(DehystError, OSError):
+                self.close()
+            return (
+                f"The voltage could not be brought to {self.safe:.6g} V ({error}): the device holds, or plays to its "
+                "end, what it has; see to it by hand."
+            )
+
+
+def _common(device: Limits, limits: tuple[float, float] | None, slew_rate: float | None) -> Limits:
+    """What device and user both allow."""
+    asked = Limits(*(limits or (device.low, device.high)), slew_rate)
+    low, high = max(device.low, asked.low), min(device.high, asked.high)
+    if not low < high:
+        raise RigError(f"limits: got {asked.words}, but the device has {device.words}; nothing is left, give others")
+    rates = [rate for rate in (device.slew_rate, slew_rate) if rate is not None]
+    return Limits(low, high, min(rates) if rates else (high - low) / _SHORTEST_SWEEP)
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[list[int]]:
+    """Let Ctrl-C and SIGTERM wait for the end, where signals arrive; yields those that came."""
+    late: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield late
+        return
+    before = {number: signal.signal(number, lambda n, _: late.append(n)) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield late
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
