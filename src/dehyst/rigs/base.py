@@ -309,8 +309,8 @@ class AbstractRig(ABC):
         low, high = excitation.voltage_range
         if low < self.limits.low or high > self.limits.high:
             raise RecordError(
-                f"{excitation.name}: goes from {low:.6g} to {high:.6g} V, but {self.name} may have {self.limits.words}; ask "
-                " for less, or widen the limits if device and actuator allow it; nothing was sent"
+                f"{excitation.name}: {low:.6g} to {high:.6g} V, but {self.name} may have {self.limits.words}; "
+                "ask for less, or widen the limits if device and actuator allow it; nothing was sent"
             )
         steepest = float(np.abs(np.diff(excitation.voltage)).max()) * rate
         # Rates that a device rounds, and rounding.
