@@ -19,7 +19,7 @@ from dehyst.model import Fit
 from dehyst.protocol import Creep, Pace, creep_of, sample_rate_for
 from dehyst.record import Record
 from dehyst.rigs.base import AbstractRig, Samples
-from dehyst.verification import Course, Followed, course
+from dehyst.verification import Course, Followed, Planner
 from dehyst.version import __version__
 from dehyst.wide_insight import WideInsight
 
@@ -119,12 +119,12 @@ class Calibration:
     creep : Creep
         Seen in the first look.
     training, held_out : tuple of Record
-    course : Course
-        The path and its voltages.
     nominal, compensated : Followed
         What was measured along it, by a constant ratio and by the model.
     goal : float
         [% of the stroke].
+    unreached : tuple of str
+        What the voltage could not follow, in sentences.
     instrument : mapping
         Rig, axis, limits.
     kept, played : tuple of str
@@ -136,10 +136,10 @@ class Calibration:
     creep: Creep
     training: tuple[Record, ...]
     held_out: tuple[Record, ...]
-    course: Course
     nominal: Followed
     compensated: Followed
     goal: float
+    unreached: tuple[str, ...] = ()
     instrument: dict[str, Any] = field(default_factory=dict)
     kept: tuple[str, ...] = ()
     played: tuple[str, ...] = ()
@@ -152,7 +152,7 @@ class Calibration:
     def warnings(self) -> tuple[str, ...]:
         """What must be known before the model is used."""
         missed = self.compensated.largest_percent
-        said = [*self.insight.warnings(), *self.course.command.warnings]
+        said = [*self.insight.warnings(), *self.unreached]
         if missed > self.goal:
             said.append(
                 f"The path was followed to {missed:.3g} % of the stroke, and {self.goal:g} % was asked for; look at "
@@ -164,7 +164,7 @@ class Calibration:
         """JSON values."""
         return {
             "program": __version__, **self.instrument, "good": self.good, "goal_percent": self.goal,
-            "stroke_m": self.course.stroke, "creep_percent": 100 * self.creep.share,
+            "stroke_m": self.nominal.stroke, "creep_percent": 100 * self.creep.share,
             "nominal": self.nominal.as_dict(), "compensated": self.compensated.as_dict(),
             "records": [one.name for one in (*self.training, *self.held_out)],
             "kept": list(self.kept), "played": list(self.played), "warnings": list(self.warnings()),
@@ -224,12 +224,15 @@ class _Job:
                 break
             training.append(record(self._more(told, i), f"more-{i}"))
             fit, told = self._identified(training, held_out)
-        played = course(
-            fit.actuator, self.pace.homing(), _ends(loops), self.rig.limits, leg=round(self._samples_a_cycle / 2)
+        planner = Planner(
+            self.pace.homing(), _ends(loops), self.rig.limits, round(self.pace.sample_rate / self.pace.frequency / 2)
         )
-        nominal, compensated = (self._follow(played, name) for name in ("nominal", "compensated"))
+        linear = planner.nominal()
+        before = self._played(linear)
+        modelled = planner.compensated(fit.actuator, self.campaign.sequence)
+        nominal, compensated = self._followed(linear, before), self._followed(modelled, self._played(modelled))
         return Calibration(
-            fit, told, creep, tuple(training), (held_out,), played, nominal, compensated, self.plan.goal,
+            fit, told, creep, tuple(training), (held_out,), nominal, compensated, self.plan.goal, modelled.warnings,
             self._instrument(), tuple(self.campaign.kept), tuple(self.campaign.played),
         )  # fmt: skip
 
@@ -243,10 +246,6 @@ class _Job:
         self.watcher.tell("drawing the report")
         followed = {"nominal": found.nominal, "compensated": found.compensated}
         write_report(folder / "report.html", found.fit, command=command, insight=found.insight, followed=followed)
-
-    @property
-    def _samples_a_cycle(self) -> float:
-        return self.pace.sample_rate / self.pace.frequency
 
     def _excitations(self, loops: Record, creep: Creep) -> Iterator[tuple[str, Excitation]]:
         """What is to be recorded, by name."""
@@ -283,20 +282,21 @@ class _Job:
         self.watcher.tell("asking what the records tell")
         return fit, insight(fit.actuator, training, limits=(self.pace.low, self.pace.high), repeats=0)
 
-    def _follow(self, played: Course, name: str) -> Followed:
-        """Play one of the course's excitations and compare."""
-        excitation: Excitation = getattr(played, name)
-        rows = self.rig.rows(len(excitation))
+    def _played(self, planned: Course) -> Record:
+        """Play a course, and tell how far it is from what is wanted meanwhile."""
+        rows = self.rig.rows(len(planned.excitation))
         came = 0
 
         def watch(samples: Samples) -> Array:
             nonlocal came
-            wanted = played.wanted[rows[came : came + samples.time.size]]
+            wanted = planned.wanted[rows[came : came + samples.time.size]]
             came += samples.time.size
             return wanted
 
-        record = self.campaign.record(excitation, name, watch=watch)
-        return Followed.of(played, record, rows)
+        return self.campaign.record(planned.excitation, planned.excitation.name, watch=watch)
+
+    def _followed(self, planned: Course, record: Record) -> Followed:
+        return Followed.of(planned, record, self.rig.rows(len(planned.excitation)))
 
     def _instrument(self) -> dict[str, Any]:
         limits = self.rig.limits

@@ -44,6 +44,15 @@ class Campaign:
     rig : AbstractRig
     watcher : Watcher
 
+    Attributes
+    ----------
+    sequence : list of Record
+        What was asked for, in order.
+    played, kept : list of str
+        Names of the records that were played, and of those that were on disk.
+    salvaged : tuple of Path
+        What a killed process had left.
+
     Raises
     ------
     FileFormatError
@@ -63,6 +72,7 @@ class Campaign:
         self.salvaged = tuple(salvage(self.records))
         self.played: list[str] = []
         self.kept: list[str] = []
+        self.sequence: list[Record] = []
 
     def record(self, excitation: Excitation, name: str, *, watch: Callable[[Samples], Array] | None = None) -> Record:
         """Play an excitation and have its record on disk, unless it is there already.
@@ -85,6 +95,7 @@ class Campaign:
         path, key = self.records / f"{name}.h5", self._key(excitation)
         if (found := _whole(path, key)) is not None:
             self.kept.append(name)
+            self.sequence.append(found)
             return found
         self._set_aside(path)
         room(self.records, len(excitation))
@@ -100,6 +111,7 @@ class Campaign:
             record = self.rig.play(excitation, listen).with_name(name)
             recording.finish(record)
         self.played.append(name)
+        self.sequence.append(record)
         return record
 
     def hashes(self) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -15,7 +16,7 @@ from dehyst.compensator import Compensator
 from dehyst.excitation import Excitation
 from dehyst.metrics import largest, percent, rms
 from dehyst.record import Record
-from dehyst.trajectory import Command, Limits
+from dehyst.trajectory import Limits
 from dehyst.trials import simulated
 
 # Turning points of the path to follow, as fractions of the stroke: nine of them, no two alike.
@@ -31,38 +32,34 @@ def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, leg: int = 2
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A path to follow after a homing, and the voltages for it.
+    """A path to follow after a homing, and a voltage for it.
 
     Attributes
     ----------
     wanted : (n,) array
-        Displacement [m] for each sample of the excitations.
+        Displacement [m] for each sample of the excitation, as the sensor shows it; NaN while homing.
     begin : int
         The first sample of the path: before it are homing and the way to the path.
-    nominal, compensated : Excitation
-        By a constant ratio of voltage to displacement, and by the model.
-    command : Command
-        What the compensator says of its part.
+    excitation : Excitation
     stroke : float
         Of the major loop [m].
+    warnings : tuple of str
+        What the voltage could not follow.
     """
 
     wanted: Array
     begin: int
-    nominal: Excitation
-    compensated: Excitation
-    command: Command
+    excitation: Excitation
     stroke: float
+    warnings: tuple[str, ...] = ()
 
 
-def course(
-    actuator: Actuator, homing: Excitation, ends: tuple[float, float], limits: Limits, *, leg: int = 200
-) -> Course:
-    """Plan a path through most of the stroke, and its voltages.
+@dataclass(frozen=True, eq=False)
+class Planner:
+    """Plans a path through most of the stroke after a homing.
 
     Parameters
     ----------
-    actuator : Actuator
     homing : Excitation
         Two major cycles, from and to the lowest voltage: after them the state is known. It gives the sample rate, too.
     ends : (float, float)
@@ -72,26 +69,69 @@ def course(
     leg : int
         Samples from one turning point to the next.
     """
-    homed = simulated(actuator, homing.voltage, homing.time)
-    low, stroke = ends[0], ends[1] - ends[0]
-    path = low + wanted_path(stroke, leg=leg)
-    way = wanted_path(1.0, (float(homed.displacement[-1]), float(path[0])), leg=leg)
-    wanted = np.concatenate([way[1:], path[1:]])
-    time = np.arange(wanted.size) / homing.sample_rate
-    ahead = np.interp(time + actuator.delay, time, wanted)
-    command = Compensator(actuator, (limits.low, limits.high), limits.slew_rate).trajectory(
-        ahead, time=time, state=homed.state
-    )
-    v_low, v_high = homing.voltage_range
-    ratio = np.clip(v_low + (wanted - low) * (v_high - v_low) / stroke, limits.low, limits.high)
-    return Course(
-        np.concatenate([np.full(len(homing), np.nan), wanted]), len(homing) + leg - 1,
-        _after(homing, ratio, "nominal"), _after(homing, command.voltage, "compensated"), command, stroke,
-    )  # fmt: skip
+
+    homing: Excitation
+    ends: tuple[float, float]
+    limits: Limits
+    leg: int = 200
+
+    @property
+    def stroke(self) -> float:
+        """Of the major loop [m]."""
+        return self.ends[1] - self.ends[0]
+
+    def nominal(self) -> Course:
+        """By a constant ratio of voltage to displacement."""
+        low, high = self.homing.voltage_range
+        wanted = self._wanted(self.ends[0])
+        voltage = low + (wanted - self.ends[0]) * (high - low) / self.stroke
+        return self._course("nominal", wanted, np.clip(voltage, self.limits.low, self.limits.high))
+
+    def compensated(self, actuator: Actuator, before: Sequence[Record]) -> Course:
+        """By a model, whose state follows from all that was played, and whose zero from the last of it.
+
+        Parameters
+        ----------
+        actuator : Actuator
+        before : sequence of Record
+            What was played until now, in order; the last is that of the nominal course. What happened before them, and
+            where a sensor drifted to, the model cannot know: the last path tells.
+        """
+        history = _one_after_another(before)
+        played = simulated(actuator, history.voltage, history.time)
+        late = slice(-(len(TURNS) - 1) * self.leg, None)
+        datum = float(np.mean((history.displacement - played.displacement)[late]))
+        homing = self.homing
+        homed = actuator.simulate(homing.voltage, time=homing.time, state=played.state)
+        wanted = self._wanted(float(homed.displacement[-1]) + datum)
+        time = np.arange(wanted.size) / homing.sample_rate
+        ahead = np.interp(time + actuator.delay, time, wanted) - datum
+        compensator = Compensator(actuator, (self.limits.low, self.limits.high), self.limits.slew_rate)
+        command = compensator.trajectory(ahead, time=time, state=homed.state)
+        return self._course("compensated", wanted, command.voltage, command.warnings)
+
+    def _wanted(self, start: float) -> Array:
+        """The way from where the homing ends to the path, and the path [m]."""
+        path = self.ends[0] + wanted_path(self.stroke, leg=self.leg)
+        way = wanted_path(1.0, (start, float(path[0])), leg=self.leg)
+        return np.concatenate([way[1:], path[1:]])
+
+    def _course(self, name: str, wanted: Array, voltage: Array, warnings: tuple[str, ...] = ()) -> Course:
+        home = self.homing
+        excitation = Excitation(name, np.concatenate([home.voltage, voltage]), home.sample_rate)
+        shown = np.concatenate([np.full(len(home), np.nan), wanted])
+        return Course(shown, len(home) + self.leg - 1, excitation, self.stroke, warnings)
 
 
-def _after(homing: Excitation, voltage: Array, name: str) -> Excitation:
-    return Excitation(name, np.concatenate([homing.voltage, voltage]), homing.sample_rate)
+def _one_after_another(records: Sequence[Record]) -> Record:
+    """The records in one, as far back as their times go on from one to the next."""
+    kept = [records[-1]]
+    for one in records[-2::-1]:
+        if one.time[-1] >= kept[0].time[0]:
+            break
+        kept.insert(0, one)
+    return Record(*(np.concatenate([getattr(one, column) for one in kept])
+                    for column in ("time", "voltage", "displacement")), name="history")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
