@@ -26,6 +26,7 @@ from dehyst.signals import FloatArray
 __all__ = [
     "PathLike",
     "Table",
+    "finite",
     "path_of",
     "read",
     "read_json",
@@ -74,7 +75,8 @@ def read(
     MissingExtraError
         The library for this kind of file is not installed.
     """
-    stored = _stored(Path(path))
+    with _reading(Path(path), Path(path).suffix):
+        stored = hdf5.told(Path(path), least=2)
     table = read_table(path)
     v, y = table.column("voltage", voltage), table.column("displacement", displacement)
     meta: dict[str, Any] = {"source": table.source, "sha256": table.sha256}
@@ -85,14 +87,6 @@ def read(
     )
     called = stored.name if stored else Path(path).stem
     return Record(time_of(table, len(v), time, sample_rate), v, y, name or called, stored.meta if stored else meta)
-
-
-def _stored(path: Path) -> hdf5.Stored | None:
-    """Name and meta of a record that `write_hdf5` wrote, or None."""
-    if path.suffix.lower() not in hdf5.SUFFIXES or not path.is_file() or not path.stat().st_size:
-        return None
-    with _reading(path, path.suffix):
-        return hdf5.told(path, least=2)
 
 
 def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> FloatArray:
@@ -220,6 +214,15 @@ def write_json(path: PathLike, data: Mapping[str, Any]) -> None:
             f"{path}: cannot be told in JSON ({error}); use text, finite numbers, booleans, None, lists and dicts"
         ) from error
     write_atomically(path, text + "\n")
+
+
+def finite(value: Any) -> Any:
+    """The same with null for numbers that JSON has not."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not abs(value) <= sys.float_info.max else value
 
 
 def path_of(value: object) -> Path:

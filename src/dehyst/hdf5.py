@@ -90,13 +90,15 @@ def in_json(data: Mapping[str, Any], where: object) -> str:
 
 
 def told(path: Path, least: int = 0) -> Stored | None:
-    """What a file tells of its record; None if `pack` did not make it.
+    """What a file tells of its record; None if there is none, or one that `pack` did not make.
 
     Raises
     ------
     FileFormatError
         If its samples are not those that it was made of, or fewer than `least`.
     """
+    if path.suffix.lower() not in SUFFIXES or not path.is_file() or not path.stat().st_size:
+        return None
     with library("files", f"Reading {path.suffix} files").File(path, "r") as file:
         if _MARK not in file.attrs or not all(dataset in file for dataset in DATASETS):
             return None

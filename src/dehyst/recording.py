@@ -249,7 +249,7 @@ def _salvaged(path: Path) -> Path | None:
 def _holds(path: Path, sha256: str) -> bool:
     """Whether a file is there that holds these samples: its process was killed before it took the journal away."""
     with contextlib.suppress(FileFormatError, OSError):
-        stored = hdf5.told(path) if path.is_file() else None
+        stored = hdf5.told(path)
         return stored is not None and stored.sha256 == sha256
     return False
 
