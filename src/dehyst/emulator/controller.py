@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dehyst._errors import DeviceError
 from dehyst.emulator.parameters import Parameters
 from dehyst.emulator.recorder import Recorder
-from dehyst.emulator.refusals import Error, CommandError, counted, demand, lines, numeral, real, whole
+from dehyst.emulator.refusals import CommandError, Error, counted, demand, lines, numeral, real, whole
 from dehyst.emulator.waves import Waves, generator
 from dehyst.instrument import Instrument
 from dehyst.version import __version__

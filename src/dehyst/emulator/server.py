@@ -55,23 +55,27 @@ class _Client:
         if time.monotonic() - self.moved > _PATIENCE:
             raise ConnectionAbortedError("takes no answers")
 
-    def commands(self) -> list[bytes]:
-        """Take the whole lines, and commands of one byte at the beginning of a line, off what came."""
-        found: list[bytes] = []
-        while self.came:
-            if self.came[0] in _SINGLE and not self.overlong:
-                found.append(bytes(self.came[:1]))
-                del self.came[:1]
-                continue
-            line, end, rest = self.came.partition(b"\n")
-            if not end:
-                break
-            found.append(b"\0" * (_LONGEST_LINE + 1) if self.overlong else bytes(line))
-            self.overlong, self.came = False, rest
-        if len(self.came) > _LONGEST_LINE:
+    @property
+    def ready(self) -> bool:
+        """Whether a command waits to be done, and its answer has room."""
+        whole = self.came[:1] and (self.came[0] in _SINGLE or b"\n" in self.came)
+        return bool(whole) and len(self.waiting) < _MOST_WAITING
+
+    def command(self) -> bytes:
+        """Take off what came: one byte if it is a command at the beginning of a line, or else a line."""
+        size = 1 if self.came[0] in _SINGLE and not self.overlong else self.came.index(b"\n") + 1
+        found = bytes(self.came[:size])
+        del self.came[:size]
+        if self.overlong:
+            self.overlong = False
+            return b"\0" * (_LONGEST_LINE + 1)
+        return found
+
+    def forget_overlong(self) -> None:
+        """Drop the beginning of a line that does not end."""
+        if len(self.came) > _LONGEST_LINE and b"\n" not in self.came:
             self.overlong = True
             self.came.clear()
-        return found
 
 
 class Server:
@@ -148,10 +152,12 @@ class Server:
             client = self._client
             if client is not None:
                 wanted = selectors.EVENT_WRITE if client.waiting else 0
-                if len(client.waiting) < _MOST_WAITING:
+                if len(client.waiting) < _MOST_WAITING and not client.ready:
                     wanted |= selectors.EVENT_READ
-                selector.register(client.link, wanted)
-            ready = {key.fileobj for key, _ in selector.select(_TICK)} if selector.get_map() else set()
+                if wanted:
+                    selector.register(client.link, wanted)
+            tick = 0.0 if client is not None and client.ready else _TICK
+            ready = {key.fileobj for key, _ in selector.select(tick)} if selector.get_map() else set()
             if self._refusing and client is None:
                 self._stopped.wait(_TICK)
         if self._listening in ready:
@@ -176,10 +182,12 @@ class Server:
 
     def _attend(self, client: _Client, *, came: bool) -> None:
         try:
-            if came and len(client.waiting) < _MOST_WAITING:
+            if came and not client.ready and len(client.waiting) < _MOST_WAITING:
                 client.receive()
-            for command in client.commands():
-                client.waiting += self._answer(command)
+            turn = time.monotonic() + _TICK
+            while client.ready and time.monotonic() < turn:
+                client.waiting += self._answer(client.command())
+            client.forget_overlong()
             client.send()
         except OSError:
             client.ended = True
