@@ -25,6 +25,7 @@ from dehyst.signals import FloatArray
 __all__ = [
     "PathLike",
     "Table",
+    "finite",
     "path_of",
     "read",
     "read_json",
@@ -189,6 +190,15 @@ def write_json(path: PathLike, data: Mapping[str, Any]) -> None:
             f"{path}: cannot be told in JSON ({error}); use text, finite numbers, booleans, None, lists and dicts"
         ) from error
     write_atomically(path, text + "\n")
+
+
+def finite(value: Any) -> Any:
+    """The same with null for numbers that JSON has not."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not abs(value) <= sys.float_info.max else value
 
 
 def path_of(value: object) -> Path:
