@@ -12,7 +12,7 @@ from dehyst._errors import LinkError
 from dehyst._native import Array
 from dehyst.rigs import gcs
 
-_HEADER = re.compile(r"#\s*([A-Z]+)(\d*)\s*=\s*(.*)")
+_HEADER = re.compile(r"#\s*([A-Z_]+)(\d*)\s*=\s*(.*)")
 _END = "# END_HEADER"
 
 
