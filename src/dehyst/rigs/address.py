@@ -76,21 +76,22 @@ def _pi(parts: SplitResult, asked: _Asked) -> AbstractRig:
 
 
 def _epics(parts: SplitResult, asked: _Asked) -> AbstractRig:
-    from dehyst.rigs.epics import EpicsRig
-
-    prefix = parts.geturl().partition("://")[2]
+    prefix = parts.netloc + parts.path
     if not prefix:
         raise RigError("epics://: need the prefix of process variables, as in epics://LAB:PIEZO")
+    from dehyst.rigs.epics import EpicsRig
+
     return EpicsRig.connect(prefix, **asked)
 
 
 def _sim(parts: SplitResult, asked: _Asked) -> AbstractRig:
-    from dehyst.rigs.simulated import SimulatedRig
-
-    name = parts.geturl().partition("://")[2]
+    name = parts.netloc + parts.path
     if not name:
         raise RigError("sim://: need play, creep, preisach, boucwen or /path/to/model.json behind it")
-    return SimulatedRig.of(name, **asked)
+    from dehyst.rigs.simulated import SimulatedRig
+    from dehyst.virtual import virtual_actuator
+
+    return SimulatedRig(virtual_actuator(name), **asked)
 
 
 def _ni(parts: SplitResult, asked: _Asked) -> AbstractRig:

@@ -19,7 +19,7 @@ _DECIMALS = 6
 # Longer answers are cut when they are shown.
 _SHOWN = 60
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _INTEGER = re.compile(r"[+-]?\d{1,15}", re.ASCII)
 _WORD = re.compile(r"[!-~]+")
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,16}")

@@ -140,6 +140,8 @@ class TcpLink(AbstractGcsLink):
 
     def _connected(self) -> socket.socket:
         host, port = self._address
+        if not 0 < port < 1 << 16:
+            raise LinkError(f"{self.where}: got the port {port}, need 1 to 65535 (PI's is 50000)")
         try:
             link = socket.create_connection((host, port), self._timeout)
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -151,7 +153,7 @@ class TcpLink(AbstractGcsLink):
             raise LinkError(f"{self.where}: host {host!r} is not known; check its name, or give its number") from error
         except TimeoutError as error:
             raise LinkError(f"{self.where}: no answer in {self._timeout:g} s; check cable and address") from error
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             raise LinkError(f"{self.where}: cannot be reached ({error}); check address and network") from error
         return link
 
