@@ -75,7 +75,7 @@ class FakeController:
     def on_pos_asked(self, axis):
         return [f"{axis}={1e6 * self.bench.displacement()!r}"]
 
-    def on_vol_asked(self, channel):
+    def on_vol_asked(self, channel="1"):
         return [f"{channel}={self.bench.voltage!r}"]
 
     def on_sva(self, axis, voltage):
@@ -86,7 +86,7 @@ class FakeController:
         number, self.error = self.error, 0
         return [str(number)]
 
-    def on_tim_asked(self, timer):
+    def on_tim_asked(self, timer="1"):
         return [f"{timer}={1e3 * self.bench.now!r}"]
 
     def on_wav(self, table, sign, kind, start, count, *points):

@@ -149,6 +149,11 @@ def values(lines: Sequence[str], keys: Sequence[str]) -> list[float]:
     return [real(found[key]) for key in keys]
 
 
+def timer(lines: Sequence[str]) -> float:
+    """Return the number of an answer of TIM?, with or without a key; raises LinkError."""
+    return real(single(lines).rpartition("=")[2].strip())
+
+
 def counts(lines: Sequence[str], keys: Sequence[str]) -> list[int]:
     """Return whole numbers, not negative, of exactly these keys; raises LinkError."""
     numbers = values(lines, keys)

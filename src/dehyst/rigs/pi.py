@@ -75,7 +75,8 @@ class PiRig(AbstractRig):
     ) -> None:  # fmt: skip
         self._client = GcsClient(link)
         traits = inquire(self._client, axis, limits)
-        self._waves, self._channel, self._patience = traits.waves, traits.channel, patience
+        self._waves, self._channel, self._generator = traits.waves, traits.channel, traits.generator
+        self._patience = patience
         self._born, self._late, self._latest = time.monotonic(), 0.0, -np.inf
         super().__init__(
             self._client.name, traits.limits, limits=limits, slew_rate=slew_rate, axis=traits.axis,
@@ -147,7 +148,7 @@ class PiRig(AbstractRig):
         interval = divider * self._waves.servo_period
         self._prepare(voltage, divider, self._waves)
         start = max(self._now(), self._latest + interval)
-        self._client.set(gcs.command("WGO", self._channel, 1))
+        self._client.set(gcs.command("WGO", self._generator, 1))
         for first, position, volts in self._recorded(voltage.size, interval):
             times: Array = start + interval * np.arange(first, first + volts.size, dtype=np.float64)
             self._latest = float(times[-1])
@@ -159,7 +160,7 @@ class PiRig(AbstractRig):
         if self._waves is None:
             return
         self._client.clear()
-        self._client.set(gcs.command("WGO", self._channel, 0), expect=frozenset({STOPPED}))
+        self._client.set(gcs.command("WGO", self._generator, 0), expect=frozenset({STOPPED}))
         for _ in range(_STEPS_TO_STOP):
             if not self._playing():
                 return
@@ -186,16 +187,16 @@ class PiRig(AbstractRig):
         points = [gcs.volts(float(value), self.limits.low, self.limits.high) for value in voltage]
         for line in gcs.wave_points(_WAVE, points):
             self._client.set(line)
-        channel = self._channel
-        self._client.set(gcs.command("WSL", channel, _WAVE))
-        self._client.set(gcs.command("WGC", channel, 1))
-        self._client.set(gcs.command("WTR", channel, divider, 0))
+        generator = self._generator
+        self._client.set(gcs.command("WSL", generator, _WAVE))
+        self._client.set(gcs.command("WGC", generator, 1))
+        self._client.set(gcs.command("WTR", generator, divider, 0))
         if "WOS" in self._client.commands:
             # Somebody's offset would be added to every voltage.
-            self._client.set(gcs.command("WOS", channel, 0))
+            self._client.set(gcs.command("WOS", generator, 0))
         self._client.set(gcs.command("RTR", divider))
         self._client.set(gcs.command("DRC", _POSITION, self.axis, waves.options.position))
-        self._client.set(gcs.command("DRC", _VOLTAGE, channel, waves.options.voltage))
+        self._client.set(gcs.command("DRC", _VOLTAGE, self._channel, waves.options.voltage))
         if "DRT" in self._client.commands:
             # The default: a wave's start begins the record.
             self._client.set(gcs.command("DRT", 0, 0, 0))
@@ -256,12 +257,12 @@ class PiRig(AbstractRig):
     def _now(self) -> float:
         """The controller's clock [s] if it has one, else the host's; it does not go back behind what was recorded."""
         timed = "TIM?" in self._client.commands
-        now = self._values("TIM?", "1")[0] * _SECONDS if timed else time.monotonic() - self._born
+        now = self._client.ask("TIM?", gcs.timer) * _SECONDS if timed else time.monotonic() - self._born
         self._late = max(self._late, self._latest - now)
         return now + self._late
 
     def _playing(self) -> bool:
-        return bool(self._count("WGO?", self._channel))
+        return bool(self._count("WGO?", self._generator))
 
     def _divider(self, waves: Waves, rate: float) -> int:
         """So many servo periods a sample."""

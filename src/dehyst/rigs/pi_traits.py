@@ -43,7 +43,9 @@ class Traits:
     axis : str
         Its name there.
     channel : str
-        Number of its piezo channel, and of its wave generator.
+        Name of its piezo channel.
+    generator : str
+        Number of its wave generator.
     limits : Limits
         Voltages [V] that the controller allows; a slew rate [V/s] if it tells one of open loop.
     waves : Waves or None
@@ -54,6 +56,7 @@ class Traits:
 
     axis: str
     channel: str
+    generator: str
     limits: Limits
     waves: Waves | None
     missing: str = ""
@@ -85,10 +88,11 @@ def inquire(client: GcsClient, axis: str | None, limits: tuple[float, float] | N
             f"{client.name}: does not know {', '.join(absent)}, need open-loop voltages and a position; use another one"
         )
     client.clear()
-    name, channel = _axis(client, axis)
+    name, number = _axis(client, axis)
+    channel = _channel(client, name, number)
     _refuse_offline(client, channel)
     told = _limits(client, channel, limits)
-    traits = Traits(name, channel, told, None)
+    traits = Traits(name, channel, number, told, None)
     absent = [word for word in _FOR_WAVES if word not in client.commands]
     if absent:
         return replace(traits, missing=f"does not know {', '.join(absent)}")
@@ -97,7 +101,7 @@ def inquire(client: GcsClient, axis: str | None, limits: tuple[float, float] | N
 
 
 def _axis(client: GcsClient, wanted: str | None) -> tuple[str, str]:
-    """The axis, and the number of its channel."""
+    """The axis, and which one it is, from 1."""
     axes = client.ask("SAI?", gcs.names) if "SAI?" in client.commands else ["1"]
     if wanted is None and len(axes) > 1:
         raise RigError(f"{client.name}: has the axes {', '.join(axes)}; say which, as in pi://host:port/{axes[0]}")
@@ -105,6 +109,15 @@ def _axis(client: GcsClient, wanted: str | None) -> tuple[str, str]:
     if name not in axes:
         raise RigError(f"{client.name}: got the axis {name!r}, it has {', '.join(axes)}; give one of them")
     return name, str(axes.index(name) + 1)
+
+
+def _channel(client: GcsClient, axis: str, number: str) -> str:
+    """The axis' piezo channel: of its own name, else of its number."""
+    channels = client.ask("VOL?", gcs.pairs)
+    found = axis if axis in channels else number
+    if found not in channels:
+        raise DeviceError(f"{client.name}: has the channels {', '.join(channels)}, need one for the axis {axis}")
+    return found
 
 
 def _refuse_offline(client: GcsClient, channel: str) -> None:
