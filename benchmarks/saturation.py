@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import dehyst
-from dehyst.demo import record_loops, wanted_path
+from dehyst.demo import record_loops
 from dehyst.truths import PlayActuator
 
 OUTPUT = Path(__file__).parent / "saturation.json"

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from dehyst.cli_calibrate import calibrate
 from dehyst.cli_compare import compare
 from dehyst.cli_compensate import compensate
 from dehyst.cli_excite import excite
@@ -22,7 +23,6 @@ from dehyst.console import (
     columns_options,
     conclude,
     count_outside,
-    finite,
     json_option,
     lagging,
     leave_cleanly,
@@ -37,6 +37,7 @@ from dehyst.console import (
     state_dict,
     time_of_table,
 )
+from dehyst.files import finite
 from dehyst.printing import print_fit, print_insight, print_paper
 from dehyst.version import __version__
 
@@ -49,6 +50,7 @@ def main(context: click.Context) -> None:
     leave_cleanly(context)
 
 
+main.add_command(calibrate)
 main.add_command(compare)
 main.add_command(compensate)
 main.add_command(excite)

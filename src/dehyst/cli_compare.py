@@ -14,12 +14,12 @@ from dehyst.console import (
     PATH,
     ManyToValidate,
     columns_options,
-    finite,
     json_option,
     progress_line,
     read_records,
     refuse_overwriting,
 )
+from dehyst.files import finite
 
 if TYPE_CHECKING:
     from dehyst.compare import Comparison, Row

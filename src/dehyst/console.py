@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst.files import finite
+
 if TYPE_CHECKING:
     from dehyst.actuator import Actuator
     from dehyst.files import Table
@@ -259,12 +261,3 @@ def conclude(as_json: bool, result: dict[str, Any], line: str, warnings: Any) ->
     for warning in warnings:
         click.echo(f"dehyst: {warning}", err=True)
     click.echo(json.dumps(finite(result), indent=1) if as_json else line)
-
-
-def finite(value: Any) -> Any:
-    """The same with null for numbers that JSON has not."""
-    if isinstance(value, dict):
-        return {key: finite(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [finite(entry) for entry in value]
-    return None if isinstance(value, float) and not abs(value) <= sys.float_info.max else value

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +19,10 @@ from dehyst.metrics import largest, percent, rms
 from dehyst.model import Fit
 from dehyst.record import Record
 from dehyst.truths import PlayActuator
+from dehyst.verification import wanted_path
 
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
-# Turning points of the path to follow, as fractions of the stroke: nine of them, no two alike.
-_PATH = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)
 # The paper: Sec. 4.3 and Fig. 12.
 _PAPER = {"linear": 13.63, "compensated": 0.76}
 
@@ -59,13 +57,6 @@ class Demo:
             "rms_percent": percent(rms(error), self.stroke),
             "largest_um": 1e6 * largest(error),
         }
-
-
-def wanted_path(stroke: float, turns: tuple[float, ...] = _PATH) -> Array:
-    """Path [m] through turning points given as shares of the stroke, smooth between them; by default nine reversals."""
-    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, _SAMPLES // 2 + 1) / (_SAMPLES // 2))
-    legs = [start + (end - start) * rise for start, end in pairwise(turns)]
-    return stroke * np.concatenate([[turns[0]], *legs])
 
 
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:

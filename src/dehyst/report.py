@@ -19,6 +19,7 @@ from dehyst.compare import Comparison
 from dehyst.compare_page import comparison_sections
 from dehyst.elements import GradedSlip, MaxwellSlip
 from dehyst.files import write_atomically
+from dehyst.followed_page import followed_sections
 from dehyst.insight import Insight
 from dehyst.insight_page import sections
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
@@ -26,9 +27,11 @@ from dehyst.page import MINUS, Row, document, figure, length, number, panel, tab
 from dehyst.parts_page import made_of
 from dehyst.selection import label
 from dehyst.structure import Structure
+from dehyst.verification import Followed
 from dehyst.wide_insight import WideInsight
 
 MOST_RECORDS = 6
+NONE: Mapping[str, Followed] = {}
 _LABELS = {"program": "Program", "method": "Method", "norm": "Norm", "elements": "Slip elements asked for",
            "slope_floor": "Floor of the slope (part of the mean)", "shared_datum": "Sensor zero shared by all records",
            "drift": "Drift of a record set aside"}  # fmt: skip
@@ -41,6 +44,7 @@ def write_report(
     command: str | None = None,
     insight: Insight | WideInsight | None = None,
     comparison: Comparison | None = None,
+    followed: Mapping[str, Followed] = NONE,
 ) -> None:
     """Write a report of `fit` to one HTML file that asks for nothing from outside.
 
@@ -55,6 +59,8 @@ def write_report(
         What the records can and cannot tell, to be shown too.
     comparison : Comparison, optional
         Ours and rival models on the same records, to be shown too.
+    followed : mapping of str to Followed, optional
+        What was measured along a path, by how its voltage was made.
 
     Raises
     ------
@@ -63,7 +69,7 @@ def write_report(
     FileFormatError
         If the file cannot be written.
     """
-    write_atomically(path, render(fit, command, insight, comparison))
+    write_atomically(path, render(fit, command, insight, comparison, followed))
 
 
 def render(
@@ -71,6 +77,7 @@ def render(
     command: str | None = None,
     insight: Insight | WideInsight | None = None,
     comparison: Comparison | None = None,
+    followed: Mapping[str, Followed] = NONE,
 ) -> str:
     """Return the text of the report; the same text for the same fit.
 
@@ -85,6 +92,7 @@ def render(
         f"<h1>{escape(name)}</h1>",
         _facts(fit, actuator),
         _outcome(fit.outcome),
+        *followed_sections(followed),
         _errors(fit.errors),
         _trials(fit),
         _checks(fit, actuator),

@@ -31,7 +31,7 @@ _SHORTEST_SWEEP = 0.1
 # By so much of the range a voltage that is read back may differ from the one that was sent.
 _ASTRAY = 0.05
 
-_Kind = TypeVar("_Kind", bound=np.generic[Any])
+_Kind = TypeVar("_Kind", bound="np.generic[Any]")
 
 
 class Reading(NamedTuple):

@@ -1,0 +1,311 @@
+"""The whole experiment on an instrument: look, excite, record, identify, compensate, and measure what it is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dehyst._errors import IdentifyError, ModelError, RecordError
+from dehyst._native import Array
+from dehyst.campaign import Campaign, Watcher
+from dehyst.excitation import Excitation, positive
+from dehyst.files import PathLike, finite, write_json
+from dehyst.identify import identify
+from dehyst.insight import Insight, insight
+from dehyst.model import Fit
+from dehyst.protocol import Creep, Pace, creep_of, sample_rate_for
+from dehyst.record import Record
+from dehyst.rigs.base import AbstractRig, Samples
+from dehyst.verification import Course, Followed, Planner
+from dehyst.version import __version__
+from dehyst.wide_insight import WideInsight
+
+# Cycles that each hold of the look lasts.
+_HOLD = 3.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a calibration does.
+
+    Parameters
+    ----------
+    frequency : float
+        Cycles a second [Hz] at which loops are recorded.
+    hold : float, optional
+        Time [s] at each voltage where creep is looked for; default three cycles.
+    protocol : tuple of Excitation
+        To be recorded in place of what `insight` would choose.
+    rounds : int
+        How often `insight` may ask for more records.
+    goal : float
+        Largest error along the path [% of the stroke] with which the calibration is good.
+
+    Raises
+    ------
+    RecordError
+        If a number is impossible.
+    """
+
+    frequency: float = 1.0
+    hold: float | None = None
+    protocol: tuple[Excitation, ...] = ()
+    rounds: int = 2
+    goal: float = 1.0
+
+    def __post_init__(self) -> None:
+        positive(self.frequency, "frequency")
+        positive(self.goal, "goal")
+        if not isinstance(self.rounds, int) or self.rounds < 0:
+            raise RecordError(f"rounds: got {self.rounds!r}, need a whole number, 0 or more")
+
+    def pace(self, rig: AbstractRig) -> Pace:
+        """How this is played on a rig."""
+        hold = _HOLD / self.frequency if self.hold is None else self.hold
+        rate = rig.nearest_rate(sample_rate_for(self.frequency))
+        return Pace(rig.limits.low, rig.limits.high, rate, self.frequency, hold, rig.slew_rate)
+
+
+class Step(NamedTuple):
+    """Something that would be played, and when; `excitation` None where it depends on what is found."""
+
+    name: str
+    words: str
+    excitation: Excitation | None
+
+
+def steps(rig: AbstractRig, plan: Plan) -> tuple[Step, ...]:
+    """What a calibration would send, for a look before anything is sent.
+
+    Raises
+    ------
+    RecordError
+        If it cannot be played within the rig's limits.
+    """
+    pace = plan.pace(rig)
+    home = pace.homing()
+    return (
+        Step("look", "holds at both ends, two major loops", pace.look()),
+        *_planned(pace, plan),
+        Step("others", "loops of other heights, held out", pace.others()),
+        Step("nominal", "homing, then a path of nine reversals by a constant ratio", home),
+        Step("compensated", "homing, then the same path by the model", home),
+    )
+
+
+def _planned(pace: Pace, plan: Plan) -> Iterator[Step]:
+    if plan.protocol:
+        for i, given in enumerate(plan.protocol, 1):
+            yield Step(f"given-{i}", f"{given.name}, as given", given)
+        return
+    yield Step("loops", "what insight chooses after the look, e.g. descending tops", pace.tops())
+    for name, excitation in zip(("fast", "stairs"), pace.slowly_and_fast(), strict=True):
+        yield Step(name, "if the look shows creep", excitation)
+    for i in range(1, plan.rounds + 1):
+        yield Step(f"more-{i}", "if insight finds directions open", None)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What a calibration found.
+
+    Attributes
+    ----------
+    fit : Fit
+    insight : Insight or WideInsight
+    creep : Creep
+        Seen in the first look.
+    training, held_out : tuple of Record
+    nominal, compensated : Followed
+        What was measured along it, by a constant ratio and by the model.
+    goal : float
+        [% of the stroke].
+    unreached : tuple of str
+        What the voltage could not follow, in sentences.
+    instrument : mapping
+        Rig, axis, limits.
+    kept, played : tuple of str
+        Records that were on disk already, and those that were played.
+    """
+
+    fit: Fit
+    insight: Insight | WideInsight
+    creep: Creep
+    training: tuple[Record, ...]
+    held_out: tuple[Record, ...]
+    nominal: Followed
+    compensated: Followed
+    goal: float
+    unreached: tuple[str, ...] = ()
+    instrument: dict[str, Any] = field(default_factory=dict)
+    kept: tuple[str, ...] = ()
+    played: tuple[str, ...] = ()
+
+    @property
+    def good(self) -> bool:
+        """Whether the model is of use and the path was followed as well as asked."""
+        return self.fit.outcome.good and self.compensated.largest_percent <= self.goal
+
+    def warnings(self) -> tuple[str, ...]:
+        """What must be known before the model is used."""
+        missed = self.compensated.largest_percent
+        said = [*self.insight.warnings(), *self.unreached]
+        if missed > self.goal:
+            said.append(
+                f"The path was followed to {missed:.3g} % of the stroke, and {self.goal:g} % was asked for; look at "
+                "the report's residuals, record at the speed of use (--frequency), or allow more with --goal."
+            )
+        return tuple(said)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {
+            "program": __version__, **self.instrument, "good": self.good, "goal_percent": self.goal,
+            "stroke_m": self.nominal.stroke, "creep_percent": 100 * self.creep.share,
+            "nominal": self.nominal.as_dict(), "compensated": self.compensated.as_dict(),
+            "records": [one.name for one in (*self.training, *self.held_out)],
+            "kept": list(self.kept), "played": list(self.played), "warnings": list(self.warnings()),
+            "fit": self.fit.as_dict(),
+        }  # fmt: skip
+
+
+def calibrate(
+    rig: AbstractRig, folder: PathLike, *, plan: Plan | None = None, watcher: Watcher, command: str | None = None
+) -> Calibration:
+    """Do the whole experiment; records, model, report and numbers are left in a folder.
+
+    Parameters
+    ----------
+    rig : AbstractRig
+        Its limits are what is driven through.
+    folder : path
+        Records in it that are whole are not played again.
+    plan : Plan, optional
+    watcher : Watcher
+        Is told how it goes on.
+    command : str, optional
+        To be shown in the report.
+
+    Raises
+    ------
+    RigError
+        If the instrument fails; what came is on disk.
+    RecordError, IdentifyError
+        If what was recorded cannot be used.
+    FileFormatError
+        If the folder cannot be written.
+    """
+    job = _Job(rig, Campaign(folder, rig, watcher), plan or Plan(), watcher)
+    found = job.run()
+    job.write(found, command)
+    return found
+
+
+class _Job:
+    """One calibration."""
+
+    def __init__(self, rig: AbstractRig, campaign: Campaign, plan: Plan, watcher: Watcher) -> None:
+        self.rig, self.campaign, self.plan, self.watcher = rig, campaign, plan, watcher
+        self.pace = plan.pace(rig)
+
+    def run(self) -> Calibration:
+        """Play, identify, play again."""
+        record = self.campaign.record
+        look = record(self.pace.look(), "look")
+        loops, creep = self.pace.loops(look), creep_of(look)
+        training = [look, *(record(one, name) for name, one in self._excitations(loops, creep))]
+        held_out = record(self.pace.others(), "others")
+        fit, told = self._identified(training, held_out)
+        for i in range(1, self.plan.rounds + 1):
+            if told.trustworthy or self.plan.protocol:
+                break
+            training.append(record(self._more(told, i), f"more-{i}"))
+            fit, told = self._identified(training, held_out)
+        planner = Planner(
+            self.pace.homing(), _ends(loops), self.rig.limits, round(self.pace.sample_rate / self.pace.frequency / 2)
+        )
+        linear = planner.nominal()
+        before = self._played(linear)
+        modelled = planner.compensated(fit.actuator, self.campaign.sequence)
+        nominal, compensated = self._followed(linear, before), self._followed(modelled, self._played(modelled))
+        return Calibration(
+            fit, told, creep, tuple(training), (held_out,), nominal, compensated, self.plan.goal, modelled.warnings,
+            self._instrument(), tuple(self.campaign.kept), tuple(self.campaign.played),
+        )  # fmt: skip
+
+    def write(self, found: Calibration, command: str | None) -> None:
+        """Leave model, numbers and report."""
+        from dehyst.report import write_report
+
+        folder = self.campaign.folder
+        found.fit.actuator.save(folder / "model.json")
+        write_json(folder / "calibration.json", finite({**found.as_dict(), "sha256": self.campaign.hashes()}))
+        self.watcher.tell("drawing the report")
+        followed = {"nominal": found.nominal, "compensated": found.compensated}
+        write_report(folder / "report.html", found.fit, command=command, insight=found.insight, followed=followed)
+
+    def _excitations(self, loops: Record, creep: Creep) -> Iterator[tuple[str, Excitation]]:
+        """What is to be recorded, by name."""
+        if self.plan.protocol:
+            yield from ((f"given-{i}", one) for i, one in enumerate(self.plan.protocol, 1))
+            return
+        yield "loops", self._chosen(loops)
+        if creep.seen:
+            yield from zip(("fast", "stairs"), self.pace.slowly_and_fast(), strict=True)
+
+    def _chosen(self, loops: Record) -> Excitation:
+        """What tells most beside the major loop."""
+        self.watcher.tell("choosing what to record")
+        try:
+            fit = identify(loops, structure="paper", throw=False)
+            if fit.actuator is None:
+                return self.pace.tops()
+            told = insight(fit.actuator, loops, limits=(self.pace.low, self.pace.high), repeats=0)
+        except (IdentifyError, ModelError):
+            return self.pace.tops()
+        return self._advised(told) or self.pace.tops()
+
+    def _more(self, told: Insight | WideInsight, number: int) -> Excitation:
+        return self._advised(told) or self.pace.tops(10 * (number + 1))
+
+    def _advised(self, told: Insight | WideInsight) -> Excitation | None:
+        if isinstance(told, WideInsight) or not told.advice:
+            return None
+        return self.pace.kept(told.advice[0].excitation)
+
+    def _identified(self, training: Sequence[Record], held_out: Record) -> tuple[Fit, Insight | WideInsight]:
+        self.watcher.step("identify")
+        fit = identify(training, validate=held_out, progress=self.watcher.tell)
+        self.watcher.tell("asking what the records tell")
+        return fit, insight(fit.actuator, training, limits=(self.pace.low, self.pace.high), repeats=0)
+
+    def _played(self, planned: Course) -> Record:
+        """Play a course, and tell how far it is from what is wanted meanwhile."""
+        rows = self.rig.rows(len(planned.excitation))
+        came = 0
+
+        def watch(samples: Samples) -> Array:
+            nonlocal came
+            wanted = planned.wanted[rows[came : came + samples.time.size]]
+            came += samples.time.size
+            return wanted
+
+        return self.campaign.record(planned.excitation, planned.excitation.name, watch=watch)
+
+    def _followed(self, planned: Course, record: Record) -> Followed:
+        return Followed.of(planned, record, self.rig.rows(len(planned.excitation)))
+
+    def _instrument(self) -> dict[str, Any]:
+        limits = self.rig.limits
+        return {"rig": self.rig.name, "axis": self.rig.axis, "limits_V": [limits.low, limits.high],
+                "slew_rate_V_per_s": self.rig.slew_rate}  # fmt: skip
+
+
+def _ends(loops: Record) -> tuple[float, float]:
+    """Displacement [m] where the voltage of major loops turns, lowest and highest."""
+    v, y = loops.voltage, loops.displacement
+    near = 1e-4 * float(np.ptp(v))
+    return float(y[v <= v.min() + near].mean()), float(y[v >= v.max() - near].mean())

@@ -1,0 +1,159 @@
+"""A folder of records being made: what is on disk is not played again, and nothing that was recorded is lost."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from dehyst._errors import FileFormatError
+from dehyst._native import Array
+from dehyst.excitation import Excitation
+from dehyst.files import PathLike, read, read_json, write_json
+from dehyst.record import Record
+from dehyst.recording import Recording, room, salvage
+from dehyst.rigs.base import AbstractRig, Samples
+from dehyst.version import __version__
+
+_FORMAT = "dehyst-calibration"
+
+
+class Watcher(Protocol):
+    """Who is told how a calibration goes on."""
+
+    def step(self, name: str, seconds: float = 0.0) -> None:
+        """A step begins, and plays for so long [s]; 0 for one that computes."""
+
+    def samples(self, samples: Samples, expected: Array | None = None) -> None:
+        """Samples came; `expected` (n,) [m] is the displacement wanted of them."""
+
+    def tell(self, words: str) -> None:
+        """What the step does now."""
+
+
+class Campaign:
+    """Records on one rig, in one folder.
+
+    Parameters
+    ----------
+    folder : path
+        Made if it does not exist. One that a calibration of the same instrument left is gone on with.
+    rig : AbstractRig
+    watcher : Watcher
+
+    Attributes
+    ----------
+    sequence : list of Record
+        What was asked for, in order.
+    played, kept : list of str
+        Names of the records that were played, and of those that were on disk.
+    salvaged : tuple of Path
+        What a killed process had left.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder cannot be made, or is one of another instrument.
+    """
+
+    def __init__(self, folder: PathLike, rig: AbstractRig, watcher: Watcher) -> None:
+        self.folder, self.rig, self._watcher = Path(folder), rig, watcher
+        self.records = self.folder / "records"
+        try:
+            self.records.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FileFormatError(
+                f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
+            ) from error
+        self._claim()
+        self.salvaged = tuple(salvage(self.records))
+        self.played: list[str] = []
+        self.kept: list[str] = []
+        self.sequence: list[Record] = []
+
+    def record(self, excitation: Excitation, name: str, *, watch: Callable[[Samples], Array] | None = None) -> Record:
+        """Play an excitation and have its record on disk, unless it is there already.
+
+        Parameters
+        ----------
+        excitation : Excitation
+        name : str
+            Of the record and its file.
+        watch : callable, optional
+            Gives the displacement wanted [m] of samples that came.
+
+        Raises
+        ------
+        RecordError, RigError
+            As `AbstractRig.play`.
+        FileFormatError
+            If nothing can be written.
+        """
+        path, key = self.records / f"{name}.h5", self._key(excitation)
+        if (found := _whole(path, key)) is not None:
+            self.kept.append(name)
+            self.sequence.append(found)
+            return found
+        self._set_aside(path)
+        room(self.records, len(excitation))
+        self._watcher.step(name, excitation.duration)
+        meta = {"rig": self.rig.name, "axis": self.rig.axis, "excitation": excitation.name, "key": key,
+                "program": __version__}  # fmt: skip
+        with Recording(path, name=name, meta=meta) as recording:
+
+            def listen(samples: Samples) -> None:
+                recording.add(samples)
+                self._watcher.samples(samples, None if watch is None else watch(samples))
+
+            record = self.rig.play(excitation, listen).with_name(name)
+            recording.finish(record)
+        self.played.append(name)
+        self.sequence.append(record)
+        return record
+
+    def hashes(self) -> dict[str, str]:
+        """Sha256 of each file of a record."""
+        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(self.records.glob("*.h5"))}
+
+    def _claim(self) -> None:
+        """Make sure that the folder is of this instrument; raises FileFormatError."""
+        path, mine = self.folder / "campaign.json", self._instrument()
+        if not path.exists():
+            write_json(path, {"format": _FORMAT, "version": 1, **mine})
+            return
+        found = read_json(path)
+        if {key: found.get(key) for key in mine} != mine:
+            raise FileFormatError(
+                f"{self.folder}: holds a calibration of {found.get('rig')}, axis {found.get('axis')}, and this is "
+                f"{mine['rig']}, axis {mine['axis']}; give another folder with -o"
+            )
+
+    def _instrument(self) -> dict[str, Any]:
+        return {"rig": self.rig.name, "axis": self.rig.axis}
+
+    def _key(self, excitation: Excitation) -> str:
+        """What tells one excitation on one instrument from any other."""
+        told = f"{self.rig.name} {self.rig.axis} {excitation.sample_rate!r}".encode()
+        return hashlib.sha256(told + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
+
+    def _set_aside(self, path: Path) -> None:
+        """Give what is there under this name another one."""
+        if path.exists():
+            number = 1
+            while (other := path.with_name(f"{path.stem}.{number}.h5")).exists():
+                number += 1
+            path.rename(other)
+
+
+def _whole(path: Path, key: str) -> Record | None:
+    """The record in a file if it is whole and of the excitation with this key."""
+    if not path.exists():
+        return None
+    try:
+        record = read(path)
+    except FileFormatError:
+        return None
+    return record if record.meta.get("key") == key and record.meta.get("complete") else None

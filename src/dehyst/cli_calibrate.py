@@ -1,0 +1,167 @@
+"""`dehyst calibrate`: the whole experiment on an instrument."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dehyst.console import PATH, json_option
+from dehyst.files import finite
+
+if TYPE_CHECKING:
+    from dehyst.calibrate import Calibration, Plan
+    from dehyst.excitation import Excitation
+    from dehyst.rigs import AbstractRig
+
+
+@click.command()
+@click.argument("rig", metavar="RIG")
+@click.option(
+    "-o", "--output", type=PATH, default=Path("dehyst-calibration"), show_default=True,
+    help="Folder for records, model and report. Records in it that are whole are not played again.",
+)  # fmt: skip
+@click.option(
+    "--limits", type=(float, float), metavar="LOW HIGH", help="Voltages to drive it through.  [default: the device's]"
+)
+@click.option("--slew", type=float, metavar="V/S", help="Largest slew rate.  [default: the whole range in 0.1 s]")
+@click.option("--frequency", type=float, default=1.0, show_default=True, metavar="HZ", help="Loops a second.")
+@click.option("--hold", type=float, metavar="S", help="Hold at each step, for creep.  [default: three cycles]")
+@click.option(
+    "--protocol", type=PATH, multiple=True, metavar="FILE", help="Record this voltage (of dehyst excite) instead of "
+    "what insight chooses; may be given again.",
+)  # fmt: skip
+@click.option("--rounds", type=int, default=2, show_default=True, metavar="N", help="Times insight may ask for more.")
+@click.option(
+    "--goal", type=float, default=1.0, show_default=True, metavar="PERCENT", help="Largest error allowed on the path."
+)
+@click.option("--dry-run", is_flag=True, help="Say what would be sent, and send nothing.")
+@json_option
+def calibrate(
+    rig: str, output: Path, limits: tuple[float, float] | None, slew: float | None, dry_run: bool, as_json: bool,
+    **options: Any,
+) -> None:  # fmt: skip
+    """Home, excite, record, identify, compensate and measure the actuator on RIG.
+
+    RIG: pi://HOST:PORT, epics://PREFIX, sim://play, or FILE.py:FUNCTION, which returns a rig of your own.
+
+    Ctrl-C brings the voltage to a safe value; the same command goes on from what is on disk.
+    """
+    from dehyst.calibrate import Plan
+    from dehyst.rigs import open_rig
+
+    given = tuple(_excitation(path) for path in options.pop("protocol"))
+    plan = Plan(protocol=given, **options)
+    with open_rig(rig, limits=limits, slew_rate=slew) as instrument:
+        if dry_run:
+            _say_steps(instrument, plan, as_json)
+            return
+        found = _run(instrument, output, plan)
+    _print(found, output, as_json)
+    sys.exit(0 if found.good else 1)
+
+
+def _excitation(path: Path) -> Excitation:
+    """A voltage to play from a file with a uniform time."""
+    import numpy as np
+
+    from dehyst._errors import FileFormatError
+    from dehyst.excitation import Excitation
+    from dehyst.files import read_table, time_of
+
+    table = read_table(path)
+    voltage = table.column("voltage")
+    time = time_of(table, voltage.size, None, None)
+    steps = np.diff(time)
+    if not steps.size or float(np.ptp(steps)) > 1e-3 * float(np.median(steps)):
+        raise FileFormatError(f"{path}: the times are not evenly spaced; make it with dehyst excite, or resample it")
+    return Excitation(path.stem, voltage, 1 / float(np.median(steps)))
+
+
+def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
+    """Print what would be sent."""
+    import numpy as np
+
+    from dehyst.calibrate import steps
+
+    found = []
+    for step in steps(rig, plan):
+        told: dict[str, Any] = {"step": step.name, "what": step.words}
+        if (voltage := step.excitation) is not None:
+            rate = rig.nearest_rate(voltage.sample_rate)
+            low, high = voltage.voltage_range
+            told |= {"samples": len(voltage), "seconds": (len(voltage) - 1) / rate, "lowest_V": low, "highest_V": high,
+                     "steepest_V_per_s": float(np.abs(np.diff(voltage.voltage)).max()) * rate}  # fmt: skip
+        found.append(told)
+    allowed = {"rig": rig.name, "axis": rig.axis, "limits_V": [rig.limits.low, rig.limits.high],
+               "slew_rate_V_per_s": rig.slew_rate, "safe_V": rig.safe}  # fmt: skip
+    if as_json:
+        click.echo(json.dumps(finite({**allowed, "steps": found}), indent=1))
+        return
+    click.echo(f"{rig.name}, axis {rig.axis}: {rig.limits.words}, at most {rig.slew_rate:.6g} V/s; nothing was sent")
+    for told in found:
+        numbers = ""
+        if "samples" in told:
+            numbers = (f"{told['seconds']:8.1f} s {told['samples']:7d} samples, {told['lowest_V']:.6g} to "
+                       f"{told['highest_V']:.6g} V, up to {told['steepest_V_per_s']:.4g} V/s; ")  # fmt: skip
+        click.echo(f"  {told['step']:12s}{numbers}{told['what']}")
+
+
+def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
+    from dehyst.calibrate import calibrate as run
+    from dehyst.live import display
+
+    command = shlex.join(["dehyst", *sys.argv[1:]])
+    with _told(output), display() as live:
+        return run(rig, output, plan=plan, watcher=live, command=command)
+
+
+@contextmanager
+def _told(output: Path) -> Iterator[None]:
+    """Say what became of voltage and samples when an instrument or the user stops it."""
+    from dehyst._errors import DehystError
+
+    try:
+        yield
+    except (DehystError, KeyboardInterrupt, SystemExit) as error:
+        if isinstance(error, DehystError):
+            click.echo(f"dehyst: {error}", err=True)
+        else:
+            click.echo("dehyst: stopped", err=True)
+        for note in getattr(error, "__notes__", ()):
+            click.echo(f"dehyst: {note}", err=True)
+        click.echo(f"dehyst: what was recorded is in {output}/records; the same command goes on from there", err=True)
+        sys.exit(_status(error))
+
+
+def _status(error: BaseException) -> int:
+    from dehyst._errors import RigError
+
+    if isinstance(error, KeyboardInterrupt):
+        return 130
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else 1
+    return 1 if isinstance(error, RigError) else 2
+
+
+def _print(found: Calibration, output: Path, as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(finite({**found.as_dict(), "output": str(output)}), indent=1))
+        return
+    for warning in found.warnings():
+        click.echo(f"dehyst: {warning}", err=True)
+    fit = found.fit
+    click.echo(f"{fit.outcome.value}")
+    for error in fit.errors:
+        click.echo(f"  {error.record:12s} {error.role:12s} largest {error.largest_percent:6.3f} %  RMS "
+                   f"{error.rms_percent:6.3f} % of the stroke")  # fmt: skip
+    click.echo("Measured along a path of nine reversals, in % of the stroke:")
+    for name, one in (("nominal", found.nominal), ("compensated", found.compensated)):
+        click.echo(f"  {name:12s} largest {one.largest_percent:6.3f} %  RMS {one.rms_percent:6.3f} %")
+    click.echo(f"model.json, report.html, calibration.json and records: {output}")
