@@ -33,7 +33,7 @@ def _most(limits: Limits, period: float) -> float:
 
 
 def _places(homing: Homing, period: float) -> list[tuple[float, float]]:
-    """Voltages [V] to go to in straight lines, the present one first, and the seconds for each, 0 where that is free."""
+    """Voltages [V] to go to in straight lines, the present one first, and seconds for each; 0 where that is free."""
     if homing.played is None:
         return [(voltage, 0.0) for voltage in homing.turns]
     voltage, rate = homing.played.voltage, homing.played.sample_rate
