@@ -283,17 +283,8 @@ class _Job:
         return fit, insight(fit.actuator, training, limits=(self.pace.low, self.pace.high), repeats=0)
 
     def _played(self, planned: Course) -> Record:
-        """Play a course, and tell how far it is from what is wanted meanwhile."""
-        rows = self.rig.rows(len(planned.excitation))
-        came = 0
-
-        def watch(samples: Samples) -> Array:
-            nonlocal came
-            wanted = planned.wanted[rows[came : came + samples.time.size]]
-            came += samples.time.size
-            return wanted
-
-        return self.campaign.record(planned.excitation, planned.excitation.name, watch=watch)
+        excitation = planned.excitation
+        return self.campaign.record(excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke)
 
     def _followed(self, planned: Course, record: Record) -> Followed:
         return Followed.of(planned, record, self.rig.rows(len(planned.excitation)))
