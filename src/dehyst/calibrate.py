@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dehyst._errors import IdentifyError, ModelError, RecordError
-from dehyst._native import Array
 from dehyst.campaign import Campaign, Watcher
 from dehyst.excitation import Excitation, positive
 from dehyst.files import PathLike, finite, write_json
@@ -18,7 +17,7 @@ from dehyst.insight import Insight, insight
 from dehyst.model import Fit
 from dehyst.protocol import Creep, Pace, creep_of, sample_rate_for
 from dehyst.record import Record
-from dehyst.rigs.base import AbstractRig, Samples
+from dehyst.rigs.base import AbstractRig
 from dehyst.verification import Course, Followed, Planner
 from dehyst.version import __version__
 from dehyst.wide_insight import WideInsight

@@ -73,7 +73,9 @@ class Campaign:
         self.kept: list[str] = []
         self.sequence: list[Record] = []
 
-    def record(self, excitation: Excitation, name: str, *, watch: Callable[[Samples], Array] | None = None) -> Record:
+    def record(
+        self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: float | None = None
+    ) -> Record:
         """Play an excitation and have its record on disk, unless it is there already.
 
         Parameters
