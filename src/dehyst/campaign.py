@@ -14,7 +14,7 @@ from dehyst._native import Array
 from dehyst.excitation import Excitation
 from dehyst.files import PathLike, read, read_json, write_json
 from dehyst.record import Record
-from dehyst.recording import Recording, room, salvage
+from dehyst.recording import Recording, numbered, room, salvage
 from dehyst.rigs.base import AbstractRig, Samples
 from dehyst.version import __version__
 
@@ -97,7 +97,8 @@ class Campaign:
             self.kept.append(name)
             self.sequence.append(found)
             return found
-        self._set_aside(path)
+        if path.exists():
+            path.rename(numbered(path))
         room(self.records, len(excitation))
         self._watcher.step(name, excitation.duration)
         meta = {"rig": self.rig.name, "axis": self.rig.axis, "excitation": excitation.name, "key": key,
@@ -108,8 +109,8 @@ class Campaign:
                 recording.add(samples)
                 self._watcher.samples(samples, None if watch is None else watch(samples))
 
-            record = self.rig.play(excitation, listen).with_name(name)
-            recording.finish(record)
+            recording.finish(self.rig.play(excitation, listen))
+        record = read(path)
         self.played.append(name)
         self.sequence.append(record)
         return record
@@ -138,14 +139,6 @@ class Campaign:
         """What tells one excitation on one instrument from any other."""
         told = f"{self.rig.name} {self.rig.axis} {excitation.sample_rate!r}".encode()
         return hashlib.sha256(told + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
-
-    def _set_aside(self, path: Path) -> None:
-        """Give what is there under this name another one."""
-        if path.exists():
-            number = 1
-            while (other := path.with_name(f"{path.stem}.{number}.h5")).exists():
-                number += 1
-            path.rename(other)
 
 
 def _whole(path: Path, key: str) -> Record | None:

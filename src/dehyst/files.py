@@ -1,4 +1,4 @@
-"""Files: measurements are read in every format of `loaders` and written as CSV; JSON is read and written."""
+"""Files: measurements are read in every format of `loaders`, written as CSV or HDF5; JSON is read and written."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dehyst import hdf5
 from dehyst._errors import DehystError, FileFormatError
 from dehyst.loaders import LOADERS, TEXT, UNITS, Table, listed
 from dehyst.record import Record
@@ -35,6 +36,7 @@ __all__ = [
     "unwritten",
     "write_atomically",
     "write_columns",
+    "write_hdf5",
     "write_json",
     "write_record",
 ]
@@ -62,7 +64,7 @@ def read(
     sample_rate : float, optional
         Samples a second [Hz], for a file without a time column.
     name : str, optional
-        The record's name; by default the file's, without suffix.
+        The record's name; by default the one that `write_hdf5` wrote, else the file's, without suffix.
 
     Raises
     ------
@@ -73,6 +75,8 @@ def read(
     MissingExtraError
         The library for this kind of file is not installed.
     """
+    with _reading(Path(path), Path(path).suffix):
+        stored = hdf5.told(Path(path), least=2)
     table = read_table(path)
     v, y = table.column("voltage", voltage), table.column("displacement", displacement)
     meta: dict[str, Any] = {"source": table.source, "sha256": table.sha256}
@@ -81,7 +85,8 @@ def read(
     meta["columns"]["time"] = (
         table.find("time", time)[0].name if sample_rate is None else f"index / {sample_rate:.9g} Hz"
     )
-    return Record(time_of(table, len(v), time, sample_rate), v, y, name or Path(path).stem, meta)
+    called = stored.name if stored else Path(path).stem
+    return Record(time_of(table, len(v), time, sample_rate), v, y, name or called, stored.meta if stored else meta)
 
 
 def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> FloatArray:
@@ -119,6 +124,25 @@ def write_record(path: PathLike, record: Record) -> None:
     """Write a record as CSV with the columns time_s, voltage_V and displacement_um, at full precision."""
     columns = {"time_s": record.time, "voltage_V": record.voltage, "displacement_um": record.displacement * 1e6}
     write_columns(path, columns)
+
+
+def write_hdf5(path: PathLike, record: Record) -> None:
+    """Write a record as HDF5, atomically: `read` gives back every bit of its samples, its name and its meta.
+
+    The file holds the datasets time_s, voltage_V and displacement_m, as an attribute ``sha256`` the hash of the three,
+    one after the other as little-endian doubles, and as an attribute ``dehyst`` name and meta in JSON.
+
+    Raises
+    ------
+    FileFormatError
+        Another suffix than .h5 or .hdf5, a meta that cannot be told in JSON, or the file cannot be written.
+    MissingExtraError
+        If h5py is not installed.
+    """
+    if Path(path).suffix.lower() not in hdf5.SUFFIXES:
+        raise FileFormatError(f"{path}: HDF5 needs the suffix .h5 or .hdf5; rename it")
+    columns = record.time, record.voltage, record.displacement
+    write_atomically(path, hdf5.pack(columns, record.name, record.meta, path))
 
 
 def write_columns(path: PathLike, columns: Mapping[str, ArrayLike]) -> None:

@@ -1,5 +1,6 @@
 """Rigs: where a voltage meets an actuator. Each leaf speaks to one kind of instrument, and knows no other leaf."""
 
+from dehyst.rigs.address import open_rig
 from dehyst.rigs.base import AbstractRig, Listener, Reading, Samples
 
-__all__ = ["AbstractRig", "Listener", "Reading", "Samples"]
+__all__ = ["AbstractRig", "Listener", "Reading", "Samples", "open_rig"]
