@@ -233,7 +233,7 @@ class Controller:
         demand(all(word == self.axis for word in words), Error.AXIS)
         self.instrument.stop()
         self._target = self.instrument.displacement()
-        raise CommandError(Error.STOPPED)
+        self.error = Error.STOPPED
 
 
 def _help() -> list[str]:
