@@ -23,11 +23,11 @@ class Heard:
     def step(self, name, seconds=0.0):
         self.steps.append(name)
 
-    def samples(self, samples, expected=None):
+    def samples(self, samples, expected=None, stroke=None):
         name = self.steps[-1]
         self.samples_of[name] = self.samples_of.get(name, 0) + samples.time.size
         if expected is not None:
-            self.expected.append(np.abs(samples.displacement - expected))
+            self.expected.append(np.abs(samples.displacement - expected) / stroke)
         if name == self._stop_at and self.samples_of[name] >= self._after:
             raise KeyboardInterrupt
 
@@ -89,8 +89,9 @@ def test_the_error_is_what_was_measured(finished):
 
 def test_the_loop_error_is_told_while_it_plays(finished):
     found, _, _, heard = finished
-    largest = max(float(np.nanmax(lot)) for lot in heard.expected if np.isfinite(lot).any())
-    assert largest >= 0.01 * found.nominal.largest_percent * found.nominal.stroke
+    told = np.concatenate(heard.expected)
+    assert np.nanmax(told) == pytest.approx(0.01 * found.nominal.largest_percent)
+    assert np.isnan(told).sum() == 2 * len(Pace(0, 200, 400.0).homing())
 
 
 def test_a_second_call_plays_nothing(finished):

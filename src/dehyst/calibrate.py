@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dehyst._errors import IdentifyError, ModelError, RecordError
-from dehyst._native import Array
 from dehyst.campaign import Campaign, Watcher
 from dehyst.excitation import Excitation, positive
 from dehyst.files import PathLike, finite, write_json
@@ -18,7 +17,7 @@ from dehyst.insight import Insight, insight
 from dehyst.model import Fit
 from dehyst.protocol import Creep, Pace, creep_of, sample_rate_for
 from dehyst.record import Record
-from dehyst.rigs.base import AbstractRig, Samples
+from dehyst.rigs.base import AbstractRig
 from dehyst.verification import Course, Followed, Planner
 from dehyst.version import __version__
 from dehyst.wide_insight import WideInsight
@@ -283,17 +282,8 @@ class _Job:
         return fit, insight(fit.actuator, training, limits=(self.pace.low, self.pace.high), repeats=0)
 
     def _played(self, planned: Course) -> Record:
-        """Play a course, and tell how far it is from what is wanted meanwhile."""
-        rows = self.rig.rows(len(planned.excitation))
-        came = 0
-
-        def watch(samples: Samples) -> Array:
-            nonlocal came
-            wanted = planned.wanted[rows[came : came + samples.time.size]]
-            came += samples.time.size
-            return wanted
-
-        return self.campaign.record(planned.excitation, planned.excitation.name, watch=watch)
+        excitation = planned.excitation
+        return self.campaign.record(excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke)
 
     def _followed(self, planned: Course, record: Record) -> Followed:
         return Followed.of(planned, record, self.rig.rows(len(planned.excitation)))

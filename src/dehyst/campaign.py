@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -27,8 +26,8 @@ class Watcher(Protocol):
     def step(self, name: str, seconds: float = 0.0) -> None:
         """A step begins, and plays for so long [s]; 0 for one that computes."""
 
-    def samples(self, samples: Samples, expected: Array | None = None) -> None:
-        """Samples came; `expected` (n,) [m] is the displacement wanted of them."""
+    def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
+        """Samples came; `expected` (n,) [m] is the displacement wanted of them, of a stroke [m]."""
 
     def tell(self, words: str) -> None:
         """What the step does now."""
@@ -74,7 +73,9 @@ class Campaign:
         self.kept: list[str] = []
         self.sequence: list[Record] = []
 
-    def record(self, excitation: Excitation, name: str, *, watch: Callable[[Samples], Array] | None = None) -> Record:
+    def record(
+        self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: float | None = None
+    ) -> Record:
         """Play an excitation and have its record on disk, unless it is there already.
 
         Parameters
@@ -82,8 +83,10 @@ class Campaign:
         excitation : Excitation
         name : str
             Of the record and its file.
-        watch : callable, optional
-            Gives the displacement wanted [m] of samples that came.
+        wanted : (n,) array, optional
+            Displacement [m] of each voltage, for who watches; NaN where none is wanted.
+        stroke : float, optional
+            What its error refers to [m].
 
         Raises
         ------
@@ -103,11 +106,13 @@ class Campaign:
         self._watcher.step(name, excitation.duration)
         meta = {"rig": self.rig.name, "axis": self.rig.axis, "excitation": excitation.name, "key": key,
                 "program": __version__}  # fmt: skip
+        rows = self.rig.rows(len(excitation))
         with Recording(path, name=name, meta=meta) as recording:
 
             def listen(samples: Samples) -> None:
+                here = rows[recording.samples : recording.samples + samples.time.size]
                 recording.add(samples)
-                self._watcher.samples(samples, None if watch is None else watch(samples))
+                self._watcher.samples(samples, None if wanted is None else wanted[here], stroke)
 
             recording.finish(self.rig.play(excitation, listen))
         record = read(path)
