@@ -10,8 +10,7 @@ import warnings
 import numpy as np
 import pytest
 from fake_gcs import FakeController
-from meddler import KINDS, Meddling, PipeLink, Proxy
-from test_pi import QuickRig
+from meddler import KINDS, Meddling, PipeLink, Proxy, QuickRig
 
 from dehyst._errors import DehystError, DeviceError, LinkError, SensorError
 from dehyst.emulator.controller import Controller

@@ -26,8 +26,9 @@ PORT = 50000
 _METRES, _SECONDS = 1e-6, 1e-3
 # Wave table, and recorder tables of position and voltage.
 _WAVE, _POSITION, _VOLTAGE = 1, "1", "2"
-# Seconds between two looks at the recorder, and rows asked for at once.
-_POLL = 0.1
+# Seconds between two looks at the recorder: less for a short wave, so that a dead sensor is seen in time.
+_SHORTEST_POLL, _POLL, _LOOKS = 0.02, 0.1, 20
+# Rows asked for at once.
 _ROWS = 2000
 # A recorder without a new sample for so long [s], and so many samples, has stopped.
 _PATIENCE = 5.0
@@ -163,7 +164,7 @@ class PiRig(AbstractRig):
         for _ in range(_STEPS_TO_STOP):
             if not self._playing():
                 return
-            self._wait(_POLL / 10)
+            self._wait(_SHORTEST_POLL)
         raise DeviceError(f"{self.name}: its wave generator was told to stop and goes on; switch it off by hand")
 
     def _close(self) -> None:
@@ -211,6 +212,7 @@ class PiRig(AbstractRig):
     def _recorded(self, count: int, interval: float) -> Iterator[tuple[int, Array, Array]]:
         """Rows as they are recorded: the first one's number, positions [um] and voltages [V]."""
         have = 0
+        poll = min(_POLL, max(_SHORTEST_POLL, count * interval / _LOOKS))
         patience = max(self._patience, _PATIENT_SAMPLES * interval)
         heard = time.monotonic()
         while have < count:
@@ -225,7 +227,7 @@ class PiRig(AbstractRig):
             if have < ready or have == count:
                 # More is there, or all.
                 continue
-            self._wait(_POLL)
+            self._wait(poll)
 
     def _refuse_stopped(self, have: int, count: int, quiet: float, patience: float) -> None:
         if quiet <= patience:
