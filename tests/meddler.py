@@ -9,6 +9,7 @@ from contextlib import suppress
 from fake_gcs import text_of
 
 from dehyst.rigs.gcs_link import TcpLink
+from dehyst.rigs.pi import PiRig
 
 KINDS = ("drop", "truncate", "garble", "replay", "inject", "double", "delay", "number", "nonsense", "close", "space")
 _LIES = ["nan", "inf", "1e999", "-1e300", "1000000", "-99999", "", "1=2=3", "0x10", "--1", "1,5", "\u00b5"]
@@ -95,7 +96,8 @@ class _Pipe:
             raise BrokenPipeError("closed")
         *lines, self.half = (self.half + data).split(b"\n")
         for line in lines:
-            reply = self.meddle(text_of(self.controller.answer(line.decode("ascii"))).encode())
+            said = self.controller.answer(line.decode("ascii"))
+            reply = self.meddle((said if isinstance(said, str) else text_of(said)).encode())
             if reply is None:
                 self.closed = True
                 return
@@ -120,6 +122,17 @@ class PipeLink(TcpLink):
 
     def _connected(self):
         return _Pipe(self.controller, self.meddle)
+
+
+class QuickRig(PiRig):
+    """Waits in the controller's own time."""
+
+    def __init__(self, link, **options):
+        self._clock = getattr(link, "controller", None) or link._read.__self__.controller
+        super().__init__(link, **options)
+
+    def _wait(self, seconds):
+        self._clock.clock.now += seconds
 
 
 class Proxy:

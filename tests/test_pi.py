@@ -9,7 +9,7 @@ import warnings
 import numpy as np
 import pytest
 from fake_gcs import IDENTITY, WAVES, FakeController, FakeDevice
-from meddler import PipeLink
+from meddler import PipeLink, QuickRig
 
 from dehyst import ClampWarning
 from dehyst._errors import DeviceError, LinkError, RecordError, RigError
@@ -17,17 +17,6 @@ from dehyst.excitation import Excitation
 from dehyst.rigs import open_rig
 from dehyst.rigs.gcs_link import TcpLink
 from dehyst.rigs.pi import PiRig
-
-
-class QuickRig(PiRig):
-    """Waits in the controller's own time."""
-
-    def __init__(self, link, **options):
-        self._clock = getattr(link, "controller", None) or link._read.__self__.controller
-        super().__init__(link, **options)
-
-    def _wait(self, seconds):
-        self._clock.clock.now += seconds
 
 
 def quick(controller, **options):

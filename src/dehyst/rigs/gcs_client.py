@@ -67,7 +67,8 @@ class GcsClient:
             self._in_step = False
             found = parse(self._link.exchange(commands, query))
         except RigError as error:
-            raise type(error)(f"{self.where}: sent {gcs.shown(sent)}, {error}") from error
+            said = str(error).removeprefix(f"{self.where}: ")
+            raise type(error)(f"{self.where}: sent {gcs.shown(sent)}, {said}") from error
         self._in_step = True
         return found
 

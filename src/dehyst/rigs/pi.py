@@ -18,6 +18,7 @@ from dehyst.rigs.gcs_array import position_and_voltage, table
 from dehyst.rigs.gcs_client import GcsClient
 from dehyst.rigs.gcs_errors import STOPPED
 from dehyst.rigs.gcs_link import AbstractGcsLink, DeviceLink, TcpLink
+from dehyst.rigs.host_timed import HIGHEST_RATE, host_timed
 from dehyst.rigs.pi_traits import Waves, inquire
 
 PORT = 50000
@@ -25,14 +26,13 @@ PORT = 50000
 _METRES, _SECONDS = 1e-6, 1e-3
 # Wave table, and recorder tables of position and voltage.
 _WAVE, _POSITION, _VOLTAGE = 1, "1", "2"
-# Seconds between two looks at the recorder, and rows asked for at once.
-_POLL = 0.1
+# Seconds between two looks at the recorder: less for a short wave, so that a dead sensor is seen in time.
+_SHORTEST_POLL, _POLL, _LOOKS = 0.02, 0.1, 20
+# Rows asked for at once.
 _ROWS = 2000
 # A recorder without a new sample for so long [s], and so many samples, has stopped.
 _PATIENCE = 5.0
 _PATIENT_SAMPLES = 20
-# A host keeps time no better than that [Hz].
-_HOST_RATE = 200.0
 _STEPS_TO_STOP = 20
 
 
@@ -77,7 +77,7 @@ class PiRig(AbstractRig):
         traits = inquire(self._client, axis, limits)
         self._waves, self._channel, self._generator = traits.waves, traits.channel, traits.generator
         self._patience = patience
-        self._born, self._late, self._latest = time.monotonic(), 0.0, -np.inf
+        self._born, self._late, self._latest, self._told = time.monotonic(), 0.0, -np.inf, -np.inf
         super().__init__(
             self._client.name, traits.limits, limits=limits, slew_rate=slew_rate, axis=traits.axis,
             longest=traits.waves.longest if traits.waves else None,
@@ -85,7 +85,7 @@ class PiRig(AbstractRig):
         self._open_loop()
         if traits.waves is None:
             warnings.warn(
-                f"{self.name}: {traits.missing}; voltages are sent by the host instead, slowly ({_HOST_RATE:g} Hz) "
+                f"{self.name}: {traits.missing}; voltages are sent by the host instead, slowly ({HIGHEST_RATE:g} Hz) "
                 "and with a host's jitter",
                 stacklevel=2,
             )
@@ -126,7 +126,7 @@ class PiRig(AbstractRig):
     def nearest_rate(self, sample_rate: float) -> float:
         """The rate [Hz] nearest to `sample_rate` of those that divide the servo's."""
         if self._waves is None:
-            return min(sample_rate, _HOST_RATE)
+            return min(sample_rate, HIGHEST_RATE)
         return 1 / (self._divider(self._waves, sample_rate) * self._waves.servo_period)
 
     def _read(self) -> Reading:
@@ -142,7 +142,7 @@ class PiRig(AbstractRig):
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
         if self._waves is None:
-            yield from self._one_by_one(voltage, rate)
+            yield from host_timed(self, voltage, rate)
             return
         divider = self._divider(self._waves, rate)
         interval = divider * self._waves.servo_period
@@ -164,7 +164,7 @@ class PiRig(AbstractRig):
         for _ in range(_STEPS_TO_STOP):
             if not self._playing():
                 return
-            self._wait(_POLL / 10)
+            self._wait(_SHORTEST_POLL)
         raise DeviceError(f"{self.name}: its wave generator was told to stop and goes on; switch it off by hand")
 
     def _close(self) -> None:
@@ -212,6 +212,7 @@ class PiRig(AbstractRig):
     def _recorded(self, count: int, interval: float) -> Iterator[tuple[int, Array, Array]]:
         """Rows as they are recorded: the first one's number, positions [um] and voltages [V]."""
         have = 0
+        poll = min(_POLL, max(_SHORTEST_POLL, count * interval / _LOOKS))
         patience = max(self._patience, _PATIENT_SAMPLES * interval)
         heard = time.monotonic()
         while have < count:
@@ -221,9 +222,12 @@ class PiRig(AbstractRig):
                 number = min(ready - have, _ROWS)
                 yield have, *self._rows(have, number, interval)
                 have, heard = have + number, time.monotonic()
+            else:
+                self._refuse_stopped(have, count, time.monotonic() - heard, patience)
+            if have < ready or have == count:
+                # More is there, or all.
                 continue
-            self._refuse_stopped(have, count, time.monotonic() - heard, patience)
-            self._wait(_POLL)
+            self._wait(poll)
 
     def _refuse_stopped(self, have: int, count: int, quiet: float, patience: float) -> None:
         if quiet <= patience:
@@ -244,22 +248,14 @@ class PiRig(AbstractRig):
             )
         return position_and_voltage(found)
 
-    def _one_by_one(self, voltage: Array, rate: float) -> Iterator[Samples]:
-        """Let the host send each voltage and read what it does."""
-        for value in voltage:
-            began = time.monotonic()
-            self._put(float(value))
-            now, volts, position = self._read()
-            self._latest = max(now, self._latest + 1e-6)
-            yield Samples(np.array([self._latest]), np.array([volts]), np.array([position]))
-            self._wait(max(0.0, 1 / rate - (time.monotonic() - began)))
-
     def _now(self) -> float:
         """The controller's clock [s] if it has one, else the host's; it does not go back behind what was recorded."""
         timed = "TIM?" in self._client.commands
         now = self._client.ask("TIM?", gcs.timer) * _SECONDS if timed else time.monotonic() - self._born
         self._late = max(self._late, self._latest - now)
-        return now + self._late
+        # No two readings at one time.
+        self._told = max(now + self._late, float(np.nextafter(self._told, np.inf)))
+        return self._told
 
     def _playing(self) -> bool:
         return bool(self._count("WGO?", self._generator))
