@@ -17,18 +17,17 @@ import dehyst
 from dehyst import truths
 from dehyst.emulator.ioc import serve_ioc
 from dehyst.instrument import Instrument
+from dehyst.trajectory import Limits
 prefix, options = sys.argv[1], json.loads(sys.argv[2])
-truth = getattr(truths, options.pop("truth", "PlayActuator"))(**options.pop("actuator", {"noise": 0.0}))
+model, actuator = options.pop("model", None), {"noise": 0.0, **options.pop("actuator", {})}
+truth = dehyst.Actuator.load(model) if model else truths.PlayActuator(**actuator)
 instrument, lock = Instrument(truth, **options), threading.Lock()
 serve_ioc(instrument, prefix, lock)
 print("ready", flush=True)
 for line in sys.stdin:
     with lock:
-        if line.startswith("set"):
-            name, value = line.split()[1:]
-            setattr(instrument, name, json.loads(value))
-        if line.startswith("log"):
-            print(json.dumps(vars(instrument.log)), flush=True)
+        exec(line)
+        print(json.dumps(vars(instrument.log)), flush=True)
 """
 
 
@@ -64,9 +63,9 @@ _left = _PORTS[1:]
 
 
 class IocProcess:
-    """An IOC around a virtual instrument; options are those of `Instrument`, with truth= and actuator= for what it is.
+    """An IOC around a virtual instrument; options are those of `Instrument`, and what it drives.
 
-    `prefix` is unlike that of any other.
+    That is the actuator of a file, ``model=``, or a play actuator, ``actuator=`` its options.
     """
 
     def __init__(self, port=None, prefix=None, **options):
@@ -88,17 +87,15 @@ class IocProcess:
     def __exit__(self, *_):
         self.kill()
 
-    def set(self, name, value):
-        """Change an attribute of the instrument, behind the back of its clients."""
-        self.process.stdin.write(f"set {name} {json.dumps(value)}\n")
+    def do(self, statement):
+        """Do something with the `instrument`, behind the back of its clients; returns the log as a mapping."""
+        self.process.stdin.write(f"{statement}\n")
         self.process.stdin.flush()
-        assert self.log() is not None
+        return json.loads(self._line("{"))
 
     def log(self):
         """What the instrument ever put out, as a mapping."""
-        self.process.stdin.write("log\n")
-        self.process.stdin.flush()
-        return json.loads(self._line("{"))
+        return self.do("pass")
 
     def kill(self):
         """End it at once."""

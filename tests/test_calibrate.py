@@ -170,6 +170,21 @@ def test_steps_send_nothing_and_fit_the_limits():
     assert rig.instrument.log.highest == 0
 
 
+def test_a_low_slew_rate_is_kept_along_the_path_too(tmp_path):
+    rig = SimulatedRig(PlayActuator(), limits=(0, 120), slew_rate=200)
+    found = calibrate(rig, tmp_path)
+    assert found.unreached == ()
+    assert found.compensated.largest_percent < 0.2
+    for name in found.played:
+        record = read(tmp_path / "records" / f"{name}.h5")
+        assert np.abs(np.diff(record.voltage) / np.diff(record.time)).max() <= 200 * (1 + 1e-6)
+
+
+def test_it_ends_at_a_safe_voltage(finished):
+    _, _, rig, _ = finished
+    assert rig.read().voltage == 0
+
+
 @pytest.mark.parametrize(
     "wrong", [{"frequency": 0}, {"goal": -1}, {"rounds": -1}, {"rounds": 1.5}, {"hold": 0.0}, {"frequency": np.nan}]
 )

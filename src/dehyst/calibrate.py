@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dehyst._errors import IdentifyError, ModelError, RecordError
-from dehyst.campaign import Campaign, Watcher
+from dehyst.campaign import Campaign, Unwatched, Watcher
 from dehyst.excitation import Excitation, positive
 from dehyst.files import PathLike, finite, write_json
 from dehyst.identify import identify
@@ -22,6 +22,8 @@ from dehyst.verification import Course, Followed, Planner
 from dehyst.version import __version__
 from dehyst.wide_insight import WideInsight
 
+# What is known to come, for who watches.
+STEPS = ("look", "loops", "others", "identify", "nominal", "compensated", "report")
 # Cycles that each hold of the look lasts.
 _HOLD = 3.0
 
@@ -85,13 +87,14 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[Step, ...]:
         If it cannot be played within the rig's limits.
     """
     pace = plan.pace(rig)
-    home = pace.homing()
+    # By a ratio, the voltages of a path depend on no displacement.
+    path = Planner(pace.homing(), (0.0, 1.0), rig.limits, pace.leg).nominal().excitation
     return (
         Step("look", "holds at both ends, two major loops", pace.look()),
         *_planned(pace, plan),
         Step("others", "loops of other heights, held out", pace.others()),
-        Step("nominal", "homing, then a path of nine reversals by a constant ratio", home),
-        Step("compensated", "homing, then the same path by the model", home),
+        Step("nominal", "homing, then a path of nine reversals by a constant ratio", path),
+        Step("compensated", "homing, then the same path by the model; its voltages follow", path),
     )
 
 
@@ -172,9 +175,10 @@ class Calibration:
 
 
 def calibrate(
-    rig: AbstractRig, folder: PathLike, *, plan: Plan | None = None, watcher: Watcher, command: str | None = None
-) -> Calibration:
-    """Do the whole experiment; records, model, report and numbers are left in a folder.
+    rig: AbstractRig, folder: PathLike, *, plan: Plan | None = None, watcher: Watcher | None = None,
+    command: str | None = None,
+) -> Calibration:  # fmt: skip
+    """Do the whole experiment; records, model, report and numbers are left in a folder, the voltage at a safe value.
 
     Parameters
     ----------
@@ -183,8 +187,8 @@ def calibrate(
     folder : path
         Records in it that are whole are not played again.
     plan : Plan, optional
-    watcher : Watcher
-        Is told how it goes on.
+    watcher : Watcher, optional
+        Is told how it goes on, as by `dehyst.live.display`.
     command : str, optional
         To be shown in the report.
 
@@ -197,8 +201,11 @@ def calibrate(
     FileFormatError
         If the folder cannot be written.
     """
-    job = _Job(rig, Campaign(folder, rig, watcher), plan or Plan(), watcher)
+    told = watcher or Unwatched()
+    job = _Job(rig, Campaign(folder, rig, told), plan or Plan(), told)
     found = job.run()
+    if found.played:
+        rig.retreat()
     job.write(found, command)
     return found
 
@@ -223,9 +230,7 @@ class _Job:
                 break
             training.append(record(self._more(told, i), f"more-{i}"))
             fit, told = self._identified(training, held_out)
-        planner = Planner(
-            self.pace.homing(), _ends(loops), self.rig.limits, round(self.pace.sample_rate / self.pace.frequency / 2)
-        )
+        planner = Planner(self.pace.homing(), _ends(loops), self.rig.limits, self.pace.leg)
         linear = planner.nominal()
         before = self._played(linear)
         modelled = planner.compensated(fit.actuator, self.campaign.sequence)
@@ -240,9 +245,9 @@ class _Job:
         from dehyst.report import write_report
 
         folder = self.campaign.folder
+        self.watcher.step("report")
         found.fit.actuator.save(folder / "model.json")
         write_json(folder / "calibration.json", finite({**found.as_dict(), "sha256": self.campaign.hashes()}))
-        self.watcher.tell("drawing the report")
         followed = {"nominal": found.nominal, "compensated": found.compensated}
         write_report(folder / "report.html", found.fit, command=command, insight=found.insight, followed=followed)
 
@@ -279,6 +284,8 @@ class _Job:
         self.watcher.step("identify")
         fit = identify(training, validate=held_out, progress=self.watcher.tell)
         self.watcher.tell("asking what the records tell")
+        name = f"{self.rig.name}, axis {self.rig.axis}"
+        fit = replace(fit, actuator=replace(fit.actuator, name=name))
         return fit, insight(fit.actuator, training, limits=(self.pace.low, self.pace.high), repeats=0)
 
     def _played(self, planned: Course) -> Record:

@@ -33,6 +33,19 @@ class Watcher(Protocol):
         """What the step does now."""
 
 
+class Unwatched:
+    """A watcher that tells nobody."""
+
+    def step(self, name: str, seconds: float = 0.0) -> None:
+        """Pass over it."""
+
+    def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
+        """Pass over them."""
+
+    def tell(self, words: str) -> None:
+        """Pass over it."""
+
+
 class Campaign:
     """Records on one rig, in one folder.
 

@@ -80,10 +80,13 @@ class ChannelAccess:
         found = self._run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
         return [name for name, answer in zip(names, found, strict=True) if not answer.ok]
 
-    @property
-    def connected(self) -> bool:
-        """Whether every variable that was used so far is connected now."""
-        return not self._lost()
+    def connected(self, *names: str) -> bool:
+        """Whether these variables, which were used before, are connected now."""
+
+        async def look() -> set[str]:
+            return self._unconnected()
+
+        return self._run(look()).isdisjoint(self.prefix + name for name in names)
 
     def numbers(self, *names: str) -> list[float]:
         """Read numbers, all at the same time.
@@ -185,12 +188,6 @@ class ChannelAccess:
         if answer.errorcode == _TIMED_OUT:
             return LinkError(f"{pv}: no answer within {self.timeout:g} s, though it is connected; does its IOC hang?")
         return DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
-
-    def _lost(self) -> bool:
-        async def look() -> bool:
-            return any(pv.startswith(self.prefix) for pv in self._unconnected())
-
-        return self._run(look())
 
     def _unconnected(self) -> set[str]:
         """Every variable that this process asked for and is not connected; on the loop's thread."""

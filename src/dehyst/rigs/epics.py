@@ -204,10 +204,11 @@ class EpicsRig(AbstractRig):
 
     def _progress(self, got: int, fresh: float, patience: float) -> tuple[int, bool]:
         """Samples recorded, and whether the wave has ended."""
-        if not self._link.connected:
-            raise LinkError(f"{self.name}: the connection was lost after {got} samples; the IOC may play on")
         # In this order: what was recorded by the end is there when the end is seen.
-        busy, count = self._link.numbers(self._of("wave_busy"), self._of("record_count"))
+        names = self._of("wave_busy"), self._of("record_count")
+        if not self._link.connected(*names):
+            raise LinkError(f"{self.name}: the connection was lost after {got} samples; the IOC may play on")
+        busy, count = self._link.numbers(*names)
         if not got <= count < float("inf"):
             raise LinkError(f"{self.name}: its recorder counts {count:g} after {got} samples; who else uses it?")
         if count == got and busy and time.monotonic() - fresh > patience:
