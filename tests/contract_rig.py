@@ -13,6 +13,7 @@ from dataclasses import astuple
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+import fake_nidaqmx
 import numpy as np
 import pytest
 from fake_rig import FakeRig
@@ -20,6 +21,7 @@ from fake_rig import FakeRig
 from dehyst import ClampWarning
 from dehyst._errors import DeviceError, RecordError, RigError, SensorError
 from dehyst.excitation import Excitation
+from dehyst.rigs.nidaqmx import NiRig
 from dehyst.rigs.simulated import SimulatedRig
 from dehyst.truths import PlayActuator
 
@@ -52,9 +54,21 @@ def fake(longest=None, **options):
         yield rig, rig.instrument
 
 
+@contextmanager
+def daq_card(**options):
+    """Open a rig on a fake card in a time of its own."""
+    with fake_nidaqmx.installed((LOW / fake_nidaqmx.GAIN, HIGH / fake_nidaqmx.GAIN)) as card, NiRig(
+        "Dev1/ao0", "Dev1/ai0", gain=fake_nidaqmx.GAIN, scale=1e6 * fake_nidaqmx.SCALE, clock=lambda: card.now,
+        **options,
+    ) as rig:  # fmt: skip
+        rig._wait = card.wait
+        yield rig, card
+
+
 RIGS = [
     Candidate("fake", fake),
     Candidate("simulated", simulated),
+    Candidate("National Instruments card, fake", daq_card),
 ]
 
 
