@@ -250,6 +250,16 @@ def test_a_connected_device_serves_as_well():
         PiRig.of_device(object())
 
 
+def test_a_device_that_only_sends_and_reads_serves_too():
+    class Plain:
+        def __init__(self, device):
+            self.controller, self.send, self.read = device.controller, device.GcsCommandset, device.ReadGCSCommand
+
+    controller = FakeController()
+    rig = QuickRig.of_device(Plain(FakeDevice(controller)))
+    assert rig.set_voltage(4.0) == 4.0 == controller.bench.voltage
+
+
 def test_a_devices_own_exceptions_become_ours():
     class RefusedError(Exception):
         val = 17

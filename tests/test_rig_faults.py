@@ -217,6 +217,20 @@ def test_fuzzed_replies_over_real_sockets(cases):
     assert changed > 3 * cases
 
 
+def test_limits_narrower_than_told_over_a_socket():
+    bench = Instrument(PlayActuator(), limits=(-20.0, 40.0), speed=10.0)
+    wave = Excitation("too far", 27 * (1 - np.cos(np.linspace(0, 6, 2000))), 1000.0)
+    with (
+        Server(Controller(bench, told=DEVICE), port=0) as server,
+        PiRig.connect("127.0.0.1", server.port, limits=ALLOWED) as rig,
+    ):
+        for act_ in (lambda: rig.set_voltage(55.0), lambda: rig.play(wave)):
+            with pytest.raises(DeviceError, match=r"error 302: .*limits are narrower than it told.*after") as caught:
+                act_()
+            assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
+    assert bench.log.highest <= 40.0
+
+
 def test_a_second_client_is_told_so_and_the_first_is_undisturbed():
     _, server = served()
     with server, open_rig(f"pi://127.0.0.1:{server.port}/1", limits=ALLOWED) as rig:
