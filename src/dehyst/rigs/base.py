@@ -3,54 +3,34 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager, suppress
 from types import TracebackType
-from typing import Any, NamedTuple, Self, TypeVar, final
+from typing import Any, Self, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import DehystError, DeviceError, LinkError, RecordError, RigError
-from dehyst._native import Array
+from dehyst._errors import DeviceError, LinkError, ModelError, RecordError, RigError
+from dehyst._native import Array, number
 from dehyst.compensator import ClampWarning
 from dehyst.excitation import Excitation
 from dehyst.record import Record
+from dehyst.rigs.allowance import common, refuse
+from dehyst.rigs.interrupts import shielded
+from dehyst.rigs.samples import ASTRAY, Inspection, Listener, Reading, Samples
 from dehyst.rigs.watch import SensorWatch
 from dehyst.trajectory import Limits
 
+__all__ = ["AbstractRig", "Listener", "Reading", "Samples"]
+
 # Seconds from one step of a ramp to the next; a host keeps no better time.
 _TICK = 0.01
-# A rig that nobody gave a slew rate takes this part of a second for its whole range.
-_SHORTEST_SWEEP = 0.1
-# By so much of the range a voltage that is read back may differ from the one that was sent.
-_ASTRAY = 0.05
 
 _Kind = TypeVar("_Kind", bound="np.generic[Any]")
-
-
-class Reading(NamedTuple):
-    """What a rig reads: time [s] of its own clock, voltage [V], displacement [m]."""
-
-    time: float
-    voltage: float
-    displacement: float
-
-
-class Samples(NamedTuple):
-    """Some samples of a record being made, in order: time (n,) [s], voltage (n,) [V], displacement (n,) [m]."""
-
-    time: Array
-    voltage: Array
-    displacement: Array
-
-
-Listener = Callable[[Samples], None]
 
 
 class AbstractRig(ABC):
@@ -76,10 +56,8 @@ class AbstractRig(ABC):
 
     Attributes
     ----------
-    limits : Limits
-        What is kept to: never wider than the device's nor than the user's, always with a slew rate.
-    slew_rate : float
-        That slew rate [V/s].
+    limits, slew_rate : Limits, float
+        What is kept to: never wider than the device's nor than the user's, always with a slew rate [V/s].
     safe : float
         The voltage [V] to retreat to: the one within the limits nearest to 0 V.
 
@@ -94,7 +72,7 @@ class AbstractRig(ABC):
         slew_rate: float | None = None, longest: int | None = None, axis: str = "1",
     ) -> None:  # fmt: skip
         self.name, self.axis, self.longest = name, axis, longest
-        self.limits = _common(device, limits, slew_rate)
+        self.limits = common(device, limits, slew_rate)
         self.slew_rate = float(self.limits.slew_rate or math.inf)
         if longest is not None and longest < 2:
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
@@ -127,9 +105,10 @@ class AbstractRig(ABC):
             If the device does not do it; a retreat was tried.
         """
         self._refuse_closed()
-        asked = float(voltage)
-        if not math.isfinite(asked):
-            raise RecordError(f"voltage: got {voltage}, need a finite number of volts; nothing was sent")
+        try:
+            asked = number(voltage, "voltage")
+        except ModelError as error:
+            raise RecordError(f"{error} of volts; nothing was sent") from error
         sent = self.limits.nearest(asked)
         if sent != asked:
             warnings.warn(
@@ -156,19 +135,9 @@ class AbstractRig(ABC):
     def play(self, excitation: Excitation, listen: Listener = lambda _: None) -> Record:
         """Ramp to the first voltage of an excitation and play it, at the rate of the device nearest to its own.
 
-        Whatever goes wrong, and on Ctrl-C, the wave is stopped and the voltage brought to `safe`; `listen` has had all
-        samples that came.
-
-        Parameters
-        ----------
-        excitation : Excitation
-        listen : callable
-            Called with each lot of `Samples` as it comes; what it raises stops the wave.
-
-        Returns
-        -------
-        Record
-            Voltage and displacement as the device recorded them, in its own time.
+        Returns voltage and displacement as the device recorded them, in its own time. `listen` is called with each lot
+        of `Samples` as it comes. Whatever goes wrong, in `listen` too, and on Ctrl-C or SIGTERM, the wave is stopped
+        and the voltage brought to `safe`; `listen` has had all samples that came.
 
         Raises
         ------
@@ -179,16 +148,19 @@ class AbstractRig(ABC):
         """
         self._refuse_closed()
         rate = self.nearest_rate(excitation.sample_rate)
-        self._refuse(excitation, rate)
+        refuse(excitation, rate, self.limits, self.name)
         came: list[Samples] = []
-        watch = SensorWatch(self.limits.high - self.limits.low)
+        span = self.limits.high - self.limits.low
+        look, watch = Inspection(self.name, span), SensorWatch(span)
         with self._safely():
             self._ramp(float(excitation.voltage[0]))
             for piece in self._pieces(excitation.voltage):
-                for samples in self._piece(piece, rate):
-                    came.append(samples)
-                    listen(samples)
-                    watch.see(samples.voltage, samples.displacement)
+                # Closed before the retreat: what a leaf does at the end of a wave may not come after it.
+                with closing(self._piece(piece, rate, look)) as lots:
+                    for samples in lots:
+                        came.append(samples)
+                        listen(samples)
+                        watch.see(samples.voltage, samples.displacement)
         time_, voltage, displacement = (np.concatenate(columns) for columns in zip(*came, strict=True))
         return Record(time_, voltage, displacement, excitation.name, {"rig": self.name, "axis": self.axis})
 
@@ -201,11 +173,10 @@ class AbstractRig(ABC):
         RigError
             If the device does not do it.
         """
-        with _uninterrupted() as late:
+        self._refuse_closed()
+        with shielded(held=True):
             self._halt()
             self._ramp(self.safe)
-        for number in late[:1]:
-            signal.raise_signal(number)
         return self.safe
 
     @final
@@ -264,7 +235,7 @@ class AbstractRig(ABC):
         """The voltage that is read [V]; a readback's error may put it a little outside of the limits."""
         voltage = self._checked_reading().voltage
         present = self.limits.nearest(voltage)
-        if abs(voltage - present) > _ASTRAY * (self.limits.high - self.limits.low):
+        if abs(voltage - present) > ASTRAY * (self.limits.high - self.limits.low):
             raise DeviceError(
                 f"{self.name}: stands at {voltage:.6g} V, but {self.limits.words} is allowed; bring it there by hand, "
                 "or widen the limits if device and actuator allow it"
@@ -283,42 +254,19 @@ class AbstractRig(ABC):
         for start in range(0, max(1, voltage.size - 1), longest - 1):
             yield voltage[start : start + longest]
 
-    def _piece(self, voltage: Array, rate: float) -> Iterator[Samples]:
+    def _piece(self, voltage: Array, rate: float, look: Inspection) -> Generator[Samples, None, None]:
         """Play one piece; what comes is looked at before it is believed."""
-        count = 0
-        # A recorder may be a sample or two late.
-        steepest = 2 * float(np.abs(np.diff(voltage)).max())
-        for samples in self._wave(voltage, rate):
-            sent = voltage[count : count + len(samples.time)]
-            count += len(samples.time)
-            if count > voltage.size or not all(bool(np.isfinite(column).all()) for column in samples):
-                raise LinkError(
-                    f"{self.name}: got {count} samples for {voltage.size}, or some that are not finite; check the link"
-                )
-            yield samples
-            astray = float(np.abs(samples.voltage - sent).max(initial=0.0))
-            if astray > max(_ASTRAY * (self.limits.high - self.limits.low), steepest):
-                raise DeviceError(
-                    f"{self.name}: its output is {astray:.4g} V away from what was sent; is the amplifier on, the "
-                    "servo off and the channel the right one?"
-                )
-        if count < voltage.size:
-            raise DeviceError(f"{self.name}: recorded {count} of {voltage.size} samples; check its data recorder")
-
-    def _refuse(self, excitation: Excitation, rate: float) -> None:
-        low, high = excitation.voltage_range
-        if low < self.limits.low or high > self.limits.high:
-            raise RecordError(
-                f"{excitation.name}: {low:.6g} to {high:.6g} V, but {self.name} may have {self.limits.words}; "
-                "ask for less, or widen the limits if device and actuator allow it; nothing was sent"
-            )
-        steepest = float(np.abs(np.diff(excitation.voltage)).max()) * rate
-        # Rates that a device rounds, and rounding.
-        if steepest > self.slew_rate * (1 + 1e-6):
-            raise RecordError(
-                f"{excitation.name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {self.name} may have "
-                f"{self.slew_rate:.6g} V/s; play it slower; nothing was sent"
-            )
+        look.begin(voltage)
+        wave = self._wave(voltage, rate)
+        try:
+            for samples in wave:
+                admitted = look.admit(samples)
+                yield admitted
+                look.judge(admitted)
+        finally:
+            if isinstance(wave, Generator):
+                wave.close()
+        look.end()
 
     def _refuse_closed(self) -> None:
         if self._closed:
@@ -327,46 +275,26 @@ class AbstractRig(ABC):
     @contextmanager
     def _safely(self) -> Iterator[None]:
         """Retreat when anything goes wrong within, Ctrl-C too; what became of the voltage is noted on the error."""
-        try:
-            yield
-        except BaseException as error:
-            error.add_note(self._retreated())
-            raise
+        with shielded() as shield:
+            try:
+                # Twice: a signal may come between an error and the line that makes it wait.
+                try:
+                    yield
+                except BaseException:
+                    shield.held = True
+                    raise
+            except BaseException as error:
+                error.add_note(self._retreated())
+                raise
 
     def _retreated(self) -> str:
         """Retreat if the link still lives; what became of it, as a sentence."""
         try:
-            with _uninterrupted():
-                return f"The voltage was brought to {self.retreat():.6g} V."
-        except (DehystError, OSError) as error:
-            with suppress(DehystError, OSError):
+            return f"The voltage was brought to {self.retreat():.6g} V."
+        except Exception as error:  # whatever a leaf or its library raises, the first error is the one to be told
+            with suppress(Exception):
                 self.close()
             return (
                 f"The voltage could not be brought to {self.safe:.6g} V ({error}): the device holds, or plays to its "
                 "end, what it has; see to it by hand."
             )
-
-
-def _common(device: Limits, limits: tuple[float, float] | None, slew_rate: float | None) -> Limits:
-    """What device and user both allow."""
-    asked = Limits(*(limits or (device.low, device.high)), slew_rate)
-    low, high = max(device.low, asked.low), min(device.high, asked.high)
-    if not low < high:
-        raise RigError(f"limits: got {asked.words}, but the device has {device.words}; nothing is left, give others")
-    rates = [rate for rate in (device.slew_rate, slew_rate) if rate is not None]
-    return Limits(low, high, min(rates) if rates else (high - low) / _SHORTEST_SWEEP)
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[list[int]]:
-    """Let Ctrl-C and SIGTERM wait for the end, where signals arrive; yields those that came."""
-    late: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield late
-        return
-    before = {number: signal.signal(number, lambda n, _: late.append(n)) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield late
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

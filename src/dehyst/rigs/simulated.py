@@ -80,7 +80,7 @@ class SimulatedRig(AbstractRig):
         bench.start(voltage, divider)
         lot = max(1, voltage.size // _LOTS)
         seen = 0
-        while seen < bench.recorded or bench.playing:
+        while bench.playing or seen < bench.recorded:
             yield Samples(*bench.samples(seen))
             seen = bench.recorded
             if bench.playing:
