@@ -114,7 +114,8 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         with self.add_children_as_readables(StandardReadableFormat.HINTED_UNCACHED_SIGNAL):
             self.position = readable(names.position)
         self.readback = readable(names.readback)
-        self.low, self.high, self.slew = (each and readable(each) for each in (names.low, names.high, names.slew))
+        told = (names.low, names.high, names.slew)
+        self.low, self.high, self.slew = (None if each is None else readable(each) for each in told)
         super().__init__(name=name)
 
     @property
