@@ -14,6 +14,7 @@ import numpy as np
 import dehyst
 from dehyst.demo import record_loops
 from dehyst.truths import PlayActuator
+from dehyst.verification import wanted_path
 
 OUTPUT = Path(__file__).parent / "saturation.json"
 LIMITS, SLEW_RATE, PERIOD = (0.0, 100.0), 2e3, 1e-3

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dehyst._errors import IdentifyError, ModelError, RecordError
-from dehyst._native import Array
-from dehyst.campaign import Campaign, Watcher
+from dehyst.campaign import Campaign, Unwatched, Watcher
 from dehyst.excitation import Excitation, positive
 from dehyst.files import PathLike, finite, write_json
 from dehyst.identify import identify
@@ -18,11 +17,13 @@ from dehyst.insight import Insight, insight
 from dehyst.model import Fit
 from dehyst.protocol import Creep, Pace, creep_of, sample_rate_for
 from dehyst.record import Record
-from dehyst.rigs.base import AbstractRig, Samples
+from dehyst.rigs.base import AbstractRig
 from dehyst.verification import Course, Followed, Planner
 from dehyst.version import __version__
 from dehyst.wide_insight import WideInsight
 
+# What is known to come, for who watches.
+STEPS = ("look", "loops", "others", "identify", "nominal", "compensated", "report")
 # Cycles that each hold of the look lasts.
 _HOLD = 3.0
 
@@ -86,13 +87,14 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[Step, ...]:
         If it cannot be played within the rig's limits.
     """
     pace = plan.pace(rig)
-    home = pace.homing()
+    # By a ratio, the voltages of a path depend on no displacement.
+    path = Planner(pace.homing(), (0.0, 1.0), rig.limits, pace.leg).nominal().excitation
     return (
         Step("look", "holds at both ends, two major loops", pace.look()),
         *_planned(pace, plan),
         Step("others", "loops of other heights, held out", pace.others()),
-        Step("nominal", "homing, then a path of nine reversals by a constant ratio", home),
-        Step("compensated", "homing, then the same path by the model", home),
+        Step("nominal", "homing, then a path of nine reversals by a constant ratio", path),
+        Step("compensated", "homing, then the same path by the model; its voltages follow", path),
     )
 
 
@@ -173,9 +175,10 @@ class Calibration:
 
 
 def calibrate(
-    rig: AbstractRig, folder: PathLike, *, plan: Plan | None = None, watcher: Watcher, command: str | None = None
-) -> Calibration:
-    """Do the whole experiment; records, model, report and numbers are left in a folder.
+    rig: AbstractRig, folder: PathLike, *, plan: Plan | None = None, watcher: Watcher | None = None,
+    command: str | None = None,
+) -> Calibration:  # fmt: skip
+    """Do the whole experiment; records, model, report and numbers are left in a folder, the voltage at a safe value.
 
     Parameters
     ----------
@@ -184,8 +187,8 @@ def calibrate(
     folder : path
         Records in it that are whole are not played again.
     plan : Plan, optional
-    watcher : Watcher
-        Is told how it goes on.
+    watcher : Watcher, optional
+        Is told how it goes on, as by `dehyst.live.display`.
     command : str, optional
         To be shown in the report.
 
@@ -198,8 +201,11 @@ def calibrate(
     FileFormatError
         If the folder cannot be written.
     """
-    job = _Job(rig, Campaign(folder, rig, watcher), plan or Plan(), watcher)
+    told = watcher or Unwatched()
+    job = _Job(rig, Campaign(folder, rig, told), plan or Plan(), told)
     found = job.run()
+    if found.played:
+        rig.retreat()
     job.write(found, command)
     return found
 
@@ -224,9 +230,7 @@ class _Job:
                 break
             training.append(record(self._more(told, i), f"more-{i}"))
             fit, told = self._identified(training, held_out)
-        planner = Planner(
-            self.pace.homing(), _ends(loops), self.rig.limits, round(self.pace.sample_rate / self.pace.frequency / 2)
-        )
+        planner = Planner(self.pace.homing(), _ends(loops), self.rig.limits, self.pace.leg)
         linear = planner.nominal()
         before = self._played(linear)
         modelled = planner.compensated(fit.actuator, self.campaign.sequence)
@@ -241,9 +245,9 @@ class _Job:
         from dehyst.report import write_report
 
         folder = self.campaign.folder
+        self.watcher.step("report")
         found.fit.actuator.save(folder / "model.json")
         write_json(folder / "calibration.json", finite({**found.as_dict(), "sha256": self.campaign.hashes()}))
-        self.watcher.tell("drawing the report")
         followed = {"nominal": found.nominal, "compensated": found.compensated}
         write_report(folder / "report.html", found.fit, command=command, insight=found.insight, followed=followed)
 
@@ -280,20 +284,13 @@ class _Job:
         self.watcher.step("identify")
         fit = identify(training, validate=held_out, progress=self.watcher.tell)
         self.watcher.tell("asking what the records tell")
+        name = f"{self.rig.name}, axis {self.rig.axis}"
+        fit = replace(fit, actuator=replace(fit.actuator, name=name))
         return fit, insight(fit.actuator, training, limits=(self.pace.low, self.pace.high), repeats=0)
 
     def _played(self, planned: Course) -> Record:
-        """Play a course, and tell how far it is from what is wanted meanwhile."""
-        rows = self.rig.rows(len(planned.excitation))
-        came = 0
-
-        def watch(samples: Samples) -> Array:
-            nonlocal came
-            wanted = planned.wanted[rows[came : came + samples.time.size]]
-            came += samples.time.size
-            return wanted
-
-        return self.campaign.record(planned.excitation, planned.excitation.name, watch=watch)
+        excitation = planned.excitation
+        return self.campaign.record(excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke)
 
     def _followed(self, planned: Course, record: Record) -> Followed:
         return Followed.of(planned, record, self.rig.rows(len(planned.excitation)))

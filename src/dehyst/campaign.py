@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,7 +13,7 @@ from dehyst._native import Array
 from dehyst.excitation import Excitation
 from dehyst.files import PathLike, read, read_json, write_json
 from dehyst.record import Record
-from dehyst.recording import Recording, room, salvage
+from dehyst.recording import Recording, numbered, room, salvage
 from dehyst.rigs.base import AbstractRig, Samples
 from dehyst.version import __version__
 
@@ -27,11 +26,24 @@ class Watcher(Protocol):
     def step(self, name: str, seconds: float = 0.0) -> None:
         """A step begins, and plays for so long [s]; 0 for one that computes."""
 
-    def samples(self, samples: Samples, expected: Array | None = None) -> None:
-        """Samples came; `expected` (n,) [m] is the displacement wanted of them."""
+    def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
+        """Samples came; `expected` (n,) [m] is the displacement wanted of them, of a stroke [m]."""
 
     def tell(self, words: str) -> None:
         """What the step does now."""
+
+
+class Unwatched:
+    """A watcher that tells nobody."""
+
+    def step(self, name: str, seconds: float = 0.0) -> None:
+        """Pass over it."""
+
+    def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
+        """Pass over them."""
+
+    def tell(self, words: str) -> None:
+        """Pass over it."""
 
 
 class Campaign:
@@ -74,7 +86,9 @@ class Campaign:
         self.kept: list[str] = []
         self.sequence: list[Record] = []
 
-    def record(self, excitation: Excitation, name: str, *, watch: Callable[[Samples], Array] | None = None) -> Record:
+    def record(
+        self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: float | None = None
+    ) -> Record:
         """Play an excitation and have its record on disk, unless it is there already.
 
         Parameters
@@ -82,8 +96,10 @@ class Campaign:
         excitation : Excitation
         name : str
             Of the record and its file.
-        watch : callable, optional
-            Gives the displacement wanted [m] of samples that came.
+        wanted : (n,) array, optional
+            Displacement [m] of each voltage, for who watches; NaN where none is wanted.
+        stroke : float, optional
+            What its error refers to [m].
 
         Raises
         ------
@@ -97,19 +113,22 @@ class Campaign:
             self.kept.append(name)
             self.sequence.append(found)
             return found
-        self._set_aside(path)
+        if path.exists():
+            path.rename(numbered(path))
         room(self.records, len(excitation))
         self._watcher.step(name, excitation.duration)
         meta = {"rig": self.rig.name, "axis": self.rig.axis, "excitation": excitation.name, "key": key,
                 "program": __version__}  # fmt: skip
+        rows = self.rig.rows(len(excitation))
         with Recording(path, name=name, meta=meta) as recording:
 
             def listen(samples: Samples) -> None:
+                here = rows[recording.samples : recording.samples + samples.time.size]
                 recording.add(samples)
-                self._watcher.samples(samples, None if watch is None else watch(samples))
+                self._watcher.samples(samples, None if wanted is None else wanted[here], stroke)
 
-            record = self.rig.play(excitation, listen).with_name(name)
-            recording.finish(record)
+            recording.finish(self.rig.play(excitation, listen))
+        record = read(path)
         self.played.append(name)
         self.sequence.append(record)
         return record
@@ -138,14 +157,6 @@ class Campaign:
         """What tells one excitation on one instrument from any other."""
         told = f"{self.rig.name} {self.rig.axis} {excitation.sample_rate!r}".encode()
         return hashlib.sha256(told + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
-
-    def _set_aside(self, path: Path) -> None:
-        """Give what is there under this name another one."""
-        if path.exists():
-            number = 1
-            while (other := path.with_name(f"{path.stem}.{number}.h5")).exists():
-                number += 1
-            path.rename(other)
 
 
 def _whole(path: Path, key: str) -> Record | None:

@@ -15,6 +15,7 @@ from dehyst.cli_compare import compare
 from dehyst.cli_compensate import compensate
 from dehyst.cli_excite import excite
 from dehyst.cli_export import export
+from dehyst.cli_rig import rig
 from dehyst.console import (
     PATH,
     Commands,
@@ -55,6 +56,7 @@ main.add_command(compare)
 main.add_command(compensate)
 main.add_command(excite)
 main.add_command(export)
+main.add_command(rig)
 
 
 @main.command(cls=ManyToValidate)

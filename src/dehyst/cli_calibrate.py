@@ -114,11 +114,12 @@ def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
 
 
 def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
+    from dehyst.calibrate import STEPS
     from dehyst.calibrate import calibrate as run
     from dehyst.live import display
 
     command = shlex.join(["dehyst", *sys.argv[1:]])
-    with _told(output), display() as live:
+    with _told(output), display(STEPS) as live:
         return run(rig, output, plan=plan, watcher=live, command=command)
 
 

@@ -30,7 +30,8 @@ def followed_sections(followed: Mapping[str, Followed]) -> list[str]:
     ]  # fmt: skip
     caption = (
         "The actuator was homed, driven along the path by each voltage, and measured: wanted and reached displacement, "
-        "and below reached minus wanted. The first leg, from the homing onto the path, is left out."
+        "and reached minus wanted, each on a scale of its own. The first leg, from the homing onto the path, is "
+        "left out."
     )
     return [
         "<h2>Measured along a path</h2>",

@@ -59,6 +59,8 @@ class Instrument:
         What was ever put out.
     unplugged : bool
         Whether the sensor's cable hangs loose: it reads one number.
+    stalled : bool
+        Whether the wave generator hangs: it plays no more, and does not end.
     stroke : float
         Of the actuator [m].
 
@@ -79,14 +81,14 @@ class Instrument:
         self.limits, self.slew_rate, self.servo_period = (allowed.low, allowed.high), slew_rate, servo_period
         self.wave_points, self.record_points = wave_points, record_points
         self.sensor_range = None if sensor_range is None else interval(sensor_range)
-        self.unplugged = False
+        self.unplugged = self.stalled = False
         self.stroke, self.log = self._amplifier.stroke, self._amplifier.log
         self._deviation = float(getattr(truth, "noise", 0.0)) if noise is None else noise
         self._sensor = Sensor(self._deviation, int(getattr(truth, "seed", 0)) if seed is None else seed)
         self._clock, self._speed, self._began = clock, speed, clock()
         self._servo, self._wanted, self._missing = False, 0.0, 0.0
         self._wave, self._played, self._first, self._period = np.zeros(0), 0, 0.0, servo_period
-        self._record, self.recorded = np.zeros((3, 0)), 0
+        self._record, self._rows = np.zeros((3, 0)), 0
 
     @property
     def now(self) -> float:
@@ -98,6 +100,12 @@ class Instrument:
         """What the amplifier puts out now [V]."""
         self.advance()
         return self._amplifier.voltage
+
+    @property
+    def target(self) -> float:
+        """The voltage that the output goes to [V]."""
+        self.advance()
+        return self._amplifier.target
 
     @property
     def playing(self) -> bool:
@@ -133,6 +141,17 @@ class Instrument:
         self._amplifier.rest()
         if on:
             self._wanted, self._missing = self.displacement(), 0.0
+
+    @property
+    def recorded(self) -> int:
+        """Samples recorded of the present or last wave."""
+        self.advance()
+        return self._rows
+
+    @property
+    def planned(self) -> int:
+        """Samples of the present or last wave; a stopped one ends where it was stopped."""
+        return self._wave.size
 
     def displacement(self) -> float:
         """What the sensor reads now [m]; while a wave is played, what it saw at the last sample."""
@@ -192,7 +211,7 @@ class Instrument:
         if not self._amplifier.allows(v):
             raise DeviceError(f"start: got {v.min():.6g} to {v.max():.6g} V, need {self._amplifier.limits.words}")
         self._wave, self._played, self._first, self._period = v, 0, self._amplifier.at, divider * self.servo_period
-        self._record, self.recorded = np.zeros((3, min(v.size, self.record_points))), 0
+        self._record, self._rows = np.zeros((3, min(v.size, self.record_points))), 0
         self.advance()
 
     def stop(self) -> None:
@@ -209,7 +228,7 @@ class Instrument:
         As many as there are, `count` at most.
         """
         self.advance()
-        stop = self.recorded if count is None else min(self.recorded, first + count)
+        stop = self._rows if count is None else min(self._rows, first + count)
         found = self._record[:, max(first, 0) : max(stop, 0)].copy()
         return found[0], found[1], found[2]
 
@@ -239,15 +258,15 @@ class Instrument:
         """Put out the samples that are due, and record them."""
         # Rounding must not lose the sample that is due at this very moment.
         due = min(self._wave.size, math.floor((now - self._first) / self._period + 1e-6) + 1)
-        if due <= self._played:
+        if due <= self._played or self.stalled:
             return
         at = np.asarray(self._first + self._period * np.arange(self._played, due), dtype=np.float64)
         voltage, displacement = self._amplifier.follow(self._wave[self._played : due], at)
         self._played = due
-        rows = slice(self.recorded, min(due, self._record.shape[1]))
+        rows = slice(self._rows, min(due, self._record.shape[1]))
         kept = max(0, rows.stop - rows.start)
         self._record[:, rows] = np.stack([at, voltage, self._seen(displacement)])[:, :kept]
-        self.recorded += kept
+        self._rows += kept
 
     def _hold(self, now: float) -> None:
         """Integrate what the sensor misses: coarser after a pause, so that an idle hour costs little."""

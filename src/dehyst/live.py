@@ -107,8 +107,17 @@ class Live:
         self._present, self.words = waiting, ""
         self._face.begin(self, waiting)
 
-    def samples(self, samples: Lot, expected: ArrayLike | None = None) -> None:
-        """Show samples that came; `expected` (n,) [m] is the displacement wanted of each."""
+    def samples(self, samples: Lot, expected: ArrayLike | None = None, stroke: float | None = None) -> None:
+        """Show samples that came.
+
+        Parameters
+        ----------
+        samples : Lot
+        expected : (n,) array_like, optional
+            The displacement wanted of each [m]; NaN where none is.
+        stroke : float, optional
+            What errors refer to [m]; by default as far as the displacement went until now.
+        """
         t, v, y = (np.asarray(column, dtype=np.float64) for column in (samples.time, samples.voltage,
                                                                        samples.displacement))  # fmt: skip
         if not t.size:
@@ -122,9 +131,12 @@ class Live:
         step.samples += t.size
         step.first = float(t[0]) if step.first is None else step.first
         step.played = float(t[-1]) - step.first
-        stroke = self._high - self._low
-        if expected is not None and stroke > 0:
-            errors = 100 * np.abs(y - np.asarray(expected, dtype=np.float64)) / stroke
+        of = self._high - self._low if stroke is None else stroke
+        if expected is None or not of > 0:
+            return
+        errors = 100 * np.abs(y - np.asarray(expected, dtype=np.float64)) / of
+        errors = errors[np.isfinite(errors)]
+        if errors.size:
             step.error, step.largest = float(errors[-1]), max(step.largest or 0.0, float(errors.max()))
 
     def tell(self, words: str) -> None:

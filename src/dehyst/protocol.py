@@ -102,6 +102,14 @@ class Pace:
         slower = excitation.sample_rate * _SLOWER * self.slew_rate / steepest
         return Excitation(excitation.name, excitation.voltage, slower, excitation.warnings)
 
+    @property
+    def leg(self) -> int:
+        """Samples from one turn of a path to the next: half a cycle, or what leaves a model half of the slew rate."""
+        samples = 0.5 * self.sample_rate / self.frequency
+        if self.slew_rate is not None:
+            samples = max(samples, np.pi * (self.high - self.low) * self.sample_rate / self.slew_rate)
+        return int(np.ceil(samples))
+
     def homing(self) -> Excitation:
         """Two major cycles: after them the state is known."""
         return raised_cosine([self.high], cycles=2, drive=self.drive())

@@ -130,8 +130,10 @@ def _one_after_another(records: Sequence[Record]) -> Record:
         if one.time[-1] >= kept[0].time[0]:
             break
         kept.insert(0, one)
-    return Record(*(np.concatenate([getattr(one, column) for one in kept])
-                    for column in ("time", "voltage", "displacement")), name="history")  # fmt: skip
+    time, voltage, displacement = (
+        np.concatenate([getattr(one, column) for one in kept]) for column in ("time", "voltage", "displacement")
+    )
+    return Record(time, voltage, displacement, "history")
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, vector
+from dehyst._native import Array, untimely, vector
 from dehyst.actuator import Actuator
 from dehyst.model import State
 from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator, Truth
@@ -76,7 +76,9 @@ class ModelledActuator:
         if time is None:
             raise ModelError("this actuator needs the time of each sample; give time=, in seconds")
         at = vector(time, "time")
-        if not at[:1] > self._time:
+        if at.size != v.size:
+            raise ModelError(untimely(at, v.size))
+        if not np.isfinite(self._time) or not at[0] > self._time:
             if at.size < 2:
                 raise ModelError("time: got one sample that does not go on from an earlier one; need two at least")
             self._time = float(2 * at[0] - at[1])

@@ -1,0 +1,131 @@
+"""`dehyst rig`: emulated instruments, to rehearse on before there is a real one."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from dehyst.amplifier import Extremes
+    from dehyst.emulator.faults import Fault
+    from dehyst.emulator.server import Server
+    from dehyst.instrument import Instrument
+
+
+@click.group()
+def rig() -> None:
+    """Instruments: serve an emulated one."""
+
+
+@rig.command()
+@click.option(
+    "--actuator", default="play", show_default=True, metavar="play|creep|preisach|boucwen|MODEL.json",
+    help="What is driven: a virtual actuator that no model is an instance of, or a model file.",
+)  # fmt: skip
+@click.option("--host", default="127.0.0.1", show_default=True, help="Interface to listen on; 0.0.0.0 is all.")
+@click.option("--port", type=click.IntRange(0, 65535), default=50000, show_default=True, help="0: any that is free.")
+@click.option("--limits", type=(float, float), metavar="LOW HIGH", help="Voltages.  [default: the actuator's]")
+@click.option("--slew", type=float, metavar="V/S", help="Slew rate of the amplifier.  [default: not limited]")
+@click.option(
+    "--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, metavar="X",
+    help="Seconds of the instrument in each second.",
+)  # fmt: skip
+@click.option(
+    "--noise", type=click.FloatRange(min=0), metavar="NM", help="Of the sensor.  [default: the actuator's, 2 nm]"
+)
+@click.option(
+    "--wave-points", type=click.IntRange(min=2), default=65536, show_default=True, metavar="N",
+    help="Samples that wave generator and recorder take.",
+)  # fmt: skip
+@click.option(
+    "--fault", "faults", multiple=True, metavar="NAME[@WHEN]",
+    help="A fault to rehearse, after so many samples of a wave (drop@2000) or seconds (unplug@3.5s), or in the middle "
+    "of the first wave: drop, silence, garble, truncate, error, narrow, saturate, unplug, refuse, stall.",
+)  # fmt: skip
+@click.option("--seconds", type=click.FloatRange(min=0), metavar="S", help="End by itself.  [default: Ctrl-C]")
+@click.option("--epics", metavar="PREFIX", help="Serve the same instrument by EPICS Channel Access too.")
+def serve(
+    actuator: str, host: str, port: int, limits: tuple[float, float] | None, slew: float | None, speed: float,
+    noise: float | None, wave_points: int, faults: tuple[str, ...], seconds: float | None, epics: str | None,
+) -> None:  # fmt: skip
+    """Serve an emulated piezo controller that speaks GCS 2.0 over TCP.
+
+    At the end it says which voltages it has put out.
+    """
+    from dehyst.emulator.controller import Controller
+    from dehyst.emulator.faults import Fault, Rehearsal
+    from dehyst.emulator.server import Server
+
+    rehearsed = [Fault.parse(text) for text in faults]
+    instrument, told = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
+    lock, rehearsal = threading.Lock(), Rehearsal(rehearsed)
+    server = Server(Controller(instrument, told=told), host=host, port=port, lock=lock, rehearsal=rehearsal)
+    if epics is not None:
+        _serve_epics(instrument, epics, lock)
+    with _until_told(server):
+        click.echo(f"serving {actuator}, {told[0]:g} to {told[1]:g} V, on pi://{host}:{server.port}")
+        sys.stdout.flush()
+        server.serve(seconds)
+    for said in rehearsal.said:
+        click.echo(f"fault: {said}")
+    click.echo(_tally(instrument.log))
+
+
+def _instrument(
+    actuator: str, limits: tuple[float, float] | None, slew: float | None, speed: float, noise: float | None,
+    wave_points: int, faults: list[Fault],
+) -> tuple[Instrument, tuple[float, float]]:  # fmt: skip
+    """The virtual bench, and the limits [V] that it tells."""
+    from dehyst.actuator import Actuator
+    from dehyst.emulator.faults import narrowed
+    from dehyst.instrument import Instrument
+    from dehyst.virtual import ModelledActuator, virtual_actuator
+
+    found = virtual_actuator(actuator)
+    if isinstance(found, Actuator):
+        limits, found = limits or found.limits, ModelledActuator(found)
+    told = limits or (0.0, found.highest)
+    made = Instrument(
+        found, limits=narrowed(told, faults), slew_rate=slew, wave_points=wave_points, record_points=wave_points,
+        speed=speed, noise=None if noise is None else 1e-9 * noise,
+    )  # fmt: skip
+    return made, told
+
+
+def _serve_epics(instrument: Instrument, prefix: str, lock: threading.Lock) -> None:
+    from importlib import import_module
+    from importlib.util import find_spec
+
+    from dehyst._errors import RigError
+
+    if find_spec("dehyst.emulator.ioc") is None:
+        raise RigError("--epics: this version of dehyst serves no EPICS; leave it out")
+    import_module("dehyst.emulator.ioc").serve_ioc(instrument, prefix, lock)
+    click.echo(f"serving epics://{prefix}")
+
+
+@contextmanager
+def _until_told(server: Server) -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end the serving, and not the program."""
+    before = {
+        number: signal.signal(number, lambda *_: server.stop()) for number in (signal.SIGINT, signal.SIGTERM)
+    }  # fmt: skip
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _tally(log: Extremes) -> str:
+    refused = f"; {log.refused} requests refused" if log.refused else ""
+    return (
+        f"put out {log.lowest:.6g} to {log.highest:.6g} V, largest step {log.largest_step:.4g} V, steepest "
+        f"{log.steepest:.6g} V/s{refused}"
+    )

@@ -1,0 +1,88 @@
+"""Why a controller refuses, by the public error numbers of GCS 2.0, and arguments that are read by them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from enum import IntEnum
+
+from dehyst._errors import DehystError
+
+
+class Error(IntEnum):
+    """Numbers that ERR? answers with."""
+
+    NONE = 0
+    SYNTAX = 1
+    UNKNOWN_COMMAND = 2
+    TOO_LONG = 3
+    SERVO_OFF = 5
+    POSITION = 7
+    STOPPED = 10
+    AXIS = 15
+    PARAMETER_RANGE = 17
+    PARAMETER_COUNT = 24
+    NOT_A_NUMBER = 25
+    MISSING = 26
+    UNKNOWN_PARAMETER = 54
+    RECORD_TABLE = 57
+    RECORD_OPTION = 58
+    WAVE_TOO_LARGE = 67
+    WAVE_RUNNING = 73
+    NO_WAVE_SELECTED = 75
+    NOT_RECORDED = 77
+    SERVO_ON = 79
+    BROKEN_CABLE = 215
+    VOLTAGE = 302
+    WAVE_WITH_SERVO = 303
+
+
+class CommandError(DehystError):
+    """A command that is not done; the number is latched until ERR?."""
+
+    def __init__(self, error: Error) -> None:
+        super().__init__(f"error {error.value}: {error.name.lower().replace('_', ' ')}")
+        self.error = error
+
+
+def demand(holds: bool, error: Error) -> None:
+    """Refuse unless something holds."""
+    if not holds:
+        raise CommandError(error)
+
+
+def real(word: str) -> float:
+    """A finite number."""
+    try:
+        value = float(word)
+    except ValueError:
+        raise CommandError(Error.NOT_A_NUMBER) from None
+    # Python takes more for numbers than a controller does.
+    demand(math.isfinite(value) and word.isascii() and "_" not in word, Error.NOT_A_NUMBER)
+    return value
+
+
+def whole(word: str, least: int = 0, most: int | None = None, error: Error = Error.PARAMETER_RANGE) -> int:
+    """A whole number, in decimals or with 0x, from `least` to `most`."""
+    try:
+        value = int(word, 16 if word.lower().startswith("0x") else 10)
+    except ValueError:
+        raise CommandError(Error.NOT_A_NUMBER) from None
+    demand(least <= value and (most is None or value <= most), error)
+    return value
+
+
+def counted(words: Sequence[str], least: int, most: int | None = None) -> None:
+    """Refuse too few or too many arguments; `most` is `least` if it is not told."""
+    demand(len(words) >= least, Error.MISSING)
+    demand(len(words) <= (least if most is None else most), Error.PARAMETER_COUNT)
+
+
+def numeral(value: float) -> str:
+    """A number as controllers write them, with enough digits."""
+    return f"{value:.12g}"
+
+
+def lines(*several: str) -> str:
+    """An answer of several lines: all but the last end with a space."""
+    return " \n".join(several) + "\n"

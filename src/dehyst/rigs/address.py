@@ -1,0 +1,140 @@
+"""Rigs by their addresses, as they are given on a command line."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from urllib.parse import SplitResult, urlsplit
+
+from dehyst._errors import DehystError, RigError
+from dehyst.rigs.base import AbstractRig
+
+_Asked = dict[str, Any]
+_FORMS = (
+    "pi://host:port[/axis], epics://PREFIX, sim://play (or creep, preisach, boucwen, /path/to/model.json), "
+    "ni://Dev1/ao0,ai0 or path/to/my_rig.py:make"
+)
+
+
+def open_rig(address: str, *, limits: tuple[float, float] | None = None, slew_rate: float | None = None) -> AbstractRig:
+    """Open the rig at an address.
+
+    Parameters
+    ----------
+    address : str
+        ``pi://host:port`` or ``pi://host:port/axis``: a PI controller (GCS 2.0 over TCP).
+        ``epics://PREFIX``: process variables that begin so.
+        ``sim://play``, ``creep``, ``preisach``, ``boucwen`` or ``sim:///path/to/model.json``: a virtual one, without
+        a link, as fast as it computes.
+        ``ni://Dev1/ao0,ai0``: a data acquisition card; not tried on hardware.
+        ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
+        `AbstractRig`.
+    limits : (float, float), optional
+        Voltages to allow [V]; what the device does not allow is left out.
+    slew_rate : float, optional
+        Largest abs(dv/dt) [V/s]; the device's where that is lower.
+
+    Raises
+    ------
+    RigError
+        If the address is none, or there is nothing at it.
+    MissingExtraError
+        If a package is needed that is not installed.
+    """
+    asked: _Asked = {"limits": limits, "slew_rate": slew_rate}
+    scheme, separator, _ = address.partition("://")
+    if separator:
+        if scheme.lower() not in _OPENERS:
+            raise RigError(f"{address}: there is no kind of rig called {scheme!r}; need {_FORMS}")
+        return _OPENERS[scheme.lower()](_split(address), asked)
+    path, separator, name = address.rpartition(":")
+    if not (separator and path.endswith(".py") and name.isidentifier()):
+        raise RigError(f"{address!r}: is no address of a rig; need {_FORMS}")
+    return _own(Path(path), name, asked)
+
+
+def _split(address: str) -> SplitResult:
+    try:
+        parts = urlsplit(address)
+        _ = parts.port
+    except ValueError as error:
+        raise RigError(f"{address}: is no address of a rig ({error}); need {_FORMS}") from error
+    return parts
+
+
+def _pi(parts: SplitResult, asked: _Asked) -> AbstractRig:
+    from dehyst.rigs.pi import PORT, PiRig
+
+    axis = parts.path.strip("/") or None
+    if not parts.hostname or parts.query or (axis and "/" in axis):
+        raise RigError(f"{parts.geturl()}: need pi://host:port, or pi://host:port/axis")
+    return PiRig.connect(parts.hostname, parts.port or PORT, axis=axis, **asked)
+
+
+def _epics(parts: SplitResult, asked: _Asked) -> AbstractRig:
+    prefix = parts.netloc + parts.path
+    if not prefix:
+        raise RigError("epics://: need the prefix of process variables, as in epics://LAB:PIEZO")
+    from dehyst.rigs.epics import EpicsRig
+
+    return EpicsRig.connect(prefix, **asked)
+
+
+def _sim(parts: SplitResult, asked: _Asked) -> AbstractRig:
+    name = parts.netloc + parts.path
+    if not name:
+        raise RigError("sim://: need play, creep, preisach, boucwen or /path/to/model.json behind it")
+    from dehyst.rigs.simulated import SimulatedRig
+    from dehyst.virtual import virtual_actuator
+
+    return SimulatedRig(virtual_actuator(name), **asked)
+
+
+def _ni(parts: SplitResult, asked: _Asked) -> AbstractRig:
+    from dehyst.rigs.nidaqmx import NiRig
+
+    return NiRig.of(parts.geturl(), **asked)
+
+
+def _own(path: Path, name: str, asked: _Asked) -> AbstractRig:
+    """Run somebody's file, and what it calls `name`."""
+    make = getattr(_module(path), name, None)
+    if not callable(make):
+        raise RigError(f"{path}: has no function {name!r}; need one that takes limits= and slew_rate= and gives a rig")
+    try:
+        rig = make(**asked)
+    except DehystError:
+        raise
+    # Their code may raise anything.
+    except Exception as error:
+        raise RigError(
+            f"{path}:{name}: {type(error).__name__}: {error}; it is called with limits= and slew_rate="
+        ) from error
+    if not isinstance(rig, AbstractRig):
+        raise RigError(f"{path}:{name}: gave a {type(rig).__name__}, need an AbstractRig (see dehyst.rigs)")
+    return rig
+
+
+def _module(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise RigError(f"{path}: there is no such file; need one with a function that makes a rig")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise RigError(f"{path}: cannot be read as Python")
+    module = importlib.util.module_from_spec(spec)
+    # Dataclasses and pickle look for it there; a module of the same name is not replaced.
+    sys.modules.setdefault(path.stem, module)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise RigError(f"{path}: {type(error).__name__}: {error}") from error
+    return module
+
+
+_OPENERS: dict[str, Callable[[SplitResult, _Asked], AbstractRig]] = {
+    "pi": _pi, "epics": _epics, "sim": _sim, "ni": _ni,
+}  # fmt: skip

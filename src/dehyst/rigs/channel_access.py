@@ -1,0 +1,200 @@
+"""Process variables below a prefix, read and written over EPICS Channel Access from ordinary, blocking code."""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import threading
+from collections.abc import Coroutine, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+
+from dehyst._errors import DeviceError, LinkError, MissingExtraError
+from dehyst._native import Array
+
+# ECA_TIMEOUT of Channel Access.
+_TIMED_OUT = 80
+# Of an answer that is cited in a message.
+_CITED = 60
+_METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "micron": 1e-6, "microns": 1e-6, "nm": 1e-9}
+_HINT = "is the IOC running, and does EPICS_CA_ADDR_LIST lead to it?"
+
+_Value = TypeVar("_Value")
+
+
+class _Worker:
+    """The one event loop, in a thread of its own, on which this process asks. It lives until the process ends.
+
+    Channels belong to the loop that made them, and Channel Access calls it back as long as they live.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def run(self, task: Coroutine[Any, Any, _Value]) -> _Value:
+        """Wait for what a coroutine returns; if the waiting is broken off, so is the coroutine."""
+        with self._lock:
+            if self._loop is None:
+                self._loop = asyncio.new_event_loop()
+                threading.Thread(target=self._loop.run_forever, name="dehyst channel access", daemon=True).start()
+            future: concurrent.futures.Future[_Value] = asyncio.run_coroutine_threadsafe(task, self._loop)
+        try:
+            return future.result()
+        except BaseException:
+            future.cancel()
+            raise
+
+
+_worker = _Worker()
+
+
+class ChannelAccess:
+    """Process variables below a prefix.
+
+    Parameters
+    ----------
+    prefix : str
+        Put before each name, as it is.
+    timeout : float
+        Seconds that one exchange may take.
+
+    Raises
+    ------
+    MissingExtraError
+        If aioca is not installed.
+    """
+
+    def __init__(self, prefix: str, timeout: float) -> None:
+        try:
+            import aioca
+        except ImportError as error:
+            raise MissingExtraError.of("aioca", "epics", "an EPICS rig") from error
+        self.prefix, self.timeout = prefix, timeout
+        self._ca: Any = aioca
+
+    def absent(self, names: Sequence[str]) -> list[str]:
+        """Those of the names that nobody answers for within the timeout."""
+        pvs = [self.prefix + name for name in names]
+        found = self._run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
+        return [name for name, answer in zip(names, found, strict=True) if not answer.ok]
+
+    def connected(self, *names: str) -> bool:
+        """Whether these variables, which were used before, are connected now."""
+
+        async def look() -> set[str]:
+            return self._unconnected()
+
+        return self._run(look()).isdisjoint(self.prefix + name for name in names)
+
+    def numbers(self, *names: str) -> list[float]:
+        """Read numbers, all at the same time.
+
+        Raises
+        ------
+        LinkError
+            If one does not come in time, or is none.
+        """
+        return [self._number(name, value) for name, value in zip(names, self._get(names), strict=True)]
+
+    def arrays(self, *names: str, count: int) -> list[Array]:
+        """Read the first `count` numbers of each.
+
+        Raises
+        ------
+        LinkError
+            If one does not come in time, or has fewer.
+        """
+        found = [np.atleast_1d(np.asarray(value)) for value in self._get(names, count=count)]
+        for name, values in zip(names, found, strict=True):
+            if values.size < count or values.dtype.kind not in "fiu":
+                raise LinkError(
+                    f"{self.prefix}{name}: got {values.size} values of {values.dtype}, need {count} numbers"
+                )
+        return [values[:count].astype(np.float64) for values in found]
+
+    def text(self, name: str) -> str:
+        """Read a text, short or long."""
+        (value,) = self._get([name])
+        if isinstance(value, str):
+            return str(value)
+        return bytes(np.atleast_1d(np.asarray(value)).astype(np.uint8)).split(b"\0")[0].decode(errors="replace")
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Between which a number may be put, as its record says; 0 and 0 if it does not say."""
+        (value,) = self._get([name], format=self._ca.FORMAT_CTRL)
+        return float(getattr(value, "lower_ctrl_limit", 0.0)), float(getattr(value, "upper_ctrl_limit", 0.0))
+
+    def metres(self, name: str) -> float | None:
+        """Metres in the unit of a record; None if it has no unit.
+
+        Raises
+        ------
+        LinkError
+            If it is no unit of length.
+        """
+        (value,) = self._get([name], format=self._ca.FORMAT_CTRL, count=1)
+        unit = str(getattr(value, "units", "")).strip()
+        if unit and unit not in _METRES:
+            raise LinkError(f"{self.prefix}{name}: its unit is {unit!r}, need m, mm, um or nm; mend EGU in its record")
+        return _METRES[unit] if unit else None
+
+    def length(self, name: str) -> int:
+        """Elements that it can have."""
+        return int(self._run(self._answered(self._ca.cainfo, [name]))[0].count)
+
+    def put(self, name: str, value: float | Array) -> None:
+        """Write a value, and wait until what it leads to is done.
+
+        Raises
+        ------
+        LinkError
+            If that is not said in time: it may have been done, or not.
+        DeviceError
+            If it is refused.
+        """
+        self._run(self._written(name, value, {}))
+
+    def clear(self, name: str) -> None:
+        """Write an empty text."""
+        text = self.length(name) > 1
+        self._run(self._written(name, "", {"datatype": self._ca.DBR_CHAR_STR} if text else {}))
+
+    def _get(self, names: Sequence[str], **options: Any) -> list[Any]:
+        return self._run(self._answered(self._ca.caget, names, **options))
+
+    def _run(self, task: Coroutine[Any, Any, _Value]) -> _Value:
+        return _worker.run(task)
+
+    async def _answered(self, ask: Any, names: Sequence[str], **options: Any) -> list[Any]:
+        pvs = [self.prefix + name for name in names]
+        answers: list[Any] = await ask(pvs, timeout=self.timeout, throw=False, **options)
+        for pv, answer in zip(pvs, answers, strict=True):
+            if not answer.ok:
+                raise self._broken(pv, answer)
+        return answers
+
+    async def _written(self, name: str, value: object, options: dict[str, Any]) -> None:
+        pv = self.prefix + name
+        answer = await self._ca.caput(pv, value, wait=True, timeout=self.timeout, throw=False, **options)
+        if not answer.ok:
+            raise self._broken(pv, answer)
+
+    def _broken(self, pv: str, answer: Any) -> LinkError | DeviceError:
+        """What to raise for an answer that is none."""
+        if pv in self._unconnected():
+            return LinkError(f"{pv}: not connected for {self.timeout:g} s; {_HINT}")
+        if answer.errorcode == _TIMED_OUT:
+            return LinkError(f"{pv}: no answer within {self.timeout:g} s, though it is connected; does its IOC hang?")
+        return DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
+
+    def _unconnected(self) -> set[str]:
+        """Every variable that this process asked for and is not connected; on the loop's thread."""
+        return {channel.name for channel in self._ca.get_channel_infos() if not channel.connected}
+
+    def _number(self, name: str, value: Any) -> float:
+        try:
+            return float(value)
+        except (TypeError, ValueError) as error:
+            raise LinkError(f"{self.prefix}{name}: got {repr(value)[:_CITED]}, need a number") from error

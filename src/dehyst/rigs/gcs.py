@@ -1,0 +1,235 @@
+"""The client's half of PI's general command set (GCS 2.0) as pure text: commands to send, answers that came.
+
+Written from the public command set. An answer is one or more lines; every line but the last ends with a space before
+its line feed. All is strict here: what is not an answer raises `LinkError`, saying what was got.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from dehyst._errors import LinkError, RigError
+
+# A controller's input buffer holds a line of some hundreds of characters at least.
+_LINE = 500
+_DECIMALS = 6
+# Longer answers are cut when they are shown.
+_SHOWN = 60
+
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+_INTEGER = re.compile(r"[+-]?\d{1,15}", re.ASCII)
+_WORD = re.compile(r"[!-~]+")
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,16}")
+_COMMAND = re.compile(r"(\*?[A-Z]{2,4}\??|#\d{1,2})(?=[\s{\[<(-]|$)")
+_OPTION = re.compile(r"(\d{1,6})\s*=\s*(\S.*)")
+_PARAMETER = re.compile(r"(0[xX][0-9A-Fa-f]{1,8}|\d{1,10})")
+
+
+class Options(NamedTuple):
+    """Which record options [numbers of DRC] are the position of an axis and the voltage of an output channel."""
+
+    position: int
+    voltage: int
+
+
+def command(word: str, *arguments: object) -> str:
+    """Return one line without its end; raises RigError for an argument that would break the line."""
+    parts = [str(argument) for argument in arguments]
+    for part in parts:
+        if not _WORD.fullmatch(part):
+            raise RigError(f"{word}: got the argument {part!r}, need one word of printable characters")
+    return " ".join([word, *parts])
+
+
+def volts(value: float, low: float = -math.inf, high: float = math.inf) -> str:
+    """Return a voltage as text: to 1 uV, but with all its digits where rounding would leave `low` to `high` [V].
+
+    Raises
+    ------
+    RigError
+        If it is not a number within `low` and `high`: nothing of the kind may be sent.
+    """
+    if not low <= value <= high or not math.isfinite(value):
+        raise RigError(f"{value} V is not within {low:.6g} to {high:.6g} V; nothing was sent")
+    text = f"{value:.{_DECIMALS}f}"
+    if not low <= float(text) <= high:
+        # The shortest text that is read back as the same number, without an exponent.
+        exact = repr(value)
+        text = exact if "e" not in exact else f"{value:.{max(0, 17 - math.floor(math.log10(abs(value))))}f}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return "0" if text in {"-0", ""} else text
+
+
+def wave_points(table: int, points: Sequence[str], longest: int = _LINE) -> Iterator[str]:
+    """Yield the commands that fill a wave table with points (as text), each of `longest` characters at most.
+
+    The first clears the table (X), the others append (&).
+    """
+    first = 0
+    while first < len(points):
+        sign = "&" if first else "X"
+        room = longest - len(f"WAV {table} {sign} PNT 1 {len(points)}")
+        count = size = 0
+        while first + count < len(points) and (size := size + 1 + len(points[first + count])) <= room:
+            count += 1
+        if not count:
+            raise RigError(f"WAV: {points[first]!r} does not fit a line of {longest} characters; allow longer lines")
+        yield command("WAV", table, sign, "PNT", 1, count, *points[first : first + count])
+        first += count
+
+
+def line_of(raw: bytes) -> tuple[str, bool]:
+    """Return the text of one line, from `raw` that ends with a line feed, and whether the answer goes on.
+
+    Raises
+    ------
+    LinkError
+        If it has no end, or has characters that are not printable ASCII.
+    """
+    body = raw[:-1].removesuffix(b"\r")
+    # Tabs stand in some controllers' lists.
+    if not raw.endswith(b"\n") or any(not 32 <= byte < 127 and byte != 9 for byte in body):
+        raise LinkError(f"got {shown(raw)}, need a line of printable ASCII")
+    text = body.decode("ascii")
+    return text.rstrip(), text.endswith(" ")
+
+
+def lines_of(answer: str) -> list[str]:
+    """Return the lines of a whole answer that somebody else has read; raises LinkError as `line_of` does."""
+    if not answer.endswith("\n"):
+        answer += "\n"
+    pairs = [line_of(part.encode("utf-8", "replace") + b"\n") for part in answer[:-1].split("\n")]
+    if any(not more for _, more in pairs[:-1]):
+        raise LinkError(f"got {shown(answer)}, need a space before every line feed but the last")
+    return [text for text, _ in pairs]
+
+
+def real(text: str) -> float:
+    """Return a finite number; raises LinkError."""
+    value = float(text) if _NUMBER.fullmatch(text) else math.nan
+    if not math.isfinite(value):
+        raise LinkError(f"got {shown(text)}, need a finite number")
+    return value
+
+
+def integer(text: str) -> int:
+    """Return a whole number; raises LinkError."""
+    if not _INTEGER.fullmatch(text):
+        raise LinkError(f"got {shown(text)}, need a whole number")
+    return int(text)
+
+
+def single(lines: Sequence[str]) -> str:
+    """Return the only line of an answer; raises LinkError."""
+    if len(lines) != 1 or not lines[0]:
+        raise LinkError(f"got {shown(lines)}, need one line")
+    return lines[0]
+
+
+def pairs(lines: Sequence[str]) -> dict[str, str]:
+    """Return `key=value` lines as texts; raises LinkError, also for a key that comes twice."""
+    found: dict[str, str] = {}
+    for line in lines:
+        key, equals, value = line.partition("=")
+        key, value = key.strip(), value.strip()
+        if not (key and equals and value) or key in found:
+            raise LinkError(f"got {shown(lines)}, need lines like 1=12.5, each key once")
+        found[key] = value
+    return found
+
+
+def values(lines: Sequence[str], keys: Sequence[str]) -> list[float]:
+    """Return the finite numbers of exactly these keys, in this order; raises LinkError."""
+    found = pairs(lines)
+    if found.keys() != set(keys):
+        raise LinkError(f"got {shown(lines)}, need a value of {', '.join(keys)}")
+    return [real(found[key]) for key in keys]
+
+
+def timer(lines: Sequence[str]) -> float:
+    """Return the number of an answer of TIM?, with or without a key; raises LinkError."""
+    return real(single(lines).rpartition("=")[2].strip())
+
+
+def counts(lines: Sequence[str], keys: Sequence[str]) -> list[int]:
+    """Return whole numbers, not negative, of exactly these keys; raises LinkError."""
+    numbers = values(lines, keys)
+    if any(number < 0 or number != int(number) for number in numbers):
+        raise LinkError(f"got {shown(lines)}, need whole numbers")
+    return [int(number) for number in numbers]
+
+
+def parameter(lines: Sequence[str], item: str, number: int) -> float:
+    """Return one parameter from an answer of SPA? like `1 0x0E000200=0.00005`; raises LinkError."""
+    key, _, value = single(lines).partition("=")
+    words = key.split()
+    if len(words) != 2 or words[0] != item or not _PARAMETER.fullmatch(words[1]) or _decoded(words[1]) != number:
+        raise LinkError(f"got {shown(lines)}, need the parameter {number:#010x} of {item}")
+    return real(value.strip())
+
+
+def parameters(lines: Sequence[str]) -> dict[int, str]:
+    """Return what an answer of HPA? lists: a sentence for each number; other lines are left out."""
+    found: dict[int, str] = {}
+    for line in lines:
+        key, equals, sentence = line.partition("=")
+        if equals and _PARAMETER.fullmatch(key.strip()):
+            found[_decoded(key.strip())] = sentence.strip()
+    return found
+
+
+def names(lines: Sequence[str]) -> list[str]:
+    """Return axes, from an answer of SAI?; raises LinkError."""
+    found = [line.strip() for line in lines]
+    if len(set(found)) != len(found) or not found or any(not _NAME.fullmatch(name) for name in found):
+        raise LinkError(f"got {shown(lines)}, need the names of axes, one a line")
+    return found
+
+
+def commands(lines: Sequence[str]) -> frozenset[str]:
+    """Return the commands that an answer of HLP? lists; raises LinkError if there are none."""
+    found = frozenset(match.group(1) for line in lines if (match := _COMMAND.match(line.strip())))
+    if not found:
+        raise LinkError(f"got {shown(lines)}, need a list of commands")
+    return found
+
+
+def options(lines: Sequence[str]) -> Options | None:
+    """Return the record options of position and voltage, from an answer of HDR?; None if it does not have both."""
+    listed = dict(_listed(lines))
+    position = _first(listed, "current position", "actual position", "real position")
+    voltage = _first(listed, "voltage of output", "output voltage", "piezo voltage", "voltage")
+    return None if position is None or voltage is None else Options(position, voltage)
+
+
+def shown(got: object) -> str:
+    """Return what came, as Python would write it, cut to a length that fits a message."""
+    if isinstance(got, Sequence) and not isinstance(got, str | bytes) and len(got) == 1:
+        got = got[0]
+    text = repr(got[: 4 * _SHOWN] if isinstance(got, str | bytes | list | tuple) else got)
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 15]} ... {text[-10:]}"
+
+
+def _listed(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
+    within = False
+    for line in lines:
+        if line.lstrip().startswith("#"):
+            within = "recordoption" in line.lower().replace(" ", "")
+        elif within and (match := _OPTION.fullmatch(line.strip())):
+            yield int(match.group(1)), match.group(2).lower()
+
+
+def _first(listed: Mapping[int, str], *wanted: str) -> int | None:
+    for words in wanted:
+        # A control voltage is one before the amplifier: only where there is nothing better.
+        found = sorted(("control" in text, number) for number, text in listed.items() if words in text)
+        if found:
+            return found[0][1]
+    return None
+
+
+def _decoded(text: str) -> int:
+    return int(text, 16) if text[:2].lower() == "0x" else int(text)

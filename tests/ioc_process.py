@@ -1,0 +1,112 @@
+"""Real EPICS controllers for tests, each a process with a port of its own on the loopback interface.
+
+The tests' own Channel Access looks at these ports only: no test disturbs another, or the network.
+"""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+
+PREFIX = "BENCH"
+_PROGRAM = """
+import json, sys, threading, time
+import dehyst
+from dehyst import truths
+from dehyst.emulator.ioc import serve_ioc
+from dehyst.instrument import Instrument
+from dehyst.trajectory import Limits
+prefix, options = sys.argv[1], json.loads(sys.argv[2])
+model, actuator = options.pop("model", None), {"noise": 0.0, **options.pop("actuator", {})}
+truth = dehyst.Actuator.load(model) if model else truths.PlayActuator(**actuator)
+instrument, lock = Instrument(truth, **options), threading.Lock()
+serve_ioc(instrument, prefix, lock)
+print("ready", flush=True)
+for line in sys.stdin:
+    with lock:
+        exec(line)
+        print(json.dumps(vars(instrument.log)), flush=True)
+"""
+
+
+def _free_ports(count):
+    """Ports that are free for UDP and TCP now; held until all are found, so that none comes twice."""
+    held, ports = [], []
+    while len(ports) < count:
+        tcp, udp = socket.socket(), socket.socket(type=socket.SOCK_DGRAM)
+        held += [tcp, udp]
+        tcp.bind(("127.0.0.1", 0))
+        try:
+            udp.bind(("127.0.0.1", tcp.getsockname()[1]))
+        except OSError:
+            continue
+        ports.append(tcp.getsockname()[1])
+    for each in held:
+        each.close()
+    return ports
+
+
+# Channel Access reads its addresses once in a process, so all ports are chosen before the first use.
+_PORTS = _free_ports(24)
+ENVIRONMENT = {
+    "EPICS_CA_ADDR_LIST": " ".join(f"127.0.0.1:{port}" for port in _PORTS[1:]),
+    "EPICS_CA_AUTO_ADDR_LIST": "NO",
+    "EPICS_CA_REPEATER_PORT": str(_PORTS[0]),
+    "EPICS_CAS_INTF_ADDR_LIST": "127.0.0.1",
+    "EPICS_CAS_BEACON_ADDR_LIST": "127.0.0.1",
+    "EPICS_CAS_AUTO_BEACON_ADDR_LIST": "NO",
+}
+os.environ.update(ENVIRONMENT)
+_left = _PORTS[1:]
+
+
+class IocProcess:
+    """An IOC around a virtual instrument; options are those of `Instrument`, and what it drives.
+
+    That is the actuator of a file, ``model=``, or a play actuator, ``actuator=`` its options.
+    """
+
+    def __init__(self, port=None, prefix=None, **options):
+        self.port = _left.pop(0) if port is None else port
+        self.prefix = prefix or f"{PREFIX}{self.port}"
+        began = time.perf_counter()
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", _PROGRAM, self.prefix, json.dumps(options)],
+            env={**os.environ, "EPICS_CAS_SERVER_PORT": str(self.port)},
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        said = self._line("ready")
+        self.seconds = time.perf_counter() - began
+        assert said == "ready", self.process.stderr.read()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.kill()
+
+    def do(self, statement):
+        """Do something with the `instrument`, behind the back of its clients; returns the log as a mapping."""
+        self.process.stdin.write(f"{statement}\n")
+        self.process.stdin.flush()
+        return json.loads(self._line("{"))
+
+    def log(self):
+        """What the instrument ever put out, as a mapping."""
+        return self.do("pass")
+
+    def kill(self):
+        """End it at once."""
+        self.process.kill()
+        self.process.wait()
+        for stream in (self.process.stdin, self.process.stdout, self.process.stderr):
+            stream.close()
+
+    def _line(self, start):
+        """The next line that begins so; EPICS has things to say, too."""
+        for line in self.process.stdout:
+            if line.startswith(start):
+                return line.strip()
+        return ""

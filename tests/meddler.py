@@ -1,0 +1,186 @@
+"""Something between a client and a controller that meddles with replies: a pipe in one process, and a TCP proxy."""
+
+import random
+import socket
+import threading
+import time
+from contextlib import suppress
+
+from fake_gcs import text_of
+
+from dehyst.rigs.gcs_link import TcpLink
+from dehyst.rigs.pi import PiRig
+
+KINDS = ("drop", "truncate", "garble", "replay", "inject", "double", "delay", "number", "nonsense", "close", "space")
+_LIES = ["nan", "inf", "1e999", "-1e300", "1000000", "-99999", "", "1=2=3", "0x10", "--1", "1,5", "\u00b5"]
+
+
+class Meddling:
+    """Changes replies: each with a probability, in one of `KINDS`; counts what it did.
+
+    `number` swaps a number for another kind of number, which is then no true reply any more.
+    """
+
+    def __init__(self, seed, share, kinds=KINDS):
+        self.rng, self.share, self.kinds = random.Random(seed), share, kinds
+        self.count = 0
+        self.past, self.late = [b"0\n"], b""
+
+    def __call__(self, reply):
+        """Return the bytes to pass on instead, or None to close the connection."""
+        reply, self.late = self.late + reply, b""
+        if not reply:
+            return reply
+        self.past = [*self.past[-20:], reply]
+        if self.rng.random() >= self.share:
+            return reply
+        self.count += 1
+        return getattr(self, f"_{self.rng.choice(self.kinds)}")(reply)
+
+    def _drop(self, reply):
+        return b""
+
+    def _truncate(self, reply):
+        return reply[: self.rng.randrange(len(reply))]
+
+    def _garble(self, reply):
+        spoiled = bytearray(reply)
+        for _ in range(self.rng.randint(1, 4)):
+            spoiled[self.rng.randrange(len(spoiled))] = self.rng.randrange(256)
+        return bytes(spoiled)
+
+    def _replay(self, reply):
+        return self.rng.choice(self.past)
+
+    def _inject(self, reply):
+        extra = self.rng.choice([b"\n", b"0\n", b"1=7\n", b" \n", b"HTTP/1.1 400\r\n", self.rng.choice(self.past)])
+        return extra + reply if self.rng.random() < 0.5 else reply + extra
+
+    def _double(self, reply):
+        return reply + reply
+
+    def _delay(self, reply):
+        self.late = reply
+        return b""
+
+    def _number(self, reply):
+        head, equals, tail = reply.partition(b"=")
+        lie = self.rng.choice([*_LIES, repr(self.rng.uniform(-300, 300)), str(self.rng.randint(-5, 500))]).encode()
+        if not equals:
+            return lie + b"\n"
+        _, newline, rest = tail.partition(b"\n")
+        return head + equals + lie + newline + rest
+
+    def _nonsense(self, reply):
+        return self.rng.randbytes(self.rng.randint(1, 200)) + self.rng.choice([b"", b"\n"])
+
+    def _close(self, reply):
+        return None
+
+    def _space(self, reply):
+        return reply.replace(b"\n", b" \n") if self.rng.random() < 0.5 else reply.replace(b" \n", b"\n")
+
+
+class _Pipe:
+    """What `TcpLink` needs of a socket, with a controller at the other end; silence is told at once."""
+
+    def __init__(self, controller, meddle):
+        self.controller, self.meddle = controller, meddle
+        self.waiting, self.half, self.closed = b"", b"", False
+
+    def settimeout(self, seconds):
+        pass
+
+    def sendall(self, data):
+        if self.closed:
+            raise BrokenPipeError("closed")
+        *lines, self.half = (self.half + data).split(b"\n")
+        for line in lines:
+            said = self.controller.answer(line.decode("ascii"))
+            reply = self.meddle((said if isinstance(said, str) else text_of(said)).encode())
+            if reply is None:
+                self.closed = True
+                return
+            self.waiting += reply
+
+    def recv(self, size):
+        data, self.waiting = self.waiting[:size], self.waiting[size:]
+        if not data and not self.closed:
+            raise TimeoutError("silent")
+        return data
+
+    def close(self):
+        self.closed = True
+
+
+class PipeLink(TcpLink):
+    """The real link with its socket's place taken by a pipe, and no waiting."""
+
+    def __init__(self, controller, meddle=lambda reply: reply, timeout=0.01):
+        self.controller, self.meddle = controller, meddle
+        super().__init__("pipe", 1, timeout)
+
+    def _connected(self):
+        return _Pipe(self.controller, self.meddle)
+
+
+class QuickRig(PiRig):
+    """Waits in the controller's own time."""
+
+    def __init__(self, link, **options):
+        self._clock = getattr(link, "controller", None) or link._read.__self__.controller
+        super().__init__(link, **options)
+
+    def _wait(self, seconds):
+        self._clock.clock.now += seconds
+
+
+class Proxy:
+    """A TCP proxy to a port on this machine; what the server says goes through `meddle`."""
+
+    def __init__(self, port, meddle):
+        self._target, self.meddle = port, meddle
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port = self._server.getsockname()[1]
+        self._threads = [threading.Thread(target=self._serve, daemon=True)]
+        self._threads[0].start()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        with suppress(OSError):
+            self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+
+    def _serve(self):
+        while True:
+            try:
+                near, _ = self._server.accept()
+            except OSError:
+                return
+            with suppress(OSError):
+                far = socket.create_connection(("127.0.0.1", self._target), 5)
+                for link in (near, far):
+                    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                ended = threading.Event()
+                for source, sink, change in ((near, far, None), (far, near, self.meddle)):
+                    threading.Thread(target=_carry, args=(source, sink, change, ended), daemon=True).start()
+                # One client at a time, as the controller has it.
+                ended.wait(30)
+                for link in (near, far):
+                    link.close()
+                time.sleep(0.005)
+
+
+def _carry(source, sink, change, ended):
+    with suppress(OSError):
+        while not ended.is_set() and (data := source.recv(1 << 16)):
+            passed = data if change is None else change(data)
+            if passed is None:
+                break
+            sink.sendall(passed)
+    ended.set()
+    for link in (source, sink):
+        with suppress(OSError):
+            link.shutdown(socket.SHUT_RDWR)

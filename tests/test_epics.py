@@ -1,0 +1,328 @@
+"""The EPICS rig against a real IOC over real Channel Access, faults among them."""
+
+import signal
+import sys
+import time
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("softioc", reason="softioc is not installed: there is no EPICS server to test against")
+pytest.importorskip("aioca", reason="aioca is not installed: there is no Channel Access client")
+from ioc_process import IocProcess
+
+from dehyst import ClampWarning, MissingExtraError, RecordError
+from dehyst._errors import DeviceError, LinkError, RigError, SensorError
+from dehyst.excitation import Excitation
+from dehyst.rigs.channel_access import ChannelAccess
+from dehyst.rigs.epics import EpicsRig, PvNames
+from dehyst.truths import PlayActuator
+
+POINTS = 2000
+
+
+@pytest.fixture(scope="module")
+def ioc():
+    with IocProcess(wave_points=POINTS, record_points=POINTS) as process:
+        yield process
+
+
+@pytest.fixture
+def rig(ioc):
+    with EpicsRig.connect(ioc.prefix) as found:
+        found.retreat()
+        yield found
+
+
+@pytest.fixture
+def doomed():
+    """An IOC of this test's own, to be maltreated."""
+    with IocProcess() as process:
+        yield process
+
+
+def cosine(samples=1000, rate=2000.0, top=100.0):
+    return Excitation("cosine", top / 2 * (1 - np.cos(np.linspace(0, 4 * np.pi, samples))), rate)
+
+
+def slow():
+    """Ten seconds, to be broken off."""
+    return cosine(5000, 500.0)
+
+
+class Breaks:
+    """A listener that does something once so many samples have come, and keeps what came."""
+
+    def __init__(self, act, after=100):
+        self.act, self.after, self.came, self.done = act, after, [], False
+
+    def __call__(self, samples):
+        self.came.append(samples)
+        if not self.done and self.count >= self.after:
+            self.done = True
+            self.act()
+
+    @property
+    def count(self):
+        return sum(len(each.time) for each in self.came)
+
+
+def test_it_knows_what_the_device_says(rig, ioc):
+    assert (rig.limits.low, rig.limits.high, rig.longest) == (0.0, 200.0, POINTS)
+    assert f"epics://{ioc.prefix}" in rig.name
+    assert "dehyst" in rig.name
+
+
+def test_limits_are_never_wider_than_the_devices(ioc):
+    with EpicsRig.connect(ioc.prefix, limits=(-20.0, 150.0), slew_rate=100.0) as rig:
+        assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (0.0, 150.0, 100.0)
+    with pytest.raises(RigError, match="nothing is left"):
+        EpicsRig.connect(ioc.prefix, limits=(300.0, 400.0))
+
+
+def test_the_devices_slew_rate_is_asked():
+    with IocProcess(slew_rate=500.0, limits=(-10.0, 90.0)) as other, EpicsRig.connect(other.prefix) as rig:
+        assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (-10.0, 90.0, 500.0)
+        assert EpicsRig.connect(other.prefix, slew_rate=900.0).slew_rate == 500.0
+
+
+def test_set_and_read(rig, ioc):
+    assert rig.set_voltage(33.0) == 33.0
+    reading = rig.read()
+    assert reading.voltage == 33.0
+    assert abs(reading.displacement) < 10e-6
+    with pytest.warns(ClampWarning, match="200 V sent"):
+        assert rig.set_voltage(1e6) == 200.0
+    assert ioc.log()["highest"] == 200.0
+    with pytest.raises(RecordError, match="finite"):
+        rig.set_voltage(np.nan)
+    assert rig.read().time > reading.time
+
+
+def test_a_record_is_what_the_actuator_did():
+    """Over Channel Access as if the actuator were driven directly, bit for bit but for the unit of the position."""
+    with IocProcess() as fresh, EpicsRig.connect(fresh.prefix) as rig:
+        excitation, came = cosine(), Breaks(lambda: None)
+        record = rig.play(excitation, came)
+    truth = PlayActuator(noise=0.0).drive(excitation.voltage)
+    assert np.array_equal(record.voltage, excitation.voltage)
+    assert np.abs(record.displacement - truth).max() < 1e-15
+    assert np.allclose(np.diff(record.time), 1 / excitation.sample_rate, rtol=1e-6)
+    assert came.count == len(record)
+    assert len(came.came) > 2
+
+
+def test_long_waves_are_cut_and_joined(rig):
+    excitation = cosine(5000)
+    record = rig.play(excitation)
+    assert len(record) == 5002
+    assert np.array_equal(record.voltage, excitation.voltage[rig.rows(5000)])
+    assert np.all(np.diff(record.time) > 0)
+
+
+def test_times_rise_from_wave_to_wave(rig):
+    first, second = rig.play(cosine(100, top=10.0)), rig.play(cosine(100, top=10.0))
+    assert second.time[0] > first.time[-1]
+
+
+def test_the_rate_is_the_devices(rig):
+    assert rig.nearest_rate(2900.0) == pytest.approx(1 / 3.5e-4)
+    assert rig.nearest_rate(1000.0) == pytest.approx(1000.0)
+    record = rig.play(cosine(200, 2900.0, 20.0))
+    assert np.allclose(np.diff(record.time), 1 / rig.nearest_rate(2900.0), rtol=1e-6)
+
+
+def test_what_is_beyond_the_limits_is_refused_before_it_is_sent(rig, ioc):
+    before = ioc.log()
+    with pytest.raises(RecordError, match="nothing was sent"):
+        rig.play(cosine(top=210.0))
+    assert ioc.log() == before
+
+
+def test_without_waves_the_host_keeps_time(ioc):
+    names = PvNames().without_waves()
+    with EpicsRig.connect(ioc.prefix, names=names) as rig:
+        rig.retreat()
+        excitation = cosine(120, 1000.0, 20.0)
+        assert rig.nearest_rate(1000.0) == 200.0
+        record = rig.play(excitation)
+    assert np.array_equal(record.voltage, excitation.voltage)
+    # Never steeper than asked for, by the device's own clock; a put may arrive late by what a host's timer misses.
+    assert np.diff(record.time).min() > 0.004
+
+
+def test_an_ioc_without_waves_is_told_and_used(ioc):
+    """Names that nobody answers for, all of those for waves."""
+    nobody = {what: f"NO:{name}" for what, name in PvNames().waves.items()}
+    with pytest.warns(UserWarning, match="has no variables for waves"):
+        rig = EpicsRig.connect(ioc.prefix, names=replace(PvNames(), **nobody), timeout=0.5)
+    assert len(rig.play(cosine(20, 100.0, 5.0))) == 20
+
+
+def test_a_laboratorys_own_names(ioc):
+    names = PvNames(time=None, identity=None, error=None, low=None, high=None, slew=None).without_waves()
+    front, _, rest = ioc.prefix.partition("H")
+    names = replace(names, joint="H", voltage=f"{rest}:VOLTAGE", readback=f"{rest}:VOLTAGE:RBV",
+                    position=f"{rest}:POSITION")  # fmt: skip
+    with EpicsRig.connect(front, names=names) as rig:
+        # From the limits of the voltage's record.
+        assert (rig.limits.low, rig.limits.high) == (0.0, 200.0)
+        rig.set_voltage(7.0)
+        first, second = rig.read(), rig.read()
+    assert first.voltage == 7.0
+    assert second.time > first.time
+
+
+def test_missing_variables_are_named(ioc):
+    names = PvNames(position="POS", time="CLOCK")
+    with pytest.raises(LinkError, match=f"{ioc.prefix}:POS, {ioc.prefix}:CLOCK: no such process variable"):
+        EpicsRig.connect(ioc.prefix, names=names, timeout=0.5)
+
+
+def test_some_variables_for_waves_are_not_enough(ioc):
+    with pytest.raises(LinkError, match="WAVE:NONE: no such"):
+        EpicsRig.connect(ioc.prefix, names=PvNames(wave_busy="WAVE:NONE"), timeout=0.5)
+    with pytest.raises(RigError, match="got none for wave_busy"):
+        EpicsRig.connect(ioc.prefix, names=PvNames(wave_busy=None), timeout=0.5)
+
+
+def test_no_ioc():
+    began = time.monotonic()
+    with pytest.raises(LinkError, match=r"none of its 18 process variables .* EPICS_CA_ADDR_LIST"):
+        EpicsRig.connect("NOBODY", timeout=0.5)
+    assert time.monotonic() - began < 3.0
+
+
+def test_a_position_in_volts_is_refused(ioc):
+    with pytest.raises(LinkError, match="its unit is 'V', need m, mm, um or nm"):
+        EpicsRig.connect(ioc.prefix, names=PvNames(position="VOLTAGE:RBV"))
+
+
+def test_a_text_is_no_number(ioc):
+    with pytest.raises(LinkError, match="need a number"):
+        ChannelAccess(f"{ioc.prefix}:", 1.0).numbers("IDN")
+
+
+def test_a_put_that_is_refused(ioc):
+    with pytest.raises(DeviceError, match="POSITION: Channel write request failed"):
+        ChannelAccess(f"{ioc.prefix}:", 1.0).put("POSITION", 1.0)
+
+
+def test_an_old_error_is_forgotten(ioc):
+    link = ChannelAccess(f"{ioc.prefix}:", 1.0)
+    link.put("VOLTAGE", np.nan)
+    assert "nan" in link.text("ERROR")
+    EpicsRig.connect(ioc.prefix).set_voltage(1.0)
+    assert not link.text("ERROR")
+
+
+def test_without_aioca(monkeypatch):
+    monkeypatch.setitem(sys.modules, "aioca", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'dehyst\[epics\]'"):
+        EpicsRig.connect("BENCH")
+
+
+def test_limits_narrower_than_told(doomed):
+    """Set and played: refused by the device, said with its words, and the voltage brought back."""
+    rig = EpicsRig.connect(doomed.prefix)
+    doomed.do("instrument._amplifier.limits = Limits(0, 80)")
+    with pytest.raises(DeviceError, match=r"says: VOLTAGE: got .* need 0 to 80 V") as caught:
+        rig.set_voltage(150.0)
+    assert "brought to 0 V" in caught.value.__notes__[0]
+    with pytest.raises(DeviceError, match=r"says: start: got 0 to 100 V, need 0 to 80 V"):
+        rig.play(cosine())
+    assert doomed.log()["highest"] <= 80.0
+    assert rig.read().voltage == 0.0
+
+
+def test_limits_narrower_in_the_record(ioc):
+    """A record that clamps: what was taken is not what was sent."""
+    link = ChannelAccess(f"{ioc.prefix}:", 1.0)
+    rig = EpicsRig.connect(ioc.prefix)
+    rig.retreat()
+    link.put("VOLTAGE.DRVH", 50.0)
+    try:
+        with pytest.raises(DeviceError, match=r"took 50 V when .* narrower than it says"):
+            rig.set_voltage(90.0)
+        assert rig.read().voltage == 0.0
+    finally:
+        link.put("VOLTAGE.DRVH", 200.0)
+
+
+def test_killed_in_mid_wave(doomed):
+    rig, keeps = EpicsRig.connect(doomed.prefix, timeout=1.0), Breaks(doomed.kill)
+    began = time.monotonic()
+    with pytest.raises(LinkError, match=r"the connection was lost after \d+ samples") as caught:
+        rig.play(slow(), keeps)
+    assert time.monotonic() - began < 8.0
+    assert "could not be brought to 0 V" in caught.value.__notes__[0]
+    assert keeps.count >= 100
+    with pytest.raises(RigError, match="is closed"):
+        rig.read()
+
+
+def test_killed_and_started_again_it_goes_on(doomed):
+    rig = EpicsRig.connect(doomed.prefix, timeout=20.0)
+    rig.set_voltage(10.0)
+    doomed.kill()
+    with IocProcess(port=doomed.port):
+        assert rig.set_voltage(20.0) == 20.0
+
+
+def test_hung_in_mid_wave(doomed):
+    """Connected, but silent; when it wakes up, the rig can be told to retreat."""
+    rig = EpicsRig.connect(doomed.prefix, timeout=1.0)
+    with pytest.raises(LinkError, match=r"no answer within 1 s, though it is connected") as caught:
+        rig.play(slow(), Breaks(lambda: doomed.process.send_signal(signal.SIGSTOP)))
+    assert "could not be brought" in caught.value.__notes__[0]
+    doomed.process.send_signal(signal.SIGCONT)
+    again = EpicsRig.connect(doomed.prefix)
+    assert again.retreat() == 0.0
+    assert again.read().voltage == 0.0
+
+
+def test_stopped_by_somebody_else(rig, ioc):
+    link = ChannelAccess(f"{ioc.prefix}:", 1.0)
+    with pytest.raises(DeviceError, match=r"stopped after \d+ of 2000 samples") as caught:
+        rig.play(slow(), Breaks(lambda: link.put("WAVE:STOP", 1)))
+    assert "brought to 0 V" in caught.value.__notes__[0]
+
+
+@pytest.mark.parametrize("what", [KeyboardInterrupt, ZeroDivisionError])
+def test_broken_off_by_its_listener(rig, ioc, what):
+    def breaks():
+        raise what
+
+    keeps = Breaks(breaks)
+    with pytest.raises(what) as caught:
+        rig.play(slow(), keeps)
+    assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
+    assert rig.read().voltage == 0.0
+    assert not ChannelAccess(f"{ioc.prefix}:", 1.0).numbers("WAVE:BUSY")[0]
+
+
+def test_an_unplugged_sensor(doomed):
+    rig = EpicsRig.connect(doomed.prefix)
+    with pytest.raises(SensorError, match="saturated"):
+        rig.play(slow(), Breaks(lambda: doomed.do("instrument.unplugged = True")))
+    assert rig.read().voltage == 0.0
+
+
+def test_two_rigs_of_one_ioc(rig, ioc):
+    """Closing one leaves the other."""
+    EpicsRig.connect(ioc.prefix).close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert rig.set_voltage(3.0) == 3.0
+
+
+def test_how_quick_it_is(rig, record_property):
+    began = time.perf_counter()
+    for _ in range(100):
+        rig._put(0.0)
+        rig._read()
+    put_and_get = (time.perf_counter() - began) / 100
+    record_property("put_and_get_ms", 1e3 * put_and_get)
+    assert put_and_get < 0.1
