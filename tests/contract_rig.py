@@ -13,6 +13,7 @@ from dataclasses import astuple
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+import fake_nidaqmx
 import numpy as np
 import pytest
 from fake_gcs import Clock
@@ -25,6 +26,7 @@ from dehyst.emulator.controller import Controller
 from dehyst.emulator.server import Server
 from dehyst.excitation import Excitation
 from dehyst.instrument import Instrument
+from dehyst.rigs.nidaqmx import NiRig
 from dehyst.rigs.pi import PiRig
 from dehyst.rigs.simulated import SimulatedRig
 from dehyst.truths import PlayActuator
@@ -56,6 +58,17 @@ def fake(longest=None, **options):
     """Open the least rig there can be."""
     with FakeRig((LOW, HIGH), longest=longest, **options) as rig:
         yield rig, rig.instrument
+
+
+@contextmanager
+def daq_card(**options):
+    """Open a rig on a fake card in a time of its own."""
+    with fake_nidaqmx.installed((LOW / fake_nidaqmx.GAIN, HIGH / fake_nidaqmx.GAIN)) as card, NiRig(
+        "Dev1/ao0", "Dev1/ai0", gain=fake_nidaqmx.GAIN, scale=1e6 * fake_nidaqmx.SCALE, clock=lambda: card.now,
+        **options,
+    ) as rig:  # fmt: skip
+        rig._wait = card.wait
+        yield rig, card
 
 
 class Locked:
@@ -106,6 +119,7 @@ def pi_by_tcp(longest=65536, **options):
 RIGS = [
     Candidate("fake", fake),
     Candidate("simulated", simulated),
+    Candidate("National Instruments card, fake", daq_card),
     # Microvolts are sent.
     Candidate("pi", pi, volts=1e-6),
     Candidate("pi by tcp", pi_by_tcp, volts=1e-6),

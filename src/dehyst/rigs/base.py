@@ -52,7 +52,7 @@ class AbstractRig(ABC):
     longest : int, optional
         Samples that one `_wave` takes; default any number.
     axis : str
-        Which of the device's axes this is.
+        Of the device.
 
     Attributes
     ----------
@@ -261,8 +261,9 @@ class AbstractRig(ABC):
         try:
             for samples in wave:
                 admitted = look.admit(samples)
-                yield admitted
-                look.judge(admitted)
+                if admitted.time.size:
+                    yield admitted
+                    look.judge(admitted)
         finally:
             if isinstance(wave, Generator):
                 wave.close()
@@ -291,10 +292,8 @@ class AbstractRig(ABC):
         """Retreat if the link still lives; what became of it, as a sentence."""
         try:
             return f"The voltage was brought to {self.retreat():.6g} V."
-        except Exception as error:  # whatever a leaf or its library raises, the first error is the one to be told
+        except Exception as error:  # a leaf's library may raise anything; the first error is the one to be told
             with suppress(Exception):
                 self.close()
-            return (
-                f"The voltage could not be brought to {self.safe:.6g} V ({error}): the device holds, or plays to its "
-                "end, what it has; see to it by hand."
-            )
+            told = f"The voltage could not be brought to {self.safe:.6g} V ({error})"
+            return f"{told}: the device holds, or plays to its end, what it has; see to it by hand."
