@@ -122,6 +122,9 @@ def _module(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     # Dataclasses and pickle look for it there; a module of the same name is not replaced.
     sys.modules.setdefault(path.stem, module)
+    # As Python does with a script: what lies beside it can be imported.
+    if (folder := str(path.resolve().parent)) not in sys.path:
+        sys.path.insert(0, folder)
     try:
         spec.loader.exec_module(module)
     except Exception as error:
