@@ -169,6 +169,16 @@ def test_a_wave_is_closed_before_the_retreat(stop):
     assert set(rig.done[ended + 2 :]) == {"put"}
 
 
+def test_what_shows_that_the_sensor_is_dead_is_heard_too():
+    rig, heard = FakeRig((0.0, 100.0)), []
+    rig.instrument.unplugged = True
+    with pytest.raises(SensorError, match="does not move") as caught:
+        rig.play(UP, heard.append)
+    low, high = heard[0].voltage[0], heard[-1].voltage[-1]
+    assert high - low > 20.0 > heard[-2].voltage[-1] - low
+    assert caught.value.__notes__ == [BROUGHT]
+
+
 def test_a_reading_that_is_no_number_is_refused():
     rig = FakeRig()
     rig._read = lambda: Reading(0.0, np.nan, 0.0)
@@ -344,6 +354,27 @@ def test_an_impatient_user_does_not_cut_the_retreat_short(times):
         rig.play(UP, listen)
     assert caught.value.__notes__ == [BROUGHT]
     assert rig.instrument.voltage == 0.0
+
+
+@POSIX
+def test_ctrl_c_between_an_error_and_the_retreat_waits():
+    rig = FakeRig()
+    retreated = rig._retreated
+
+    def late():
+        interrupt()
+        return retreated()
+
+    def listen(samples):
+        if samples.voltage[-1] > 20:
+            rig._retreated = late
+            raise ValueError("first")
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        rig.play(UP, listen)
+    assert rig.instrument.voltage == 0.0
+    first = caught.value.__context__
+    assert (str(first), first.__notes__) == ("first", [BROUGHT])
 
 
 @POSIX
