@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from fake_gcs import Clock
 from fake_rig import FakeRig
+from ioc_process import IocProcess, RemoteInstrument
 from meddler import PipeLink, QuickRig
 
 from dehyst import ClampWarning
@@ -26,6 +27,7 @@ from dehyst.emulator.controller import Controller
 from dehyst.emulator.server import Server
 from dehyst.excitation import Excitation
 from dehyst.instrument import Instrument
+from dehyst.rigs.epics import EpicsRig
 from dehyst.rigs.nidaqmx import NiRig
 from dehyst.rigs.pi import PiRig
 from dehyst.rigs.simulated import SimulatedRig
@@ -116,6 +118,24 @@ def pi_by_tcp(longest=65536, **options):
         yield rig, Locked(instrument, server.lock)
 
 
+IOCS = {}
+
+
+@contextmanager
+def epics(longest=65536, **options):
+    """Open an IOC over Channel Access, in time twice as fast; one process for all tests with tables of one length."""
+    for library in ("softioc", "aioca"):
+        pytest.importorskip(library, reason=f"{library} is not installed: EPICS cannot be served, or not be used")
+    if longest not in IOCS:
+        IOCS[longest] = IocProcess(
+            actuator={"highest": HIGH, "noise": 1e-10}, limits=(LOW, HIGH), speed=2.0, wave_points=longest,
+            record_points=longest,
+        )  # fmt: skip
+    instrument = RemoteInstrument(IOCS[longest])
+    with EpicsRig.connect(IOCS[longest].prefix, **options) as rig:
+        yield rig, instrument
+
+
 RIGS = [
     Candidate("fake", fake),
     Candidate("simulated", simulated),
@@ -123,6 +143,7 @@ RIGS = [
     # Microvolts are sent.
     Candidate("pi", pi, volts=1e-6),
     Candidate("pi by tcp", pi_by_tcp, volts=1e-6),
+    Candidate("epics", epics),
 ]
 
 
