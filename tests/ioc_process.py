@@ -26,6 +26,13 @@ model, actuator = options.pop("model", None), {"noise": 0.0, **options.pop("actu
 truth = dehyst.Actuator.load(model) if model else truths.PlayActuator(**actuator)
 instrument, lock = Instrument(truth, **options), threading.Lock()
 serve_ioc(instrument, prefix, lock)
+
+def said(act):
+    try:
+        act()
+    except dehyst.DehystError as error:
+        return str(error)
+
 print("ready", flush=True)
 for line in sys.stdin:
     with lock:
@@ -53,7 +60,7 @@ def _free_ports(count):
 
 
 # Channel Access reads its addresses once in a process, so all ports are chosen before the first use.
-_PORTS = _free_ports(24)
+_PORTS = _free_ports(64)
 ENVIRONMENT = {
     "EPICS_CA_ADDR_LIST": " ".join(f"127.0.0.1:{port}" for port in _PORTS[1:]),
     "EPICS_CA_AUTO_ADDR_LIST": "NO",
@@ -66,15 +73,20 @@ os.environ.update(ENVIRONMENT)
 _left = _PORTS[1:]
 
 
+def port():
+    """A port for a server, which the tests' Channel Access looks at."""
+    return _left.pop(0)
+
+
 class IocProcess:
     """An IOC around a virtual instrument; options are those of `Instrument`, and what it drives.
 
     That is the actuator of a file, ``model=``, or a play actuator, ``actuator=`` its options.
     """
 
-    def __init__(self, port=None, prefix=None, **options):
-        self.port = _left.pop(0) if port is None else port
-        self.prefix = prefix or f"{PREFIX}{self.port}"
+    def __init__(self, at=None, **options):
+        self.port = port() if at is None else at
+        self.prefix = f"{PREFIX}{self.port}"
         began = time.perf_counter()
         self.process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, self.prefix, json.dumps(options)],
