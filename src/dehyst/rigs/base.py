@@ -253,8 +253,9 @@ class AbstractRig(ABC):
         step = self.slew_rate * _TICK
         while present != end:
             present = end if abs(end - present) <= step else present + math.copysign(step, end - present)
-            self._put(self.limits.nearest(present))
+            # First, too: a wave may have been stopped just now.
             self._wait(_TICK)
+            self._put(self.limits.nearest(present))
 
     def _present(self) -> float:
         """The voltage that is read [V]; a readback's error may put it a little outside of the limits."""
