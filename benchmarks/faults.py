@@ -24,16 +24,16 @@ from rehearsal import (
     client_of,
     closed_port,
     sent,
+    spoken_to,
     web_server,
 )
 
-from dehyst.excitation import Excitation
 from dehyst.files import write_atomically
 
 HERE = Path(__file__).resolve().parent
 # Loops a second, and seconds of the device in each second: fast, and slow enough for a signal in mid-wave.
 _OPTIONS = ("--frequency", "5")
-_FAST, _SLOW = ("--speed", "20"), ("--speed", "2")
+_HURRIED, _FAST, _SLOW = ("--speed", "20"), ("--speed", "5"), ("--speed", "2")
 # Bytes that a file may have on a disk that is full.
 _FULL = 60_000
 
@@ -83,9 +83,21 @@ def beyond(folder: Path) -> Outcome:
     """A protocol of 250 V."""
     swing = 125 * (1 - np.cos(2 * np.pi * np.arange(401) / 400))
     lines = [f"{t:.6g},{v:.6g}\n" for t, v in zip(np.arange(401) / 400, swing, strict=True)]
-    assert len(Excitation("beyond", swing, 400.0)) == len(lines)
-    (folder / "beyond.csv").write_text("time_s,voltage_V\n" + "".join(lines))
+        (folder / "beyond.csv").write_text("time_s,voltage_V\n" + "".join(lines))
     return against(folder, _FAST, "--protocol", str(folder / "beyond.csv"))
+
+
+def left(*commands: str, options: tuple[str, ...] = ()) -> Callable[[Path], Outcome]:
+    """A controller that somebody has left so."""
+
+    def run(folder: Path) -> Outcome:
+        with Served(*_FAST, "--fault", "drop") as served:
+            spoken_to(served.address, *commands)
+            found = calibrate(served.address, folder / "out", *_OPTIONS, *options, served=served)
+            found.put_out = served.end()
+        return found
+
+    return run
 
 
 def not_a_folder(folder: Path) -> Outcome:
@@ -107,7 +119,10 @@ CASES = (
     Case("stall", "Its wave generator hangs", struck("stall")),
     Case("narrow", "Its limits are narrower than it tells", struck("narrow")),
     Case("beyond", "A protocol asks for more than its limits", beyond),
-    Case("wide", "`--limits` wider than its own", lambda folder: against(folder, _FAST, "--limits", "-50", "300")),
+    Case("wide", "`--limits` wider than its own", lambda folder: against(folder, _HURRIED, "--limits", "-50", "300")),
+    Case("astray", "Somebody left it at 150 V, `--limits 0 100`",
+         left("SVO 1 0", "SVA 1 150", options=("--limits", "0", "100"))),
+    Case("servo", "Its servo was left on, and then the link is lost", left("SVO 1 1")),
     Case("saturate", "The sensor saturates", struck("saturate")),
     Case("unplug", "The sensor's cable comes off in mid-wave", struck("unplug")),
     Case("dead", "The sensor was never plugged in", struck("unplug@0s")),

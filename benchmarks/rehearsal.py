@@ -2,7 +2,6 @@
 
 import contextlib
 import re
-import resource
 import shutil
 import signal
 import socket
@@ -12,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 from dehyst import DehystError, read
@@ -45,7 +45,8 @@ class Outcome:
     """What became of a command.
 
     `said` is what stands on standard error, without progress; `seconds` it took from the fault on, or from its start
-    where there is nothing else to count from; `came` are samples that it says came, None if it could not say;
+    where there is nothing else to count from; `came` are samples that it says came, or of one that was killed
+    those that it had written by then, None if nobody knows;
     `on_disk` those that are read from its folder; `left` the names of what lies there besides.
     """
 
@@ -138,17 +139,13 @@ def calibrate(
 
     `largest_file` [bytes] makes a full disk of any; `deaf` closes the pipe that it speaks into, once it has begun.
     """
-
-    def limit() -> None:
-        if largest_file is not None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
-
-    command = [*DEHYST, "calibrate", address, "-o", str(folder), *options]
+    python, flag, program = DEHYST
+    if largest_file is not None:
+        program = f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, ({largest_file}, {largest_file})); {program}"
+    command = [python, flag, program, "calibrate", address, "-o", str(folder), *options]
     began = time.monotonic()
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, preexec_fn=limit
-    )  # fmt: skip
-    since, lines = began, []
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    since, journalled, lines = began, 0, []
     if deaf:
         lines.append(process.stderr.readline())
         process.stderr.close()
@@ -159,14 +156,22 @@ def calibrate(
         if act is not None:
             while process.poll() is None and not act.when(folder):
                 time.sleep(0.005)
-            since = time.monotonic()
+            since, journalled = time.monotonic(), _journalled(folder)
             act.do(process)
         process.wait(_PATIENCE)
         reader.join(10)
     ended = time.monotonic()
     if served is not None and served.struck is not None:
         since = served.struck
-    return _outcome("".join(lines).splitlines(), process.returncode, ended - since, folder)
+    found = _outcome("".join(lines).splitlines(), process.returncode, ended - since, folder)
+    if found.came is None and act is not None:
+        found.came = journalled
+    return found
+
+
+def _journalled(folder: Path) -> int:
+    """Whole lines of samples in a journal that is being written."""
+    return sum(path.read_bytes().count(b"\n") - 2 for path in (folder / "records").glob("*.part.csv"))
 
 
 def _outcome(lines: list[str], status: int, seconds: float, folder: Path) -> Outcome:
@@ -201,8 +206,6 @@ def _on_disk(folder: Path) -> tuple[int, list[str]]:
 @contextlib.contextmanager
 def web_server() -> Iterator[str]:
     """Something that is no controller."""
-    from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-
     class Quiet(BaseHTTPRequestHandler):
         def log_message(self, *_: object) -> None:
             pass
@@ -224,6 +227,14 @@ def client_of(address: str) -> Iterator[None]:
         link.sendall(b"*IDN?\n")
         link.recv(1000)
         yield
+
+
+def spoken_to(address: str, *commands: str) -> None:
+    """Let somebody else leave the controller in another state."""
+    host, port = address.removeprefix("pi://").split(":")
+    with socket.create_connection((host, int(port))) as link:
+        link.sendall("".join(f"{command}\n" for command in (*commands, "ERR?")).encode())
+        link.recv(1000)
 
 
 def closed_port() -> str:
