@@ -112,7 +112,7 @@ def test_what_is_beyond_the_limits_is_never_put_out(at_rest):
 def test_no_number_is_refused_and_the_error_stays(at_rest):
     put(at_rest, "VOLTAGE", 20.0)
     put(at_rest, "VOLTAGE", np.nan)
-    assert text(at_rest, "ERROR") == "VOLTAGE: got nan V, need 0 to 200 V; nothing was sent"
+    assert text(at_rest, "ERROR") == "VOLTAGE: got nan V, which is out of the amplifier's range; nothing was sent"
     assert (get(at_rest, "VOLTAGE"), get(at_rest, "VOLTAGE:RBV")) == (20.0, 20.0)
     put(at_rest, "VOLTAGE", 25.0)
     assert text(at_rest, "ERROR")
@@ -186,12 +186,22 @@ def test_a_voltage_in_mid_wave_is_refused(at_rest):
     assert get(at_rest, "VOLTAGE:RBV") == 0.0
 
 
+def test_a_wave_leaves_its_last_voltage_as_the_one_asked_for(at_rest):
+    """Processed without a new value, the record must not jump back."""
+    played(at_rest, np.linspace(0, 40, 100))
+    assert get(at_rest, "VOLTAGE") == 40.0
+    put(at_rest, "VOLTAGE.PROC", 1)
+    assert get(at_rest, "VOLTAGE:RBV") == 40.0
+
+
 def test_garbage_leaves_it_serving(at_rest):
-    """Texts for numbers, and arrays that are too long."""
+    """Texts for numbers, and arrays that are too long; nothing is done."""
+    played(at_rest, np.linspace(0, 40, 100))
     for name, value in (("VOLTAGE", "fast"), ("WAVE:VOLTAGE", np.zeros(9000)), ("WAVE:START", "perhaps")):
         assert not put(at_rest, name, value, throw=False).ok
+        assert (get(at_rest, "WAVE:BUSY"), get(at_rest, "VOLTAGE:RBV")) == (0, 40.0)
     put(at_rest, "VOLTAGE", 12.0)
-    assert get(at_rest, "VOLTAGE:RBV") == 12.0
+    assert (get(at_rest, "VOLTAGE:RBV"), text(at_rest, "ERROR")) == (12.0, "")
 
 
 def test_the_network_does_not_see_it(ioc):

@@ -67,6 +67,8 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         Seconds from one step to the next.
     settle : float, optional
         Seconds to wait at the end of a move, so that the IOC has read the sensor again.
+    timeout : float, optional
+        Seconds that one exchange with the IOC may take.
     names : PvNames, optional
     name : str, optional
         Of the device.
@@ -88,7 +90,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
 
     def __init__(
         self, prefix: str, actuator: Actuator, *, limits: Sequence[float] | None = None, slew_rate: float | None = None,
-        period: float = 0.02, settle: float = 0.1, names: PvNames = _NAMES, name: str = "",
+        period: float = 0.02, settle: float = 0.1, timeout: float = 5.0, names: PvNames = _NAMES, name: str = "",
     ) -> None:  # fmt: skip
         if number(period, "period") <= 0 or number(settle, "settle") < 0:
             raise ModelError(f"period, settle: got {period} and {settle} s, need more than 0, and 0 or more")
@@ -102,17 +104,18 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         self._moves, self._sends = asyncio.Lock(), asyncio.Lock()
         self._sent_at = 0.0
 
-        def readable(what: str | None) -> SignalR[float] | None:
-            return None if what is None else epics_signal_r(float, f"ca://{prefix}{names.joint}{what}")
+        def readable(what: str) -> SignalR[float]:
+            return epics_signal_r(float, f"ca://{prefix}{names.joint}{what}", timeout=timeout)
 
         with self.add_children_as_readables():
             self.wanted, self._show_wanted = soft_signal_r_and_setter(float, units="um", precision=5)
         with self.add_children_as_readables(StandardReadableFormat.UNCACHED_SIGNAL):
-            self.voltage = epics_signal_rw(float, f"ca://{prefix}{names.joint}{names.voltage}")
+            self.voltage = epics_signal_rw(float, f"ca://{prefix}{names.joint}{names.voltage}", timeout=timeout)
         with self.add_children_as_readables(StandardReadableFormat.HINTED_UNCACHED_SIGNAL):
-            self.position = epics_signal_r(float, f"ca://{prefix}{names.joint}{names.position}")
-        self.readback = epics_signal_r(float, f"ca://{prefix}{names.joint}{names.readback}")
-        self.low, self.high, self.slew = map(readable, (names.low, names.high, names.slew))
+            self.position = readable(names.position)
+        self.readback = readable(names.readback)
+        told = (names.low, names.high, names.slew)
+        self.low, self.high, self.slew = (None if each is None else readable(each) for each in told)
         super().__init__(name=name)
 
     @property

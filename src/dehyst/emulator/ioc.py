@@ -49,7 +49,7 @@ class Ioc:
     def __init__(self, instrument: Instrument, prefix: str, lock: AbstractContextManager[Any]) -> None:
         self.prefix = prefix
         self._instrument, self._lock = instrument, lock
-        self._shown = -1
+        self._shown, self._played = -1, False
         self._records: dict[str, Any] = {}
 
     def build(self, builder: Any) -> None:
@@ -78,7 +78,7 @@ class Ioc:
             "WAVE:PERIOD": builder.aOut("WAVE:PERIOD", EGU="s", PREC=6, initial_value=100 * bench.servo_period,
                                         on_update=self._does(self._set_period), **command),
             "WAVE:START": builder.Action("WAVE:START", on_update=self._does(self._start), blocking=True),
-            "WAVE:STOP": builder.Action("WAVE:STOP", on_update=self._does(lambda _: bench.stop()), blocking=True),
+            "WAVE:STOP": builder.Action("WAVE:STOP", on_update=self._does(self._stop), blocking=True),
         }  # fmt: skip
 
     def _readable(self, builder: Any) -> None:
@@ -124,8 +124,7 @@ class Ioc:
             raise
         if not sent:
             self._show("VOLTAGE", self._instrument.voltage)
-            low, high = self._instrument.limits
-            raise RigError(f"VOLTAGE: got {voltage:.6g} V, need {low:.6g} to {high:.6g} V; nothing was sent")
+            raise RigError(f"VOLTAGE: got {voltage:.6g} V, which is out of the amplifier's range; nothing was sent")
 
     def _set_period(self, period: float) -> None:
         servo = self._instrument.servo_period
@@ -134,10 +133,20 @@ class Ioc:
             raise RigError(f"WAVE:PERIOD: got {period} s, need a positive number of seconds")
         self._show("WAVE:PERIOD", max(1, round(period / servo)) * servo)
 
-    def _start(self, _: Any) -> None:
-        wave: Array = self._records["WAVE:VOLTAGE"].get()
-        self._shown = -1
-        self._instrument.start(wave, max(1, round(self._records["WAVE:PERIOD"].get() / self._instrument.servo_period)))
+    def _start(self, asked: int) -> None:
+        # A put that is no number fails, but has the record processed at its old value all the same.
+        self._show("WAVE:START", 0)
+        if asked:
+            wave: Array = self._records["WAVE:VOLTAGE"].get()
+            periods = round(self._records["WAVE:PERIOD"].get() / self._instrument.servo_period)
+            self._shown = -1
+            self._instrument.start(wave, max(1, periods))
+            self._played = True
+
+    def _stop(self, asked: int) -> None:
+        self._show("WAVE:STOP", 0)
+        if asked:
+            self._instrument.stop()
 
     def _show(self, name: str, value: Any) -> None:
         """Put a value into a record without doing what a client's put does."""
@@ -159,6 +168,10 @@ class Ioc:
                 self._records[name].set(values)
             self._records["REC:POSITION"].set(_MICRO * rows[2])
             self._records["REC:COUNT"].set(recorded)
+        if self._played and not busy:
+            self._played = False
+            # What was asked for before the wave is over: processed once more, it would be a jump.
+            self._show("VOLTAGE", voltage)
         self._records["VOLTAGE:RBV"].set(voltage)
         self._records["POSITION"].set(_MICRO * position)
         self._records["WAVE:BUSY"].set(busy)

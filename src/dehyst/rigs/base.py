@@ -54,7 +54,7 @@ class AbstractRig(ABC):
     longest : int, optional
         Samples that one `_wave` takes; default any number.
     axis : str
-        Which of the device's axes this is.
+        Of the device.
 
     Attributes
     ----------
@@ -287,8 +287,9 @@ class AbstractRig(ABC):
         try:
             for samples in wave:
                 admitted = look.admit(samples)
-                yield admitted
-                look.judge(admitted)
+                if admitted.time.size:
+                    yield admitted
+                    look.judge(admitted)
         finally:
             if isinstance(wave, Generator):
                 wave.close()
