@@ -9,7 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +83,7 @@ def beyond(folder: Path) -> Outcome:
     """A protocol of 250 V."""
     swing = 125 * (1 - np.cos(2 * np.pi * np.arange(401) / 400))
     lines = [f"{t:.6g},{v:.6g}\n" for t, v in zip(np.arange(401) / 400, swing, strict=True)]
-        (folder / "beyond.csv").write_text("time_s,voltage_V\n" + "".join(lines))
+    (folder / "beyond.csv").write_text("time_s,voltage_V\n" + "".join(lines))
     return against(folder, _FAST, "--protocol", str(folder / "beyond.csv"))
 
 
@@ -147,11 +147,12 @@ def rehearse(case: Case) -> Outcome:
 
 def line(case: Case, found: Outcome) -> str:
     put = found.put_out
-    volts = "" if put is None else f"{put.lowest:g} to {put.highest:g} V, {put.steepest:.0f} V/s, now {put.now:g} V"
-    told = "" if put is None else f" of {put.told}"
-    end = "" if found.again is None else f"; again: {found.again.status}"
-    return (f"{case.name:10s} {found.status:4d} {found.seconds:6.1f} s {found.came!s:>6} came{told}, {found.on_disk:6d} "
-            f"on disk; {volts}{end}\n" + "".join(f"    {one}\n" for one in (*found.said, *found.left)))  # fmt: skip
+    cells = [f"{case.name:10s} {found.status:4d} {found.seconds:5.1f} s", f"{found.came} came", f"{found.on_disk} kept"]
+    if put is not None:
+        cells.append(f"{put.told:5d} told; {put.lowest:g} to {put.highest:g} V, {put.steepest:.0f} V/s, {put.now:g} V")
+    if found.again is not None:
+        cells.append(f"again: {found.again.status}")
+    return "\n    ".join([", ".join(cells), *found.said, *found.left])
 
 
 def main() -> None:
@@ -160,9 +161,9 @@ def main() -> None:
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(rehearse, chosen))
     for case, one in zip(chosen, found, strict=True):
-        print(line(case, one), end="")
+        print(line(case, one))
     if len(chosen) == len(CASES):
-        told = {case.name: {"words": case.words, **one.as_dict()} for case, one in zip(chosen, found, strict=True)}
+        told = {case.name: {"words": case.words, **asdict(one)} for case, one in zip(chosen, found, strict=True)}
         write_atomically(HERE / "faults.json", (json.dumps(told, indent=1) + "\n").encode())
 
 

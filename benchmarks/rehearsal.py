@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -58,9 +58,6 @@ class Outcome:
     put_out: PutOut | None = None
     again: "Outcome | None" = None
     left: list[str] = field(default_factory=list)
-
-    def as_dict(self) -> dict:
-        return asdict(self)
 
 
 class Served:
@@ -206,6 +203,7 @@ def _on_disk(folder: Path) -> tuple[int, list[str]]:
 @contextlib.contextmanager
 def web_server() -> Iterator[str]:
     """Something that is no controller."""
+
     class Quiet(BaseHTTPRequestHandler):
         def log_message(self, *_: object) -> None:
             pass
