@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from dehyst import Actuator, DehystError, FileFormatError, RecordError, read
+from dehyst._errors import DeviceError
 from dehyst.calibrate import Plan, calibrate, steps
+from dehyst.excitation import Excitation
 from dehyst.excite import raised_cosine
 from dehyst.protocol import Pace, creep_of
 from dehyst.rigs.simulated import SimulatedRig
@@ -106,9 +108,10 @@ def test_a_second_call_plays_nothing(finished):
 
 def test_it_goes_on_after_an_interrupt(tmp_path):
     truth = PlayActuator()
-    first = Heard("others", after=500)
+    first, rig = Heard("others", after=500), SimulatedRig(truth)
     with pytest.raises(KeyboardInterrupt) as caught:
-        calibrate(SimulatedRig(truth), tmp_path, watcher=first)
+        calibrate(rig, tmp_path, watcher=first)
+    assert rig.instrument.log.steepest <= rig.slew_rate * (1 + 1e-6)
     assert "brought to 0 V" in caught.value.__notes__[0]
     cut = read(tmp_path / "records" / "others.h5")
     assert cut.meta["complete"] is False
@@ -152,7 +155,45 @@ def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
     rig = SimulatedRig(PlayActuator(), limits=(0, 100))
     with pytest.raises(RecordError, match=r"raised-cosine: 0 to 150 V, but .* may have 0 to 100 V"):
         calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
-    assert rig.instrument.log.highest <= 100
+    assert rig.instrument.log.highest == 0
+    assert not (tmp_path / "records").exists()
+
+
+def test_it_retreats_from_what_stops_it_between_records(tmp_path):
+    """The given protocol ends at 100 V, where the voltage stays while the model is identified."""
+    rising = raised_cosine([200, 100], cycles=1, drive=Pace(0, 200, 400.0).drive())
+    given = Excitation("rising", rising.voltage[:-200], rising.sample_rate)
+    rig = SimulatedRig(PlayActuator())
+
+    class Impatient(Heard):
+        def step(self, name, seconds=0.0):
+            super().step(name, seconds)
+            if name == "others":
+                assert rig.instrument.voltage == 100
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Impatient())
+    assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
+    assert rig.instrument.voltage == 0
+
+
+def test_a_wave_that_was_left_playing_is_stopped_first(tmp_path):
+    rig = SimulatedRig(PlayActuator())
+    rig.instrument.start(np.linspace(0, 150, 5000), 100)
+    first = Heard("look", after=100)
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(rig, tmp_path, watcher=first)
+    assert read(tmp_path / "records" / "look.h5").voltage[0] == 0
+
+
+def test_a_record_without_samples_is_not_left(tmp_path):
+    rig = SimulatedRig(PlayActuator())
+    rig._wave = lambda voltage, rate: iter(())
+    with pytest.raises(DeviceError, match=r"recorded 0 of \d+ samples") as caught:
+        calibrate(rig, tmp_path, watcher=Heard())
+    assert len(caught.value.__notes__) == 1
+    assert list((tmp_path / "records").iterdir()) == []
 
 
 def test_steps_send_nothing_and_fit_the_limits():

@@ -123,14 +123,20 @@ class Campaign:
         meta = {"rig": self.rig.name, "axis": self.rig.axis, "excitation": excitation.name, "key": key,
                 "program": __version__}  # fmt: skip
         rows = self.rig.rows(len(excitation))
-        with Recording(path, name=name, meta=meta) as recording:
+        recording = Recording(path, name=name, meta=meta)
+        try:
+            with recording:
 
-            def listen(samples: Samples) -> None:
-                here = rows[recording.samples : recording.samples + samples.time.size]
-                recording.add(samples)
-                self._watcher.samples(samples, None if wanted is None else wanted[here], stroke)
+                def listen(samples: Samples) -> None:
+                    here = rows[recording.samples : recording.samples + samples.time.size]
+                    recording.add(samples)
+                    self._watcher.samples(samples, None if wanted is None else wanted[here], stroke)
 
-            recording.finish(self.rig.play(excitation, listen))
+                recording.finish(self.rig.play(excitation, listen))
+        except BaseException:
+            if not recording.samples:
+                path.unlink(missing_ok=True)
+            raise
         record = read(path)
         self.played.append(name)
         self.sequence.append(record)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shlex
+import signal
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -59,6 +61,7 @@ def calibrate(
     given = tuple(_excitation(path) for path in options.pop("protocol"))
     plan = Plan(protocol=given, **options)
     with _told(output), open_rig(rig, limits=limits, slew_rate=slew) as instrument:
+        _say_less(instrument, limits, slew)
         if dry_run:
             _say_steps(instrument, plan, as_json)
             return
@@ -82,6 +85,15 @@ def _excitation(path: Path) -> Excitation:
     if not steps.size or float(np.ptp(steps)) > 1e-3 * float(np.median(steps)):
         raise FileFormatError(f"{path}: the times are not evenly spaced; make it with dehyst excite, or resample it")
     return Excitation(path.stem, voltage, 1 / float(np.median(steps)))
+
+
+def _say_less(rig: AbstractRig, limits: tuple[float, float] | None, slew: float | None) -> None:
+    """Say where the device allows less than was asked for."""
+    allowed = rig.limits
+    if limits is not None and (allowed.low, allowed.high) != limits:
+        _say(f"{limits[0]:g} to {limits[1]:g} V was given, the device allows {allowed.words}")
+    if slew is not None and rig.slew_rate < slew:
+        _say(f"{slew:g} V/s was given, the device allows {rig.slew_rate:.6g} V/s")
 
 
 def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
@@ -128,15 +140,31 @@ def _told(output: Path) -> Iterator[None]:
     """Say what became of voltage and samples when an instrument or the user stops it; instead of a traceback."""
     from dehyst._errors import DehystError
 
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: _say(str(message))
+        try:
+            yield
+        except (DehystError, KeyboardInterrupt, SystemExit) as error:
+            said = str(error) if isinstance(error, DehystError) else f"stopped by {_stopper(error)}"
+            for line in (said, *getattr(error, "__notes__", ()), *_left(output, error)):
+                _say(line)
+            sys.exit(_status(error))
+
+
+def _say(line: str) -> None:
+    # Whoever read this may be gone.
+    with suppress(OSError):
+        click.echo(f"dehyst: {line}", err=True)
+
+
+def _stopper(error: BaseException) -> str:
+    """What stopped it: Ctrl-C, or a signal by its name."""
+    if isinstance(error, KeyboardInterrupt):
+        return "Ctrl-C"
     try:
-        yield
-    except (DehystError, KeyboardInterrupt, SystemExit) as error:
-        said = [str(error) if isinstance(error, DehystError) else "stopped", *getattr(error, "__notes__", ())]
-        for line in (*said, *_left(output, error)):
-            # Whoever read this may be gone.
-            with suppress(OSError):
-                click.echo(f"dehyst: {line}", err=True)
-        sys.exit(_status(error))
+        return signal.Signals(_status(error) - 128).name
+    except ValueError:
+        return "something that asked it to"
 
 
 def _left(output: Path, error: BaseException) -> Iterator[str]:

@@ -63,17 +63,16 @@ def serve(
 
     rehearsed = [Fault.parse(text) for text in faults]
     instrument, told = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
-    lock, rehearsal = threading.Lock(), Rehearsal(rehearsed)
-    server = Server(Controller(instrument, told=told), host=host, port=port, lock=lock, rehearsal=rehearsal)
+    lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, tell=lambda words: click.echo(f"fault: {words}"))
+    controller = Controller(instrument, told=told)
+    server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
     if epics is not None:
         _serve_epics(instrument, epics, lock)
     with _until_told(server):
         click.echo(f"serving {actuator}, {told[0]:g} to {told[1]:g} V, on pi://{host}:{server.port}")
         sys.stdout.flush()
         server.serve(seconds)
-    for said in rehearsal.said:
-        click.echo(f"fault: {said}")
-    click.echo(_tally(instrument))
+    click.echo(f"{_tally(instrument)}, {controller.recorder.told} samples told")
 
 
 def _instrument(
@@ -124,7 +123,7 @@ def _until_told(server: Server) -> Iterator[None]:
 
 def _tally(instrument: Instrument) -> str:
     log, present = instrument.log, instrument.voltage
-    refused = f"; {log.refused} requests refused" if log.refused else ""
+    refused = f", {log.refused} requests refused" if log.refused else ""
     return (
         f"put out {log.lowest:.6g} to {log.highest:.6g} V, largest step {log.largest_step:.4g} V, steepest "
         f"{log.steepest:.6g} V/s, now at {present:.6g} V{refused}"

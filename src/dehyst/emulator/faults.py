@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,13 +84,18 @@ class Rehearsal:
     faults : iterable of Fault
     seed : int, optional
         Of what is garbled.
+    tell : callable, optional
+        Gets a sentence when one comes.
     """
 
-    def __init__(self, faults: Iterable[Fault] = (), *, seed: int = 0) -> None:
+    def __init__(
+        self, faults: Iterable[Fault] = (), *, seed: int = 0, tell: Callable[[str], None] = lambda _: None
+    ) -> None:  # fmt: skip
         self._to_come = [fault for fault in faults if fault.name != "narrow"]
         self._random = np.random.default_rng(seed)
         self._silent, self._spoil = False, ""
         self.said: list[str] = []
+        self._tell = tell
 
     def strike(self, controller: Controller) -> set[str]:
         """Let come what is due; the names of those that the link has to see to: drop, refuse."""
@@ -98,6 +103,7 @@ class Rehearsal:
         for fault in due:
             self._to_come.remove(fault)
             self.said.append(f"{fault.name}: {FAULTS[fault.name]}")
+            self._tell(self.said[-1])
             self._strike(fault.name, controller)
         return {fault.name for fault in due} & {"drop", "refuse"}
 

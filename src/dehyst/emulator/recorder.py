@@ -21,6 +21,11 @@ class Recorder:
     instrument : Instrument
     axis : str
         Name of the axis, and of its output channel.
+
+    Attributes
+    ----------
+    told : int
+        Rows that DRR? has ever answered with.
     """
 
     def __init__(self, instrument: Instrument, axis: str) -> None:
@@ -28,6 +33,7 @@ class Recorder:
         self.options = {1: POSITION, 2: VOLTAGE}
         self.trigger = ("1", "0")
         self.divider, self._stride, self._period = 1, 1, instrument.servo_period
+        self.told = 0
 
     def begin(self, divider: int) -> None:
         """A wave starts whose samples are `divider` servo periods apart; the recorder takes each, or every nth."""
@@ -83,6 +89,7 @@ class Recorder:
         stop = min(available, first - 1 + count)
         columns = [self._column(table)[first - 1 : stop].tolist() for table in tables]
         rows = [" ".join(map(numeral, row)) for row in zip(*columns, strict=True)]
+        self.told += len(rows)
         return lines(*self._header(tables, stop - first + 1), *rows)
 
     def help(self) -> list[str]:

@@ -186,7 +186,7 @@ class AbstractRig(ABC):
                     raise
             except BaseException as error:
                 if not any(note.startswith(_TOLD) for note in getattr(error, "__notes__", ())):
-                    error.add_note(self._retreated())
+                    error.add_note(self._retreated(error))
                 raise
 
     @final
@@ -253,8 +253,9 @@ class AbstractRig(ABC):
         step = self.slew_rate * _TICK
         while present != end:
             present = end if abs(end - present) <= step else present + math.copysign(step, end - present)
-            self._put(self.limits.nearest(present))
+            # First, too: a wave may have been stopped just now.
             self._wait(_TICK)
+            self._put(self.limits.nearest(present))
 
     def _present(self) -> float:
         """The voltage that is read [V]; a readback's error may put it a little outside of the limits."""
@@ -298,14 +299,13 @@ class AbstractRig(ABC):
         if self._closed:
             raise RigError(f"{self.name}: is closed; open it again")
 
-    def _retreated(self) -> str:
+    def _retreated(self, first: BaseException) -> str:
         """Retreat if the link still lives; what became of it, as a sentence."""
         try:
             return f"{_TOLD} was brought to {self.retreat():.6g} V."
-        except Exception as error:  # whatever a leaf or its library raises, the first error is the one to be told
+        except Exception as error:  # a leaf's library may raise anything; the first error is the one to be told
             with suppress(Exception):
                 self.close()
-            return (
-                f"{_TOLD} could not be brought to {self.safe:.6g} V ({error}): the device holds, or plays to its "
-                "end, what it has; see to it by hand."
-            )
+            why = "" if str(error) == str(first) else f" ({error})"
+            told = f"{_TOLD} could not be brought to {self.safe:.6g} V{why}"
+            return f"{told}: the device holds, or plays to its end, what it has; see to it by hand."

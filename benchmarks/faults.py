@@ -1,0 +1,172 @@
+"""Every fault of a bench, rehearsed with real processes; writes `faults.json`, and prints what became of each.
+
+Names on the command line choose some of them, and nothing is written then.
+"""
+
+import contextlib
+import json
+import sys
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from rehearsal import (
+    HANG_UP,
+    INTERRUPT,
+    KILL,
+    TERMINATE,
+    Outcome,
+    Served,
+    calibrate,
+    client_of,
+    closed_port,
+    sent,
+    spoken_to,
+    web_server,
+)
+
+from dehyst.files import write_atomically
+
+HERE = Path(__file__).resolve().parent
+# Loops a second, and seconds of the device in each second: fast, and slow enough for a signal in mid-wave.
+_OPTIONS = ("--frequency", "5")
+_HURRIED, _FAST, _SLOW = ("--speed", "20"), ("--speed", "5"), ("--speed", "2")
+# Bytes that a file may have on a disk that is full.
+_FULL = 60_000
+
+
+@dataclass(frozen=True)
+class Case:
+    """A fault: its name, what happens in words, and how it is rehearsed in an empty folder."""
+
+    name: str
+    words: str
+    run: Callable[[Path], Outcome]
+
+
+def struck(fault: str, *options: str) -> Callable[[Path], Outcome]:
+    """A fault of the emulator's."""
+    return lambda folder: against(folder, (*_FAST, "--fault", fault), *options)
+
+
+def against(folder: Path, serve: tuple[str, ...], *options: str, again: bool = False, **how: object) -> Outcome:
+    """A command against an emulator; `again` gives the same command once more."""
+    with Served(*serve) as served:
+        found = calibrate(served.address, folder / "out", *_OPTIONS, *options, served=served, **how)
+        if again:
+            found.again = calibrate(served.address, folder / "out", *_OPTIONS, *options)
+        found.put_out = served.end()
+    return found
+
+
+def nobody(address: str, folder: Path) -> Outcome:
+    return calibrate(address, folder / "out", *_OPTIONS)
+
+
+def web(folder: Path) -> Outcome:
+    with web_server() as address:
+        return nobody(address, folder)
+
+
+def taken(folder: Path) -> Outcome:
+    with Served(*_FAST) as served:
+        with client_of(served.address):
+            found = nobody(served.address, folder)
+        found.put_out = served.end()
+    return found
+
+
+def beyond(folder: Path) -> Outcome:
+    """A protocol of 250 V."""
+    swing = 125 * (1 - np.cos(2 * np.pi * np.arange(401) / 400))
+    lines = [f"{t:.6g},{v:.6g}\n" for t, v in zip(np.arange(401) / 400, swing, strict=True)]
+    (folder / "beyond.csv").write_text("time_s,voltage_V\n" + "".join(lines))
+    return against(folder, _FAST, "--protocol", str(folder / "beyond.csv"))
+
+
+def left(*commands: str, options: tuple[str, ...] = ()) -> Callable[[Path], Outcome]:
+    """A controller that somebody has left so."""
+
+    def run(folder: Path) -> Outcome:
+        with Served(*_FAST, "--fault", "drop") as served:
+            spoken_to(served.address, *commands)
+            found = calibrate(served.address, folder / "out", *_OPTIONS, *options, served=served)
+            found.put_out = served.end()
+        return found
+
+    return run
+
+
+def not_a_folder(folder: Path) -> Outcome:
+    (folder / "out").write_text("a file")
+    return against(folder, _FAST)
+
+
+CASES = (
+    Case("nobody", "Nobody listens at the port", lambda folder: nobody(closed_port(), folder)),
+    Case("unknown", "The host is not known", lambda folder: nobody("pi://no-such-host.invalid:50000", folder)),
+    Case("web", "A web server listens", web),
+    Case("taken", "Another client is connected", taken),
+    Case("drop", "The connection is lost in mid-wave", struck("drop")),
+    Case("refuse", "It is lost, and none taken any more", struck("refuse")),
+    Case("silence", "No command is answered any more", struck("silence")),
+    Case("garble", "An answer comes garbled", struck("garble")),
+    Case("truncate", "An answer comes cut off", struck("truncate")),
+    Case("error", "The controller stops, with an error", struck("error")),
+    Case("stall", "Its wave generator hangs", struck("stall")),
+    Case("narrow", "Its limits are narrower than it tells", struck("narrow")),
+    Case("beyond", "A protocol asks for more than its limits", beyond),
+    Case("wide", "`--limits` wider than its own", lambda folder: against(folder, _HURRIED, "--limits", "-50", "300")),
+    Case("astray", "Somebody left it at 150 V, `--limits 0 100`",
+         left("SVO 1 0", "SVA 1 150", options=("--limits", "0", "100"))),
+    Case("servo", "Its servo was left on, and then the link is lost", left("SVO 1 1")),
+    Case("saturate", "The sensor saturates", struck("saturate")),
+    Case("unplug", "The sensor's cable comes off in mid-wave", struck("unplug")),
+    Case("dead", "The sensor was never plugged in", struck("unplug@0s")),
+    Case("interrupt", "Ctrl-C in mid-wave", lambda folder: against(folder, _SLOW, act=sent(INTERRUPT))),
+    Case("impatient", "Ctrl-C three times", lambda folder: against(folder, _SLOW, act=sent(*3 * (INTERRUPT,)))),
+    Case("terminate", "SIGTERM in mid-wave", lambda folder: against(folder, _SLOW, act=sent(TERMINATE))),
+    Case("hang-up", "The terminal is closed", lambda folder: against(folder, _SLOW, act=sent(HANG_UP))),
+    Case("deaf", "Nobody reads its messages any more", lambda folder: against(folder, _FAST, deaf=True)),
+    Case("kill", "`kill -9` in mid-wave, then the same again",
+         lambda folder: against(folder, _SLOW, act=sent(KILL), again=True)),
+    Case("full", "The disk is full, and then is not",
+         lambda folder: against(folder, _FAST, largest_file=_FULL, again=True)),
+    Case("file", "The output folder is a file", not_a_folder),
+)  # fmt: skip
+
+
+def rehearse(case: Case) -> Outcome:
+    """Rehearse one in a folder of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        return case.run(Path(folder))
+
+
+def line(case: Case, found: Outcome) -> str:
+    put = found.put_out
+    cells = [f"{case.name:10s} {found.status:4d} {found.seconds:5.1f} s", f"{found.came} came", f"{found.on_disk} kept"]
+    if put is not None:
+        cells.append(f"{put.told:5d} told; {put.lowest:g} to {put.highest:g} V, {put.steepest:.0f} V/s, {put.now:g} V")
+    if found.again is not None:
+        cells.append(f"again: {found.again.status}")
+    return "\n    ".join([", ".join(cells), *found.said, *found.left])
+
+
+def main() -> None:
+    chosen = [case for case in CASES if len(sys.argv) == 1 or case.name in sys.argv[1:]]
+    # Most of the time is spent waiting for answers that do not come.
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(rehearse, chosen))
+    for case, one in zip(chosen, found, strict=True):
+        print(line(case, one))
+    if len(chosen) == len(CASES):
+        told = {case.name: {"words": case.words, **asdict(one)} for case, one in zip(chosen, found, strict=True)}
+        write_atomically(HERE / "faults.json", (json.dumps(told, indent=1) + "\n").encode())
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(BrokenPipeError):
+        main()

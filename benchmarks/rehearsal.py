@@ -1,0 +1,245 @@
+"""A fault rehearsed: `dehyst rig serve` and `dehyst calibrate` as two real processes, and what became of it."""
+
+import contextlib
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+from dehyst import DehystError, read
+from dehyst.recording import salvage
+
+DEHYST = (sys.executable, "-c", "from dehyst.cli import main; main(prog_name='dehyst')")
+# No command takes longer, whatever happens to it.
+_PATIENCE = 90.0
+_PROGRESS = re.compile(r"dehyst: [a-z0-9-]+: (begins|done|failed)\b")
+_COUNTED = re.compile(r", ([\d ]+) samples")
+_TALLY = re.compile(
+    r"put out (?P<lowest>\S+) to (?P<highest>\S+) V, largest step \S+ V, steepest (?P<steepest>\S+) V/s, now at "
+    r"(?P<now>\S+) V(, (?P<refused>\d+) requests refused)?, (?P<told>\d+) samples told"
+)
+
+
+@dataclass
+class PutOut:
+    """What the emulator says it has put out: voltages [V], steepest [V/s], and how many samples it has told."""
+
+    lowest: float
+    highest: float
+    steepest: float
+    now: float
+    refused: int
+    told: int
+
+
+@dataclass
+class Outcome:
+    """What became of a command.
+
+    `said` is what stands on standard error, without progress; `seconds` it took from the fault on, or from its start
+    where there is nothing else to count from; `came` are samples that it says came, or of one that was killed
+    those that it had written by then, None if nobody knows;
+    `on_disk` those that are read from its folder; `left` the names of what lies there besides.
+    """
+
+    said: list[str]
+    status: int
+    seconds: float
+    came: int | None
+    on_disk: int
+    put_out: PutOut | None = None
+    again: "Outcome | None" = None
+    left: list[str] = field(default_factory=list)
+
+
+class Served:
+    """`dehyst rig serve` on any free port; at its end it says what it has put out."""
+
+    def __init__(self, *options: str) -> None:
+        command = [*DEHYST, "rig", "serve", "--port", "0", *options]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        self.lines: list[tuple[float, str]] = []
+        self._serving = threading.Event()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        if not self._serving.wait(30) or "pi://" not in self.lines[0][1]:
+            raise RuntimeError(f"dehyst rig serve: {self.lines}")
+        self.address = re.search(r"pi://\S+", self.lines[0][1])[0]
+
+    def __enter__(self) -> "Served":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    @property
+    def struck(self) -> float | None:
+        """When the fault came [s of time.monotonic]."""
+        return next((at for at, line in self.lines if line.startswith("fault: ")), None)
+
+    def end(self) -> PutOut:
+        """Let it end, and say."""
+        if self._process.poll() is None:
+            self._process.terminate()
+        self._process.wait(10)
+        self._reader.join(10)
+        found = _TALLY.fullmatch(self.lines[-1][1])
+        told = {key: float(value or 0) for key, value in found.groupdict().items()}
+        return PutOut(**{**told, "refused": int(told["refused"]), "told": int(told["told"])})
+
+    def _read(self) -> None:
+        for line in self._process.stdout:
+            self.lines.append((time.monotonic(), line.strip()))
+            self._serving.set()
+        self._serving.set()
+
+
+@dataclass(frozen=True)
+class Act:
+    """Something done to the command while it runs: `do(process)` as soon as `when(folder)`."""
+
+    do: Callable[[subprocess.Popen], None]
+    when: Callable[[Path], bool]
+
+
+def recording(folder: Path, size: int = 40_000) -> bool:
+    """Whether a record is in the midst of being made."""
+    with contextlib.suppress(OSError):
+        return any(path.stat().st_size > size for path in (folder / "records").glob("*.part.csv"))
+    return False
+
+
+def sent(*numbers: int) -> Act:
+    """Signals, one right after the other, while a record is made."""
+
+    def do(process: subprocess.Popen) -> None:
+        for number in numbers:
+            process.send_signal(number)
+            time.sleep(0.02)
+
+    return Act(do, recording)
+
+
+def calibrate(
+    address: str, folder: Path, *options: str, act: Act | None = None, largest_file: int | None = None,
+    served: Served | None = None, deaf: bool = False,
+) -> Outcome:  # fmt: skip
+    """Run `dehyst calibrate` to its end.
+
+    `largest_file` [bytes] makes a full disk of any; `deaf` closes the pipe that it speaks into, once it has begun.
+    """
+    python, flag, program = DEHYST
+    if largest_file is not None:
+        program = f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, ({largest_file}, {largest_file})); {program}"
+    command = [python, flag, program, "calibrate", address, "-o", str(folder), *options]
+    began = time.monotonic()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    since, journalled, lines = began, 0, []
+    if deaf:
+        lines.append(process.stderr.readline())
+        process.stderr.close()
+        process.wait(_PATIENCE)
+    else:
+        reader = threading.Thread(target=lambda: lines.extend(process.stderr), daemon=True)
+        reader.start()
+        if act is not None:
+            while process.poll() is None and not act.when(folder):
+                time.sleep(0.005)
+            since, journalled = time.monotonic(), _journalled(folder)
+            act.do(process)
+        process.wait(_PATIENCE)
+        reader.join(10)
+    ended = time.monotonic()
+    if served is not None and served.struck is not None:
+        since = served.struck
+    found = _outcome("".join(lines).splitlines(), process.returncode, ended - since, folder)
+    if found.came is None and act is not None:
+        found.came = journalled
+    return found
+
+
+def _journalled(folder: Path) -> int:
+    """Whole lines of samples in a journal that is being written."""
+    return sum(path.read_bytes().count(b"\n") - 2 for path in (folder / "records").glob("*.part.csv"))
+
+
+def _outcome(lines: list[str], status: int, seconds: float, folder: Path) -> Outcome:
+    counted = [_COUNTED.search(line) for line in lines if _PROGRESS.match(line)]
+    came = sum(int(found[1].replace(" ", "")) for found in counted if found)
+    begun = sum(": begins" in line for line in lines) - sum(bool(re.search(": (done|failed) ", line)) for line in lines)
+    said = [line.removeprefix("dehyst: ") for line in lines if not _PROGRESS.match(line)]
+    on_disk, left = _on_disk(folder)
+    return Outcome(said, status, seconds, None if begun else came, on_disk, left=left)
+
+
+def _on_disk(folder: Path) -> tuple[int, list[str]]:
+    """Samples that can be read from a folder, killed processes' too, and names of files that hold none."""
+    records = folder / "records"
+    if not records.is_dir():
+        return 0, []
+    copy = folder.parent / f"{folder.name}-looked-at"
+    shutil.copytree(records, copy)
+    try:
+        salvage(copy)
+        found, left = 0, []
+        for path in sorted(copy.iterdir()):
+            try:
+                found += len(read(path))
+            except DehystError:
+                left.append(path.name)
+        return found, left
+    finally:
+        shutil.rmtree(copy)
+
+
+@contextlib.contextmanager
+def web_server() -> Iterator[str]:
+    """Something that is no controller."""
+
+    class Quiet(BaseHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Quiet)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"pi://127.0.0.1:{server.server_address[1]}"
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@contextlib.contextmanager
+def client_of(address: str) -> Iterator[None]:
+    """Somebody else, connected first."""
+    host, port = address.removeprefix("pi://").split(":")
+    with socket.create_connection((host, int(port))) as link:
+        link.sendall(b"*IDN?\n")
+        link.recv(1000)
+        yield
+
+
+def spoken_to(address: str, *commands: str) -> None:
+    """Let somebody else leave the controller in another state."""
+    host, port = address.removeprefix("pi://").split(":")
+    with socket.create_connection((host, int(port))) as link:
+        link.sendall("".join(f"{command}\n" for command in (*commands, "ERR?")).encode())
+        link.recv(1000)
+
+
+def closed_port() -> str:
+    """An address where nobody listens."""
+    with socket.socket() as link:
+        link.bind(("127.0.0.1", 0))
+        return f"pi://127.0.0.1:{link.getsockname()[1]}"
+
+
+INTERRUPT, TERMINATE, HANG_UP, KILL = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL
