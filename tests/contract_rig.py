@@ -13,23 +13,17 @@ from dataclasses import astuple
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+import epics_bench
 import fake_nidaqmx
 import numpy as np
+import pi_bench
 import pytest
-from fake_gcs import Clock
 from fake_rig import FakeRig
-from ioc_process import IocProcess, RemoteInstrument
-from meddler import PipeLink, QuickRig
 
 from dehyst import ClampWarning
 from dehyst._errors import DeviceError, RecordError, RigError, SensorError
-from dehyst.emulator.controller import Controller
-from dehyst.emulator.server import Server
 from dehyst.excitation import Excitation
-from dehyst.instrument import Instrument
-from dehyst.rigs.epics import EpicsRig
 from dehyst.rigs.nidaqmx import NiRig
-from dehyst.rigs.pi import PiRig
 from dehyst.rigs.simulated import SimulatedRig
 from dehyst.truths import PlayActuator
 
@@ -73,77 +67,14 @@ def daq_card(**options):
         yield rig, card
 
 
-class Locked:
-    """An instrument that a server looks after at the same time."""
-
-    def __init__(self, instrument, lock):
-        self.__dict__.update(instrument=instrument, lock=lock)
-
-    def __getattr__(self, name):
-        with self.lock:
-            return getattr(self.instrument, name)
-
-    def __setattr__(self, name, value):
-        with self.lock:
-            setattr(self.instrument, name, value)
-
-
-def bench_of_pi(longest, **options):
-    # A controller divides its recorder between two tables.
-    return Instrument(
-        PlayActuator(highest=HIGH, noise=1e-10), limits=(LOW, HIGH), wave_points=longest, record_points=2 * longest,
-        **options,
-    )  # fmt: skip
-
-
-@contextmanager
-def pi(longest=65536, **options):
-    """Open a PI controller in this process, in a time of its own."""
-    clock = Clock()
-    instrument = bench_of_pi(longest, clock=clock)
-    controller = Controller(instrument)
-    controller.clock = clock
-    with QuickRig(PipeLink(controller), **options) as rig:
-        yield rig, instrument
-
-
-@contextmanager
-def pi_by_tcp(longest=65536, **options):
-    """Open a PI controller over a socket, in time twice as fast."""
-    instrument = bench_of_pi(longest, speed=2.0)
-    with (
-        Server(Controller(instrument), port=0) as server,
-        PiRig.connect("127.0.0.1", server.port, **options) as rig,
-    ):
-        yield rig, Locked(instrument, server.lock)
-
-
-IOCS = {}
-
-
-@contextmanager
-def epics(longest=65536, **options):
-    """Open an IOC over Channel Access, in time twice as fast; one process for all tests with tables of one length."""
-    for library in ("softioc", "aioca"):
-        pytest.importorskip(library, reason=f"{library} is not installed: EPICS cannot be served, or not be used")
-    if longest not in IOCS:
-        IOCS[longest] = IocProcess(
-            actuator={"highest": HIGH, "noise": 1e-10}, limits=(LOW, HIGH), speed=2.0, wave_points=longest,
-            record_points=longest,
-        )  # fmt: skip
-    instrument = RemoteInstrument(IOCS[longest])
-    with EpicsRig.connect(IOCS[longest].prefix, **options) as rig:
-        yield rig, instrument
-
-
 RIGS = [
     Candidate("fake", fake),
     Candidate("simulated", simulated),
     Candidate("National Instruments card, fake", daq_card),
     # Microvolts are sent.
-    Candidate("pi", pi, volts=1e-6),
-    Candidate("pi by tcp", pi_by_tcp, volts=1e-6),
-    Candidate("epics", epics),
+    Candidate("pi", pi_bench.by_pipe, volts=1e-6),
+    Candidate("pi by tcp", pi_bench.by_tcp, volts=1e-6),
+    Candidate("epics", epics_bench.by_channel_access),
 ]
 
 

@@ -321,7 +321,9 @@ def test_the_command_ends_with_the_tally_of_its_voltages(number):
         process.send_signal(number)
         said, _ = process.communicate(timeout=10)
     assert process.returncode == 0
-    assert re.fullmatch(r"put out -5 to 64 V, largest step 69 V, steepest [\d.e+]+ V/s; 1 requests refused\n", said)
+    assert re.fullmatch(
+        r"put out -5 to 64 V, largest step 69 V, steepest [\d.e+]+ V/s, now at [\d.-]+ V; 1 requests refused\n", said
+    )
 
 
 def test_the_command_ends_by_itself_and_tells_its_faults():

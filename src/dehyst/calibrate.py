@@ -202,10 +202,15 @@ def calibrate(
         If the folder cannot be written.
     """
     told = watcher or Unwatched()
-    job = _Job(rig, Campaign(folder, rig, told), plan or Plan(), told)
-    found = job.run()
-    if found.played:
-        rig.retreat()
+    plan = plan or Plan()
+    for step in steps(rig, plan):
+        if step.excitation is not None:
+            rig.check(step.excitation)
+    job = _Job(rig, Campaign(folder, rig, told), plan, told)
+    with rig.safely():
+        found = job.run()
+        if found.played:
+            rig.retreat()
     job.write(found, command)
     return found
 

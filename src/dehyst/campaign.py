@@ -116,6 +116,9 @@ class Campaign:
         if path.exists():
             path.rename(numbered(path))
         room(self.records, len(excitation))
+        if not self.played:
+            # What a killed process left may still be playing.
+            self.rig.retreat()
         self._watcher.step(name, excitation.duration)
         meta = {"rig": self.rig.name, "axis": self.rig.axis, "excitation": excitation.name, "key": key,
                 "program": __version__}  # fmt: skip

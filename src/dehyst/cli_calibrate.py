@@ -6,7 +6,7 @@ import json
 import shlex
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +58,7 @@ def calibrate(
 
     given = tuple(_excitation(path) for path in options.pop("protocol"))
     plan = Plan(protocol=given, **options)
-    with open_rig(rig, limits=limits, slew_rate=slew) as instrument:
+    with _told(output), open_rig(rig, limits=limits, slew_rate=slew) as instrument:
         if dry_run:
             _say_steps(instrument, plan, as_json)
             return
@@ -119,36 +119,44 @@ def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
     from dehyst.live import display
 
     command = shlex.join(["dehyst", *sys.argv[1:]])
-    with _told(output), display(STEPS) as live:
+    with display(STEPS) as live:
         return run(rig, output, plan=plan, watcher=live, command=command)
 
 
 @contextmanager
 def _told(output: Path) -> Iterator[None]:
-    """Say what became of voltage and samples when an instrument or the user stops it."""
+    """Say what became of voltage and samples when an instrument or the user stops it; instead of a traceback."""
     from dehyst._errors import DehystError
 
     try:
         yield
     except (DehystError, KeyboardInterrupt, SystemExit) as error:
-        if isinstance(error, DehystError):
-            click.echo(f"dehyst: {error}", err=True)
-        else:
-            click.echo("dehyst: stopped", err=True)
-        for note in getattr(error, "__notes__", ()):
-            click.echo(f"dehyst: {note}", err=True)
-        click.echo(f"dehyst: what was recorded is in {output}/records; the same command goes on from there", err=True)
+        said = [str(error) if isinstance(error, DehystError) else "stopped", *getattr(error, "__notes__", ())]
+        for line in (*said, *_left(output, error)):
+            # Whoever read this may be gone.
+            with suppress(OSError):
+                click.echo(f"dehyst: {line}", err=True)
         sys.exit(_status(error))
 
 
+def _left(output: Path, error: BaseException) -> Iterator[str]:
+    """Where samples are, and whether the same command may go on, as sentences."""
+    from dehyst._errors import FileFormatError, RigError
+
+    records = output / "records"
+    if any(records.glob("*.h5*")):
+        again = not isinstance(error, Exception) or isinstance(error, RigError | FileFormatError)
+        yield f"what was recorded is in {records}" + ("; the same command goes on from there" if again else "")
+
+
 def _status(error: BaseException) -> int:
-    from dehyst._errors import RigError
+    from dehyst._errors import DeviceError, LinkError, SensorError
 
     if isinstance(error, KeyboardInterrupt):
         return 130
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
-    return 1 if isinstance(error, RigError) else 2
+    return 1 if isinstance(error, LinkError | DeviceError | SensorError) else 2
 
 
 def _print(found: Calibration, output: Path, as_json: bool) -> None:

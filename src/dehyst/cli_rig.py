@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from dehyst.amplifier import Extremes
     from dehyst.emulator.faults import Fault
     from dehyst.emulator.server import Server
     from dehyst.instrument import Instrument
@@ -74,7 +73,7 @@ def serve(
         server.serve(seconds)
     for said in rehearsal.said:
         click.echo(f"fault: {said}")
-    click.echo(_tally(instrument.log))
+    click.echo(_tally(instrument))
 
 
 def _instrument(
@@ -123,9 +122,10 @@ def _until_told(server: Server) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _tally(log: Extremes) -> str:
+def _tally(instrument: Instrument) -> str:
+    log, present = instrument.log, instrument.voltage
     refused = f"; {log.refused} requests refused" if log.refused else ""
     return (
         f"put out {log.lowest:.6g} to {log.highest:.6g} V, largest step {log.largest_step:.4g} V, steepest "
-        f"{log.steepest:.6g} V/s{refused}"
+        f"{log.steepest:.6g} V/s, now at {present:.6g} V{refused}"
     )

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import urlsplit
 
 from dehyst._errors import DehystError, RigError
 from dehyst.rigs.base import AbstractRig
@@ -46,37 +46,32 @@ def open_rig(address: str, *, limits: tuple[float, float] | None = None, slew_ra
         If a package is needed that is not installed.
     """
     asked: _Asked = {"limits": limits, "slew_rate": slew_rate}
-    scheme, separator, _ = address.partition("://")
+    scheme, separator, rest = address.partition("://")
     if separator:
         if scheme.lower() not in _OPENERS:
             raise RigError(f"{address}: there is no kind of rig called {scheme!r}; need {_FORMS}")
-        return _OPENERS[scheme.lower()](_split(address), asked)
+        return _OPENERS[scheme.lower()](rest, asked)
     path, separator, name = address.rpartition(":")
     if not (separator and path.endswith(".py") and name.isidentifier()):
         raise RigError(f"{address!r}: is no address of a rig; need {_FORMS}")
     return _own(Path(path), name, asked)
 
 
-def _split(address: str) -> SplitResult:
-    try:
-        parts = urlsplit(address)
-        _ = parts.port
-    except ValueError as error:
-        raise RigError(f"{address}: is no address of a rig ({error}); need {_FORMS}") from error
-    return parts
-
-
-def _pi(parts: SplitResult, asked: _Asked) -> AbstractRig:
+def _pi(rest: str, asked: _Asked) -> AbstractRig:
     from dehyst.rigs.pi import PORT, PiRig
 
+    try:
+        parts = urlsplit(f"//{rest}")
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise RigError(f"pi://{rest}: is no address of a rig ({error}); need pi://host:port") from error
     axis = parts.path.strip("/") or None
-    if not parts.hostname or parts.query or (axis and "/" in axis):
-        raise RigError(f"{parts.geturl()}: need pi://host:port, or pi://host:port/axis")
-    return PiRig.connect(parts.hostname, parts.port or PORT, axis=axis, **asked)
+    if not host or parts.query or parts.fragment or (axis and "/" in axis):
+        raise RigError(f"pi://{rest}: need pi://host:port, or pi://host:port/axis")
+    return PiRig.connect(host, PORT if port is None else port, axis=axis, **asked)
 
 
-def _epics(parts: SplitResult, asked: _Asked) -> AbstractRig:
-    prefix = parts.netloc + parts.path
+def _epics(prefix: str, asked: _Asked) -> AbstractRig:
     if not prefix:
         raise RigError("epics://: need the prefix of process variables, as in epics://LAB:PIEZO")
     from dehyst.rigs.epics import EpicsRig
@@ -84,8 +79,7 @@ def _epics(parts: SplitResult, asked: _Asked) -> AbstractRig:
     return EpicsRig.connect(prefix, **asked)
 
 
-def _sim(parts: SplitResult, asked: _Asked) -> AbstractRig:
-    name = parts.netloc + parts.path
+def _sim(name: str, asked: _Asked) -> AbstractRig:
     if not name:
         raise RigError("sim://: need play, creep, preisach, boucwen or /path/to/model.json behind it")
     from dehyst.rigs.simulated import SimulatedRig
@@ -94,10 +88,10 @@ def _sim(parts: SplitResult, asked: _Asked) -> AbstractRig:
     return SimulatedRig(virtual_actuator(name), **asked)
 
 
-def _ni(parts: SplitResult, asked: _Asked) -> AbstractRig:
+def _ni(rest: str, asked: _Asked) -> AbstractRig:
     from dehyst.rigs.nidaqmx import NiRig
 
-    return NiRig.of(parts.geturl(), **asked)
+    return NiRig.of(f"ni://{rest}", **asked)
 
 
 def _own(path: Path, name: str, asked: _Asked) -> AbstractRig:
@@ -128,6 +122,9 @@ def _module(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     # Dataclasses and pickle look for it there; a module of the same name is not replaced.
     sys.modules.setdefault(path.stem, module)
+    # As Python does with a script: what lies beside it can be imported.
+    if (folder := str(path.resolve().parent)) not in sys.path:
+        sys.path.insert(0, folder)
     try:
         spec.loader.exec_module(module)
     except Exception as error:
@@ -135,6 +132,6 @@ def _module(path: Path) -> ModuleType:
     return module
 
 
-_OPENERS: dict[str, Callable[[SplitResult, _Asked], AbstractRig]] = {
+_OPENERS: dict[str, Callable[[str, _Asked], AbstractRig]] = {
     "pi": _pi, "epics": _epics, "sim": _sim, "ni": _ni,
 }  # fmt: skip

@@ -29,6 +29,8 @@ __all__ = ["AbstractRig", "Listener", "Reading", "Samples"]
 
 # Seconds from one step of a ramp to the next; a host keeps no better time.
 _TICK = 0.01
+# How a note on an error begins that tells where the voltage was left.
+_TOLD = "The voltage"
 
 _Kind = TypeVar("_Kind", bound="np.generic[Any]")
 
@@ -115,7 +117,7 @@ class AbstractRig(ABC):
                 f"{asked:.6g} V was asked for and {sent:.6g} V sent: {self.limits.words} is allowed",
                 ClampWarning, stacklevel=2,
             )  # fmt: skip
-        with self._safely():
+        with self.safely():
             self._ramp(sent)
         return sent
 
@@ -146,13 +148,11 @@ class AbstractRig(ABC):
         RigError
             If the device, its link or its sensor fails.
         """
-        self._refuse_closed()
-        rate = self.nearest_rate(excitation.sample_rate)
-        refuse(excitation, rate, self.limits, self.name)
+        rate = self.check(excitation)
         came: list[Samples] = []
         span = self.limits.high - self.limits.low
         look, watch = Inspection(self.name, span), SensorWatch(span)
-        with self._safely():
+        with self.safely():
             self._ramp(float(excitation.voltage[0]))
             for piece in self._pieces(excitation.voltage):
                 # Closed before the retreat: what a leaf does at the end of a wave may not come after it.
@@ -163,6 +163,31 @@ class AbstractRig(ABC):
                         watch.see(samples.voltage, samples.displacement)
         time_, voltage, displacement = (np.concatenate(columns) for columns in zip(*came, strict=True))
         return Record(time_, voltage, displacement, excitation.name, {"rig": self.name, "axis": self.axis})
+
+    @final
+    def check(self, excitation: Excitation) -> float:
+        """The rate [Hz] at which an excitation would be played; raises RecordError as `play` does. Sends nothing."""
+        self._refuse_closed()
+        rate = self.nearest_rate(excitation.sample_rate)
+        refuse(excitation, rate, self.limits, self.name)
+        return rate
+
+    @final
+    @contextmanager
+    def safely(self) -> Iterator[None]:
+        """Retreat when anything goes wrong within, Ctrl-C too; the error has a note of what became of the voltage."""
+        with shielded() as shield:
+            try:
+                # Twice: a signal may come between an error and the line that makes it wait.
+                try:
+                    yield
+                except BaseException:
+                    shield.held = True
+                    raise
+            except BaseException as error:
+                if not any(note.startswith(_TOLD) for note in getattr(error, "__notes__", ())):
+                    error.add_note(self._retreated())
+                raise
 
     @final
     def retreat(self) -> float:
@@ -273,27 +298,14 @@ class AbstractRig(ABC):
         if self._closed:
             raise RigError(f"{self.name}: is closed; open it again")
 
-    @contextmanager
-    def _safely(self) -> Iterator[None]:
-        """Retreat when anything goes wrong within, Ctrl-C too; what became of the voltage is noted on the error."""
-        with shielded() as shield:
-            try:
-                # Twice: a signal may come between an error and the line that makes it wait.
-                try:
-                    yield
-                except BaseException:
-                    shield.held = True
-                    raise
-            except BaseException as error:
-                error.add_note(self._retreated())
-                raise
-
     def _retreated(self) -> str:
         """Retreat if the link still lives; what became of it, as a sentence."""
         try:
-            return f"The voltage was brought to {self.retreat():.6g} V."
-        except Exception as error:  # a leaf's library may raise anything; the first error is the one to be told
+            return f"{_TOLD} was brought to {self.retreat():.6g} V."
+        except Exception as error:  # whatever a leaf or its library raises, the first error is the one to be told
             with suppress(Exception):
                 self.close()
-            told = f"The voltage could not be brought to {self.safe:.6g} V ({error})"
-            return f"{told}: the device holds, or plays to its end, what it has; see to it by hand."
+            return (
+                f"{_TOLD} could not be brought to {self.safe:.6g} V ({error}): the device holds, or plays to its "
+                "end, what it has; see to it by hand."
+            )

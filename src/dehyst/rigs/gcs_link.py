@@ -207,8 +207,8 @@ class DeviceLink(AbstractGcsLink):
     Parameters
     ----------
     device : object
-        With two methods that carry text as it is and look for no error themselves: `ReadGCSCommand(query)`, which
-        returns the answer, and `GcsCommandset(command)`.
+        With two methods that carry text as it is: `ReadGCSCommand(query)`, which returns the answer, and
+        `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`.
 
     Raises
     ------
@@ -217,7 +217,8 @@ class DeviceLink(AbstractGcsLink):
     """
 
     def __init__(self, device: Any) -> None:
-        read, write = getattr(device, "ReadGCSCommand", None), getattr(device, "GcsCommandset", None)
+        read = getattr(device, "ReadGCSCommand", getattr(device, "read", None))
+        write = getattr(device, "GcsCommandset", getattr(device, "send", None))
         if not (callable(read) and callable(write)):
             raise LinkError(
                 f"device: got {type(device).__name__}, need a connected one with ReadGCSCommand(query) and "

@@ -32,8 +32,8 @@ class SensorWatch:
         Raises
         ------
         SensorError
-            If the reading has not changed while the voltage crossed a fifth of its range: saturated if it moved
-            before, unplugged if it never did.
+            If the reading has not changed while the voltage crossed a fifth of its range; whether it moved
+            before makes the message.
         """
         if not displacement.size:
             return
@@ -57,5 +57,8 @@ class SensorWatch:
         went = f"stays at {1e6 * (self._value or 0.0):.6g} um while the voltage goes from {self._low:.6g} to "
         went += f"{self._high:.6g} V"
         if self._moved:
-            raise SensorError(f"the sensor is saturated: it {went}; shift its range, or use less voltage (--limits)")
+            raise SensorError(
+                f"the sensor hangs or is saturated: it {went}; shift its range, use less voltage (--limits), or look "
+                "at its cable"
+            )
         raise SensorError(f"the sensor does not move: it {went}; is it plugged in, switched on, the right channel?")

@@ -1,0 +1,56 @@
+"""Rigs by their addresses."""
+
+import pytest
+
+from dehyst._errors import DehystError, RigError
+from dehyst.rigs import open_rig
+from dehyst.rigs.pi import PiRig
+
+
+def test_addresses_go_to_their_rigs(monkeypatch):
+    seen = []
+
+    def connect(*where, **asked):
+        seen.append((where, asked))
+
+    monkeypatch.setattr("dehyst.rigs.epics.EpicsRig.connect", connect)
+    monkeypatch.setattr(PiRig, "connect", connect)
+    limits = {"limits": (0.0, 5.0), "slew_rate": None}
+    for address in ("epics://XF:11{Ax:1}#2", "PI://Lab-7.local", "pi://[::1]:7/Z", "pi://10.0.0.3:50001"):
+        open_rig(address, limits=(0.0, 5.0))
+    assert seen == [
+        (("XF:11{Ax:1}#2",), limits),
+        (("lab-7.local", 50000), {"axis": None, **limits}),
+        (("::1", 7), {"axis": "Z", **limits}),
+        (("10.0.0.3", 50001), {"axis": None, **limits}),
+    ]
+    with open_rig("sim://creep", slew_rate=7.0) as rig:
+        assert rig.slew_rate == 7.0
+    with pytest.raises(DehystError, match="need one of play, creep, preisach, boucwen"):
+        open_rig("sim://wobble")
+
+
+def test_addresses_that_are_none(tmp_path):
+    for address, why in [
+        ("pi://", "need pi://host:port"), ("pi://h:99999", "no address"), ("pi://h:1/a/b", "need pi://host"),
+        ("gpib://7", "no kind of rig called 'gpib'"), ("rubbish", "no address of a rig"), ("a.py:", "no address"),
+        ("epics://", "need the prefix"), ("sim://", "need play"), ("missing.py:make", "no such file"),
+    ]:  # fmt: skip
+        with pytest.raises(RigError, match=why):
+            open_rig(address)
+    own = tmp_path / "own_rig_of_mine.py"
+    for text, why in [
+        ("make = 3", "has no function 'make'"), ("def make(**_): return 3", "gave a int, need an AbstractRig"),
+        ("def make(): pass", "it is called with limits= and slew_rate="),
+        ("1/0", "ZeroDivisionError"), ("x y", "SyntaxError"),
+    ]:  # fmt: skip
+        own.write_text(text)
+        with pytest.raises(RigError, match=why):
+            open_rig(f"{own}:make")
+    own.write_text(
+        "from fake_gcs import FakeController, FakeDevice\nfrom dehyst.rigs.pi import PiRig\n"
+        "def make(limits, slew_rate):\n"
+        "    return PiRig.of_device(FakeDevice(FakeController()), limits=limits, slew_rate=slew_rate)\n"
+    )
+    rig = open_rig(f"{own}:make", limits=(1.0, 7.0), slew_rate=3.0)
+    assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (1.0, 7.0, 3.0)
