@@ -11,8 +11,6 @@ import subprocess
 import sys
 import time
 
-from dehyst.amplifier import Extremes
-
 PREFIX = "BENCH"
 _PROGRAM = """
 import json, sys, threading, time
@@ -129,24 +127,3 @@ class IocProcess:
             if line.startswith(start):
                 return line.strip()
         return ""
-
-
-class RemoteInstrument:
-    """The instrument of such a process, as tests of rigs look at one: at 0 V, and nothing in its log."""
-
-    def __init__(self, ioc):
-        self.__dict__["ioc"] = ioc
-        ioc.do("instrument.unplugged = False; instrument.stop(); instrument.set_voltage(0.0)")
-        ioc.do("vars(instrument.log).update(lowest=0.0, highest=0.0, largest_step=0.0, steepest=0.0, refused=0)")
-        # Until the IOC has looked at it again.
-        time.sleep(0.1)
-
-    @property
-    def log(self):
-        return Extremes(**self.ioc.log())
-
-    def __getattr__(self, name):
-        return self.ioc.do(f"answer = instrument.{name}")[0]
-
-    def __setattr__(self, name, value):
-        self.ioc.do(f"instrument.{name} = {value!r}")
