@@ -19,6 +19,7 @@ from rehearsal import (
     INTERRUPT,
     KILL,
     TERMINATE,
+    Act,
     Outcome,
     Served,
     calibrate,
@@ -88,13 +89,13 @@ def beyond(folder: Path) -> Outcome:
     return against(folder, _FAST, "--protocol", str(folder / "beyond.csv"))
 
 
-def left(*commands: str, options: tuple[str, ...] = ()) -> Callable[[Path], Outcome]:
-    """A controller that somebody has left so."""
+def left(*commands: str, options: tuple[str, ...] = (), act: Act | None = None) -> Callable[[Path], Outcome]:
+    """A controller that somebody has left so, whose connection is lost later unless the command is stopped."""
 
     def run(folder: Path) -> Outcome:
-        with Served(*_FAST, "--fault", "drop") as served:
+        with Served(*_FAST, *(() if act else ("--fault", "drop"))) as served:
             spoken_to(served.address, *commands)
-            found = calibrate(served.address, folder / "out", *_OPTIONS, *options, served=served)
+            found = calibrate(served.address, folder / "out", *_OPTIONS, *options, served=served, act=act)
             found.put_out = served.end()
         return found
 
@@ -124,6 +125,9 @@ CASES = (
     Case("astray", "Somebody left it at 150 V, `--limits 0 100`",
          left("SVO 1 0", "SVA 1 150", options=("--limits", "0", "100"))),
     Case("servo", "Its servo was left on, and then the link is lost", left("SVO 1 1")),
+    Case("playing", "Somebody's wave is still being played, later Ctrl-C",
+         left("WAV 1 X SIN_P 20000 150 0 20000 0 10000", "WSL 1 1", "WGC 1 1", "WTR 1 20 0", "WGO 1 1",
+              act=sent(INTERRUPT))),
     Case("saturate", "The sensor saturates", struck("saturate")),
     Case("unplug", "The sensor's cable comes off in mid-wave", struck("unplug")),
     Case("dead", "The sensor was never plugged in", struck("unplug@0s")),

@@ -23,12 +23,13 @@ def table(data: dict) -> str:
         cells = (one["words"], message(one), status(one), f"{one['seconds']:.1f} s", voltage(one), samples(one))
         rows.append(f"| {' | '.join(cells)} |")
     put = [one["put_out"] for one in data.values() if one["put_out"]]
-    told = sum(one["told"] for one in put)
+    lowest, highest = min(one["lowest"] for one in put), max(one["highest"] for one in put)
+    longest = max(one["seconds"] for one in data.values() if one["status"])
     rows += [
         "",
-        f"{len(data)} faults, {told} samples told: the emulator, whose limits are 0 to 200 V, put out "
-        f"{min(one['lowest'] for one in put):g} to {max(one['highest'] for one in put):g} V. Seconds are counted from the "
-        "fault on, where it comes while the command runs; those of the lost, silent or hanging ones are timeouts.",
+        f"{len(data)} faults: the emulator, whose limits are 0 to 200 V, put out {lowest:g} to {highest:g} V. Seconds "
+        f"are counted from the fault on, where it comes while the command runs: all ended within {longest:.0f} s, and "
+        "those that took 5 s or more waited for an answer or a sample that did not come.",
     ]
     return "\n".join(rows) + "\n"
 
@@ -54,11 +55,11 @@ def voltage(one: dict) -> str:
     if put is None:
         return "nothing was sent"
     if "could not be brought" in notes:
-        return f"the device has it: {put['now']:g} V in the end"
+        return f"left to the device: {put['now']:g} V"
     if put["highest"] == 0:
         return "nothing was put out"
     if one["again"] is not None and one["status"] < 0:
-        return f"its wave went on; the next call stopped it, and ended at {put['now']:g} V"
+        return f"its wave went on; the next call brought it to {put['now']:g} V"
     return f"brought to {put['now']:g} V"
 
 
