@@ -32,6 +32,8 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/size.py
 	$(BIN)/python benchmarks/latency.py
 	$(BIN)/python benchmarks/saturation.py
+	$(BIN)/python benchmarks/calibration.py
+	$(BIN)/python benchmarks/faults.py
 	$(BIN)/python benchmarks/figure.py
 	$(BIN)/python benchmarks/readme.py
 	$(BIN)/python benchmarks/loop.py

@@ -127,11 +127,37 @@ def saturation(data: dict) -> list[str]:
     return rows + [f"| {name} | {percent:.2f} |" for name, percent in data["after_saturation_percent"].items()]
 
 
+def calibrations(data: dict) -> list[str]:
+    """The whole experiment on emulated instruments."""
+    rows = [
+        "",
+        "| `dehyst calibrate` over a socket, virtual actuators | seconds | constant ratio, largest % "
+        "| compensated, largest % | RMS % |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    links = {"pi": "a controller's text protocol over TCP", "epics": "an IOC over Channel Access"}
+    names = {
+        "play": "plays, asymmetric",
+        "creep": "the same, creeping",
+        "preisach": "Preisach",
+        "boucwen": "Bouc-Wen, resonating",
+    }
+    for one in data["calibrations"]:
+        fast = "" if one["speed"] == 1 else f" (instrument {one['speed']:g} times as fast)"
+        rows.append(
+            f"| {names[one['actuator']]}, {links[one['link']]} | {one['seconds']:.0f}{fast} "
+            f"| {one['nominal']['largest_percent']:.2f} | {one['compensated']['largest_percent']:.2f} "
+            f"| {one['compensated']['rms_percent']:.3f} |"
+        )
+    return rows
+
+
 def table() -> str:
-    names = ("accuracy", "paper", "speed", "latency", "size", "saturation")
+    names = ("accuracy", "paper", "speed", "latency", "size", "saturation", "calibration")
     data = {name: json.loads((HERE / f"{name}.json").read_text()) for name in names}
     rows = [*accuracy(data["accuracy"]), *rivals(data["accuracy"]), *paper(data["paper"]), *speed(data["speed"])]
-    return "\n".join([*rows, *steps(data["latency"], data["size"]), *saturation(data["saturation"])]) + "\n"
+    rows += [*steps(data["latency"], data["size"]), *saturation(data["saturation"]), *calibrations(data["calibration"])]
+    return "\n".join(rows) + "\n"
 
 
 def fill(page: Path, block: re.Pattern[str], figures: str) -> int:

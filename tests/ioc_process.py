@@ -3,12 +3,15 @@
 The tests' own Channel Access looks at these ports only: no test disturbs another, or the network.
 """
 
+import atexit
 import json
 import os
 import socket
 import subprocess
 import sys
 import time
+
+from dehyst.amplifier import Extremes
 
 PREFIX = "BENCH"
 _PROGRAM = """
@@ -23,11 +26,19 @@ model, actuator = options.pop("model", None), {"noise": 0.0, **options.pop("actu
 truth = dehyst.Actuator.load(model) if model else truths.PlayActuator(**actuator)
 instrument, lock = Instrument(truth, **options), threading.Lock()
 serve_ioc(instrument, prefix, lock)
+
+def said(act):
+    try:
+        act()
+    except dehyst.DehystError as error:
+        return str(error)
+
 print("ready", flush=True)
 for line in sys.stdin:
     with lock:
+        answer = None
         exec(line)
-        print(json.dumps(vars(instrument.log)), flush=True)
+        print(json.dumps({"answer": answer, "log": vars(instrument.log)}), flush=True)
 """
 
 
@@ -49,7 +60,7 @@ def _free_ports(count):
 
 
 # Channel Access reads its addresses once in a process, so all ports are chosen before the first use.
-_PORTS = _free_ports(24)
+_PORTS = _free_ports(64)
 ENVIRONMENT = {
     "EPICS_CA_ADDR_LIST": " ".join(f"127.0.0.1:{port}" for port in _PORTS[1:]),
     "EPICS_CA_AUTO_ADDR_LIST": "NO",
@@ -62,21 +73,27 @@ os.environ.update(ENVIRONMENT)
 _left = _PORTS[1:]
 
 
+def port():
+    """A port for a server, which the tests' Channel Access looks at."""
+    return _left.pop(0)
+
+
 class IocProcess:
     """An IOC around a virtual instrument; options are those of `Instrument`, and what it drives.
 
     That is the actuator of a file, ``model=``, or a play actuator, ``actuator=`` its options.
     """
 
-    def __init__(self, port=None, prefix=None, **options):
-        self.port = _left.pop(0) if port is None else port
-        self.prefix = prefix or f"{PREFIX}{self.port}"
+    def __init__(self, at=None, **options):
+        self.port = port() if at is None else at
+        self.prefix = f"{PREFIX}{self.port}"
         began = time.perf_counter()
         self.process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, self.prefix, json.dumps(options)],
             env={**os.environ, "EPICS_CAS_SERVER_PORT": str(self.port)},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
+        atexit.register(self.kill)
         said = self._line("ready")
         self.seconds = time.perf_counter() - began
         assert said == "ready", self.process.stderr.read()
@@ -88,17 +105,19 @@ class IocProcess:
         self.kill()
 
     def do(self, statement):
-        """Do something with the `instrument`, behind the back of its clients; returns the log as a mapping."""
+        """Do something with the `instrument`, behind the back of its clients; returns its `answer`, and the log."""
         self.process.stdin.write(f"{statement}\n")
         self.process.stdin.flush()
-        return json.loads(self._line("{"))
+        reply = json.loads(self._line("{"))
+        return reply["answer"], reply["log"]
 
     def log(self):
         """What the instrument ever put out, as a mapping."""
-        return self.do("pass")
+        return self.do("pass")[1]
 
     def kill(self):
-        """End it at once."""
+        """End it at once, if it has not ended."""
+        atexit.unregister(self.kill)
         self.process.kill()
         self.process.wait()
         for stream in (self.process.stdin, self.process.stdout, self.process.stderr):
@@ -110,3 +129,24 @@ class IocProcess:
             if line.startswith(start):
                 return line.strip()
         return ""
+
+
+class RemoteInstrument:
+    """The instrument of such a process, as tests of rigs look at one: at 0 V, and nothing in its log."""
+
+    def __init__(self, ioc):
+        self.__dict__["ioc"] = ioc
+        ioc.do("instrument.unplugged = False; instrument.stop(); instrument.set_voltage(0.0)")
+        ioc.do("vars(instrument.log).update(lowest=0.0, highest=0.0, largest_step=0.0, steepest=0.0, refused=0)")
+        # Until the IOC has looked at it again.
+        time.sleep(0.1)
+
+    @property
+    def log(self):
+        return Extremes(**self.ioc.log())
+
+    def __getattr__(self, name):
+        return self.ioc.do(f"answer = instrument.{name}")[0]
+
+    def __setattr__(self, name, value):
+        self.ioc.do(f"instrument.{name} = {value!r}")

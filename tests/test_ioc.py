@@ -222,3 +222,8 @@ def test_the_network_does_not_see_it(ioc):
 def test_a_prefix_that_is_none_is_refused(prefix):
     with pytest.raises(RigError, match=r"prefix: got .* need 1 to 40 letters"):
         serve_ioc(Instrument(PlayActuator()), prefix, None)
+
+
+def test_a_process_serves_one(ioc):
+    said, _ = ioc.do("answer = said(lambda: serve_ioc(instrument, 'SECOND', lock))")
+    assert said == f"SECOND: this process serves {ioc.prefix} already, and EPICS allows one; start another"

@@ -98,6 +98,21 @@ def test_a_clock_that_does_not_arrive(card):
     assert card.voltage == 0.0
 
 
+def test_a_wave_is_halted_where_it_is(card):
+    rig = opened(card)
+    wave = rig._wave(UP.voltage, 1000.0)
+    while not next(wave).time.size:
+        pass
+    assert card.playing
+    rig._halt()
+    rig._halt()
+    assert not card.playing
+    stands = card.voltage
+    card.wait(1.0)
+    assert card.voltage == stands == pytest.approx(25.0, abs=5.0)
+    assert rig.read().voltage == pytest.approx(stands)
+
+
 def test_a_driver_that_fails_in_mid_wave(card):
     rig = opened(card)
 

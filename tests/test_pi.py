@@ -126,10 +126,14 @@ def test_half_a_recorder_is_none(told, why):
         quick(FakeController(told=told))
 
 
+def test_an_older_syntax_version_is_that_of_gcs_2():
+    with quick(FakeController(told={"CSV?": ["1.0"]})) as rig:
+        assert rig.limits.high > 0
+
+
 @pytest.mark.parametrize(
     ("told", "without", "options", "error", "why"),
     [
-        ({"CSV?": ["1.0"]}, [], {}, DeviceError, "speaks GCS 1, need GCS 2"),
         ({"CSV?": ["3.0"]}, [], {}, DeviceError, "speaks GCS 3"),
         ({"*IDN?": ["HTTP/1.1 400 Bad Request"]}, [], {}, LinkError, "web server"),
         ({"*IDN?": ["SSH-2.0-OpenSSH_9"]}, [], {}, LinkError, "is it a GCS controller"),

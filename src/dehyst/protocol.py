@@ -155,7 +155,8 @@ def creep_of(look: Record) -> Creep:
 
 def _first_hold(voltage: Array) -> slice:
     """Samples of the longest stretch at the highest voltage."""
-    top = voltage > voltage.max() - 1e-3 * float(np.ptp(voltage))
+    # A readback has noise.
+    top = voltage > voltage.max() - 0.01 * float(np.ptp(voltage))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], top.astype(int), [0]])))
     spans = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
     return slice(*max(spans, key=lambda span: span[1] - span[0]))

@@ -19,6 +19,8 @@ _TICK = 0.05
 _MICRO = 1e6
 # Characters of a text, its end among them.
 _TEXT = 256
+# What names may have in them, and how long what is put before ours may be.
+_SIGNS, _PREFIX = "_-:[]<>;", 40
 # One host serves itself, until its user says otherwise by the same names.
 _LOOPBACK = {
     "EPICS_CAS_INTF_ADDR_LIST": "127.0.0.1",
@@ -204,12 +206,7 @@ def serve_ioc(instrument: Instrument, prefix: str, lock: AbstractContextManager[
     RigError
         If there is one in this process already, or the prefix cannot begin a name.
     """
-    if _running:
-        raise RigError(
-            f"{prefix}: this process serves {_running[0].prefix} already, and EPICS allows one; start another"
-        )
-    if not prefix or len(prefix) > 40 or not all(c.isascii() and (c.isalnum() or c in "_-:.[]<>;") for c in prefix):
-        raise RigError(f"prefix: got {prefix!r}, need 1 to 40 letters, digits or any of _-:.[]<>; such as BENCH:PIEZO")
+    _refuse(prefix)
     for name, value in _LOOPBACK.items():
         os.environ.setdefault(name, value)
     try:
@@ -223,3 +220,14 @@ def serve_ioc(instrument: Instrument, prefix: str, lock: AbstractContextManager[
     softioc.iocInit(dispatcher, enable_pva=False)
     asyncio.run_coroutine_threadsafe(ioc.serve(), dispatcher.loop)
     return ioc
+
+
+def _refuse(prefix: str) -> None:
+    if _running:
+        raise RigError(
+            f"{prefix}: this process serves {_running[0].prefix} already, and EPICS allows one; start another"
+        )
+    if not prefix or len(prefix) > _PREFIX or not all(c.isascii() and (c.isalnum() or c in _SIGNS) for c in prefix):
+        raise RigError(
+            f"prefix: got {prefix!r}, need 1 to {_PREFIX} letters, digits or any of {_SIGNS}, as in BENCH:PIEZO"
+        )

@@ -27,6 +27,8 @@ from dehyst.trajectory import Limits
 
 __all__ = ["AbstractRig", "Listener", "Reading", "Samples"]
 
+# A sensor may stand still along a record that moves the voltage less than this part of the range.
+_LEAST_WATCHED = 0.25
 # Seconds from one step of a ramp to the next; a host keeps no better time.
 _TICK = 0.01
 # How a note on an error begins that tells where the voltage was left.
@@ -150,8 +152,8 @@ class AbstractRig(ABC):
         """
         rate = self.check(excitation)
         came: list[Samples] = []
-        span = self.limits.high - self.limits.low
-        look, watch = Inspection(self.name, span), SensorWatch(span)
+        span, (low, high) = self.limits.high - self.limits.low, excitation.voltage_range
+        look, watch = Inspection(self.name, span), SensorWatch(max(high - low, _LEAST_WATCHED * span))
         with self.safely():
             self._ramp(float(excitation.voltage[0]))
             for piece in self._pieces(excitation.voltage):

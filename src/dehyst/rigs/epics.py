@@ -140,15 +140,7 @@ class EpicsRig(AbstractRig):
             If none of the variables for waves is there: the host then times every voltage, slowly.
         """
         link = ChannelAccess(prefix + names.joint, timeout)
-        absent = link.absent(list(names.all.values()))
-        if absent and names.plays and set(absent) == set(names.waves.values()):
-            warnings.warn(
-                f"epics://{prefix}: has no variables for waves ({', '.join(absent)}); every voltage is timed by this "
-                f"computer, {HIGHEST_RATE:g} a second at most and unevenly", stacklevel=2,
-            )  # fmt: skip
-            names = names.without_waves()
-        elif absent:
-            raise LinkError(_missing(link, absent, len(names.all)))
+        names = _answering(link, names)
         return cls(link, names, limits=limits, slew_rate=slew_rate)
 
     def nearest_rate(self, sample_rate: float) -> float:
@@ -267,10 +259,24 @@ class EpicsRig(AbstractRig):
         return Limits(low, high, slew if slew > 0 else None)
 
 
+def _answering(link: ChannelAccess, names: PvNames) -> PvNames:
+    """The names, without those for waves if nobody answers for all of these; refuses any other that is missing."""
+    absent = link.absent(list(names.all.values()))
+    if not absent:
+        return names
+    if names.plays and set(absent) == set(names.waves.values()):
+        warnings.warn(
+            f"{link.prefix}{absent[0]} and all others for waves are missing: every voltage is timed by this computer, "
+            f"{HIGHEST_RATE:g} a second at most and unevenly", stacklevel=3,
+        )  # fmt: skip
+        return names.without_waves()
+    raise LinkError(_missing(link, absent, len(names.all)))
+
+
 def _missing(link: ChannelAccess, absent: Sequence[str], asked: int) -> str:
     if len(absent) == asked:
         return (
-            f"{link.prefix}: none of its {asked} process variables answered within {link.timeout:g} s, not even "
+            f"{link.prefix}*: none of {asked} process variables answered within {link.timeout:g} s, not even "
             f"{link.prefix}{absent[0]}; is the IOC running, and does EPICS_CA_ADDR_LIST lead to it?"
         )
     names = ", ".join(link.prefix + name for name in absent)

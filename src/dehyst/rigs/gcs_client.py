@@ -10,7 +10,8 @@ from dehyst.rigs import gcs, gcs_errors
 from dehyst.rigs.gcs_link import IDENTITY, AbstractGcsLink
 
 _Found = TypeVar("_Found")
-_SUPPORTED = (2.0, 3.0)
+# Who speaks GCS 2 answers up to 2; older devices do not know the question.
+_NEWER = 3.0
 
 
 class GcsClient:
@@ -43,7 +44,7 @@ class GcsClient:
         self.commands = self.ask("HLP?", gcs.commands)
         if "CSV?" in self.commands:
             version = self.ask("CSV?", lambda lines: gcs.real(gcs.single(lines)))
-            if not _SUPPORTED[0] <= version < _SUPPORTED[1]:
+            if version >= _NEWER:
                 raise DeviceError(f"{self.name}: speaks GCS {version:g}, need GCS 2; try another firmware")
 
     @property
