@@ -137,7 +137,7 @@ CASES = (
     Case("hang-up", "The terminal is closed", lambda folder: against(folder, _SLOW, act=sent(HANG_UP))),
     Case("deaf", "Nobody reads its messages any more", lambda folder: against(folder, _FAST, deaf=True)),
     Case("kill", "`kill -9` in mid-wave, then the same again",
-         lambda folder: against(folder, _SLOW, act=sent(KILL), again=True)),
+         lambda folder: against(folder, _FAST, act=sent(KILL), again=True)),
     Case("full", "The disk is full, and then is not",
          lambda folder: against(folder, _FAST, largest_file=_FULL, again=True)),
     Case("file", "The output folder is a file", not_a_folder),

@@ -28,8 +28,8 @@ def table(data: dict) -> str:
     rows += [
         "",
         f"{len(data)} faults: the emulator, whose limits are 0 to 200 V, put out {lowest:g} to {highest:g} V. Seconds "
-        f"are counted from the fault on, where it comes while the command runs: all ended within {longest:.0f} s, and "
-        "those that took 5 s or more waited for an answer or a sample that did not come.",
+        f"are counted from the fault on, where it comes while the command runs. Every command that was stopped ended "
+        f"within {longest:.0f} s; those that took 5 s or more waited for an answer or a sample that did not come.",
     ]
     return "\n".join(rows) + "\n"
 

@@ -70,7 +70,7 @@ def rehearsed(request):
     asked = [item.callspec.params["name"] for item in request.session.items
              if item.path == request.path and "rehearsed" in item.fixturenames]  # fmt: skip
     cases = {case.name: case for case in faults.CASES}
-    with ThreadPoolExecutor(3) as pool:
+    with ThreadPoolExecutor(4) as pool:
         yield {name: pool.submit(faults.rehearse, cases[name]) for name in asked}
 
 
