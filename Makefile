@@ -38,6 +38,8 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/readme.py
 	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/control_page.py
+	$(BIN)/python benchmarks/faults.py
+	$(BIN)/python benchmarks/safety_page.py
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

@@ -5,6 +5,7 @@ Names on the command line choose some of them, and nothing is written then.
 
 import contextlib
 import json
+import re
 import sys
 import tempfile
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from rehearsal import (
     INTERRUPT,
     KILL,
     TERMINATE,
+    Act,
     Outcome,
     Served,
     calibrate,
@@ -87,13 +89,13 @@ def beyond(folder: Path) -> Outcome:
     return against(folder, _FAST, "--protocol", str(folder / "beyond.csv"))
 
 
-def left(*commands: str, options: tuple[str, ...] = ()) -> Callable[[Path], Outcome]:
-    """A controller that somebody has left so."""
+def left(*commands: str, options: tuple[str, ...] = (), act: Act | None = None) -> Callable[[Path], Outcome]:
+    """A controller that somebody has left so, whose connection is lost later unless the command is stopped."""
 
     def run(folder: Path) -> Outcome:
-        with Served(*_FAST, "--fault", "drop") as served:
+        with Served(*_FAST, *(() if act else ("--fault", "drop"))) as served:
             spoken_to(served.address, *commands)
-            found = calibrate(served.address, folder / "out", *_OPTIONS, *options, served=served)
+            found = calibrate(served.address, folder / "out", *_OPTIONS, *options, served=served, act=act)
             found.put_out = served.end()
         return found
 
@@ -123,6 +125,9 @@ CASES = (
     Case("astray", "Somebody left it at 150 V, `--limits 0 100`",
          left("SVO 1 0", "SVA 1 150", options=("--limits", "0", "100"))),
     Case("servo", "Its servo was left on, and then the link is lost", left("SVO 1 1")),
+    Case("playing", "Somebody's wave is still being played, later Ctrl-C",
+         left("WAV 1 X SIN_P 20000 150 0 20000 0 10000", "WSL 1 1", "WGC 1 1", "WTR 1 20 0", "WGO 1 1",
+              act=sent(INTERRUPT))),
     Case("saturate", "The sensor saturates", struck("saturate")),
     Case("unplug", "The sensor's cable comes off in mid-wave", struck("unplug")),
     Case("dead", "The sensor was never plugged in", struck("unplug@0s")),
@@ -132,7 +137,7 @@ CASES = (
     Case("hang-up", "The terminal is closed", lambda folder: against(folder, _SLOW, act=sent(HANG_UP))),
     Case("deaf", "Nobody reads its messages any more", lambda folder: against(folder, _FAST, deaf=True)),
     Case("kill", "`kill -9` in mid-wave, then the same again",
-         lambda folder: against(folder, _SLOW, act=sent(KILL), again=True)),
+         lambda folder: against(folder, _FAST, act=sent(KILL), again=True)),
     Case("full", "The disk is full, and then is not",
          lambda folder: against(folder, _FAST, largest_file=_FULL, again=True)),
     Case("file", "The output folder is a file", not_a_folder),
@@ -142,7 +147,9 @@ CASES = (
 def rehearse(case: Case) -> Outcome:
     """Rehearse one in a folder of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        return case.run(Path(folder))
+        found = case.run(Path(folder))
+    found.said = [one.replace(f"{folder}/", "") for one in found.said]
+    return found
 
 
 def line(case: Case, found: Outcome) -> str:
@@ -155,6 +162,13 @@ def line(case: Case, found: Outcome) -> str:
     return "\n    ".join([", ".join(cells), *found.said, *found.left])
 
 
+def as_dict(case: Case, found: Outcome) -> dict:
+    """What is written of one: ports as a controller has them."""
+    said = [re.sub(r"(127\.0\.0\.1:)\d+", r"\g<1>50000", one) for one in found.said]
+    said = [re.sub(r"and \d+ its port", "and 50000 its port", one) for one in said]
+    return {"words": case.words, **asdict(found), "said": said}
+
+
 def main() -> None:
     chosen = [case for case in CASES if len(sys.argv) == 1 or case.name in sys.argv[1:]]
     # Most of the time is spent waiting for answers that do not come.
@@ -163,7 +177,7 @@ def main() -> None:
     for case, one in zip(chosen, found, strict=True):
         print(line(case, one))
     if len(chosen) == len(CASES):
-        told = {case.name: {"words": case.words, **asdict(one)} for case, one in zip(chosen, found, strict=True)}
+        told = {case.name: as_dict(case, one) for case, one in zip(chosen, found, strict=True)}
         write_atomically(HERE / "faults.json", (json.dumps(told, indent=1) + "\n").encode())
 
 

@@ -3,8 +3,10 @@
 The faults are those of `benchmarks/faults.py`; each test looks at one of them.
 """
 
+import json
 import re
 import signal
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -14,8 +16,6 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import faults
-
-pytestmark = pytest.mark.slow
 
 # The emulated controller's limits [V], and the slew rate that a rig keeps which nobody gave one [V/s].
 LIMITS, SLEW = (0.0, 200.0), 2000.0
@@ -41,6 +41,7 @@ SAID = {
     "wide": (0, r"-50 to 300 V was given, the device allows 0 to 200 V"),
     "astray": (1, r".*: stands at 150 V, but 0 to 100 V is allowed; bring it there by hand, or widen the limits", LOST),
     "servo": (1, r".*: its servo was on and is switched off", r".*(closed|lost)", SAFE, GOES_ON),
+    "playing": (130, r"stopped by Ctrl-C", SAFE, GOES_ON),
     "saturate": (1, r"the sensor hangs or is saturated: it stays at \S+ um while .* V; shift its range", SAFE, GOES_ON),
     "unplug": (1, r"the sensor hangs or is saturated: it stays at 0 um while .*, or look at its cable", SAFE, GOES_ON),
     "dead": (1, r"the sensor does not move: it stays at 0 um while .*; is it plugged in", SAFE, GOES_ON),
@@ -69,14 +70,23 @@ def rehearsed(request):
     asked = [item.callspec.params["name"] for item in request.session.items
              if item.path == request.path and "rehearsed" in item.fixturenames]  # fmt: skip
     cases = {case.name: case for case in faults.CASES}
-    with ThreadPoolExecutor(3) as pool:
+    with ThreadPoolExecutor(4) as pool:
         yield {name: pool.submit(faults.rehearse, cases[name]) for name in asked}
+
+
+def test_the_page_tells_these_faults():
+    check = [sys.executable, str(Path(faults.__file__).with_name("safety_page.py")), "--check"]
+    assert subprocess.run(check, check=False).returncode == 0, "run faults.py, then safety_page.py, in benchmarks"
+    told = json.loads(Path(faults.__file__).with_name("faults.json").read_text())
+    assert {name: one["words"] for name, one in told.items()} == {case.name: case.words for case in faults.CASES}
+    assert {name: one["status"] for name, one in told.items()} == {name: said[0] for name, said in SAID.items()}
 
 
 def test_each_fault_is_looked_at():
     assert {case.name for case in faults.CASES} == set(SAID)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(SAID))
 def test_a_fault(rehearsed, name):
     found = rehearsed[name].result()
