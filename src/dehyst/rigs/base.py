@@ -188,7 +188,8 @@ class AbstractRig(ABC):
                     raise
             except BaseException as error:
                 if not any(note.startswith(_TOLD) for note in getattr(error, "__notes__", ())):
-                    error.add_note(self._retreated(error))
+                    # What stopped it may forbid the retreat, too.
+                    error.add_note(self._retreated().replace(f" ({error})", ""))
                 raise
 
     @final
@@ -301,13 +302,12 @@ class AbstractRig(ABC):
         if self._closed:
             raise RigError(f"{self.name}: is closed; open it again")
 
-    def _retreated(self, first: BaseException) -> str:
+    def _retreated(self) -> str:
         """Retreat if the link still lives; what became of it, as a sentence."""
         try:
             return f"{_TOLD} was brought to {self.retreat():.6g} V."
         except Exception as error:  # a leaf's library may raise anything; the first error is the one to be told
             with suppress(Exception):
                 self.close()
-            why = "" if str(error) == str(first) else f" ({error})"
-            told = f"{_TOLD} could not be brought to {self.safe:.6g} V{why}"
+            told = f"{_TOLD} could not be brought to {self.safe:.6g} V ({error})"
             return f"{told}: the device holds, or plays to its end, what it has; see to it by hand."
