@@ -67,7 +67,7 @@ def test_everything_is_on_disk(finished):
     for name in (*names, "nominal", "compensated"):
         record = read(folder / "records" / f"{name}.h5")
         assert record.meta["complete"] is True
-        assert record.meta["rig"] == rig.name
+        assert record.meta["rig"] == rig.identity
         assert len(record) == heard.samples_of[name]
     told = json.loads((folder / "calibration.json").read_text())
     assert told["compensated"]["largest_percent"] == found.compensated.largest_percent
@@ -138,7 +138,7 @@ def test_a_folder_of_another_instrument_is_refused(finished):
     _, folder, _, _ = finished
     truth = PlayActuator()
     rig = SimulatedRig(truth)
-    rig.name = "another controller"
+    rig.identity = "another controller"
     with pytest.raises(FileFormatError, match=r"holds a calibration of simulated PlayActuator.*give another folder"):
         calibrate(rig, folder, watcher=Heard())
 

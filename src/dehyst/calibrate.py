@@ -289,7 +289,7 @@ class _Job:
         self.watcher.step("identify")
         fit = identify(training, validate=held_out, progress=self.watcher.tell)
         self.watcher.tell("asking what the records tell")
-        name = f"{self.rig.name}, axis {self.rig.axis}"
+        name = f"{self.rig.identity}, axis {self.rig.axis}"
         fit = replace(fit, actuator=replace(fit.actuator, name=name))
         return fit, insight(fit.actuator, training, limits=(self.pace.low, self.pace.high), repeats=0)
 
@@ -302,7 +302,7 @@ class _Job:
 
     def _instrument(self) -> dict[str, Any]:
         limits = self.rig.limits
-        return {"rig": self.rig.name, "axis": self.rig.axis, "limits_V": [limits.low, limits.high],
+        return {"rig": self.rig.identity, "axis": self.rig.axis, "limits_V": [limits.low, limits.high],
                 "slew_rate_V_per_s": self.rig.slew_rate}  # fmt: skip
 
 

@@ -120,7 +120,7 @@ class Campaign:
             # What a killed process left may still be playing.
             self.rig.retreat()
         self._watcher.step(name, excitation.duration)
-        meta = {"rig": self.rig.name, "axis": self.rig.axis, "excitation": excitation.name, "key": key,
+        meta = {"rig": self.rig.identity, "axis": self.rig.axis, "excitation": excitation.name, "key": key,
                 "program": __version__}  # fmt: skip
         rows = self.rig.rows(len(excitation))
         recording = Recording(path, name=name, meta=meta)
@@ -160,11 +160,11 @@ class Campaign:
             )
 
     def _instrument(self) -> dict[str, Any]:
-        return {"rig": self.rig.name, "axis": self.rig.axis}
+        return {"rig": self.rig.identity, "axis": self.rig.axis}
 
     def _key(self, excitation: Excitation) -> str:
         """What tells one excitation on one instrument from any other."""
-        told = f"{self.rig.name} {self.rig.axis} {excitation.sample_rate!r}".encode()
+        told = f"{self.rig.identity} {self.rig.axis} {excitation.sample_rate!r}".encode()
         return hashlib.sha256(told + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
 
 

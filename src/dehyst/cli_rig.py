@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -64,7 +65,7 @@ def serve(
     rehearsed = [Fault.parse(text) for text in faults]
     instrument, told = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
     lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, tell=lambda words: click.echo(f"fault: {words}"))
-    controller = Controller(instrument, told=told)
+    controller = Controller(instrument, told=told, serial=ascii(Path(actuator).name)[1:-1])
     server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
     if epics is not None:
         _serve_epics(instrument, epics, lock)

@@ -13,7 +13,7 @@ from dehyst.instrument import Instrument
 from dehyst.version import __version__
 
 _LONGEST_LINE = 65536
-_IDENTITY = f"dehyst,emulated piezo controller,0,{__version__}"
+_IDENTITY = "dehyst,emulated piezo controller"
 # What HLP? says of the commands that the table in `Controller` does.
 _WORDS = {
     "*IDN?": "Get device identification", "CST?": "Get assignment of stages to axes", "CSV?": "Get syntax version",
@@ -51,6 +51,8 @@ class Controller:
         Name of the axis and of its channel.
     told : (float, float), optional
         Limits [V] that the controller tells of itself; default: those that it has.
+    serial : str, optional
+        Serial number that it tells, in ASCII.
 
     Attributes
     ----------
@@ -58,11 +60,14 @@ class Controller:
         What is latched until ERR?.
     """
 
-    def __init__(self, instrument: Instrument, *, axis: str = "1", told: tuple[float, float] | None = None) -> None:
+    def __init__(
+        self, instrument: Instrument, *, axis: str = "1", told: tuple[float, float] | None = None, serial: str = "0"
+    ) -> None:
         self.instrument, self.axis, self.error = instrument, axis, Error.NONE
         self.waves, self.recorder = Waves(instrument), Recorder(instrument, axis)
         self._told = told or instrument.limits
         self._parameters = Parameters(instrument)
+        self._identity = ",".join((_IDENTITY, serial.replace(",", " ") or "0", __version__))
         self._target = 0.0
         self._does = self._doing()
         self._asks = self._asking()
@@ -111,7 +116,7 @@ class Controller:
     def _asking(self) -> dict[str, Callable[[_Words], str]]:
         bench, waves, recorder = self.instrument, self.waves, self.recorder
         return {
-            "*IDN?": lambda words: self._alone(words, _IDENTITY),
+            "*IDN?": lambda words: self._alone(words, self._identity),
             "CST?": self._each(lambda: "DEHYST"),
             "CSV?": lambda words: self._alone(words, "2.0"),
             "DRC?": lambda words: lines(*recorder.configured(words)),
@@ -134,7 +139,7 @@ class Controller:
             "TMN?": self._each(lambda: numeral(0.0)),
             "TMX?": self._each(lambda: numeral(1e6 * bench.stroke)),
             "TNR?": lambda words: self._alone(words, str(len(recorder.options))),
-            "VER?": lambda words: self._alone(words, f"FW: {__version__}", f"GCS: {_IDENTITY}"),
+            "VER?": lambda words: self._alone(words, f"FW: {__version__}", f"GCS: {self._identity}"),
             "VMA?": self._each(lambda: numeral(self._told[1])),
             "VMI?": self._each(lambda: numeral(self._told[0])),
             "VOL?": self._each(lambda: numeral(bench.voltage)),

@@ -57,6 +57,8 @@ class AbstractRig(ABC):
         Samples that one `_wave` takes; default any number.
     axis : str
         Of the device.
+    identity : str, optional
+        What tells the instrument from others wherever it is connected; default its name.
 
     Attributes
     ----------
@@ -73,9 +75,9 @@ class AbstractRig(ABC):
 
     def __init__(
         self, name: str, device: Limits, *, limits: tuple[float, float] | None = None,
-        slew_rate: float | None = None, longest: int | None = None, axis: str = "1",
+        slew_rate: float | None = None, longest: int | None = None, axis: str = "1", identity: str | None = None,
     ) -> None:  # fmt: skip
-        self.name, self.axis, self.longest = name, axis, longest
+        self.name, self.axis, self.longest, self.identity = name, axis, longest, identity or name
         self.limits = common(device, limits, slew_rate)
         self.slew_rate = float(self.limits.slew_rate or math.inf)
         if longest is not None and longest < 2:

@@ -80,7 +80,7 @@ class PiRig(AbstractRig):
         self._born, self._late, self._latest, self._told = time.monotonic(), 0.0, -np.inf, -np.inf
         super().__init__(
             self._client.name, traits.limits, limits=limits, slew_rate=slew_rate, axis=traits.axis,
-            longest=traits.waves.longest if traits.waves else None,
+            longest=traits.waves.longest if traits.waves else None, identity=self._client.identity,
         )  # fmt: skip
         self._open_loop()
         if traits.waves is None:
