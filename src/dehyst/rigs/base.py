@@ -31,6 +31,8 @@ __all__ = ["AbstractRig", "Listener", "Reading", "Samples"]
 _LEAST_WATCHED = 0.25
 # Seconds from one step of a ramp to the next; a host keeps no better time.
 _TICK = 0.01
+# Seconds that a ramp takes for the whole range at least: its steps are small then, and no actuator is struck by them.
+_GENTLE = 1.0
 # How a note on an error begins that tells where the voltage was left.
 _TOLD = "The voltage"
 
@@ -99,7 +101,7 @@ class AbstractRig(ABC):
 
     @final
     def set_voltage(self, voltage: float) -> float:
-        """Ramp to a voltage [V] within the slew rate; returns the one that was sent.
+        """Ramp to a voltage [V] within the slew rate, the whole range in a second at least; returns the one sent.
 
         What lies outside of the limits is clamped, with a `ClampWarning`.
 
@@ -253,9 +255,9 @@ class AbstractRig(ABC):
         time.sleep(seconds)
 
     def _ramp(self, end: float) -> None:
-        """Go from the voltage that is read to `end` in steps of what the slew rate allows."""
+        """Go from the voltage that is read to `end`, within the slew rate and in steps of a hundredth of the range."""
         present = self._present()
-        step = self.slew_rate * _TICK
+        step = min(self.slew_rate, (self.limits.high - self.limits.low) / _GENTLE) * _TICK
         while present != end:
             present = end if abs(end - present) <= step else present + math.copysign(step, end - present)
             # First, too: a wave may have been stopped just now.
