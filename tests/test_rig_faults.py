@@ -214,7 +214,8 @@ def test_fuzzed_replies_over_real_sockets(cases):
         assert ALLOWED[0] <= bench.log.lowest
         assert bench.log.highest <= ALLOWED[1]
         changed += meddle.count
-    assert changed > 3 * cases
+    # A life may end at its first false reply.
+    assert changed > cases
 
 
 def test_limits_narrower_than_told_over_a_socket():
