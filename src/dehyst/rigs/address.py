@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -116,17 +115,16 @@ def _own(path: Path, name: str, asked: _Asked) -> AbstractRig:
 def _module(path: Path) -> ModuleType:
     if not path.is_file():
         raise RigError(f"{path}: there is no such file; need one with a function that makes a rig")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise RigError(f"{path}: cannot be read as Python")
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(path.stem)
+    module.__file__ = str(path)
     # Dataclasses and pickle look for it there; a module of the same name is not replaced.
     sys.modules.setdefault(path.stem, module)
     # As Python does with a script: what lies beside it can be imported.
     if (folder := str(path.resolve().parent)) not in sys.path:
         sys.path.insert(0, folder)
     try:
-        spec.loader.exec_module(module)
+        # Not by way of a cache: somebody who edits it and tries again means what it says now.
+        exec(compile(path.read_bytes(), path, "exec"), module.__dict__)
     except Exception as error:
         raise RigError(f"{path}: {type(error).__name__}: {error}") from error
     return module
