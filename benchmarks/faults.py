@@ -6,6 +6,7 @@ Names on the command line choose some of them, and nothing is written then.
 import contextlib
 import json
 import re
+import signal
 import sys
 import tempfile
 from collections.abc import Callable
@@ -170,6 +171,9 @@ def as_dict(case: Case, found: Outcome) -> dict:
 
 
 def main() -> None:
+    # What runs in the background may ignore these, and its children then would.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     chosen = [case for case in CASES if len(sys.argv) == 1 or case.name in sys.argv[1:]]
     # Most of the time is spent waiting for answers that do not come.
     with ThreadPoolExecutor(2) as pool:

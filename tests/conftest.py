@@ -1,12 +1,17 @@
-"""What every test shares: Hypothesis without a stopwatch, and the C core compiled apart from Python."""
+"""What every test shares: signals, Hypothesis without a stopwatch, and the C core compiled apart from Python."""
 
 import shutil
+import signal
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+
+# A runner in the background may ignore Ctrl-C and a hang-up, and its children then would: the tests mean them.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 CORE = Path(__file__).resolve().parents[1] / "core"
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
