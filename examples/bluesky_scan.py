@@ -75,6 +75,14 @@ def main(prefix, path=None):
     for name, found in (("compensated", compensated), ("proportional", straight)):
         print(f"{name}: largest error {percent * np.abs(found - wanted).max():.3f} % of the stroke")
 
+    with EpicsRig.connect(prefix) as rig:
+        rig.retreat()
+
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    if len(sys.argv) not in (2, 3):
+        sys.exit(f"usage: {sys.argv[0]} PREFIX [MODEL.json]")
+    try:
+        main(*sys.argv[1:])
+    except dehyst.DehystError as error:
+        sys.exit(f"bluesky_scan: {error}")

@@ -5,6 +5,8 @@ import pytest
 from dehyst._errors import DehystError, RigError
 from dehyst.rigs import open_rig
 from dehyst.rigs.pi import PiRig
+from dehyst.rigs.simulated import SimulatedRig
+from dehyst.truths import PlayActuator
 
 
 def test_addresses_go_to_their_rigs(monkeypatch):
@@ -12,14 +14,22 @@ def test_addresses_go_to_their_rigs(monkeypatch):
 
     def connect(*where, **asked):
         seen.append((where, asked))
+        return SimulatedRig(PlayActuator(), limits=asked["limits"])
 
     monkeypatch.setattr("dehyst.rigs.epics.EpicsRig.connect", connect)
     monkeypatch.setattr(PiRig, "connect", connect)
     limits = {"limits": (0.0, 5.0), "slew_rate": None}
-    for address in ("epics://XF:11{Ax:1}#2", "PI://Lab-7.local", "pi://[::1]:7/Z", "pi://10.0.0.3:50001"):
+    for address in (
+        "epics://XF:11{Ax:1}#2",
+        "epics://LAB:",
+        "PI://Lab-7.local",
+        "pi://[::1]:7/Z",
+        "pi://10.0.0.3:50001",
+    ):
         open_rig(address, limits=(0.0, 5.0))
     assert seen == [
         (("XF:11{Ax:1}#2",), limits),
+        (("LAB",), limits),
         (("lab-7.local", 50000), {"axis": None, **limits}),
         (("::1", 7), {"axis": "Z", **limits}),
         (("10.0.0.3", 50001), {"axis": None, **limits}),
@@ -54,3 +64,28 @@ def test_addresses_that_are_none(tmp_path):
     )
     rig = open_rig(f"{own}:make", limits=(1.0, 7.0), slew_rate=3.0)
     assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (1.0, 7.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "why"),
+    [({"limits": (0.0, 20.0)}, "allows itself 0 to 200 V .* but 0 to 20 V"), ({"slew_rate": 5.0}, "but .* 5 V/s")],
+)
+def test_a_rig_that_does_not_keep_to_what_was_asked_is_refused(tmp_path, asked, why):
+    own = tmp_path / "rig_that_forgets.py"
+    own.write_text(
+        "from dehyst.rigs.simulated import SimulatedRig\nfrom dehyst.truths import PlayActuator\n"
+        "def make(**asked):\n    return SimulatedRig(PlayActuator())\n"
+    )
+    with pytest.raises(RigError, match=f"{why}.*pass limits= and slew_rate= on"):
+        open_rig(f"{own}:make", **asked)
+
+
+def test_a_rig_that_was_never_made_is_told(tmp_path):
+    own = tmp_path / "rig_half_made.py"
+    own.write_text(
+        "from dehyst.rigs.simulated import SimulatedRig\n"
+        "class Half(SimulatedRig):\n    def __init__(self): pass\n"
+        "def make(**asked):\n    return Half()\n"
+    )
+    with pytest.raises(RigError, match=r"Half: its __init__ does not call super"):
+        open_rig(f"{own}:make")

@@ -121,8 +121,11 @@ def test_it_goes_on_after_an_interrupt(tmp_path):
     assert found.played == ("others", "nominal", "compensated")
     assert found.compensated.largest_percent < 0.2
     # What was cut off is still there, under another name.
-    kept = [path for path in (tmp_path / "records").glob("others*.h5") if path.name != "others.h5"]
-    assert [len(read(path)) for path in kept] == [len(cut)]
+    [aside] = (tmp_path / "records" / "set-aside").iterdir()
+    assert len(read(aside)) == len(cut)
+    assert sorted(json.loads((tmp_path / "calibration.json").read_text())["sha256"]) == [
+        f"{name}.h5" for name in ("compensated", "look", "loops", "nominal", "others")
+    ]
 
 
 def test_creep_is_seen_and_followed(tmp_path):
@@ -131,6 +134,17 @@ def test_creep_is_seen_and_followed(tmp_path):
     assert found.creep.seen
     assert [one.name for one in found.training] == ["look", "loops", "fast", "stairs"]
     assert found.fit.actuator.creep is not None
+    assert found.compensated.largest_percent < 0.4
+
+
+def test_a_path_is_not_followed_by_an_old_record_of_what_creeps(tmp_path):
+    """What crept in an hour between the nominal path and the compensated one, a new nominal path tells."""
+    rig = SimulatedRig(PlayActuator(creep=0.01))
+    calibrate(rig, tmp_path)
+    (tmp_path / "records" / "compensated.h5").unlink()
+    rig._wait(3600.0)
+    found = calibrate(rig, tmp_path)
+    assert found.played == ("nominal", "compensated")
     assert found.compensated.largest_percent < 0.4
 
 

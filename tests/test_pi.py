@@ -96,12 +96,23 @@ def test_the_rate_is_the_nearest_that_divides_the_servos(rate):
         assert abs(near - rate) <= abs(20000 / other - rate) + 1e-9
 
 
-def test_a_servo_that_is_on_is_switched_off_and_that_is_said():
+@pytest.mark.parametrize("send", [lambda rig: rig.set_voltage(1.0), lambda rig: rig.play(triangle())])
+def test_a_servo_that_is_on_is_switched_off_by_the_first_voltage_and_that_is_said(send):
     controller = FakeController()
     controller.bench.servo = True
+    rig = quick(controller)
+    rig.read()
+    assert controller.bench.servo
     with pytest.warns(UserWarning, match="servo was on and is switched off"):
-        quick(controller)
+        send(rig)
     assert not controller.bench.servo
+
+
+def test_a_servo_that_stays_on_is_told():
+    controller = FakeController(told={"SVO?": ["1=1"]})
+    with pytest.warns(UserWarning, match="was on"), pytest.raises(DeviceError, match="does not go off"):
+        quick(controller).set_voltage(1.0)
+    assert not [line for line in controller.lines if line.startswith("SVA")]
 
 
 @pytest.mark.parametrize("lacking", [["WAV"], ["DRR?"], ["HDR?"], WAVES])
@@ -144,7 +155,6 @@ def test_an_older_syntax_version_is_that_of_gcs_2():
         ({"SAI?": ["1", "2"]}, [], {}, RigError, "has the axes 1, 2; say which"),
         ({}, [], {"axis": "7"}, RigError, "got the axis '7', it has 1"),
         ({}, [], {"limits": (200.0, 300.0)}, RigError, "nothing is left"),
-        ({"SVO?": ["1=1"]}, [], {}, DeviceError, "does not go off"),
         ({"VOL?": ["1=nan"]}, [], {}, LinkError, "sent '\\[?.?VOL. 1.*got '1=nan'|need a finite number"),
     ],
 )  # fmt: skip

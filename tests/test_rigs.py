@@ -183,10 +183,43 @@ def test_what_shows_that_the_sensor_is_dead_is_heard_too():
 def test_a_reading_that_is_no_number_is_refused():
     rig = FakeRig()
     rig._read = lambda: Reading(0.0, np.nan, 0.0)
-    for ask in (rig.read, rig.retreat, lambda: rig.set_voltage(3)):
-        with pytest.raises(LinkError, match=r"read Reading\(.*need finite numbers"):
+    with pytest.raises(LinkError, match=r"read Reading\(.*need finite numbers"):
+        rig.read()
+    for ask in (rig.retreat, lambda: rig.set_voltage(3)):
+        with pytest.raises(DeviceError, match="read a voltage of nan V, need a finite one"):
             ask()
     assert rig.instrument.sent == [0.0]
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [lambda: Reading(0.0, 50.0, np.nan), lambda: Reading(0.0, np.nan, np.nan), lambda: 1 / 0, lambda: None],
+    ids=["no displacement", "nothing finite", "raises", "nothing"],
+)
+def test_a_retreat_needs_no_sensor(broken):
+    rig, heard = FakeRig((0.0, 100.0)), []
+
+    def listen(samples):
+        heard.append(samples)
+        if samples.voltage[-1] >= 50:
+            rig._read = broken
+            raise ValueError("enough")
+
+    with pytest.raises(ValueError, match="enough") as caught:
+        rig.play(UP, listen)
+    assert caught.value.__notes__ == [BROUGHT]
+    assert rig.instrument.sent[-1] == 0.0
+    # From where it stood, in small steps.
+    back = rig.instrument.sent[-40:]
+    assert max(abs(np.diff(back))) <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("name", ["_read", "_put", "_wave", "_halt", "nearest_rate"])
+def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name):
+    rig = FakeRig((0.0, 100.0))
+    setattr(rig, name, lambda *_: {}[1])
+    with pytest.raises(DeviceError, match=f"{name} of the rig raised KeyError.*see to its code"):
+        rig.retreat() if name == "_halt" else rig.play(Excitation("up", np.linspace(1, 5, 10), 100.0))
 
 
 @pytest.mark.parametrize("error", [LinkError("lost"), OSError("gone"), ZeroDivisionError("a leaf's own mistake")])
@@ -203,7 +236,9 @@ def test_a_retreat_that_fails_is_told_beside_the_first_error(error):
     with pytest.raises(ValueError, match="first") as caught:
         rig.play(UP, listen)
     [note] = caught.value.__notes__
-    assert note.startswith(f"The voltage could not be brought to 0 V ({error}): the device holds")
+    assert note.startswith("The voltage could not be brought to 0 V (")
+    assert f"{error}" in note
+    assert "the device holds" in note
     assert note.endswith("see to it by hand.")
     assert rig.done[-1] == "close"
     with pytest.raises(RigError, match="is closed"):

@@ -147,6 +147,11 @@ class Calibration:
     played: tuple[str, ...] = ()
 
     @property
+    def since(self) -> str:
+        """When the first of its records began, in UTC."""
+        return min(str(one.meta.get("started", "")) for one in (*self.training, *self.held_out))
+
+    @property
     def good(self) -> bool:
         """Whether the model is of use and the path was followed as well as asked."""
         return self.fit.outcome.good and self.compensated.largest_percent <= self.goal
@@ -239,6 +244,10 @@ class _Job:
         linear = planner.nominal()
         before = self._played(linear)
         modelled = planner.compensated(fit.actuator, self.campaign.sequence)
+        if "nominal" in self.campaign.kept and not self.campaign.holds(modelled.excitation, "compensated"):
+            # What crept meanwhile, only a record just before tells.
+            before = self._played(linear, afresh=True)
+            modelled = planner.compensated(fit.actuator, self.campaign.sequence)
         nominal, compensated = self._followed(linear, before), self._followed(modelled, self._played(modelled))
         return Calibration(
             fit, told, creep, tuple(training), (held_out,), nominal, compensated, self.plan.goal, modelled.warnings,
@@ -293,9 +302,11 @@ class _Job:
         fit = replace(fit, actuator=replace(fit.actuator, name=name))
         return fit, insight(fit.actuator, training, limits=(self.pace.low, self.pace.high), repeats=0)
 
-    def _played(self, planned: Course) -> Record:
+    def _played(self, planned: Course, *, afresh: bool = False) -> Record:
         excitation = planned.excitation
-        return self.campaign.record(excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke)
+        return self.campaign.record(
+            excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke, afresh=afresh
+        )
 
     def _followed(self, planned: Course, record: Record) -> Followed:
         return Followed.of(planned, record, self.rig.rows(len(planned.excitation)))

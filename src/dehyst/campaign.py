@@ -11,7 +11,7 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst._native import Array
 from dehyst.excitation import Excitation
-from dehyst.files import PathLike, read, read_json, write_json
+from dehyst.files import PathLike, read, read_json, unwritten, write_json
 from dehyst.record import Record
 from dehyst.recording import Recording, numbered, room, salvage
 from dehyst.rigs.base import AbstractRig, Samples
@@ -87,8 +87,9 @@ class Campaign:
         self.sequence: list[Record] = []
 
     def record(
-        self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: float | None = None
-    ) -> Record:
+        self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: float | None = None,
+        afresh: bool = False,
+    ) -> Record:  # fmt: skip
         """Play an excitation and have its record on disk, unless it is there already.
 
         Parameters
@@ -100,6 +101,8 @@ class Campaign:
             Displacement [m] of each voltage, for who watches; NaN where none is wanted.
         stroke : float, optional
             What its error refers to [m].
+        afresh : bool
+            Whether to play it though it is on disk.
 
         Raises
         ------
@@ -109,12 +112,11 @@ class Campaign:
             If nothing can be written.
         """
         path, key = self.records / f"{name}.h5", self._key(excitation)
-        if (found := _whole(path, key)) is not None:
+        if not afresh and (found := _whole(path, key)) is not None:
             self.kept.append(name)
             self.sequence.append(found)
             return found
-        if path.exists():
-            path.rename(numbered(path))
+        self._set_aside(path)
         room(self.records, len(excitation))
         if not self.played:
             # What a killed process left may still be playing.
@@ -138,13 +140,30 @@ class Campaign:
                 path.unlink(missing_ok=True)
             raise
         record = read(path)
+        if name in self.kept:
+            self.kept.remove(name)
         self.played.append(name)
         self.sequence.append(record)
         return record
 
+    def holds(self, excitation: Excitation, name: str) -> bool:
+        """Whether the record of an excitation is on disk, whole."""
+        return _whole(self.records / f"{name}.h5", self._key(excitation)) is not None
+
     def hashes(self) -> dict[str, str]:
-        """Sha256 of each file of a record."""
-        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(self.records.glob("*.h5"))}
+        """Sha256 of the file of each record that was asked for."""
+        paths = [self.records / f"{name}.h5" for name in dict.fromkeys((*self.kept, *self.played))]
+        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+
+    def _set_aside(self, path: Path) -> None:
+        """Move what stands under a name, cut off or of another excitation, to where it is not taken for a record."""
+        if path.exists():
+            aside = self.records / "set-aside"
+            try:
+                aside.mkdir(exist_ok=True)
+                path.rename(numbered(aside / path.name))
+            except OSError as error:
+                raise unwritten(aside, error) from error
 
     def _claim(self) -> None:
         """Make sure that the folder is of this instrument; raises FileFormatError."""
@@ -152,7 +171,10 @@ class Campaign:
         if not path.exists():
             write_json(path, {"format": _FORMAT, "version": 1, **mine})
             return
-        found = read_json(path)
+        try:
+            found = read_json(path)
+        except FileFormatError as error:
+            raise FileFormatError(f"{error}; or delete it, if the folder is one of this instrument") from error
         if {key: found.get(key) for key in mine} != mine:
             raise FileFormatError(
                 f"{self.folder}: holds a calibration of {found.get('rig')}, axis {found.get('axis')}, and this is "

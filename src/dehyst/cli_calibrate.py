@@ -187,11 +187,22 @@ def _status(error: BaseException) -> int:
     return 1 if isinstance(error, LinkError | DeviceError | SensorError) else 2
 
 
+def _kept(found: Calibration) -> Iterator[str]:
+    """Say what was not measured now."""
+    if found.kept and not found.played:
+        yield f"nothing was played: all is from records on disk, {found.since}; give another -o to measure anew"
+    elif found.kept:
+        yield (
+            f"from records on disk, {found.since}, not played again: {', '.join(found.kept)}; if the actuator was "
+            "changed since, give another -o"
+        )
+
+
 def _print(found: Calibration, output: Path, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(finite({**found.as_dict(), "output": str(output)}), indent=1))
         return
-    for warning in found.warnings():
+    for warning in (*_kept(found), *found.warnings()):
         click.echo(f"dehyst: {warning}", err=True)
     fit = found.fit
     click.echo(f"{fit.outcome.value}")

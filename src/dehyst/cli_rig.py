@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,6 +17,17 @@ if TYPE_CHECKING:
     from dehyst.emulator.faults import Fault
     from dehyst.emulator.server import Server
     from dehyst.instrument import Instrument
+
+
+class Finite(click.FloatRange):
+    """A range of numbers that NaN and infinity are not in."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Refuse what is not finite."""
+        found = float(super().convert(value, param, ctx))
+        if not math.isfinite(found):
+            self.fail(f"{value} is no finite number", param, ctx)
+        return found
 
 
 @click.group()
@@ -33,14 +45,14 @@ def rig() -> None:
 @click.option("--limits", type=(float, float), metavar="LOW HIGH", help="Voltages.  [default: the actuator's]")
 @click.option("--slew", type=float, metavar="V/S", help="Slew rate of the amplifier.  [default: not limited]")
 @click.option(
-    "--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, metavar="X",
+    "--speed", type=Finite(min=0, min_open=True, max=1e6), default=1.0, show_default=True, metavar="X",
     help="Seconds of the instrument in each second.",
 )  # fmt: skip
 @click.option(
-    "--noise", type=click.FloatRange(min=0), metavar="NM", help="Of the sensor.  [default: the actuator's, 2 nm]"
+    "--noise", type=Finite(min=0, max=1e6), metavar="NM", help="Of the sensor.  [default: the actuator's, 2 nm]"
 )
 @click.option(
-    "--wave-points", type=click.IntRange(min=2), default=65536, show_default=True, metavar="N",
+    "--wave-points", type=click.IntRange(2, 10_000_000), default=65536, show_default=True, metavar="N",
     help="Samples that wave generator and recorder take.",
 )  # fmt: skip
 @click.option(
@@ -48,7 +60,7 @@ def rig() -> None:
     help="A fault to rehearse, after so many samples of a wave (drop@2000) or seconds (unplug@3.5s), or in the middle "
     "of the first wave: drop, silence, garble, truncate, error, narrow, saturate, unplug, refuse, stall.",
 )  # fmt: skip
-@click.option("--seconds", type=click.FloatRange(min=0), metavar="S", help="End by itself.  [default: Ctrl-C]")
+@click.option("--seconds", type=Finite(min=0), metavar="S", help="End by itself.  [default: Ctrl-C]")
 @click.option("--epics", metavar="PREFIX", help="Serve the same instrument by EPICS Channel Access too.")
 def serve(
     actuator: str, host: str, port: int, limits: tuple[float, float] | None, slew: float | None, speed: float,

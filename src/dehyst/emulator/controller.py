@@ -23,9 +23,11 @@ _WORDS = {
     "ERR?": "Get error number", "HDR?": "Get help for data recording", "HLP?": "Get list of commands",
     "HLT": "Halt motion", "HPA?": "Get list of parameters", "MOV": "Set target position {axis position}",
     "MOV?": "Get target position", "MVR": "Set target relative to present target {axis distance}",
-    "ONT?": "Get on-target state", "POS?": "Get real position", "RTR": "Set record table rate {divider}",
+    "ONT?": "Get on-target state", "POS?": "Get real position", "PUN?": "Get unit of position",
+    "RTR": "Set record table rate {divider}",
     "RTR?": "Get record table rate", "SAI?": "Get list of axes {[ALL]}", "SPA?": "Get parameters {[item parameter]}",
-    "STP": "Stop all axes", "SVA": "Set open-loop value {axis voltage}", "SVA?": "Get open-loop value",
+    "SSN?": "Get serial number", "STP": "Stop all axes",
+    "SVA": "Set open-loop value {axis voltage}", "SVA?": "Get open-loop value",
     "SVO": "Set servo mode {axis state}", "SVO?": "Get servo mode",
     "SVR": "Set relative open-loop value {axis voltage}", "TIM?": "Get timer value in ms",
     "TMN?": "Get lowest position", "TMX?": "Get highest position", "TNR?": "Get number of record tables",
@@ -67,7 +69,8 @@ class Controller:
         self.waves, self.recorder = Waves(instrument), Recorder(instrument, axis)
         self._told = told or instrument.limits
         self._parameters = Parameters(instrument)
-        self._identity = ",".join((_IDENTITY, serial.replace(",", " ") or "0", __version__))
+        self._serial = serial.replace(",", " ") or "0"
+        self._identity = ",".join((_IDENTITY, self._serial, __version__))
         self._target = 0.0
         self._does = self._doing()
         self._asks = self._asking()
@@ -130,9 +133,11 @@ class Controller:
             "MOV?": self._each(lambda: numeral(1e6 * self._target)),
             "ONT?": self._each(lambda: str(int(bench.servo and bench.arrived))),
             "POS?": self._each(lambda: numeral(1e6 * bench.displacement())),
+            "PUN?": self._each(lambda: "um"),
             "RTR?": lambda words: self._alone(words, str(recorder.divider)),
             "SAI?": self._sai,
             "SPA?": lambda words: lines(*self._parameters.values(words)),
+            "SSN?": lambda words: self._alone(words, self._serial),
             "SVA?": self._each(lambda: numeral(bench.target)),
             "SVO?": self._each(lambda: str(int(bench.servo))),
             "TIM?": lambda words: self._alone(words, numeral(1e3 * bench.now)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import selectors
 import socket
 import threading
@@ -111,7 +112,11 @@ class Server:
         try:
             self._listening = socket.create_server((host, port), backlog=16)
         except (OSError, OverflowError) as error:
-            raise LinkError(f"{host}:{port}: cannot listen there ({error}); give another port, or 0 for any") from error
+            # Names that are not known have numbers below 0.
+            number = getattr(error, "errno", None) or 0
+            elsewhere = number < 0 or number == errno.EADDRNOTAVAIL
+            advice = "give an address of this machine (127.0.0.1)" if elsewhere else "give another port, or 0 for any"
+            raise LinkError(f"{host}:{port}: cannot listen there ({error}); {advice}") from error
         self._listening.setblocking(False)
         self.host, self.port = host, int(self._listening.getsockname()[1])
         self._client: _Client | None = None

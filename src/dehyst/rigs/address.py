@@ -15,7 +15,7 @@ from dehyst.rigs.base import AbstractRig
 _Asked = dict[str, Any]
 _FORMS = (
     "pi://host:port[/axis], epics://PREFIX, sim://play (or creep, preisach, boucwen, /path/to/model.json), "
-    "ni://Dev1/ao0,ai0 or path/to/my_rig.py:make"
+    "ni://Dev1/ao0,ai0?gain=10&scale=5 or path/to/my_rig.py:make"
 )
 
 
@@ -29,7 +29,7 @@ def open_rig(address: str, *, limits: tuple[float, float] | None = None, slew_ra
         ``epics://PREFIX``: process variables that begin so.
         ``sim://play``, ``creep``, ``preisach``, ``boucwen`` or ``sim:///path/to/model.json``: a virtual one, without
         a link, as fast as it computes.
-        ``ni://Dev1/ao0,ai0``: a data acquisition card; not tried on hardware.
+        ``ni://Dev1/ao0,ai0?gain=10&scale=5``: a data acquisition card; not tried on hardware.
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
     limits : (float, float), optional
@@ -49,11 +49,26 @@ def open_rig(address: str, *, limits: tuple[float, float] | None = None, slew_ra
     if separator:
         if scheme.lower() not in _OPENERS:
             raise RigError(f"{address}: there is no kind of rig called {scheme!r}; need {_FORMS}")
-        return _OPENERS[scheme.lower()](rest, asked)
+        return _kept(_OPENERS[scheme.lower()](rest, asked), asked)
     path, separator, name = address.rpartition(":")
     if not (separator and path.endswith(".py") and name.isidentifier()):
         raise RigError(f"{address!r}: is no address of a rig; need {_FORMS}")
-    return _own(Path(path), name, asked)
+    return _kept(_own(Path(path), name, asked), asked)
+
+
+def _kept(rig: AbstractRig, asked: _Asked) -> AbstractRig:
+    """The rig, if it keeps to what was asked; raises RigError."""
+    kept = getattr(rig, "limits", None)
+    if kept is None:
+        raise RigError(f"{type(rig).__name__}: its __init__ does not call super().__init__(name, limits, ...)")
+    limits, slew_rate = asked["limits"] or (kept.low, kept.high), asked["slew_rate"] or rig.slew_rate
+    if limits[0] <= kept.low and kept.high <= limits[1] and rig.slew_rate <= slew_rate:
+        return rig
+    rig.close()
+    raise RigError(
+        f"{rig.name}: allows itself {kept.words} and {rig.slew_rate:.6g} V/s, but {limits[0]:g} to {limits[1]:g} V and "
+        f"{slew_rate:.6g} V/s were asked for; pass limits= and slew_rate= on to AbstractRig"
+    )
 
 
 def _pi(rest: str, asked: _Asked) -> AbstractRig:
@@ -75,7 +90,8 @@ def _epics(prefix: str, asked: _Asked) -> AbstractRig:
         raise RigError("epics://: need the prefix of process variables, as in epics://LAB:PIEZO")
     from dehyst.rigs.epics import EpicsRig
 
-    return EpicsRig.connect(prefix, **asked)
+    # The colon between prefix and name is added there.
+    return EpicsRig.connect(prefix.removesuffix(":"), **asked)
 
 
 def _sim(name: str, asked: _Asked) -> AbstractRig:

@@ -14,13 +14,14 @@ from typing import Any, Self, TypeVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import DeviceError, LinkError, ModelError, RecordError, RigError
+from dehyst._errors import DeviceError, ModelError, RecordError, RigError
 from dehyst._native import Array, number
 from dehyst.compensator import ClampWarning
 from dehyst.excitation import Excitation
 from dehyst.record import Record
 from dehyst.rigs.allowance import common, refuse
 from dehyst.rigs.interrupts import shielded
+from dehyst.rigs.leaf import finite, leafs_own, reading_of
 from dehyst.rigs.samples import ASTRAY, Inspection, Listener, Reading, Samples
 from dehyst.rigs.watch import SensorWatch
 from dehyst.trajectory import Limits
@@ -86,6 +87,7 @@ class AbstractRig(ABC):
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
         self.safe = self.limits.nearest(0.0)
         self._closed = False
+        self._stood: float | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -137,7 +139,7 @@ class AbstractRig(ABC):
             If there is no answer, or none that is finite.
         """
         self._refuse_closed()
-        return self._checked_reading()
+        return finite(self.name, self._reading())
 
     @final
     def play(self, excitation: Excitation, listen: Listener = lambda _: None) -> Record:
@@ -165,6 +167,7 @@ class AbstractRig(ABC):
                 with closing(self._piece(piece, rate, look)) as lots:
                     for samples in lots:
                         came.append(samples)
+                        self._stood = float(samples.voltage[-1])
                         listen(samples)
                         watch.see(samples.voltage, samples.displacement)
         time_, voltage, displacement = (np.concatenate(columns) for columns in zip(*came, strict=True))
@@ -174,7 +177,8 @@ class AbstractRig(ABC):
     def check(self, excitation: Excitation) -> float:
         """The rate [Hz] at which an excitation would be played; raises RecordError as `play` does. Sends nothing."""
         self._refuse_closed()
-        rate = self.nearest_rate(excitation.sample_rate)
+        with leafs_own(self.name, "nearest_rate"):
+            rate = float(self.nearest_rate(excitation.sample_rate))
         refuse(excitation, rate, self.limits, self.name)
         return rate
 
@@ -207,8 +211,9 @@ class AbstractRig(ABC):
         """
         self._refuse_closed()
         with shielded(held=True):
-            self._halt()
-            self._ramp(self.safe)
+            with leafs_own(self.name, "_halt"):
+                self._halt()
+            self._ramp(self.safe, self._stood)
         return self.safe
 
     @final
@@ -254,19 +259,31 @@ class AbstractRig(ABC):
         """Let time pass."""
         time.sleep(seconds)
 
-    def _ramp(self, end: float) -> None:
-        """Go from the voltage that is read to `end`, within the slew rate and in steps of a hundredth of the range."""
-        present = self._present()
+    def _ramp(self, end: float, otherwise: float | None = None) -> None:
+        """Go from the voltage that is read to `end`, within the slew rate and in steps of a hundredth of the range.
+
+        Where it cannot be read, from `otherwise`: a retreat must not fail because a sensor did.
+        """
+        try:
+            present = self._reading().voltage
+            if not math.isfinite(present):
+                raise DeviceError(f"{self.name}: read a voltage of {present} V, need a finite one; check the device")
+        except DeviceError:
+            if otherwise is None:
+                raise
+            present = otherwise
+        present = self._within(present)
         step = min(self.slew_rate, (self.limits.high - self.limits.low) / _GENTLE) * _TICK
         while present != end:
             present = end if abs(end - present) <= step else present + math.copysign(step, end - present)
             # First, too: a wave may have been stopped just now.
             self._wait(_TICK)
-            self._put(self.limits.nearest(present))
+            with leafs_own(self.name, "_put"):
+                self._put(self.limits.nearest(present))
+            self._stood = present
 
-    def _present(self) -> float:
-        """The voltage that is read [V]; a readback's error may put it a little outside of the limits."""
-        voltage = self._checked_reading().voltage
+    def _within(self, voltage: float) -> float:
+        """The voltage [V] that a device stands at; a readback's error may put it a little outside of the limits."""
         present = self.limits.nearest(voltage)
         if abs(voltage - present) > ASTRAY * (self.limits.high - self.limits.low):
             raise DeviceError(
@@ -275,11 +292,9 @@ class AbstractRig(ABC):
             )
         return present
 
-    def _checked_reading(self) -> Reading:
-        reading = self._read()
-        if not all(map(math.isfinite, reading)):
-            raise LinkError(f"{self.name}: read {reading}, need finite numbers; check the device and its sensor")
-        return reading
+    def _reading(self) -> Reading:
+        with leafs_own(self.name, "_read"):
+            return reading_of(self.name, self._read())
 
     def _pieces(self, voltage: NDArray[_Kind]) -> Iterator[NDArray[_Kind]]:
         """The voltages (n,) in pieces that the device takes, each beginning where the one before ended."""
@@ -290,10 +305,15 @@ class AbstractRig(ABC):
     def _piece(self, voltage: Array, rate: float, look: Inspection) -> Generator[Samples, None, None]:
         """Play one piece; what comes is looked at before it is believed."""
         look.begin(voltage)
-        wave = self._wave(voltage, rate)
+        with leafs_own(self.name, "_wave"):
+            wave = iter(self._wave(voltage, rate))
         try:
-            for samples in wave:
-                admitted = look.admit(samples)
+            while True:
+                with leafs_own(self.name, "_wave"):
+                    samples = next(wave, None)
+                    if samples is None:
+                        break
+                    admitted = look.admit(samples)
                 if admitted.time.size:
                     yield admitted
                     look.judge(admitted)

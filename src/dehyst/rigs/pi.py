@@ -82,7 +82,7 @@ class PiRig(AbstractRig):
             self._client.name, traits.limits, limits=limits, slew_rate=slew_rate, axis=traits.axis,
             longest=traits.waves.longest if traits.waves else None, identity=self._client.identity,
         )  # fmt: skip
-        self._open_loop()
+        self._opened = False
         if traits.waves is None:
             warnings.warn(
                 f"{self.name}: {traits.missing}; voltages are sent by the host instead, slowly ({HIGHEST_RATE:g} Hz) "
@@ -138,6 +138,7 @@ class PiRig(AbstractRig):
         return Reading(now, voltage, position * _METRES)
 
     def _put(self, voltage: float) -> None:
+        self._open_loop()
         self._client.set(gcs.command("SVA", self.axis, gcs.volts(voltage, self.limits.low, self.limits.high)))
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
@@ -172,17 +173,19 @@ class PiRig(AbstractRig):
             self._client.close()
 
     def _open_loop(self) -> None:
-        """Switch the servo off, if there is one."""
-        if not {"SVO", "SVO?"} <= self._client.commands:
+        """Switch the servo off before the first voltage, if there is one; who only looks leaves it on."""
+        if self._opened or not {"SVO", "SVO?"} <= self._client.commands:
             return
         if self._count("SVO?", self.axis):
-            warnings.warn(f"{self.name}: its servo was on and is switched off: open loop is needed", stacklevel=4)
+            warnings.warn(f"{self.name}: its servo was on and is switched off: open loop is needed", stacklevel=2)
             self._client.set(gcs.command("SVO", self.axis, 0))
         if self._count("SVO?", self.axis):
             raise DeviceError(f"{self.name}: its servo does not go off; switch it off by hand")
+        self._opened = True
 
     def _prepare(self, voltage: Array, divider: int, waves: Waves) -> None:
         """Fill the wave table and make everything ready to play it once and record it."""
+        self._open_loop()
         self._halt()
         points = [gcs.volts(float(value), self.limits.low, self.limits.high) for value in voltage]
         for line in gcs.wave_points(_WAVE, points):
