@@ -181,7 +181,7 @@ def _outcome(lines: list[str], status: int, seconds: float, folder: Path) -> Out
 
 
 def _on_disk(folder: Path) -> tuple[int, list[str]]:
-    """Samples that can be read from a folder, killed processes' too, and names of files that hold none."""
+    """Samples that can be read from a folder, killed processes' too, and of those set aside; names of files with none."""
     records = folder / "records"
     if not records.is_dir():
         return 0, []
@@ -190,7 +190,7 @@ def _on_disk(folder: Path) -> tuple[int, list[str]]:
     try:
         salvage(copy)
         found, left = 0, []
-        for path in sorted(copy.iterdir()):
+        for path in sorted(one for one in copy.rglob("*") if one.is_file()):
             try:
                 found += len(read(path))
             except DehystError:
