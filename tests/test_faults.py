@@ -51,10 +51,10 @@ SAID = {
     "hang-up": (129, r"stopped by SIGHUP", SAFE, GOES_ON),
     "deaf": (1,),
     "kill": (-signal.SIGKILL,),
-    "full": (2, r"\S+/look.h5.part.csv: cannot be written \(File too large\); make room there", SAFE,
-             r"\S+/look.h5: cannot be written .* The first \d+ of \d+ samples are in \S+/look.h5.part.csv", GOES_ON),
+    "full": (2, r"\S+/look.h5.part.csv: cannot be written \(File too large\); make room there", SAFE, GOES_ON),
     "file": (2, r"\S+: cannot be made a folder \(Not a directory\); give another one with -o"),
 }  # fmt: skip
+NO_ROOM = r"\S+/look.h5: cannot be written .* The first \d+ of \d+ samples are in \S+/look.h5.part.csv"
 # Nobody spoke to the controller, or nothing was sent; or it was not dehyst that left it where it is.
 SILENT = ("taken", "beyond", "file", "narrow")
 ELSEWHERE = {"astray": 150.0}
@@ -92,6 +92,9 @@ def test_a_fault(rehearsed, name):
     found = rehearsed[name].result()
     status, *said = SAID[name]
     told = "\n".join(found.said)
+    if name == "full":
+        # The record itself is smaller than its journal: there may be room for all that came, or not.
+        found.said[:] = [line for line in found.said if not re.match(NO_ROOM, line)]
     assert "Traceback" not in told and 'File "' not in told
     assert found.status == status, told
     assert len(found.said) == len(said), told
