@@ -181,7 +181,7 @@ def _outcome(lines: list[str], status: int, seconds: float, folder: Path) -> Out
 
 
 def _on_disk(folder: Path) -> tuple[int, list[str]]:
-    """Samples that can be read from a folder, killed processes' set aside too, and names of files with none."""
+    """Samples that can be read from a folder, also those set aside or of killed processes; names of files with none."""
     records = folder / "records"
     if not records.is_dir():
         return 0, []
