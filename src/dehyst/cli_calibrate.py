@@ -123,6 +123,8 @@ def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
             numbers = (f"{told['seconds']:8.1f} s {told['samples']:7d} samples, {told['lowest_V']:.6g} to "
                        f"{told['highest_V']:.6g} V, up to {told['steepest_V_per_s']:.4g} V/s; ")  # fmt: skip
         click.echo(f"  {told['step']:12s}{numbers}{told['what']}")
+    seconds = sum(told.get("seconds", 0.0) for told in found)
+    click.echo(f"up to {seconds:.0f} s of playing in all, and what insight asks for besides")
 
 
 def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
