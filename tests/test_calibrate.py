@@ -7,9 +7,10 @@ import pytest
 
 from dehyst import Actuator, DehystError, FileFormatError, RecordError, read
 from dehyst._errors import DeviceError
-from dehyst.calibrate import Plan, calibrate, steps
+from dehyst.calibrate import calibrate
 from dehyst.excitation import Excitation
 from dehyst.excite import raised_cosine
+from dehyst.plan import Plan, steps
 from dehyst.protocol import Pace, creep_of
 from dehyst.rigs.simulated import SimulatedRig
 from dehyst.truths import PlayActuator

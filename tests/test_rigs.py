@@ -304,9 +304,16 @@ def test_the_watch_says_whether_it_ever_moved():
 
 
 def test_the_watch_lets_holds_and_coarse_digits_pass():
-    watched((np.full(1000, 50.0), np.full(1000, 1e-6)), ([], []), ([50.0], [1e-6]))
-    voltage = np.linspace(0, 100, 1001)
-    watched((voltage, np.round(voltage / 15) * 1e-6))
+    """They pass, and are not forgotten: what stands still from then on is told from where it stood."""
+    watch = SensorWatch(100.0)
+    for voltage, displacement in (([50.0] * 1000, [1e-6] * 1000), ([], []), ([50.0], [1e-6])):
+        watch.see(np.asarray(voltage), np.asarray(displacement))
+    with pytest.raises(SensorError, match="it stays at 1 um while the voltage goes from 50 to 71 V"):
+        watch.see(np.array([71.0]), np.array([1e-6]))
+    coarse, voltage = SensorWatch(100.0), np.linspace(0, 100, 1001)
+    coarse.see(voltage, np.round(voltage / 15) * 1e-6)
+    with pytest.raises(SensorError, match="stays at 7 um while the voltage goes from 79 to 100 V"):
+        coarse.see(np.array([79.0]), np.array([7e-6]))
 
 
 # Signals.

@@ -18,8 +18,9 @@ from dehyst.console import PATH, json_option
 from dehyst.files import finite
 
 if TYPE_CHECKING:
-    from dehyst.calibrate import Calibration, Plan
+    from dehyst.calibrate import Calibration
     from dehyst.excitation import Excitation
+    from dehyst.plan import Plan
     from dehyst.rigs import AbstractRig
 
 
@@ -55,7 +56,7 @@ def calibrate(
 
     Ctrl-C brings the voltage to a safe value; the same command goes on from what is on disk.
     """
-    from dehyst.calibrate import Plan
+    from dehyst.plan import Plan
     from dehyst.rigs import open_rig
 
     given = tuple(_excitation(path) for path in options.pop("protocol"))
@@ -100,7 +101,7 @@ def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
     """Print what would be sent."""
     import numpy as np
 
-    from dehyst.calibrate import steps
+    from dehyst.plan import steps
 
     found = []
     for step in steps(rig, plan):
@@ -128,9 +129,9 @@ def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
 
 
 def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
-    from dehyst.calibrate import STEPS
     from dehyst.calibrate import calibrate as run
     from dehyst.live import display
+    from dehyst.plan import STEPS
 
     command = shlex.join(["dehyst", *sys.argv[1:]])
     with display(STEPS) as live:

@@ -52,19 +52,12 @@ class ModelledActuator:
         self._voltage, self._time = 0.0, -np.inf
 
     def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V]; returns the displacement (n,) [m]; `measured` makes no difference.
-
-        Parameters
-        ----------
-        voltage : (n,) array_like
-            [V].
-        time : (n,) array_like, optional
-            [s], increasing; needed by an actuator that needs time. What begins anew follows by its own first interval.
+        """Play a voltage (n,) [V] as `Truth.drive`; without a sensor, `measured` makes no difference.
 
         Raises
         ------
         ModelError
-            If the voltage is not finite, or the time is missing or does not fit.
+            If the voltage is not finite, or an actuator that needs the time lacks it, or it does not fit.
         """
         v = vector(voltage, "voltage")
         if not v.size:
