@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import bench
 import numpy as np
+import pytest
 import wide_bench
 
 from dehyst import Compensator, Dynamics
-from dehyst.export import SOURCES
+from dehyst.export import SOURCES, code
 from dehyst.footprint import CORTEX_M4F, STRICT
 
 LIMITS = (10.0, 150.0)
@@ -277,3 +278,34 @@ def painted(folder):
     flags = ["-Wno-dangling-pointer"]
     must_run(["arm-none-eabi-gcc", *STRICT, *flags, *CORTEX_M4F, "paint.c", *SOURCES, *link, "-o", "paint.elf"], folder)
     return tuple(int(n) for n in must_run([*QEMU, "paint.elf"], folder).split())
+
+
+KINDS = {
+    "plain": plain,
+    "slewing": lambda: plain(slew=2e4, period=1e-3),
+    "graded": lambda: wider("graded, transformer"),
+    "creep": lambda: wider("creep"),
+    "all": lambda: wider("all"),
+    "moving": lambda: wider("all", moving=True),
+}
+TOOLS = {
+    "gcc": "the exported C cannot be compiled",
+    "make": "the exported Makefile cannot be run",
+    "g++": "operations cannot be counted",
+    "arm-none-eabi-gcc": "nothing can be compiled for ARM (Debian: gcc-arm-none-eabi libnewlib-arm-none-eabi)",
+    "qemu-system-arm": "no Cortex-M4 can be emulated (Debian: qemu-system-arm)",
+}
+
+
+def need(*tools):
+    for tool in tools:
+        if shutil.which(tool) is None:
+            pytest.skip(f"{tool} is not installed: {TOOLS[tool]}")
+
+
+def written(folder, compensator, number="double"):
+    """The C files alone."""
+    folder.mkdir()
+    for name, text in code(compensator, number).items():
+        (folder / name).write_text(text)
+    return folder

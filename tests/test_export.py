@@ -19,46 +19,17 @@ import firmware
 import numpy as np
 import pytest
 import wide_bench
+from firmware import KINDS, need, written
 
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, FileFormatError, MaxwellSlip, ModelError, Spring
 from dehyst.export import SOURCES, code, export, sizes, worst_case
-from dehyst.footprint import CORTEX_M4, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT
+from dehyst.footprint import CORTEX_M4, CORTEX_M4F, STRICT
 from dehyst.golden import Call, golden
-from dehyst.outset import Outset
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
 LIMITS = LOW, HIGH = firmware.LIMITS
-KINDS = {
-    "plain": firmware.plain,
-    "slewing": lambda: firmware.plain(slew=2e4, period=1e-3),
-    "graded": lambda: firmware.wider("graded, transformer"),
-    "creep": lambda: firmware.wider("creep"),
-    "all": lambda: firmware.wider("all"),
-    "moving": lambda: firmware.wider("all", moving=True),
-}
-TOOLS = {
-    "gcc": "the exported C cannot be compiled",
-    "make": "the exported Makefile cannot be run",
-    "g++": "operations cannot be counted",
-    "arm-none-eabi-gcc": "nothing can be compiled for ARM (Debian: gcc-arm-none-eabi libnewlib-arm-none-eabi)",
-    "qemu-system-arm": "no Cortex-M4 can be emulated (Debian: qemu-system-arm)",
-}
-
-
-def need(*tools):
-    for tool in tools:
-        if shutil.which(tool) is None:
-            pytest.skip(f"{tool} is not installed: {TOOLS[tool]}")
-
-
-def written(folder, compensator, number="double"):
-    """The C files alone."""
-    folder.mkdir()
-    for name, text in code(compensator, number).items():
-        (folder / name).write_text(text)
-    return folder
 
 
 def make(folder, *arguments):
@@ -560,73 +531,6 @@ def test_the_name_of_a_model_is_kept_in_comments(tmp_path, name, kept):
     assert readme.startswith("# " + (name if kept is None else "a*/b c") + ": a compensator in C")
 
 
-def adversary(compensator, steps=200):
-    """Every step reverses and asks for more than there is: all elements break away, all knots are passed."""
-    low, high = compensator.reach
-    far = 10 * (high - low)
-    return np.where(np.arange(steps) % 2, low - far, high + far)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_no_step_takes_more_operations_than_stated(tmp_path, kind):
-    need("g++")
-    compensator = KINDS[kind]()
-    bound, folder = worst_case(compensator), written(tmp_path / "c", compensator)
-    most = np.zeros(3)
-    for given in (adversary(compensator), firmware.wishes(compensator, 6000)):
-        found, voltages = firmware.counted(folder, given)
-        np.testing.assert_array_equal(voltages, compensator.afresh().run(given))
-        most = np.maximum(most, found)
-    assert most[0] <= bound.arithmetic
-    assert most[1] <= bound.divisions
-    assert most[2] <= bound.comparisons
-    if kind == "plain":
-        stated = np.array([bound.arithmetic, bound.divisions, bound.comparisons])
-        assert np.all(most >= stated / 3), most / stated
-
-
-@pytest.mark.parametrize("elements", [0, 1, 3, 30])
-def test_operations_grow_as_stated(tmp_path, elements):
-    need("g++")
-    actuator = bench.plant(max(elements, 1), seed=4)
-    if not elements:
-        actuator = Actuator(MaxwellSlip([], []), actuator.spring)
-    compensator = Compensator(actuator, (-50, 250))
-    found, _ = firmware.counted(written(tmp_path / "c", compensator), adversary(compensator))
-    bound = worst_case(compensator)
-    stated = np.array([bound.arithmetic, bound.divisions, bound.comparisons])
-    assert np.all(found <= stated)
-    assert elements < 3 or np.all(found >= stated / 3), found / stated
-
-
-def test_bytes_are_those_of_the_program(tmp_path):
-    need("arm-none-eabi-gcc", "qemu-system-arm")
-    folder = written(tmp_path / "c", KINDS["all"](), "float")
-    stated = sizes(folder, "arm-none-eabi-gcc", CORTEX_M4F)
-    touched, piezo = firmware.painted(folder)
-    assert stated.ram == piezo
-    # The painter's own frame lies about where a step's does.
-    assert 0.6 * stated.stack < touched <= stated.stack + 48
-    assert 1000 < stated.flash < 30_000
-    # What a plain model does not need goes when the whole program is compiled at once.
-    plain = written(tmp_path / "plain", firmware.plain(), "float")
-    small = sizes(plain, "arm-none-eabi-gcc", CORTEX_M4F_SMALL)
-    assert small.ram == sizes(plain, "arm-none-eabi-gcc", CORTEX_M4F).ram
-    assert small.flash < 0.6 * stated.flash
-    assert 100 < small.stack <= stated.stack
-    soft = sizes(written(tmp_path / "double", KINDS["all"]()), "arm-none-eabi-gcc", CORTEX_M4)
-    assert soft.flash > stated.flash
-    assert soft.ram > stated.ram
-
-
-def test_bytes_without_a_sound_compiler(tmp_path):
-    need("gcc")
-    folder = written(tmp_path / "c", firmware.plain())
-    (folder / "piezo.c").write_text("#error broken\n")
-    with pytest.raises(FileFormatError, match="need a C99 compiler"):
-        sizes(folder, "gcc")
-
-
 def test_on_the_command_line(tmp_path):
     made = firmware.plain()
     model = tmp_path / "model.json"
@@ -674,42 +578,6 @@ def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
     assert f"#define MODEL_AHEAD {ahead}" in (tmp_path / "c" / "model_size.h").read_text()
     assert f"every {1 / wide_bench.RATE:.9g} s" in text
     assert str(made.operations.arithmetic) in text
-
-
-@pytest.mark.parametrize("kind", ["plain", "all", "moving"])
-def test_the_files_say_where_memory_begins(tmp_path, kind, unmeasured):
-    compensator = KINDS[kind]()
-    export(compensator, tmp_path / "c")
-    outset = Outset.of(compensator)
-    held = compensator.actuator.voltage(compensator.afresh().state)
-    assert outset.voltage == pytest.approx(np.clip(held, *compensator.limits), rel=1e-12)
-    for file in ("README.md", "model.h"):
-        text = (tmp_path / "c" / file).read_text()
-        assert f"{outset.displacement * 1e6:.6g} um, {outset.voltage:.6g} V" in text
-        assert outset.way in text
-
-
-@pytest.mark.parametrize("rising", [True, False])
-def test_the_way_to_where_memory_begins_leads_there(rising):
-    """Two ways: the words followed on the virtual actuator, and the state that was exported."""
-    actuator = bench.plant(10, seed=4)
-    low, high = actuator.voltage(actuator.turned(0, rising=False)), actuator.voltage(actuator.turned(bench.STROKE))
-    state = actuator.turned(bench.STROKE if rising else 0, rising=rising)
-    outset = Outset.of(Compensator(actuator, (low, high), state=state))
-    first, words = (low, "raise the voltage slowly from its lowest") if rising else (high, "lower the voltage slowly")
-    assert outset.way.startswith(words)
-    elsewhere = actuator.relaxed(0.5 * (low + high))
-    path = [actuator.voltage(elsewhere), *np.linspace(first, outset.voltage, 50)]
-    reached = actuator.simulate(path, state=elsewhere).displacement[-1]
-    assert reached == pytest.approx(outset.displacement, abs=1e-9 * bench.STROKE)
-
-
-def test_other_states_are_reached_by_other_ways():
-    actuator = bench.plant(10, seed=4)
-    odd = actuator.simulate([0.0, 120.0, 60.0], state=actuator.relaxed()).state
-    ways = [Outset.of(Compensator(actuator, LIMITS, state=state)).way for state in (actuator.relaxed(80), odd)]
-    assert ways[0].startswith("swing the voltage about 80 V, each swing smaller")
-    assert ways[1].startswith("play the voltages after which the actuator was in this state")
 
 
 def test_a_model_that_is_not_ahead_says_nothing_of_it(tmp_path):
