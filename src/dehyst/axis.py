@@ -17,6 +17,7 @@ from dehyst.homing import shortest_homing
 from dehyst.host_steps import homing_steps, towards
 from dehyst.reach import led_to
 from dehyst.rigs.epics import PvNames
+from dehyst.rigs.samples import ASTRAY
 from dehyst.trajectory import Limits
 
 try:
@@ -40,8 +41,8 @@ _NAMES = PvNames()
 _MICRO = 1e-6
 # An axis that nobody gave a slew rate takes so many seconds for its whole range.
 _SWEEP = 1.0
-# Of the range of the voltage: what rounding, and what a readback may be off.
-_ROUNDING, _ASTRAY = 1e-9, 0.05
+# What rounding may make of a voltage, of its range.
+_ROUNDING = 1e-9
 
 
 class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[float]):
@@ -221,10 +222,12 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
 
     async def _refuse_moved(self, compensator: Compensator, limits: Limits) -> None:
         """Refuse to go on where another voltage was sent than by this axis."""
-        sent, output = await asyncio.gather(self.voltage.get_value(), self.readback.get_value())
+        # A step of a move that was cancelled may still be on its way to the memory.
+        async with self._sends:
+            sent, output = await asyncio.gather(self.voltage.get_value(), self.readback.get_value())
+            at = compensator.voltage
         span = limits.high - limits.low
-        at = compensator.voltage
-        if abs(sent - at) > _ROUNDING * span or abs(output - at) > _ASTRAY * span:
+        if abs(sent - at) > _ROUNDING * span or abs(output - at) > ASTRAY * span:
             self._forget(f"somebody else has sent {sent:.6g} V, and {output:.6g} V is put out in place of {at:.6g} V")
             self._known()
 

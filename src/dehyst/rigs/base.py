@@ -18,6 +18,7 @@ from dehyst._errors import DeviceError, ModelError, RecordError, RigError
 from dehyst._native import Array, number
 from dehyst.compensator import ClampWarning
 from dehyst.excitation import Excitation
+from dehyst.host_steps import towards
 from dehyst.record import Record
 from dehyst.rigs.allowance import common, refuse
 from dehyst.rigs.interrupts import shielded
@@ -273,9 +274,10 @@ class AbstractRig(ABC):
                 raise
             present = otherwise
         present = self._within(present)
-        step = min(self.slew_rate, (self.limits.high - self.limits.low) / _GENTLE) * _TICK
+        low, high = self.limits.low, self.limits.high
+        gently = Limits(low, high, min(self.slew_rate, (high - low) / _GENTLE))
         while present != end:
-            present = end if abs(end - present) <= step else present + math.copysign(step, end - present)
+            present = towards(end, present, gently, _TICK)
             # First, too: a wave may have been stopped just now.
             self._wait(_TICK)
             with leafs_own(self.name, "_put"):
