@@ -18,7 +18,8 @@ import scipy.optimize  # noqa: F401
 
 from dehyst._native import stops
 from dehyst.elements import parts_in_segments
-from dehyst.program import one_thread, solve
+from dehyst.program import solve
+from dehyst.threads import one_thread
 
 ROWS = 100_000
 SEEDS = 3

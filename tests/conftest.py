@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from dehyst.threads import one_thread
+
 # A runner in the background may ignore Ctrl-C and a hang-up, and its children then would: the tests mean them.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
@@ -73,6 +75,13 @@ int main(void)
     return 0;
 }
 """
+
+
+@pytest.fixture(scope="session", autouse=True)
+def blas_on_one_thread():
+    """Oracles solve too, and spinning BLAS threads take the processors from what is being tested."""
+    with one_thread():
+        yield
 
 
 class CompiledCore:

@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dehyst import highs, program, reduction
+from dehyst import highs, reduction
 from dehyst.absolutes import interior
 from dehyst.highs import Program
 from dehyst.problem import Problem
 from dehyst.program import solve
 from dehyst.regression import Regression
 from dehyst.rows import collect
+from dehyst.threads import one_thread
 
 KINDS = ("random", "collinear", "noise-free", "tiny", "repeated rows", "rounded")
 
@@ -228,7 +229,7 @@ def test_the_program_of_a_record():
 def test_a_hundred_thousand_rows_take_seconds_not_minutes(columns, inequalities):
     a, b, _ = table("random", 2, 100_000, columns)
     limits = bound(a[:, 1:], 3, inequalities) if inequalities else None
-    with program.one_thread():
+    with one_thread():
         begun = time.process_time()
         found = solve(a[:, :1], a[:, 1:], b, norm="l1", constraints=limits)
         spent = time.process_time() - begun

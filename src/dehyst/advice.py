@@ -12,9 +12,9 @@ from dehyst.actuator import interval
 from dehyst.directions import directions
 from dehyst.evidence import Evidence
 from dehyst.excite import Drive, Excitation, descending_tops, minor_loop, raised_cosine, reversal_curves
-from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.repairs import cycle_time
+from dehyst.threads import one_thread
 
 _SAMPLES_A_CYCLE = 200
 

@@ -22,6 +22,7 @@ from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.record import Record
 from dehyst.rivals import RIVALS, Identification
 from dehyst.rows import epochs
+from dehyst.threads import one_thread
 from dehyst.trials import Tracking, Trial, simulated, timed, trial
 from dehyst.verify import told, without_offset
 
@@ -152,6 +153,7 @@ def contenders() -> dict[str, Identification]:
     }
 
 
+@one_thread()
 def compare(
     records: Record | Sequence[Record] = (),
     *,

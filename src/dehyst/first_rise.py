@@ -17,6 +17,7 @@ from dehyst.equilibria import ROUNDING, Equilibria, Indices, Mask, demand_actuat
 from dehyst.metrics import rms
 from dehyst.model import State
 from dehyst.record import Record
+from dehyst.threads import one_thread
 
 # A relaxed start explains a rise as well as the best one if its RMS error is not above the best one's by this factor
 # (what N free carts gain on white noise stays below it from 3.3 N samples on), or not above the model's error on the
@@ -96,7 +97,7 @@ def state_from_first_rise(actuator: Actuator, record: Record) -> FirstRise:
     record.check_usable()
     used = record.delayed(actuator.delay) if actuator.delay else record
     rise = _Rise(actuator, used, _first_top(used))
-    with program.one_thread():
+    with one_thread():
         shares, doubt = rise.solve()
     return rise.told(rise.state(shares), doubt)
 

@@ -21,7 +21,7 @@ from dehyst.inertia import Inertia
 from dehyst.leftovers import leftovers
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.preparation import Prepared, as_list, prepare
-from dehyst.program import Norm, one_thread
+from dehyst.program import Norm
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.rows import RowSource
@@ -30,6 +30,7 @@ from dehyst.settings import Direction, Method, Settings
 from dehyst.stream import Stream
 from dehyst.structure import Structure
 from dehyst.structured import Frame
+from dehyst.threads import one_thread
 from dehyst.verify import MOST_ROWS, Protocol, errors_of
 from dehyst.version import __version__
 from dehyst.wide_regression import WideRegression

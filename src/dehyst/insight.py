@@ -23,6 +23,7 @@ from dehyst.intervals import LEAST_REPEATS, Intervals, resample
 from dehyst.knowledge import Knowledge
 from dehyst.latitude import Latitude, latitude
 from dehyst.record import Record
+from dehyst.threads import one_thread
 from dehyst.wide_insight import WideInsight, look
 
 Progress = Callable[[str], None]
@@ -141,6 +142,7 @@ class Insight:
         }  # fmt: skip
 
 
+@one_thread()
 def insight(
     actuator: Actuator,
     records: Record | Sequence[Record],

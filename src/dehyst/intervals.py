@@ -24,10 +24,11 @@ from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.evidence import Evidence
 from dehyst.model import State
-from dehyst.program import Norm, one_thread
+from dehyst.program import Norm
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.signals import turning_points
+from dehyst.threads import one_thread
 from dehyst.verify import Comparison
 from dehyst.wide_evidence import WideEvidence
 from dehyst.wide_regression import WideCoefficients

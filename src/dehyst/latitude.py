@@ -22,6 +22,7 @@ from dehyst.evidence import Evidence
 from dehyst.model import State
 from dehyst.regression import Coefficients, Regression
 from dehyst.signals import turning_points
+from dehyst.threads import one_thread
 
 # Rows are means of neighbours on one leg, so that noise does not make the tolerance.
 _ROWS = 300
@@ -87,7 +88,7 @@ def latitude(evidence: Evidence, displacement: Array | None = None, state: State
     path = np.zeros((0, polytope.rows.shape[1]))
     if displacement is not None:
         path = _costs(evidence, displacement, actuator.state if state is None else state)
-    with program.one_thread():
+    with one_thread():
         extremes = polytope.extremes(np.vstack([numbers, path]))
     if not any(x is not None for pair in extremes for x in pair):
         raise IdentifyError("no model meets these records as well as the identified one: are they of another actuator?")

@@ -9,7 +9,6 @@ comes with its duality gap.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -24,7 +23,7 @@ from dehyst.problem import TINY, Answer, Problem, failed, inequalities
 from dehyst.reduction import Blocks, Whole, least_absolute
 from dehyst.squares import least_squares, of_triangle, triangle_of
 
-__all__ = ["NORMS", "Norm", "Program", "Solution", "Table", "linear_program", "linear_programs", "one_thread", "solve",
+__all__ = ["NORMS", "Norm", "Program", "Solution", "Table", "linear_program", "linear_programs", "solve",
            "solve_blocks", "triangle_of"]  # fmt: skip
 
 Norm = Literal["l1", "l2", "linf"]
@@ -32,15 +31,6 @@ NORMS: tuple[Norm, ...] = ("l1", "l2", "linf")
 _ROWS_AT_A_TIME = 200
 _ROUNDS = 60
 _NO_POINT = "no coefficients that are not negative keep the inequalities"
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Keep BLAS on one thread: these factorisations gain nothing from more and lose much on a busy machine."""
-    import threadpoolctl
-
-    with threadpoolctl.threadpool_limits(1, user_api="blas"):
-        yield
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,13 @@ from dehyst.inertia import derivatives, undone
 from dehyst.metrics import largest
 from dehyst.model import Motion, RecordErrors, State, Trace
 from dehyst.preparation import Prepared, as_list, prepare
-from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.repairs import find_datum
 from dehyst.rows import Epoch, RowSource
 from dehyst.smoothing import without_jitter
 from dehyst.stream import Stream
+from dehyst.threads import one_thread
 from dehyst.wide_regression import WideCoefficients, WideRegression
 
 # Rows in memory: more are gone through in blocks.

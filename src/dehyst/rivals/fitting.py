@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from dehyst import repairs
 from dehyst._errors import IdentifyError
 from dehyst.preparation import Prepared, as_list, prepare
-from dehyst.program import one_thread
 from dehyst.record import Record
 from dehyst.regression import Regression
 from dehyst.rivals.play_rows import PlayRows, even_thresholds
 from dehyst.rivals.training import Training
 from dehyst.rows import Epoch, collect
+from dehyst.threads import one_thread
 
 Model = TypeVar("Model")
 

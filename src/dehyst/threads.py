@@ -1,0 +1,46 @@
+"""BLAS on one thread while dehyst solves: its small factorisations gain nothing from more and lose much."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+__all__ = ["one_thread"]
+
+_lock = threading.Lock()
+# The limit is one of the process: the first solver sets it, the last one lifts it.
+_limit: Any = None
+_solvers = 0
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Bound every BLAS library to one thread; usable as a decorator, nested, and in several threads at once."""
+    _enter()
+    try:
+        yield
+    finally:
+        _leave()
+
+
+def _enter() -> None:
+    global _limit, _solvers  # noqa: PLW0603
+    # Only libraries that are loaded can be bounded, and SciPy brings a BLAS of its own.
+    import scipy.linalg  # noqa: F401
+    import threadpoolctl
+
+    with _lock:
+        if not _solvers:
+            _limit = threadpoolctl.threadpool_limits(1, user_api="blas")
+        _solvers += 1
+
+
+def _leave() -> None:
+    global _limit, _solvers  # noqa: PLW0603
+    with _lock:
+        _solvers -= 1
+        if not _solvers:
+            _limit.restore_original_limits()
+            _limit = None
