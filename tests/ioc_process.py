@@ -13,7 +13,7 @@ import time
 
 PREFIX = "BENCH"
 _PROGRAM = """
-import json, sys, threading, time
+import json, sys, threading, time, types
 import dehyst
 from dehyst import truths
 from dehyst.emulator.ioc import serve_ioc
@@ -22,6 +22,9 @@ from dehyst.trajectory import Limits
 prefix, options = sys.argv[1], json.loads(sys.argv[2])
 model, actuator = options.pop("model", None), {"noise": 0.0, **options.pop("actuator", {})}
 truth = dehyst.Actuator.load(model) if model else truths.PlayActuator(**actuator)
+clock = types.SimpleNamespace(now=0.0)
+if options.pop("simulated_clock", False):
+    options["clock"] = lambda: clock.now
 instrument, lock = Instrument(truth, **options), threading.Lock()
 serve_ioc(instrument, prefix, lock)
 
@@ -80,6 +83,7 @@ class IocProcess:
     """An IOC around a virtual instrument; options are those of `Instrument`, and what it drives.
 
     That is the actuator of a file, ``model=``, or a play actuator, ``actuator=`` its options.
+    With ``simulated_clock=True`` its time is `clock.now`, to be set by `do`.
     """
 
     def __init__(self, at=None, **options):

@@ -8,6 +8,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from threading import Timer
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -215,7 +216,8 @@ def test_a_stop_holds_and_the_memory_stays_true(ioc, actuator, engine, success):
 
     async def stopped():
         status = axis.set(14.0)
-        await asyncio.sleep(0.5)
+        while await axis.readback.get_value() < 20:
+            await asyncio.sleep(0.05)
         await axis.stop(success=success)
         await asyncio.wait([status.task])
         held = await axis.readback.get_value()
@@ -343,20 +345,40 @@ def test_the_iocs_slew_rate_is_kept(actuator, engine, tmp_path):
         assert measured(engine, axis) == pytest.approx(8.0, abs=EXACT)
 
 
-def test_an_actuator_that_creeps(engine, tmp_path):
-    """Homed in time; a pause between two moves is part of its memory."""
+class SimulatedClock:
+    """The time of an IOC and of the axis that talks to it; a step takes `overhead` seconds longer than it should."""
+
+    def __init__(self, ioc, overhead):
+        self.ioc, self.now, self.overhead = ioc, 0.0, overhead
+
+    def monotonic(self):
+        return self.now
+
+    def wait(self, seconds):
+        self.now += seconds
+        self.ioc.do(f"clock.now = {self.now!r}")
+
+    async def sleep(self, seconds):
+        self.wait(seconds + self.overhead)
+
+
+@pytest.mark.parametrize("overhead", [0.0, 0.017, 0.2])
+def test_an_actuator_that_creeps(engine, tmp_path, monkeypatch, overhead):
+    """Homed in time; pauses between two moves and slow steps are part of its memory."""
     actuator = creeping()
     actuator.save(tmp_path / "model.json")
-    with IocProcess(model=str(tmp_path / "model.json")) as process:
+    with IocProcess(model=str(tmp_path / "model.json"), simulated_clock=True) as process:
         axis = made(process, actuator, slew_rate=1000.0)
+        clock = SimulatedClock(process, overhead)
+        monkeypatch.setattr("dehyst.axis.time", clock)
+        monkeypatch.setattr("dehyst.axis.asyncio", SimpleNamespace(**{**vars(asyncio), "sleep": clock.sleep}))
         engine(homing(axis))
         low, high = axis.reach
         for share, pause in ((0.3, 0.0), (0.8, 1.0), (0.4, 0.3), (0.6, 0.0)):
             wanted = low + share * (high - low)
             engine(bps.mv(axis, wanted))
-            # A step takes its round trip longer than the model thinks.
             assert measured(engine, axis) == pytest.approx(wanted, abs=0.01 * (high - low))
-            time.sleep(pause)
+            clock.wait(pause)
 
 
 def test_no_limits_in_common(ioc, actuator, engine):

@@ -60,8 +60,6 @@ SILENT = ("taken", "beyond", "file", "narrow")
 ELSEWHERE = {"astray": 150.0}
 # Those who cannot count what came: some was under way, or had no room.
 UNCOUNTED = ("kill", "full")
-# Seconds after which a command has ended: one timeout for a lost answer, and two more for the way back.
-WAITING = {"silence": 20, "refuse": 10, "truncate": 10, "stall": 10, "wide": 60, "deaf": 20}
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +99,6 @@ def test_a_fault(rehearsed, name):
     for line, pattern in zip(found.said, said, strict=True):
         assert re.match(pattern, line), told
     assert found.left == []
-    assert found.seconds < WAITING.get(name, 8)
     if found.put_out is not None:
         _look_at_voltages(name, found.put_out)
         _look_at_samples(name, found)

@@ -110,10 +110,10 @@ def test_the_same_model_makes_the_same_file(fmus, version, tmp_path):
 
 def test_without_a_compiler_it_holds_sources(tmp_path, monkeypatch):
     monkeypatch.delenv("CC", raising=False)
-    monkeypatch.setenv("PATH", "/nowhere")
+    monkeypatch.setenv("PATH", str(tmp_path / "absent"))
     with pytest.warns(SourceOnlyWarning, match="no C compiler is installed"):
         export_fmu(ALL["plain"], tmp_path / "a.fmu")
-    monkeypatch.setenv("CC", "/nowhere/cc")
+    monkeypatch.setenv("CC", str(tmp_path / "absent" / "cc"))
     with pytest.warns(SourceOnlyWarning, match="No such file"):
         export_fmu(ALL["plain"], tmp_path / "b.fmu")
     names = zipfile.ZipFile(tmp_path / "a.fmu").namelist()
@@ -151,7 +151,7 @@ def test_refusals(tmp_path):
 
 
 def test_a_file_that_is_there_is_replaced_by_force_only(tmp_path, monkeypatch):
-    monkeypatch.setenv("CC", "/nowhere/cc")
+    monkeypatch.setenv("CC", str(tmp_path / "absent" / "cc"))
     path = tmp_path / "x.fmu"
     path.write_text("mine")
     with pytest.raises(FileFormatError, match="is there already; replace it with force"):
@@ -170,7 +170,7 @@ def test_a_file_that_is_there_is_replaced_by_force_only(tmp_path, monkeypatch):
 
 def cli(*arguments, cwd):
     command = [sys.executable, "-c", "from dehyst.cli import main; main()", "export", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=600, check=False)
     assert "Traceback" not in done.stderr, done.stderr
     return done
 

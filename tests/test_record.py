@@ -187,10 +187,10 @@ def test_reversals_of_a_million_noisy_samples():
     n = 1_000_000
     y = np.sin(2 * np.pi * 10 * np.arange(n) / n) + 0.02 * rng.normal(size=n)
     record = Record(np.arange(n), y, y)
-    began = time.perf_counter()
+    began = time.process_time()
     turns = record.reversals("displacement")
     assert len(turns) == 20
-    assert time.perf_counter() - began < 2.0  # 0.2 s on a quiet machine
+    assert time.process_time() - began < 2.0  # of this process alone; 0.2 s here
 
 
 def test_cycles_between_minima():

@@ -20,7 +20,7 @@ from dehyst.emulator.server import Server
 from dehyst.instrument import Instrument
 from dehyst.truths import PlayActuator
 
-SOON = 5.0
+SOON = 60.0
 
 
 class Line:
@@ -319,7 +319,7 @@ def test_the_command_ends_with_the_tally_of_its_voltages(number):
             line.send("SVA 1 95")
             assert line.ask("ERR?") == "302\n"
         process.send_signal(number)
-        said, _ = process.communicate(timeout=10)
+        said, _ = process.communicate(timeout=120)
     assert process.returncode == 0
     assert re.fullmatch(
         r"put out -5 to 64 V, largest step 69 V, steepest [\d.e+]+ V/s, now at 64 V, 1 requests refused, "
@@ -330,7 +330,7 @@ def test_the_command_ends_with_the_tally_of_its_voltages(number):
 
 def test_the_command_ends_by_itself_and_tells_its_faults():
     with command("--seconds", "0.5", "--fault", "unplug@0.1s", "--actuator", "creep", "--speed", "5") as (process, _):
-        said, _ = process.communicate(timeout=10)
+        said, _ = process.communicate(timeout=120)
     assert process.returncode == 0
     assert said.startswith("fault: unplug: the sensor is unplugged\nput out 0 to 0 V")
 

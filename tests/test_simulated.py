@@ -19,9 +19,9 @@ from dehyst.virtual import VIRTUAL, virtual_actuator
 def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
     protocol = excite.descending_tops(150.0, drive=Drive(sample_rate=200, frequency=0.1, limits=(0, 200)))
     rig, lots = SimulatedRig(virtual_actuator(kind), wave_points=5000), []
-    began = time.perf_counter()
+    began = time.process_time()
     record = rig.play(protocol, lots.append)
-    assert time.perf_counter() - began < 5 < protocol.duration
+    assert time.process_time() - began < 5 < protocol.duration
     assert sum(lot.time.size for lot in lots) == len(record) > 20000
     assert len(lots) > 300
     np.testing.assert_allclose(np.diff(record.time), 1 / 200, rtol=1e-6)

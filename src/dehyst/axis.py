@@ -103,7 +103,8 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         self._unknown = "it was not homed yet"
         self._stopped: bool | None = None
         self._moves, self._sends = asyncio.Lock(), asyncio.Lock()
-        self._sent_at = 0.0
+        # When the voltage of a homing was sent, and from then on the time that the model's memory has reached [s].
+        self._modelled_at = 0.0
 
         def readable(what: str) -> SignalR[float]:
             return epics_signal_r(float, f"ca://{prefix}{names.joint}{what}", timeout=timeout)
@@ -169,7 +170,6 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
             self._stopped = None
             compensator, limits = self._known(), self._limits or Limits(0.0, 1.0)
             await self._refuse_moved(compensator, limits)
-            self._rest(compensator)
             await self.check_value(value)
             self._show_wanted(float(value))
             initial, there = await self.position.get_value(), False
@@ -231,14 +231,20 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
             self._forget(f"somebody else has sent {sent:.6g} V, and {output:.6g} V is put out in place of {at:.6g} V")
             self._known()
 
-    def _rest(self, compensator: Compensator) -> None:
-        """Let the model creep as long as the voltage was held."""
-        if self._actuator.needs_time:
-            for _ in range(int((time.monotonic() - self._sent_at) / self._period)):
+    def _catch_up(self, compensator: Compensator) -> None:
+        """Let the model creep as long as the voltage was held, up to the period that the next step stands for.
+
+        A step takes as long as the IOC and this machine make it.
+        """
+        behind = int((time.monotonic() - self._modelled_at) / self._period) - 1
+        if self._actuator.needs_time and behind > 0:
+            for _ in range(behind):
                 compensator.hold()
+            self._modelled_at += behind * self._period
 
     async def _step(self, compensator: Compensator, value: float, limits: Limits) -> bool:
         """One step towards a displacement [um]; whether it has been reached."""
+        self._catch_up(compensator)
         wish = limits.nearest(compensator.offer(_MICRO * value))
         voltage = towards(wish, compensator.voltage, limits, self._period)
         await self._send(voltage, compensator, limits, self._period)
@@ -250,12 +256,14 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
             try:
                 await self.voltage.set(limits.nearest(voltage))
                 taken = await self.voltage.get_value()
-                if memory is not None:
+                if memory is None:
+                    self._modelled_at = time.monotonic()
+                else:
                     memory.commit(taken)
+                    self._modelled_at += self._period
             except BaseException as error:
                 self._forget(f"a voltage may have been sent, or not ({type(error).__name__}: {error})")
                 raise
-            self._sent_at = time.monotonic()
             if abs(taken - voltage) > _ROUNDING * (limits.high - limits.low):
                 raise DeviceError(
                     f"{self.name}: {taken:.6g} V was taken when {voltage:.6g} V was sent; are the IOC's limits "
