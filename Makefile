@@ -31,14 +31,14 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/size.py
 	$(BIN)/python benchmarks/latency.py
+	$(BIN)/python benchmarks/threads.py
 	$(BIN)/python benchmarks/saturation.py
 	$(BIN)/python benchmarks/calibration.py
 	$(BIN)/python benchmarks/faults.py
+	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/figure.py
 	$(BIN)/python benchmarks/readme.py
-	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/control_page.py
-	$(BIN)/python benchmarks/faults.py
 	$(BIN)/python benchmarks/safety_page.py
 
 $(BIN)/python:
