@@ -68,7 +68,7 @@ def test_everything_is_on_disk(finished):
     for name in (*names, "nominal", "compensated"):
         record = read(folder / "records" / f"{name}.h5")
         assert record.meta["complete"] is True
-        assert record.meta["rig"] == rig.identity
+        assert record.meta["identity"] == rig.identity
         assert len(record) == heard.samples_of[name]
     told = json.loads((folder / "calibration.json").read_text())
     assert told["compensated"]["largest_percent"] == found.compensated.largest_percent
@@ -97,14 +97,19 @@ def test_the_loop_error_is_told_while_it_plays(finished):
     assert np.isnan(told).sum() == 2 * len(Pace(0, 200, 400.0).homing())
 
 
-def test_a_second_call_plays_nothing(finished):
+def test_a_second_call_plays_one_loop_only(finished):
     found, folder, _, _ = finished
     rig, heard = SimulatedRig(PlayActuator()), Heard()
     again = calibrate(rig, folder, watcher=heard)
     assert again.played == ()
     assert again.kept == ("look", "loops", "others", "nominal", "compensated")
     assert again.compensated.largest_percent == found.compensated.largest_percent
-    assert rig.instrument.log.highest == 0
+    assert heard.steps[0] == "comparison"
+    assert set(heard.samples_of) == {"comparison"}
+    assert again.agreement.good
+    assert again.as_dict()["comparison"]["difference_percent"] < 0.1
+    assert rig.instrument.voltage == 0
+    assert found.agreement is None
 
 
 def test_it_goes_on_after_an_interrupt(tmp_path):
@@ -154,7 +159,7 @@ def test_a_folder_of_another_instrument_is_refused(finished):
     truth = PlayActuator()
     rig = SimulatedRig(truth)
     rig.identity = "another controller"
-    with pytest.raises(FileFormatError, match=r"holds a calibration of simulated PlayActuator.*give another folder"):
+    with pytest.raises(FileFormatError, match=r"holds a calibration of simulated play-.*give another folder"):
         calibrate(rig, folder, watcher=Heard())
 
 
@@ -215,7 +220,7 @@ def test_steps_send_nothing_and_fit_the_limits():
     rig = SimulatedRig(PlayActuator(), limits=(10, 120), slew_rate=300)
     told = steps(rig, Plan())
     assert [step.name for step in told] == [
-        "look", "loops", "fast", "stairs", "more-1", "more-2", "others", "nominal", "compensated"
+        "comparison", "look", "loops", "fast", "stairs", "more-1", "more-2", "others", "nominal", "compensated"
     ]  # fmt: skip
     for step in told:
         if step.excitation is not None:

@@ -18,6 +18,7 @@ from dehyst.model import Fit
 from dehyst.plan import Plan, steps
 from dehyst.protocol import Creep, creep_of
 from dehyst.record import Record
+from dehyst.replay import Agreement
 from dehyst.rigs.base import AbstractRig
 from dehyst.verification import Course, Followed, Planner
 from dehyst.version import __version__
@@ -47,6 +48,8 @@ class Calibration:
         Rig, axis, limits.
     kept, played : tuple of str
         Records that were on disk already, and those that were played.
+    agreement : Agreement or None
+        Of a loop of those on disk with the same loop played now; None if none was on disk.
     """
 
     fit: Fit
@@ -61,6 +64,7 @@ class Calibration:
     instrument: dict[str, Any] = field(default_factory=dict)
     kept: tuple[str, ...] = ()
     played: tuple[str, ...] = ()
+    agreement: Agreement | None = None
 
     @property
     def since(self) -> str:
@@ -90,7 +94,9 @@ class Calibration:
             "stroke_m": self.nominal.stroke, "creep_percent": 100 * self.creep.share,
             "nominal": self.nominal.as_dict(), "compensated": self.compensated.as_dict(),
             "records": [one.name for one in (*self.training, *self.held_out)],
-            "kept": list(self.kept), "played": list(self.played), "warnings": list(self.warnings()),
+            "kept": list(self.kept), "played": list(self.played),
+            "comparison": None if self.agreement is None else self.agreement.as_dict(),
+            "warnings": list(self.warnings()),
             "fit": self.fit.as_dict(),
         }  # fmt: skip
 
@@ -106,7 +112,7 @@ def calibrate(
     rig : AbstractRig
         Its limits are what is driven through.
     folder : path
-        Records in it that are whole are not played again.
+        Records in it that are whole are not played again, but for one loop that must agree with them.
     plan : Plan, optional
     watcher : Watcher, optional
         Is told how it goes on, as by `dehyst.live.display`.
@@ -118,7 +124,7 @@ def calibrate(
     RigError
         If the instrument fails; what came is on disk.
     RecordError, IdentifyError
-        If what was recorded cannot be used.
+        If what was recorded cannot be used, or the records in the folder look like those of another actuator.
     FileFormatError
         If the folder cannot be written.
     """
@@ -130,7 +136,7 @@ def calibrate(
     job = _Job(rig, Campaign(folder, rig, told), plan, told)
     with rig.safely():
         found = job.run()
-        if found.played:
+        if found.played or found.agreement is not None:
             rig.retreat()
     job.write(found, command)
     return found
@@ -168,6 +174,7 @@ class _Job:
         return Calibration(
             fit, told, creep, tuple(training), (held_out,), nominal, compensated, self.plan.goal, modelled.warnings,
             self._instrument(), tuple(self.campaign.kept), tuple(self.campaign.played),
+            self.campaign.agreement,
         )  # fmt: skip
 
     def write(self, found: Calibration, command: str | None) -> None:

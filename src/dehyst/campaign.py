@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from dehyst._errors import FileFormatError
+from dehyst._errors import FileFormatError, RecordError
 from dehyst._native import Array
 from dehyst.excitation import Excitation
 from dehyst.files import PathLike, read, read_json, unwritten, write_json
+from dehyst.hdf5 import digest
 from dehyst.record import Record
 from dehyst.recording import Recording, numbered, room, salvage
+from dehyst.replay import Agreement, agreement, replay
 from dehyst.rigs.base import AbstractRig, Samples
 from dehyst.version import __version__
 
@@ -62,6 +65,8 @@ class Campaign:
         What was asked for, in order.
     played, kept : list of str
         Names of the records that were played, and of those that were on disk.
+    agreement : Agreement or None
+        How far a loop of the records on disk, played again, agrees with them; None if none of them was kept.
     salvaged : tuple of Path
         What a killed process had left.
 
@@ -81,16 +86,23 @@ class Campaign:
                 f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
             ) from error
         self._claim()
+        self._comparisons = self.records / "comparisons"
         self.salvaged = tuple(salvage(self.records))
+        if self._comparisons.is_dir():
+            salvage(self._comparisons)
         self.played: list[str] = []
         self.kept: list[str] = []
         self.sequence: list[Record] = []
+        self.agreement: Agreement | None = None
+        self._replayed: Record | None = None
 
     def record(
         self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: float | None = None,
         afresh: bool = False,
     ) -> Record:  # fmt: skip
         """Play an excitation and have its record on disk, unless it is there already.
+
+        Before the first record on disk is kept, a loop of it is played again and must agree.
 
         Parameters
         ----------
@@ -107,23 +119,38 @@ class Campaign:
         Raises
         ------
         RecordError, RigError
-            As `AbstractRig.play`.
+            As `AbstractRig.play`; RecordError also if the record on disk looks like one of another actuator.
         FileFormatError
             If nothing can be written.
         """
-        path, key = self.records / f"{name}.h5", self._key(excitation)
-        if not afresh and (found := _whole(path, key)) is not None:
+        path = self.records / f"{name}.h5"
+        found = None if afresh else self._whole(path, excitation)
+        if found is not None and self._agrees(found.with_name(name), excitation):
             self.kept.append(name)
             self.sequence.append(found)
             return found
         self._set_aside(path)
-        room(self.records, len(excitation))
-        if not self.played:
+        record = self._play(path, name, excitation, wanted, stroke)
+        if name in self.kept:
+            self.kept.remove(name)
+        self.played.append(name)
+        if self._replayed is not None:
+            self.sequence.append(self._replayed)
+            self._replayed = None
+        self.sequence.append(record)
+        return record
+
+    def _play(
+        self, path: Path, name: str, excitation: Excitation, wanted: Array | None = None, stroke: float | None = None
+    ) -> Record:
+        """Play an excitation and record it to a file."""
+        room(path.parent, len(excitation))
+        if not self.played and self.agreement is None:
             # What a killed process left may still be playing.
             self.rig.retreat()
         self._watcher.step(name, excitation.duration)
-        meta = {"rig": self.rig.identity, "axis": self.rig.axis, "excitation": excitation.name, "key": key,
-                "program": __version__}  # fmt: skip
+        meta = {"identity": self.rig.identity, "axis": self.rig.axis, "excitation": excitation.name,
+                "key": self._key(excitation), "program": __version__}  # fmt: skip
         rows = self.rig.rows(len(excitation))
         recording = Recording(path, name=name, meta=meta)
         try:
@@ -139,16 +166,31 @@ class Campaign:
             if not recording.samples:
                 path.unlink(missing_ok=True)
             raise
-        record = read(path)
-        if name in self.kept:
-            self.kept.remove(name)
-        self.played.append(name)
-        self.sequence.append(record)
-        return record
+        return read(path)
+
+    def _agrees(self, stored: Record, excitation: Excitation) -> bool:
+        """Whether a record on disk may be kept; once a session, a loop of it is played again and compared.
+
+        False if it has no loop to compare. Raises RecordError if it is of another actuator.
+        """
+        if self.agreement is not None or stored.name in self.played:
+            return True
+        loop = replay(excitation)
+        if loop is None:
+            return False
+        folder = _folder(self._comparisons)
+        played = self._play(numbered(folder / f"{loop.name}.h5"), loop.name, loop)
+        rows = self.rig.rows(len(excitation)), self.rig.rows(len(loop))
+        found = agreement(stored, excitation, played, *rows)
+        if not found.good:
+            raise RecordError(f"{self.folder}: {found.refusal}")
+        self._watcher.tell(found.words)
+        self.agreement, self._replayed = found, played
+        return True
 
     def holds(self, excitation: Excitation, name: str) -> bool:
         """Whether the record of an excitation is on disk, whole."""
-        return _whole(self.records / f"{name}.h5", self._key(excitation)) is not None
+        return self._whole(self.records / f"{name}.h5", excitation) is not None
 
     def hashes(self) -> dict[str, str]:
         """Sha256 of the file of each record that was asked for."""
@@ -157,18 +199,17 @@ class Campaign:
 
     def _set_aside(self, path: Path) -> None:
         """Move what stands under a name, cut off or of another excitation, to where it is not taken for a record."""
-        if path.exists():
-            aside = self.records / "set-aside"
+        if os.path.lexists(path):
+            aside = numbered(_folder(self.records / "set-aside") / path.name)
             try:
-                aside.mkdir(exist_ok=True)
-                path.rename(numbered(aside / path.name))
+                path.rename(aside)
             except OSError as error:
                 raise unwritten(aside, error) from error
 
     def _claim(self) -> None:
         """Make sure that the folder is of this instrument; raises FileFormatError."""
         path, mine = self.folder / "campaign.json", self._instrument()
-        if not path.exists():
+        if not os.path.lexists(path):
             write_json(path, {"format": _FORMAT, "version": 1, **mine})
             return
         try:
@@ -184,18 +225,29 @@ class Campaign:
     def _instrument(self) -> dict[str, Any]:
         return {"rig": self.rig.identity, "axis": self.rig.axis}
 
+    def _whole(self, path: Path, excitation: Excitation) -> Record | None:
+        """The record in a file if it is whole, undamaged and of this excitation on this instrument."""
+        try:
+            record = read(path)
+        except (FileFormatError, RecordError):
+            return None
+        meta, samples = record.meta, (record.time, record.voltage, record.displacement)
+        of_this = meta.get("key") == self._key(excitation) and meta.get("sha256") == digest(samples)
+        fits = len(record) == self.rig.rows(len(excitation)).size
+        return record if of_this and fits and meta.get("complete") is True else None
+
     def _key(self, excitation: Excitation) -> str:
         """What tells one excitation on one instrument from any other."""
         told = f"{self.rig.identity} {self.rig.axis} {excitation.sample_rate!r}".encode()
         return hashlib.sha256(told + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
 
 
-def _whole(path: Path, key: str) -> Record | None:
-    """The record in a file if it is whole and of the excitation with this key."""
-    if not path.exists():
-        return None
+def _folder(path: Path) -> Path:
+    """The folder of this name, made if it is not there; raises FileFormatError."""
     try:
-        record = read(path)
-    except FileFormatError:
-        return None
-    return record if record.meta.get("key") == key and record.meta.get("complete") else None
+        path.mkdir(exist_ok=True)
+    except FileExistsError as error:
+        raise FileFormatError(f"{path}: is a file where a folder is needed; move it elsewhere") from error
+    except OSError as error:
+        raise unwritten(path, error) from error
+    return path

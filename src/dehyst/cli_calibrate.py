@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 @click.argument("rig", metavar="RIG")
 @click.option(
     "-o", "--output", type=PATH, default=Path("dehyst-calibration"), show_default=True,
-    help="Folder for records, model and report. Records in it that are whole are not played again.",
+    help="Folder for records, model and report. Records in it that are whole are not played again, "
+    "but for one loop that must agree with them.",
 )  # fmt: skip
 @click.option(
     "--limits", type=(float, float), metavar="LOW HIGH", help="Voltages to drive it through.  [default: the device's]"
@@ -192,12 +193,14 @@ def _status(error: BaseException) -> int:
 
 def _kept(found: Calibration) -> Iterator[str]:
     """Say what was not measured now."""
+    if found.agreement is not None:
+        yield found.agreement.words
     if found.kept and not found.played:
-        yield f"nothing was played: all is from records on disk, {found.since}; give another -o to measure anew"
+        yield f"nothing else was played: all is from records on disk, {found.since}; give another -o to measure anew"
     elif found.kept:
         yield (
-            f"from records on disk, {found.since}, not played again: {', '.join(found.kept)}; if the actuator was "
-            "changed since, give another -o"
+            f"from records on disk, {found.since}, not played again: {', '.join(found.kept)}; give another -o "
+            "to measure anew"
         )
 
 

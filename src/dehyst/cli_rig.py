@@ -8,7 +8,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -77,7 +76,7 @@ def serve(
     rehearsed = [Fault.parse(text) for text in faults]
     instrument, told = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
     lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, tell=lambda words: click.echo(f"fault: {words}"))
-    controller = Controller(instrument, told=told, serial=ascii(Path(actuator).name)[1:-1])
+    controller = Controller(instrument, told=told)
     server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
     if epics is not None:
         _serve_epics(instrument, epics, lock)

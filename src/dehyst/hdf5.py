@@ -95,16 +95,25 @@ def told(path: Path, least: int = 0) -> Stored | None:
     Raises
     ------
     FileFormatError
-        If its samples are not those that it was made of, or fewer than `least`.
+        If it is damaged, its samples are not those that it was made of, or they are fewer than `least`.
     """
     if path.suffix.lower() not in SUFFIXES or not path.is_file() or not path.stat().st_size:
         return None
-    with library("files", f"Reading {path.suffix} files").File(path, "r") as file:
-        if _MARK not in file.attrs or not all(dataset in file for dataset in DATASETS):
-            return None
-        mark = json.loads(file.attrs[_MARK])
-        time, voltage, displacement = (np.asarray(file[dataset][()], dtype=np.float64) for dataset in DATASETS)
-        stored = Stored(mark["name"], mark["meta"], int(time.size), str(file.attrs["sha256"]))
+    h5py = library("files", f"Reading {path.suffix} files")
+    try:
+        with h5py.File(path, "r") as file:
+            if _MARK not in file.attrs or not all(dataset in file for dataset in DATASETS):
+                return None
+            name, meta = _marked(file.attrs[_MARK])
+            time, voltage, displacement = (np.asarray(file[dataset][()], dtype=np.float64) for dataset in DATASETS)
+            stored = Stored(name, meta, int(time.size), str(file.attrs["sha256"]))
+    except OSError:
+        raise
+    # A damaged file makes h5py raise errors of any kind.
+    except Exception as error:
+        raise FileFormatError(
+            f"{path}: this record of dehyst is damaged ({type(error).__name__}: {error}); take the file from a copy"
+        ) from error
     found = digest((time, voltage, displacement))
     if found != stored.sha256:
         raise FileFormatError(
@@ -117,3 +126,12 @@ def told(path: Path, least: int = 0) -> Stored | None:
             f"({stored.meta.get('ended_because', 'no reason is known')}), need {least} at least; record it again"
         )
     return stored
+
+
+def _marked(mark: Any) -> tuple[str, dict[str, Any]]:
+    """Name and meta as `pack` wrote them; raises ValueError if they are of other types, RecursionError if too deep."""
+    content = json.loads(mark)
+    name, meta = (content.get("name"), content.get("meta")) if isinstance(content, dict) else (None, None)
+    if not isinstance(name, str) or not isinstance(meta, dict):
+        raise ValueError(f"need name as text and meta as an object, got {str(mark)[:60]!r}")
+    return name, meta

@@ -16,6 +16,7 @@ from dehyst.amplifier import Amplifier, Extremes
 from dehyst.trajectory import Limits
 from dehyst.truths import Truth
 from dehyst.truths.clock import Sensor
+from dehyst.virtual import fingerprint
 
 __all__ = ["Extremes", "Instrument"]
 
@@ -63,6 +64,8 @@ class Instrument:
         Whether the wave generator hangs: it plays no more, and does not end.
     stroke : float
         Of the actuator [m].
+    serial : str
+        Serial number: the actuator's `dehyst.virtual.fingerprint`, whatever it is called and whoever serves it.
 
     Raises
     ------
@@ -83,6 +86,7 @@ class Instrument:
         self.sensor_range = None if sensor_range is None else interval(sensor_range)
         self.unplugged = self.stalled = False
         self.stroke, self.log = self._amplifier.stroke, self._amplifier.log
+        self.serial = fingerprint(truth)
         self._deviation = float(getattr(truth, "noise", 0.0)) if noise is None else noise
         self._sensor = Sensor(self._deviation, int(getattr(truth, "seed", 0)) if seed is None else seed)
         self._clock, self._speed, self._began = clock, speed, clock()

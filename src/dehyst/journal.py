@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import math
 import os
 import shutil
+from bisect import bisect_left
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -14,7 +16,7 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst.files import PathLike, unwritten
-from dehyst.hdf5 import DATASETS, Columns
+from dehyst.hdf5 import DATASETS, Columns, in_json
 
 # Behind the name of the file that is to be.
 SUFFIX = ".part.csv"
@@ -23,10 +25,14 @@ _HEADER = ",".join(DATASETS)
 # Bytes a sample: three numbers of 24 characters at most, each with a comma or a line's end, and three doubles.
 _A_SAMPLE = 3 * 25 + 3 * 8
 _MARGIN = 1_000_000
+# A last line longer than this [characters] is none that was cut off.
+_LONGEST_LINE = 10_000
+
+_Row = tuple[float, float, float]
 
 
 class Told(NamedTuple):
-    """What a journal holds: name, meta and start as it was begun, samples, a last line cut off, unreadable lines."""
+    """What a journal holds: name, meta and start as it was begun, samples, a last line cut off, unusable lines."""
 
     name: str
     meta: dict[str, Any]
@@ -86,7 +92,9 @@ class Journal:
 
     @classmethod
     def found(cls, path: Path) -> Self | None:
-        """A journal that was left behind; None if another process still holds it."""
+        """A journal that was left behind; None if another process still holds it. Raises FileFormatError."""
+        if not path.is_file():
+            raise FileFormatError(f"{path}: is no file, but the name is one of a journal; move it to another folder")
         try:
             descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
         except OSError as error:
@@ -122,19 +130,30 @@ class Journal:
         self._write("".join(f"{','.join(row)}\n" for row in rows).encode())
 
     def read(self) -> Told:
-        """What the file holds, line by line."""
-        *lines, cut_off = self.path.read_bytes().decode("utf-8", "replace").split("\n")
-        head: dict[str, Any] = {}
-        if lines and lines[0].startswith("# {"):
-            with contextlib.suppress(ValueError):
-                head = json.loads(lines.pop(0)[2:])
+        """Read what the file holds, line by line.
+
+        Lines that are no three finite numbers, and the fewest that keep the time from rising, are left out and counted.
+
+        Raises
+        ------
+        FileFormatError
+            If it cannot be read.
+        """
+        try:
+            data = self.path.read_bytes()
+        except OSError as error:
+            raise unwritten(self.path, error) from error
+        # After a power cut a file system may have added zeros to a file whose end it had not written.
+        *lines, cut_off = data.rstrip(b"\0").decode("utf-8", "replace").split("\n")
+        name, meta, started = "", dict[str, Any](), None
+        if lines and lines[0].startswith("# {") and (head := _head(lines[0][2:])) is not None:
+            name, meta, started = head
+            del lines[0]
         rows = [_row(line) for line in lines if line != _HEADER]
-        whole = [row for row in rows if row is not None]
+        whole = _rising([row for row in rows if row is not None])
         time, voltage, displacement = np.array(whole, dtype=np.float64).reshape(-1, 3).T.copy()
-        return Told(
-            str(head.get("name", "")), dict(head.get("meta", {})), head.get("started"), (time, voltage, displacement),
-            cut_off, len(rows) - len(whole),
-        )  # fmt: skip
+        damaged = len(rows) - len(whole) + (len(cut_off) > _LONGEST_LINE)
+        return Told(name, meta, started, (time, voltage, displacement), cut_off[:_LONGEST_LINE], damaged)
 
     def close(self) -> None:
         """Let the file go; it stays. May be called twice."""
@@ -150,8 +169,12 @@ class Journal:
         self.close()
 
     def keep(self) -> None:
-        """Give the file a name under which it is not found again."""
-        self.path.rename(numbered(self.path.with_name(self.path.name.removesuffix(SUFFIX) + _DAMAGED)))
+        """Give the file a name under which it is not found again; raises FileFormatError."""
+        other = numbered(self.path.with_name(self.path.name.removesuffix(SUFFIX) + _DAMAGED))
+        try:
+            self.path.rename(other)
+        except OSError as error:
+            raise unwritten(other, error) from error
         self.close()
 
     @property
@@ -205,19 +228,23 @@ def room(folder: PathLike, samples: int) -> None:
 
 def numbered(path: Path) -> Path:
     """The path, or where it is taken the first free of path-2, path-3, ..."""
-    if not path.exists():
+    # A link that leads nowhere is a name that is taken, too: what is written to it would land elsewhere.
+    if not os.path.lexists(path):
         return path
     names = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in itertools.count(2))
-    return next(other for other in names if not other.exists())
+    return next(other for other in names if not os.path.lexists(other))
 
 
 def settle(path: Path) -> None:
-    """Wait until a file and its name are on the disk."""
-    descriptor = os.open(path, os.O_RDWR)
+    """Wait until a file and its name are on the disk; raises FileFormatError."""
     try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        descriptor = os.open(path, os.O_RDWR)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise unwritten(path, error) from error
     _settle_folder(path.parent)
 
 
@@ -246,9 +273,40 @@ def _lock(descriptor: int) -> None:
         return
 
 
-def _row(line: str) -> tuple[float, float, float] | None:
+def _head(text: str) -> tuple[str, dict[str, Any], str | None] | None:
+    """Name, meta and start in the first line of a journal; None if they are of other types or cannot be written."""
+    try:
+        head = json.loads(text)
+        in_json(head, "head")
+    except (ValueError, RecursionError):
+        return None
+    name, meta, started = head.get("name", ""), head.get("meta", {}), head.get("started")
+    if isinstance(name, str) and isinstance(meta, dict) and isinstance(started, str | None):
+        return name, meta, started
+    return None
+
+
+def _row(line: str) -> _Row | None:
     try:
         time, voltage, displacement = map(float, line.split(","))
     except ValueError:
         return None
-    return time, voltage, displacement
+    row = time, voltage, displacement
+    return row if all(map(math.isfinite, row)) else None
+
+
+def _rising(rows: list[_Row]) -> list[_Row]:
+    """The most rows whose times rise strictly, in their order: one wrong time does not cost those after it."""
+    ends: list[float] = []
+    length = []
+    for time, _, _ in rows:
+        place = bisect_left(ends, time)
+        ends[place : place + 1] = [time]
+        length.append(place)
+    kept: list[_Row] = []
+    wanted = len(ends) - 1
+    for row, place in zip(reversed(rows), reversed(length), strict=True):
+        if place == wanted and (not kept or row[0] < kept[-1][0]):
+            kept.append(row)
+            wanted -= 1
+    return kept[::-1]

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from dehyst._errors import RecordError
 from dehyst.excitation import Excitation, positive
 from dehyst.protocol import Pace, sample_rate_for
+from dehyst.replay import replay
 from dehyst.rigs.base import AbstractRig
 from dehyst.verification import Planner
 
@@ -79,8 +80,10 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[Step, ...]:
     pace = plan.pace(rig)
     # By a ratio, the voltages of a path depend on no displacement.
     path = Planner(pace.homing(), (0.0, 1.0), rig.limits, pace.leg).nominal().excitation
+    look = pace.look()
     return (
-        Step("look", "holds at both ends, two major loops", pace.look()),
+        Step("comparison", "if the folder holds records: their loop twice, which must agree", replay(look)),
+        Step("look", "holds at both ends, two major loops", look),
         *_planned(pace, plan),
         Step("others", "loops of other heights, held out", pace.others()),
         Step("nominal", "homing, then a path of nine reversals by a constant ratio", path),

@@ -8,6 +8,7 @@ journal stays, and `salvage` makes a file of it.
 from __future__ import annotations
 
 import contextlib
+import os
 import tempfile
 import time
 from collections.abc import Mapping
@@ -81,7 +82,7 @@ class Recording:
             raise FileFormatError(f"{path}: a recording needs the suffix .h5 or .hdf5; rename it")
         # What would fail at the end fails now.
         hdf5.library()
-        if self.path.exists():
+        if os.path.lexists(self.path):
             raise FileFormatError(f"{path}: is there already, and no record is overwritten; name another")
         self.name = self.path.stem if name is None else name
         self._meta = dict(meta or {})
@@ -192,8 +193,9 @@ def salvage(folder: PathLike) -> list[Path]:
     """Make files, marked incomplete, of the journals that killed processes left in a folder.
 
     Nothing is overwritten: where the file is there already, the new one has a number in its name. A journal that a
-    living process still writes is left alone. One that has unreadable lines, but for a last one cut off, is kept as
-    ``*.part.damaged.csv`` beside the file.
+    living process still writes is left alone, and so is a file whose name is not ``*.h5.part.csv``. One that has
+    unusable lines (but for a last one cut off) is kept as ``*.part.damaged.csv`` beside the file: not three finite
+    numbers, or a time that does not rise. If it has no sample at all, only that is done.
 
     Parameters
     ----------
@@ -216,7 +218,9 @@ def salvage(folder: PathLike) -> list[Path]:
     folder = path_of(folder)
     if not folder.is_dir():
         raise FileFormatError(f"{folder}: no such folder; give the one that was recorded to")
-    found = [_salvaged(path) for path in sorted(folder.glob(f"*{SUFFIX}"))]
+    kinds = tuple(f"{kind}{SUFFIX}" for kind in hdf5.SUFFIXES)
+    left = (path for path in sorted(folder.glob(f"?*{SUFFIX}")) if path.name.lower().endswith(kinds))
+    found = [_salvaged(path) for path in left]
     return [path for path in found if path is not None]
 
 
@@ -226,10 +230,13 @@ def _salvaged(path: Path) -> Path | None:
         return None
     with contextlib.closing(journal):
         told = journal.read()
+        if told.damaged and not told.samples:
+            journal.keep()
+            return None
         target = path.with_name(path.name.removesuffix(SUFFIX))
-        if target.suffix.lower() not in hdf5.SUFFIXES:
-            target = target.with_name(f"{target.name}.h5")
         if told.samples and _holds(target, hdf5.digest(told.columns)):
+            # Its process may have been killed before the file was on the disk.
+            settle(target)
             journal.remove()
             return target
         meta, target = dict(told.meta), numbered(target)

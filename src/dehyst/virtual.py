@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +20,9 @@ from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator, Truth
 
 # Share of a step that the creeping one adds in each decade of time.
 _CREEP = 0.01
+# What a model file holds beside the actuator itself.
+_NOT_THE_ACTUATOR = {"format", "version", "name", "provenance", "state", "limits"}
+_DIGITS = 12
 
 
 class ModelledActuator:
@@ -105,3 +112,25 @@ def virtual_actuator(name: str) -> Truth | Actuator:
     if not Path(name).suffix and not Path(name).exists():
         raise ModelError(f"actuator: got '{name}', need one of {', '.join(VIRTUAL)}, or the path of a model file")
     return Actuator.load(name)
+
+
+def fingerprint(truth: Truth | Actuator) -> str:
+    """Kind and hash of a virtual actuator: equal for equal parameters, from whatever name or file they come.
+
+    Name, provenance, state and limits of a model do not count: the same actuator may have others.
+    """
+    if isinstance(truth, ModelledActuator):
+        truth = truth.actuator
+    kind = "model" if isinstance(truth, Actuator) else type(truth).__name__.removesuffix("Actuator").lower()
+    text = json.dumps(_parameters(truth), sort_keys=True, default=float)
+    return f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}"
+
+
+def _parameters(truth: Truth | Actuator) -> dict[str, Any]:
+    """What a virtual actuator is made of, by name."""
+    if isinstance(truth, Actuator):
+        parts = truth.as_dict().items()
+        return {key: value for key, value in parts if key not in _NOT_THE_ACTUATOR and value is not None}
+    if is_dataclass(truth):
+        return {field.name: getattr(truth, field.name) for field in fields(truth) if field.init}
+    return {"stroke": truth.stroke, "highest": truth.highest}

@@ -54,7 +54,7 @@ class Controller:
     told : (float, float), optional
         Limits [V] that the controller tells of itself; default: those that it has.
     serial : str, optional
-        Serial number that it tells, in ASCII.
+        Serial number, in ASCII; default: the instrument's.
 
     Attributes
     ----------
@@ -63,13 +63,18 @@ class Controller:
     """
 
     def __init__(
-        self, instrument: Instrument, *, axis: str = "1", told: tuple[float, float] | None = None, serial: str = "0"
+        self,
+        instrument: Instrument,
+        *,
+        axis: str = "1",
+        told: tuple[float, float] | None = None,
+        serial: str | None = None,
     ) -> None:
         self.instrument, self.axis, self.error = instrument, axis, Error.NONE
         self.waves, self.recorder = Waves(instrument), Recorder(instrument, axis)
         self._told = told or instrument.limits
         self._parameters = Parameters(instrument)
-        self._serial = serial.replace(",", " ") or "0"
+        self._serial = (serial or instrument.serial).replace(",", " ")
         self._identity = ",".join((_IDENTITY, self._serial, __version__))
         self._target = 0.0
         self._does = self._doing()

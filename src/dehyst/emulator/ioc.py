@@ -100,7 +100,7 @@ class Ioc:
         self._records["WAVE:BUSY"] = builder.boolOut("WAVE:BUSY", ZNAM="idle", ONAM="playing", initial_value=0, **fixed)
 
     def _texts(self, builder: Any) -> None:
-        said = f"dehyst {__version__} virtual controller"
+        said = f"dehyst {__version__} virtual controller {self._instrument.serial}"
         self._records["IDN"] = builder.longStringOut("IDN", length=_TEXT, initial_value=said, DISP=1)
         self._records["ERROR"] = builder.longStringOut("ERROR", length=_TEXT, initial_value="")
 

@@ -24,7 +24,7 @@ class SimulatedRig(AbstractRig):
     Parameters
     ----------
     truth : Truth or Actuator
-        What is driven, at rest at 0 V.
+        What is driven, at rest at 0 V; the rig's identity is its `dehyst.virtual.fingerprint`.
     limits : (float, float), optional
         Voltages that the user allows [V].
     slew_rate : float, optional
@@ -54,7 +54,8 @@ class SimulatedRig(AbstractRig):
         )
         longest = min(self.instrument.wave_points, self.instrument.record_points)
         super().__init__(
-            name, Limits(*self.instrument.limits), limits=limits, slew_rate=slew_rate, longest=longest
+            name, Limits(*self.instrument.limits), limits=limits, slew_rate=slew_rate, longest=longest,
+            identity=f"simulated {self.instrument.serial}",
         )  # fmt: skip
 
     def nearest_rate(self, sample_rate: float) -> float:
