@@ -18,9 +18,15 @@ Every message says what was got, what is needed and what to try.
 
 from __future__ import annotations
 
+from dehyst.escaping import escaped
+
 
 class DehystError(Exception):
     """Root of every exception that dehyst raises on purpose."""
+
+    def __str__(self) -> str:
+        """Return the message as one line; names in it may hold what a terminal would obey."""
+        return escaped(super().__str__())
 
 
 class RecordError(DehystError, ValueError):

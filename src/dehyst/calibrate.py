@@ -24,7 +24,10 @@ from dehyst.verification import Course, Followed, Planner
 from dehyst.version import __version__
 from dehyst.wide_insight import WideInsight
 
-__all__ = ["Calibration", "Plan", "calibrate"]
+__all__ = ["RESULTS", "Calibration", "Plan", "calibrate"]
+
+# Files that are written at the end, beside the records.
+RESULTS = ("model.json", "calibration.json", "report.html")
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,10 +186,12 @@ class _Job:
 
         folder = self.campaign.folder
         self.watcher.step("report")
-        found.fit.actuator.save(folder / "model.json")
-        write_json(folder / "calibration.json", finite({**found.as_dict(), "sha256": self.campaign.hashes()}))
+        numbers = finite({**found.as_dict(), "sha256": self.campaign.hashes()})
+        model, results, report = (folder / name for name in RESULTS)
+        found.fit.actuator.save(model)
+        write_json(results, {"format": "dehyst-calibration-results", "version": 1, **numbers})
         followed = {"nominal": found.nominal, "compensated": found.compensated}
-        write_report(folder / "report.html", found.fit, command=command, insight=found.insight, followed=followed)
+        write_report(report, found.fit, command=command, insight=found.insight, followed=followed)
 
     def _excitations(self, loops: Record, creep: Creep) -> Iterator[tuple[str, Excitation]]:
         """What is to be recorded, by name."""

@@ -20,7 +20,7 @@ from dehyst.replay import Agreement, agreement, replay
 from dehyst.rigs.base import AbstractRig, Samples
 from dehyst.version import __version__
 
-_FORMAT = "dehyst-calibration"
+FORMAT = "dehyst-calibration"
 
 
 class Watcher(Protocol):
@@ -210,7 +210,7 @@ class Campaign:
         """Make sure that the folder is of this instrument; raises FileFormatError."""
         path, mine = self.folder / "campaign.json", self._instrument()
         if not os.path.lexists(path):
-            write_json(path, {"format": _FORMAT, "version": 1, **mine})
+            write_json(path, {"format": FORMAT, "version": 1, **mine})
             return
         try:
             found = read_json(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from pathlib import Path
@@ -24,22 +23,23 @@ from dehyst.console import (
     columns_options,
     conclude,
     count_outside,
+    force_option,
     json_option,
     lagging,
     leave_cleanly,
     path_of,
-    progress_line,
     range_words,
     read_model,
     read_records,
     refuse_overwriting,
+    refuse_replacing,
     start_option,
     start_state,
     state_dict,
     time_of_table,
 )
-from dehyst.files import finite
 from dehyst.printing import print_fit, print_insight, print_paper
+from dehyst.terminal import echo, echo_json, progress_line
 from dehyst.version import __version__
 
 
@@ -93,6 +93,7 @@ main.add_command(rig)
 @click.option("--delay", type=float, metavar="SECONDS", help="Lag of the displacement.  [default: estimated]")
 @click.option("--shared-datum", is_flag=True, help="No record zeroed its sensor anew.")
 @click.option("--no-drift", is_flag=True, help="Do not set the drift of a record aside.")
+@force_option
 @columns_options
 @json_option
 def identify(
@@ -113,6 +114,7 @@ def identify(
         structure=structure, refine=refine, norm=norm, knots=knots, slope_floor=slope_floor, delay=delay,
         shared_datum=shared_datum, drift=not no_drift, throw=False, progress=tell,
     )  # fmt: skip
+    refuse_replacing(output, report)
     if output is not None and fit.actuator is not None:
         fit.actuator.save(output)
     if report is not None:
@@ -123,7 +125,7 @@ def identify(
         write_report(report, fit, command=shlex.join(["dehyst", *sys.argv[1:]]), insight=told)
     tell("")
     if as_json:
-        click.echo(json.dumps(finite(fit.as_dict()), indent=1))
+        echo_json(fit.as_dict())
     else:
         print_fit(fit, output, report)
     sys.exit(0 if fit.outcome.good else 1)
@@ -134,6 +136,7 @@ def identify(
 @click.argument("voltage_file", metavar="VOLTAGE", type=PATH)
 @click.option("-o", "--output", type=PATH, required=True, help="Write time, voltage and displacement here (CSV).")
 @click.option("--lag", is_flag=True, help="Let the displacement lag the voltage as it was measured to do.")
+@force_option
 @start_option
 @columns_options
 @json_option
@@ -152,6 +155,7 @@ def simulate(
         voltage, time=time.get("time_s") if actuator.needs_time else None, state=start_state(actuator, start)
     )
     displacement = lagging(motion.displacement, actuator, time) if lag else motion.displacement
+    refuse_replacing(output)
     write_columns(output, {**time, "voltage_V": voltage, "displacement_um": displacement * 1e6})
     outside = count_outside(actuator, voltage)
     said = (
@@ -166,13 +170,17 @@ def simulate(
 
 
 @main.command()
-@click.option("-o", "--output", type=PATH, default=Path("dehyst-demo"), show_default=True, help="Folder for the files.")
+@click.option(
+    "-o", "--output", type=PATH, default=Path("dehyst-demo"), show_default=True,
+    help="Folder for the files: new, empty, or an earlier demo's.",
+)  # fmt: skip
 @click.option("--report/--no-report", default=True, help="Draw the report (needs matplotlib).")
 @json_option
 def demo(output: Path, report: bool, as_json: bool) -> None:
     """Record, identify, compensate and verify on an embedded virtual actuator."""
     from dehyst import demo as journey
 
+    journey.demand_folder(output)
     tell = progress_line()
     result = journey.run(tell)
     tell("writing")
@@ -180,15 +188,17 @@ def demo(output: Path, report: bool, as_json: bool) -> None:
     tell("")
     numbers = result.as_dict()
     if as_json:
-        click.echo(json.dumps(finite({**numbers, "written": [str(path) for path in written]}), indent=1))
+        echo_json({**numbers, "written": [str(path) for path in written]})
         return
     print_fit(result.fit, None, None)
-    click.echo("\nTracking a path with nine reversals, largest error in % of the stroke")
+    echo()
+    echo("Tracking a path with nine reversals, largest error in % of the stroke")
     for name, key in (("linear feedforward (end-point ratio)", "linear"), ("dehyst", "compensated")):
         largest, rms = numbers[key]["largest_percent"], numbers[key]["rms_percent"]
         paper = numbers["paper"][f"{key}_largest_percent"]
-        click.echo(f"  {name:<38}{largest:7.2f} %   RMS {rms:5.2f} %   (paper {paper:5.2f} %)")
-    click.echo(f"\nWritten to {output}/: {', '.join(path.name for path in written)}")
+        echo(f"  {name:<38}{largest:7.2f} %   RMS {rms:5.2f} %   (paper {paper:5.2f} %)")
+    echo()
+    echo(f"Written to {output}/: {', '.join(path.name for path in written)}")
 
 
 @main.command()
@@ -202,6 +212,7 @@ def demo(output: Path, report: bool, as_json: bool) -> None:
 @click.option("--repeats", type=int, default=100, show_default=True, help="Resampled records; 0: no intervals.")
 @click.option("-o", "--output", type=PATH, help="Write the trajectory with its band here (CSV).")
 @click.option("--report", type=PATH, help="Write a self-contained HTML page here.")
+@force_option
 @columns_options
 @json_option
 def insight(
@@ -224,6 +235,7 @@ def insight(
     path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted)
     found = run(actuator, read_records(records, columns), trajectory=path, time=time.get("time_s"), limits=limits,
                 seconds=seconds, level=level, repeats=repeats, progress=tell)  # fmt: skip
+    refuse_replacing(output, report)
     if output is not None and found.band is not None:
         write_columns(output, {**time, **found.band.columns()})
     if report is not None:
@@ -233,7 +245,7 @@ def insight(
         write_insight(report, found, command=shlex.join(["dehyst", *sys.argv[1:]]))
     tell("")
     if as_json:
-        click.echo(json.dumps(finite(found.as_dict()), indent=1))
+        echo_json(found.as_dict())
     else:
         print_insight(found, output, report)
     sys.exit(1 if found.warnings() else 0)
@@ -241,19 +253,21 @@ def insight(
 
 @main.command()
 @click.option(
-    "-o", "--output", type=PATH, default=Path("dehyst-paper"), show_default=True, help="Folder for the files."
-)
+    "-o", "--output", type=PATH, default=Path("dehyst-paper"), show_default=True,
+    help="Folder for the files: new, empty, or one of an earlier run.",
+)  # fmt: skip
 @json_option
 def paper(output: Path, as_json: bool) -> None:
     """Redo the paper's experiment on a virtual actuator: every table and figure, beside the paper's numbers."""
     from dehyst import paper as experiment
 
+    experiment.demand_folder(output)
     tell = progress_line()
     result = experiment.run(tell)
     tell("drawing")
     written = experiment.write(result, output)
     tell("")
     if as_json:
-        click.echo(json.dumps(finite({**result.as_dict(), "written": [str(path) for path in written]}), indent=1))
+        echo_json({**result.as_dict(), "written": [str(path) for path in written]})
         return
     print_paper(result, output)

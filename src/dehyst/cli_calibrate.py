@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import signal
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.console import PATH, json_option
-from dehyst.files import finite
+from dehyst.console import PATH, force_option, json_option, refuse_replacing
+from dehyst.terminal import echo, echo_json, note
 
 if TYPE_CHECKING:
     from dehyst.calibrate import Calibration
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
 @click.option(
     "--goal", type=float, default=1.0, show_default=True, metavar="PERCENT", help="Largest error allowed on the path."
 )
+@force_option
 @click.option("--dry-run", is_flag=True, help="Say what would be sent, and send nothing.")
 @json_option
 def calibrate(
@@ -62,6 +62,8 @@ def calibrate(
 
     given = tuple(_excitation(path) for path in options.pop("protocol"))
     plan = Plan(protocol=given, **options)
+    if not dry_run:
+        _refuse_replacing(output)
     with _told(output), open_rig(rig, limits=limits, slew_rate=slew) as instrument:
         _say_less(instrument, limits, slew)
         if dry_run:
@@ -70,6 +72,16 @@ def calibrate(
         found = _run(instrument, output, plan)
     _print(found, output, as_json)
     sys.exit(0 if found.good else 1)
+
+
+def _refuse_replacing(folder: Path) -> None:
+    """Refuse a folder in which results would replace files of others."""
+    from dehyst.calibrate import RESULTS
+    from dehyst.campaign import FORMAT
+    from dehyst.marks import format_of
+
+    if format_of(folder / "campaign.json") != FORMAT:
+        refuse_replacing(*(folder / name for name in RESULTS))
 
 
 def _excitation(path: Path) -> Excitation:
@@ -93,9 +105,9 @@ def _say_less(rig: AbstractRig, limits: tuple[float, float] | None, slew: float 
     """Say where the device allows less than was asked for."""
     allowed = rig.limits
     if limits is not None and (allowed.low, allowed.high) != limits:
-        _say(f"{limits[0]:g} to {limits[1]:g} V was given, the device allows {allowed.words}")
+        note(f"{limits[0]:g} to {limits[1]:g} V was given, the device allows {allowed.words}")
     if slew is not None and rig.slew_rate < slew:
-        _say(f"{slew:g} V/s was given, the device allows {rig.slew_rate:.6g} V/s")
+        note(f"{slew:g} V/s was given, the device allows {rig.slew_rate:.6g} V/s")
 
 
 def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
@@ -116,17 +128,17 @@ def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
     allowed = {"rig": rig.name, "axis": rig.axis, "limits_V": [rig.limits.low, rig.limits.high],
                "slew_rate_V_per_s": rig.slew_rate, "safe_V": rig.safe}  # fmt: skip
     if as_json:
-        click.echo(json.dumps(finite({**allowed, "steps": found}), indent=1))
+        echo_json({**allowed, "steps": found})
         return
-    click.echo(f"{rig.name}, axis {rig.axis}: {rig.limits.words}, at most {rig.slew_rate:.6g} V/s; nothing was sent")
+    echo(f"{rig.name}, axis {rig.axis}: {rig.limits.words}, at most {rig.slew_rate:.6g} V/s; nothing was sent")
     for told in found:
         numbers = ""
         if "samples" in told:
             numbers = (f"{told['seconds']:8.1f} s {told['samples']:7d} samples, {told['lowest_V']:.6g} to "
                        f"{told['highest_V']:.6g} V, up to {told['steepest_V_per_s']:.4g} V/s; ")  # fmt: skip
-        click.echo(f"  {told['step']:12s}{numbers}{told['what']}")
+        echo(f"  {told['step']:12s}{numbers}{told['what']}")
     seconds = sum(told.get("seconds", 0.0) for told in found)
-    click.echo(f"up to {seconds:.0f} s of playing in all, and what insight asks for besides")
+    echo(f"up to {seconds:.0f} s of playing in all, and what insight asks for besides")
 
 
 def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
@@ -145,20 +157,14 @@ def _told(output: Path) -> Iterator[None]:
     from dehyst._errors import DehystError
 
     with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_, **__: _say(str(message))
+        warnings.showwarning = lambda message, *_, **__: note(str(message))
         try:
             yield
         except (DehystError, KeyboardInterrupt, SystemExit) as error:
             said = str(error) if isinstance(error, DehystError) else f"stopped by {_stopper(error)}"
             for line in (said, *getattr(error, "__notes__", ()), *_left(output, error)):
-                _say(line)
+                note(line)
             sys.exit(_status(error))
-
-
-def _say(line: str) -> None:
-    # Whoever read this may be gone.
-    with suppress(OSError):
-        click.echo(f"dehyst: {line}", err=True)
 
 
 def _stopper(error: BaseException) -> str:
@@ -206,16 +212,16 @@ def _kept(found: Calibration) -> Iterator[str]:
 
 def _print(found: Calibration, output: Path, as_json: bool) -> None:
     if as_json:
-        click.echo(json.dumps(finite({**found.as_dict(), "output": str(output)}), indent=1))
+        echo_json({**found.as_dict(), "output": str(output)})
         return
     for warning in (*_kept(found), *found.warnings()):
-        click.echo(f"dehyst: {warning}", err=True)
+        note(warning)
     fit = found.fit
-    click.echo(f"{fit.outcome.value}")
+    echo(f"{fit.outcome.value}")
     for error in fit.errors:
-        click.echo(f"  {error.record:12s} {error.role:12s} largest {error.largest_percent:6.3f} %  RMS "
+        echo(f"  {error.record:12s} {error.role:12s} largest {error.largest_percent:6.3f} %  RMS "
                    f"{error.rms_percent:6.3f} % of the stroke")  # fmt: skip
-    click.echo("Measured along a path of nine reversals, in % of the stroke:")
+    echo("Measured along a path of nine reversals, in % of the stroke:")
     for name, one in (("nominal", found.nominal), ("compensated", found.compensated)):
-        click.echo(f"  {name:12s} largest {one.largest_percent:6.3f} %  RMS {one.rms_percent:6.3f} %")
-    click.echo(f"model.json, report.html, calibration.json and records: {output}")
+        echo(f"  {name:12s} largest {one.largest_percent:6.3f} %  RMS {one.rms_percent:6.3f} %")
+    echo(f"model.json, report.html, calibration.json and records: {output}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from pathlib import Path
@@ -14,12 +13,14 @@ from dehyst.console import (
     PATH,
     ManyToValidate,
     columns_options,
+    force_option,
     json_option,
-    progress_line,
     read_records,
     refuse_overwriting,
+    refuse_replacing,
 )
 from dehyst.files import finite
+from dehyst.terminal import echo, echo_json, progress_line
 
 if TYPE_CHECKING:
     from dehyst.compare import Comparison, Row
@@ -39,6 +40,7 @@ _TRUTHS = ["play", "creep", "preisach", "boucwen"]
 @click.option("--only", multiple=True, metavar="MODEL", help="This model only; may be repeated.  [default: all]")
 @click.option("-o", "--output", type=PATH, help="Write every figure here (JSON).")
 @click.option("--report", type=PATH, help="Write a self-contained HTML page here.")
+@force_option
 @columns_options
 @json_option
 def compare(
@@ -60,15 +62,16 @@ def compare(
     tell("reading")
     training, held_out = read_records(records, columns), read_records(validate, columns)
     found = run(training, validate=held_out, truths=named, lead=lead, models=chosen, progress=tell)
+    refuse_replacing(output, report)
     if output is not None:
-        write_json(output, finite(found.as_dict()))
+        write_json(output, {"format": "dehyst-comparison", "version": 1, **finite(found.as_dict())})
     if report is not None:
         from dehyst.compare_page import write_comparison
 
         write_comparison(report, found, command=shlex.join(["dehyst", *sys.argv[1:]]))
     tell("")
     if as_json:
-        click.echo(json.dumps(finite(found.as_dict()), indent=1))
+        echo_json(found.as_dict())
     else:
         print_comparison(found, output, report)
     sys.exit(1 if any(row.said for row in found.rows if row.name == OURS) else 0)
@@ -93,22 +96,23 @@ def print_comparison(found: Comparison, output: Path | None, report: Path | None
     """Print a row for each model, then what failed."""
     width = max(len("model"), *(len(row.name) for row in found.rows))
     groups = ["training", "held out", "no constant", *(f"track {name}" for name in found.truths)]
-    click.echo(f"{'':<{width}}" + "".join(f"  {group:^15}" for group in groups) + f"{'':>9}{'ns a sample':>18}")
-    click.echo(f"{'model':<{width}}" + len(groups) * f"  {'largest':>8}{'RMS':>7}" + f"{'fit, s':>9}"
+    echo(f"{'':<{width}}" + "".join(f"  {group:^15}" for group in groups) + f"{'':>9}{'ns a sample':>18}")
+    echo(f"{'model':<{width}}" + len(groups) * f"  {'largest':>8}{'RMS':>7}" + f"{'fit, s':>9}"
                f"{'simulate':>10}{'invert':>8}{'numbers':>9}")  # fmt: skip
     for row in found.rows:
-        click.echo(_line(row, found.truths, width))
+        echo(_line(row, found.truths, width))
     stroke = f"{found.stroke * 1e6:.4g} um"
-    click.echo(f"\nErrors in % of the stroke, {stroke}, of the record with the largest. Training and held out: one "
+    echo()
+    echo(f"Errors in % of the stroke, {stroke}, of the record with the largest. Training and held out: one "
                "constant a record free.")  # fmt: skip
     if found.note:
-        click.echo(found.note)
+        echo(found.note)
     for row in found.rows:
         if row.said:
-            click.echo(f"{row.name}: {row.said}")
+            echo(f"{row.name}: {row.said}")
     for name, path in (("Figures", output), ("Report", report)):
         if path is not None:
-            click.echo(f"{name}: {path}")
+            echo(f"{name}: {path}")
 
 
 def _line(row: Row, truths: tuple[str, ...], width: int) -> str:

@@ -14,11 +14,12 @@ from dehyst.console import (
     came_from,
     columns_options,
     conclude,
+    force_option,
     json_option,
     late_words,
-    progress_line,
     read_model,
     refuse_overwriting,
+    refuse_replacing,
     start_option,
     start_within,
     state_dict,
@@ -26,6 +27,7 @@ from dehyst.console import (
 )
 from dehyst.option_words import in_options, said_in_options
 from dehyst.scan_options import NAMES, named_scan, scan_options
+from dehyst.terminal import note, progress_line
 
 if TYPE_CHECKING:
     from dehyst.actuator import Actuator
@@ -64,6 +66,7 @@ _OF_TABLES = ("homing", "present", "approach", "start_up", "tolerance")
 @click.option(
     "--tolerance", type=float, metavar="UM", help="With --cycle: what is left to settle.  [default: 1e-4 of the stroke]"
 )
+@force_option
 @start_option
 @columns_options
 @json_option
@@ -149,6 +152,7 @@ def _follow(
     )
     tell = progress_line()
     tell(f"writing {wanted.size} rows")
+    refuse_replacing(output)
     write_columns(output, {**time, "displacement_um": wanted * 1e6, "voltage_V": command.voltage,
                            "expected_um": command.displacement * 1e6})  # fmt: skip
     tell("")
@@ -187,6 +191,7 @@ def _tabulate(
     _tell_long(table, cycles)
     tell(f"writing {table.rows(cycles)} rows")
     played, cycle = table.played(cycles), table.cycle
+    refuse_replacing(*outputs)
     write_columns(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
     write_columns(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
     tell("")
@@ -262,11 +267,10 @@ def _tell_long(table: WaveTable, cycles: int) -> None:
             f"--output: got {said}, {rows} rows at {rate:g} Hz, need {_MOST_ROWS:g} rows at most; try a lower "
             "--sample-rate, fewer --cycles or --start-up, or no --homing and --start where the actuator stands"
         )
-    click.echo(f"dehyst: {said}: {rows} rows", err=True)
+    note(f"{said}: {rows} rows")
     homing = table.homing
     if homing is not None and table.homing_rows.size < homing.duration * rate - 0.5:
-        click.echo(
-            f"dehyst: the homing has {table.homing_rows.size} rows, {1 / homing.sample_rate:.3g} s or more apart: play "
-            "it by its time column, straight from row to row",
-            err=True,
+        note(
+            f"the homing has {table.homing_rows.size} rows, {1 / homing.sample_rate:.3g} s or more apart: play it "
+            "by its time column, straight from row to row"
         )

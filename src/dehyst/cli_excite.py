@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.console import PATH, json_option, read_model, refuse_overwriting
+from dehyst.console import PATH, force_option, json_option, read_model, refuse_overwriting, refuse_replacing
+from dehyst.terminal import echo, echo_json, note
 
 if TYPE_CHECKING:
     from dehyst.drive import Drive
@@ -41,7 +41,7 @@ def _play_options(command: Callable[..., None]) -> Callable[..., None]:
         (("-o", "--output"), {"type": PATH, "required": True, "help": "Write time and voltage here (CSV)."}),
     ):  # fmt: skip
         command = click.option(*flags, **options)(command)
-    return json_option(command)
+    return json_option(force_option(command))
 
 
 @excite.command("raised-cosine", context_settings=_NEGATIVE)
@@ -149,9 +149,9 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
                           drive=drive, hold=hold)  # fmt: skip
     if not way.certified or way.played is not None:
         for remark in way.remarks:
-            click.echo(f"dehyst: {remark}", err=True)
+            note(remark)
     if len(way.turns) < 2:
-        click.echo("homing: the state is known already, nothing to play and nothing written")
+        echo("homing: the state is known already, nothing to play and nothing written")
         return
     if way.played is None:
         word = "certified to end in a known state" if way.certified else "NOT certified: the state stays unknown"
@@ -182,18 +182,19 @@ def _save(made: Excitation, options: dict[str, Any], word: str) -> None:
     from dehyst.files import write_columns
 
     output = options["output"]
+    refuse_replacing(output)
     write_columns(output, {"time_s": made.time, "voltage_V": made.voltage})
     for warning in made.warnings:
-        click.echo(f"dehyst: {warning}", err=True)
+        note(warning)
     low, high = made.voltage_range
     if options["as_json"]:
-        click.echo(json.dumps({
+        echo_json({
             "kind": made.name, "samples": len(made), "seconds": made.duration, "sample_rate_Hz": made.sample_rate,
             "lowest_V": low, "highest_V": high, "first_V": float(made.voltage[0]), "last_V": float(made.voltage[-1]),
             "turns_V": made.turns.tolist(), "warnings": list(made.warnings), "output": str(output),
-        }, indent=1))  # fmt: skip
+        })  # fmt: skip
         return
-    click.echo(
+    echo(
         f"{made.name}: {len(made)} samples, {made.duration:.6g} s at {made.sample_rate:.6g} Hz, {low:.6g} to "
         f"{high:.6g} V, from {made.voltage[0]:.6g} to {made.voltage[-1]:.6g} V{f'; {word}' if word else ''}: {output}"
     )

@@ -47,7 +47,9 @@ _NEAR = 0.01
               "[default: piezo]")  # fmt: skip
 @click.option("--measure/--no-measure", default=True, help="Compile it to tell its bytes and the error of floats, "
               "which takes seconds.  [default: measure]")  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace an earlier export.")
+@click.option(
+    "--force", is_flag=True, help="Replace an earlier export, or a file where an FMU goes that dehyst did not write."
+)
 @click.option("--fmu", type=click.Choice(["2.0", "3.0"]), is_flag=False, flag_value="3.0",
               help="Write an FMU of this version of FMI instead.  [without a version: 3.0]")  # fmt: skip
 @click.option("--kind", type=click.Choice(["compensator", "actuator"]),
@@ -77,7 +79,7 @@ def export(
     if fmu is not None:
         refuse_overwriting([model], directory)
         result, line, said = _write_fmu(compensator, state, directory, fmu, kind or "compensator", force)
-        conclude(as_json, result, f"{line}\n{_begin_words(compensator, actuator, start, kind)}", said)
+        conclude(as_json, result, [line, _begin_words(compensator, actuator, start, kind)], said)
         return
     named = {} if name is None else {"name": name}
     made = run(compensator, directory, number, force=force, measure=measure, **named)
@@ -85,8 +87,8 @@ def export(
     if measure and made.unmeasured is not None:
         said.append(f"bytes and errors were not measured on this computer: {made.unmeasured}")
     result = {"directory": str(directory), "number": number, "warnings": said, **_begins(compensator), **_numbers(made)}
-    line = f"{directory}: a compensator of {number}s\n{_begin_words(compensator, actuator, start)}\n{_table(made)}"
-    conclude(as_json, result, line, said)
+    begin = _begin_words(compensator, actuator, start)
+    conclude(as_json, result, [f"{directory}: a compensator of {number}s", begin, *_table(made)], said)
 
 
 def _demand_of_fmu(
@@ -158,7 +160,7 @@ def _numbers(made: Exported) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _table(made: Exported) -> str:
+def _table(made: Exported) -> list[str]:
     worst = made.operations
     rows = [f"{'bytes':<40}{'flash':>8}{'RAM':>8}{'stack':>8}"] if made.footprints else []
     rows += [
@@ -171,4 +173,4 @@ def _table(made: Exported) -> str:
     )
     if made.error is not None:
         rows.append(f"floats: errors up to {made.error:.1e} of the range")
-    return "\n".join(rows)
+    return rows

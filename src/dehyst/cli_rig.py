@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst.terminal import echo
+
 if TYPE_CHECKING:
     from dehyst.emulator.faults import Fault
     from dehyst.emulator.server import Server
@@ -75,16 +77,16 @@ def serve(
 
     rehearsed = [Fault.parse(text) for text in faults]
     instrument, told = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
-    lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, tell=lambda words: click.echo(f"fault: {words}"))
+    lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, tell=lambda words: echo(f"fault: {words}"))
     controller = Controller(instrument, told=told)
     server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
     if epics is not None:
         _serve_epics(instrument, epics, lock)
     with _until_told(server):
-        click.echo(f"serving {actuator}, {told[0]:g} to {told[1]:g} V, on pi://{host}:{server.port}")
+        echo(f"serving {actuator}, {told[0]:g} to {told[1]:g} V, on pi://{host}:{server.port}")
         sys.stdout.flush()
         server.serve(seconds)
-    click.echo(f"{_tally(instrument)}, {controller.recorder.told} samples told")
+    echo(f"{_tally(instrument)}, {controller.recorder.told} samples told")
 
 
 def _instrument(
@@ -117,7 +119,7 @@ def _serve_epics(instrument: Instrument, prefix: str, lock: threading.Lock) -> N
     if find_spec("dehyst.emulator.ioc") is None:
         raise RigError("--epics: this version of dehyst serves no EPICS; leave it out")
     import_module("dehyst.emulator.ioc").serve_ioc(instrument, prefix, lock)
-    click.echo(f"serving epics://{prefix}")
+    echo(f"serving epics://{prefix}")
 
 
 @contextmanager

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from html import escape
 from os import PathLike
 
 from dehyst.compare import OURS, Comparison, Score
 from dehyst.files import write_atomically
-from dehyst.page import Row, document, length, number, table
+from dehyst.page import Row, document, escape, length, number, table
 from dehyst.trials import Tracking
 
 _NONE = "–"

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import json
+import io
+import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.files import finite
+from dehyst.terminal import echo, echo_json, guarded_streams, note
 
 if TYPE_CHECKING:
     from dehyst.actuator import Actuator
@@ -22,9 +23,31 @@ if TYPE_CHECKING:
 
 PATH = click.Path(path_type=Path)
 
+_FORCE = "dehyst.force"
+_INTERRUPTED = 130
+
 
 class Commands(click.Group):
     """Commands whose refusals are sentences on standard error and status 2, without a traceback."""
+
+    def main(
+        self, args: Sequence[str] | None = None, prog_name: str | None = None, complete_var: str | None = None,
+        standalone_mode: bool = True, **extra: Any,
+    ) -> Any:  # fmt: skip
+        """Run as a program, whatever its standard streams are."""
+        if not standalone_mode:
+            return super().main(args, prog_name, complete_var, standalone_mode=False, **extra)
+        with guarded_streams():
+            try:
+                sys.exit(super().main(args, prog_name, complete_var, standalone_mode=False, **extra))
+            except click.ClickException as error:
+                shown = io.StringIO()
+                error.show(shown)
+                for line in shown.getvalue().removesuffix("\n").split("\n"):
+                    echo(line, err=True)
+                sys.exit(error.exit_code)
+            except click.Abort:
+                sys.exit(_INTERRUPTED)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run; turn dehyst's own exceptions into messages."""
@@ -33,11 +56,14 @@ class Commands(click.Group):
         try:
             return super().invoke(ctx)
         except DehystError as error:
-            click.echo(f"dehyst: {error}", err=True)
+            note(error)
             sys.exit(2)
         except MemoryError:
-            click.echo("dehyst: not enough memory; resample the record or cut it", err=True)
+            note("not enough memory; resample the record or cut it")
             sys.exit(2)
+        except KeyboardInterrupt:
+            note("stopped by Ctrl-C")
+            sys.exit(_INTERRUPTED)
 
 
 def leave_cleanly(context: click.Context) -> None:
@@ -98,21 +124,50 @@ def read_records(paths: tuple[Path, ...], columns: dict[str, Any]) -> list[Recor
     return [read(path, **columns) for path in paths]
 
 
+def force_option(command: Callable[..., None]) -> Callable[..., None]:
+    """The switch that lets outputs replace files of others; `refuse_overwriting` looks at it."""
+
+    def keep(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+        ctx.meta[_FORCE] = value
+
+    return click.option(
+        "--force", is_flag=True, expose_value=False, callback=keep, help="Replace files that dehyst did not write."
+    )(command)
+
+
 def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
-    """An output that is also an input would be lost: refuse before anything is read."""
+    """Refuse outputs that are inputs, or files of others unless there is --force, before anything is read."""
     from dehyst._errors import FileFormatError
 
-    taken = {path.resolve() for path in inputs}
-    named = [output.resolve() for output in outputs if output is not None]
-    if len(set(named)) < len(named):
+    named = [output for output in outputs if output is not None]
+    if len({os.path.realpath(output) for output in named}) < len(named):
         raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own")
-    for output in outputs:
-        if output is not None and output.resolve() in taken:
+    for output in named:
+        if any(_same(output, path) for path in inputs):
             raise FileFormatError(f"{output}: is an input of this command too; give another name for the output")
-        if output is not None and output.is_dir():
+        refuse_replacing(output)
+        if output.is_dir():
             raise FileFormatError(f"{output}: is a folder; give the name of a file in it")
-        if output is not None and not output.resolve().parent.is_dir():
+        if not Path(os.path.realpath(output)).parent.is_dir():
             raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
+
+
+def refuse_replacing(*outputs: Path | None) -> None:
+    """Refuse to write over files of others unless there is --force: at first, and again when all is computed."""
+    from dehyst.marks import demand_replaceable
+
+    force = bool(click.get_current_context().meta.get(_FORCE))
+    for output in outputs:
+        if output is not None:
+            demand_replaceable(output, force=force)
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether two names are of one file."""
+    try:
+        return one.samefile(other)
+    except OSError:
+        return os.path.realpath(one) == os.path.realpath(other)
 
 
 def time_of_table(table: Table, size: int, columns: dict[str, Any]) -> dict[str, Any]:
@@ -146,7 +201,7 @@ def read_model(path: Path) -> Actuator:
     actuator = Actuator.load(path)
     outcome = getattr(Outcome, str(actuator.provenance.get("outcome")), None)
     if isinstance(outcome, Outcome) and not outcome.good:
-        click.echo(f"dehyst: {path}: when this model was identified: {outcome.value}", err=True)
+        note(f"{path}: when this model was identified: {outcome.value}")
     return actuator
 
 
@@ -245,19 +300,12 @@ def range_words(actuator: Actuator) -> str:
     return f"{low:.6g} to {high:.6g} V"
 
 
-def progress_line() -> Callable[[str], None]:
-    """One line on a terminal that is overwritten; nothing in a file or a pipe."""
-    if not sys.stderr.isatty():
-        return lambda _: None
-
-    def tell(words: str) -> None:
-        click.echo(f"\r\033[K{words}{' ...' if words else ''}", err=True, nl=False)
-
-    return tell
-
-
-def conclude(as_json: bool, result: dict[str, Any], line: str, warnings: Any) -> None:
-    """Print warnings, then the result as a line or as JSON."""
+def conclude(as_json: bool, result: dict[str, Any], lines: str | Iterable[str], warnings: Any) -> None:
+    """Print warnings, then the result as one or more lines or as JSON."""
     for warning in warnings:
-        click.echo(f"dehyst: {warning}", err=True)
-    click.echo(json.dumps(finite(result), indent=1) if as_json else line)
+        note(warning)
+    if as_json:
+        echo_json(result)
+        return
+    for line in [lines] if isinstance(lines, str) else lines:
+        echo(line)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._errors import FileFormatError
 from dehyst._native import Array
 from dehyst.compensator import Compensator
 from dehyst.excite import Drive, descending_tops, raised_cosine
-from dehyst.files import write_columns, write_json, write_record
+from dehyst.files import PathLike, write_columns, write_json, write_record
 from dehyst.identify import identify
+from dehyst.marks import demand_own_folder, make_own_folder
 from dehyst.metrics import largest, percent, rms
 from dehyst.model import Fit
 from dehyst.record import Record
@@ -23,6 +23,8 @@ from dehyst.verification import wanted_path
 
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
+# By this file a folder is known as the demo's.
+_OWN = ("demo.json", "dehyst-demo")
 # The paper: Sec. 4.3 and Fig. 12.
 _PAPER = {"linear": 13.63, "compensated": 0.76}
 
@@ -92,23 +94,24 @@ def run(progress: Callable[[str], None] = lambda _: None) -> Demo:
     )
 
 
-def write(demo: Demo, folder: str | Path, *, report: bool = True) -> list[Path]:
+def demand_folder(folder: PathLike) -> None:
+    """Refuse a folder that is neither new, nor empty, nor an earlier demo's, with FileFormatError."""
+    demand_own_folder(folder, *_OWN)
+
+
+def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
     """Leave the records, the model, the path, the numbers and the report in a folder; returns what was written.
 
     Raises
     ------
     FileFormatError
-        If the folder cannot be made.
+        If the folder cannot be made, or holds files that are not of a demo.
     MissingExtraError
         If a report is wanted and matplotlib is missing.
     """
-    target = Path(folder)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileFormatError(
-            f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
-        ) from error
+    target = make_own_folder(folder, *_OWN)
+    # First, so that the folder is known as the demo's even if it is not finished.
+    write_json(target / "demo.json", {"format": _OWN[1], "version": 1, **demo.as_dict()})
     for record in demo.records:
         write_record(target / f"{record.name}.csv", record)
     demo.fit.actuator.save(target / "model.json")
@@ -116,7 +119,6 @@ def write(demo: Demo, folder: str | Path, *, report: bool = True) -> list[Path]:
         "time_s": demo.time, "wanted_um": demo.wanted * 1e6, "voltage_V": demo.voltage,
         "compensated_um": demo.compensated * 1e6, "linear_um": demo.linear * 1e6,
     })  # fmt: skip
-    write_json(target / "demo.json", demo.as_dict())
     names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json"]
     if report:
         from dehyst.report import write_report

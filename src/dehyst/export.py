@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import secrets
 import shutil
 import tempfile
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import NamedTuple
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst.compensator import Compensator
+from dehyst.drafts import draft_of, settle, settle_folder
 from dehyst.files import PathLike, path_of, shipped, unwritten
 from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT, Footprint, run, sizes
 from dehyst.golden import Golden, golden, trace_header
@@ -138,7 +138,7 @@ def export(
     files = code(compensator, number, name)
     files |= {file: text_of(shipped(file), name) for file in ("check.c", "Makefile")} | {"LICENSE": shipped("LICENSE")}
     target = folder.resolve()
-    draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    draft = draft_of(target)
     try:
         _demand_free(folder, force)
         draft.mkdir()
@@ -217,26 +217,31 @@ def _demand_free(folder: Path, force: bool) -> None:
             "outside it: give the name of a new or an empty folder"
         )
     if there and not force:
-        raise FileFormatError(f"{folder}: holds an earlier export; replace it with force (--force) or name another")
+        raise FileFormatError(f"{folder}: holds an earlier export; give another name, or --force to replace it")
 
 
 def _put(draft: Path, target: Path) -> None:
     """The draft at its place, what was there removed."""
+    settle_folder(draft)
     if not target.exists():
         draft.rename(target)
-        return
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as old:
-        kept = target.rename(Path(old) / "old")
-        try:
-            draft.rename(target)
-        except OSError:
-            kept.rename(target)
-            raise
+    else:
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=".dehyst-") as old:
+            kept = target.rename(Path(old) / "old")
+            try:
+                draft.rename(target)
+            except OSError:
+                kept.rename(target)
+                raise
+    settle_folder(target.parent)
 
 
 def _write(folder: Path, files: dict[str, str]) -> None:
     for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
+        with (folder / name).open("w", encoding="utf-8", newline="\n") as stream:
+            stream.write(text)
+            stream.flush()
+            settle(stream.fileno())
 
 
 def _float_error(folder: Path, name: str) -> float:

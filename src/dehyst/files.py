@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
-import secrets
+import re
+import stat
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst import hdf5
 from dehyst._errors import DehystError, FileFormatError
+from dehyst.drafts import PathLike, unwritten, write_atomically
 from dehyst.loaders import LOADERS, TEXT, UNITS, Table, listed
+from dehyst.marks import marked
 from dehyst.record import Record
 from dehyst.signals import FloatArray
 
@@ -41,7 +43,8 @@ __all__ = [
     "write_record",
 ]
 
-PathLike: TypeAlias = str | os.PathLike[str]
+# A model has some hundred numbers, a calibration's results some ten thousand.
+_MOST_JSON = 100_000_000
 
 
 def read(
@@ -121,9 +124,12 @@ def read_table(path: PathLike) -> Table:
 
 
 def write_record(path: PathLike, record: Record) -> None:
-    """Write a record as CSV with the columns time_s, voltage_V and displacement_um, at full precision."""
+    """Write a record as CSV with the columns time_s, voltage_V and displacement_um, at full precision.
+
+    A file that is there is replaced. It is a measurement, not an output: no command replaces it without --force.
+    """
     columns = {"time_s": record.time, "voltage_V": record.voltage, "displacement_um": record.displacement * 1e6}
-    write_columns(path, columns)
+    write_atomically(path, "\n".join([*_lines(path, columns), ""]))
 
 
 def write_hdf5(path: PathLike, record: Record) -> None:
@@ -146,7 +152,22 @@ def write_hdf5(path: PathLike, record: Record) -> None:
 
 
 def write_columns(path: PathLike, columns: Mapping[str, ArrayLike]) -> None:
-    """Write named (n,) arrays as CSV, at full precision; raises FileFormatError for other suffixes or lengths."""
+    """Write named (n,) arrays as CSV, at full precision, marked as an output of dehyst (`dehyst.marks`).
+
+    Raises
+    ------
+    FileFormatError
+        Another suffix than one of text, columns of several lengths, or the file cannot be written.
+    """
+    lines = _lines(path, columns)
+    if len(lines) > 1:
+        first, *rest = re.split(r"([,\t])", lines[1], maxsplit=1)
+        lines[1] = "".join([marked(first), *rest])
+    write_atomically(path, "\n".join([*lines, ""]))
+
+
+def _lines(path: PathLike, columns: Mapping[str, ArrayLike]) -> list[str]:
+    """Return a table as lines of text, the header first."""
     if Path(path).suffix.lower() not in TEXT:
         raise FileFormatError(f"{path}: dehyst writes text only; try the suffix .csv")
     if any(set(name) & set(',;\t\n"') for name in columns):
@@ -157,7 +178,7 @@ def write_columns(path: PathLike, columns: Mapping[str, ArrayLike]) -> None:
         raise FileFormatError(f"{path}: columns must be one-dimensional and of one length, got {shapes or 'none'}")
     delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
     rows = zip(*(map(repr, array.tolist()) for array in arrays), strict=True)
-    write_atomically(path, "\n".join([delimiter.join(columns), *map(delimiter.join, rows), ""]))
+    return [delimiter.join(columns), *map(delimiter.join, rows)]
 
 
 def read_json(path: PathLike) -> dict[str, Any]:
@@ -166,8 +187,8 @@ def read_json(path: PathLike) -> dict[str, Any]:
     Raises
     ------
     FileFormatError
-        No such file, not UTF-8, no valid JSON, another thing than an object, a key that is there twice in one object,
-        NaN, Infinity, or a number too large for a float.
+        No such file, a device or a pipe, more than 100 MB, not UTF-8, no valid JSON, another thing than an object, a
+        key that is there twice in one object, NaN, Infinity, or a number too large for a float.
     """
     path = Path(path)
 
@@ -188,6 +209,7 @@ def read_json(path: PathLike) -> dict[str, Any]:
         raise FileFormatError(f"{path}: holds {word}, but every number must be finite; correct it")
 
     with _reading(path, "JSON"):
+        _demand_regular(path, _MOST_JSON)
         try:
             text = path.read_bytes().decode("utf-8-sig")
             data = json.loads(
@@ -241,43 +263,17 @@ def shipped(name: str) -> str:
     raise FileFormatError(f"firmware/{name}: not found beside the package; install dehyst again")
 
 
-def unwritten(path: PathLike, error: OSError) -> FileFormatError:
-    """What to raise of a file or a folder that cannot be written, with advice that fits."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        advice = "make room there, or name a place that has some"
-    elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        advice = "check the folder's rights"
-    else:
-        advice = "check the name, and the folder's room and rights"
-    return FileFormatError(f"{path}: cannot be written ({error.strerror}); {advice}")
-
-
-def write_atomically(path: PathLike, data: str | bytes) -> None:
-    """Write a file wholly or not at all: under another name in its folder first, then renamed.
-
-    Raises
-    ------
-    FileFormatError
-        The folder is missing or not writable, or the path is a folder.
-    """
-    # A link keeps pointing at its file, and a device such as /dev/null is written to, never replaced.
-    target = Path(os.path.realpath(path))
-    content = data.encode() if isinstance(data, str) else data
-    if target.is_dir():
-        raise FileFormatError(f"{path}: this is a folder; add a file name")
-    if not target.parent.is_dir():
-        raise FileFormatError(f"{path}: the folder {Path(path).parent} does not exist; create it first")
-    special = target.exists() and not target.is_file()
-    draft = target if special else target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        draft.write_bytes(content)
-        if not special:
-            draft.replace(target)
-    except OSError as error:
-        raise unwritten(path, error) from error
-    finally:
-        if not special:
-            draft.unlink(missing_ok=True)
+def _demand_regular(path: Path, most: int) -> None:
+    """Refuse what may never end, before it is opened, and a file of more bytes than `most`."""
+    found = path.stat()
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError
+    if not stat.S_ISREG(found.st_mode):
+        raise FileFormatError(f"{path}: is a device, a pipe or a socket; give the name of a file")
+    if found.st_size > most:
+        raise FileFormatError(
+            f"{path}: has {found.st_size / 1e6:.0f} MB, but such a file has {most / 1e6:g} MB at most; check the name"
+        )
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from dehyst.files import PathLike, path_of, shipped, write_atomically
 from dehyst.fmu_description import Description, Kind, Version
 from dehyst.footprint import run
 from dehyst.header import demand_compensator
+from dehyst.marks import demand_replaceable
 from dehyst.version import __version__
 
 _SPOKEN = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
@@ -67,14 +68,14 @@ def export_fmu(
         Displacement [m] in and voltage [V] out, with the numbers of clamped samples; or the virtual actuator, voltage
         in and displacement out, which knows no limits.
     force : bool, optional
-        Replace a file of this name.
+        Replace a file of this name that dehyst did not write.
 
     Raises
     ------
     ModelError
         If it is no Compensator, the version or the kind is none of these, or it lacks a period that it needs.
     FileFormatError
-        If the file is there already or cannot be written, or its name does not end in .fmu.
+        If a file of this name is not of dehyst, cannot be written, or its name does not end in .fmu.
 
     Warns
     -----
@@ -107,14 +108,15 @@ def export_fmu(
             SourceOnlyWarning,
             2,
         )
+    # Compiling takes a while.
+    demand_replaceable(path, force=force)
     write_atomically(path, _zipped(content))
 
 
 def _demand_free(path: Path, force: bool) -> None:
     if path.suffix != ".fmu":
         raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
-    if path.is_file() and not force:
-        raise FileFormatError(f"{path}: is there already; replace it with force (--force) or give another name")
+    demand_replaceable(path, force=force)
 
 
 def _unlimited(compensator: Compensator) -> Compensator:

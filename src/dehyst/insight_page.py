@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from os import PathLike
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from dehyst import plot_insight
 from dehyst.files import write_atomically
 from dehyst.insight import Insight
-from dehyst.page import Row, document, figure, length, number, panel, table
+from dehyst.page import Row, document, escape, figure, length, number, panel, table
 from dehyst.trust_page import state, trajectory, verdict
 from dehyst.wide_insight import WideInsight
 from dehyst.wide_insight_page import wide_sections

@@ -5,12 +5,14 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, Self, TextIO
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dehyst.escaping import escaped
 from dehyst.recording import Lot
 
 if TYPE_CHECKING:
@@ -211,7 +213,9 @@ class _Lines:
         pass
 
     def _write(self, line: str) -> None:
-        print(f"dehyst: {line}", file=self._stream, flush=True)
+        # Whoever read this may be gone.
+        with suppress(OSError):
+            print(f"dehyst: {escaped(line)}", file=self._stream, flush=True)
 
 
 class _Picture:
@@ -248,7 +252,9 @@ def picture(live: Live, *, plain: bool = False) -> RenderableType:
         mark, letter, style = _MARKS[step.fate]
         told = summary(step) if step.fate in ("done", "failed") else _going(live, step)
         rows.add_row(
-            Text(letter if plain else mark, style), Text(step.name, "" if step.fate == "done" else style), Text(told)
+            Text(letter if plain else mark, style),
+            Text(escaped(step.name), "" if step.fate == "done" else style),
+            Text(escaped(told)),
         )
     lines = [Text(f"  {line}", no_wrap=True, overflow="ellipsis") for line in _numbers(live)]
     return Group(rows, *_bars(live), *lines)

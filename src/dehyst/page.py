@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Iterable, Sequence
-from html import escape
 from typing import TypeAlias
 
+from dehyst.escaping import escaped
+from dehyst.marks import GENERATOR
 from dehyst.plot import length_unit
 
 Row: TypeAlias = "Sequence[str | tuple[str, str]]"
@@ -56,11 +58,17 @@ pre{background:#f5f5f5;padding:.7rem .9rem;white-space:pre-wrap;overflow-wrap:an
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
+def escape(text: str, *, quote: bool = True) -> str:
+    """Write text for HTML: its marks, and what a browser would obey or not show."""
+    return html.escape(escaped(text), quote=quote)
+
+
 def document(title: str, parts: Iterable[str]) -> str:
     """Set parts into a page that asks for nothing from outside."""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        f'<meta name="generator" content="{GENERATOR}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light">\n'
         f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"

@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from dehyst import experiment, paper_tables
-from dehyst._errors import FileFormatError
 from dehyst.experiment import Experiment
 from dehyst.files import PathLike, write_atomically, write_columns, write_json
+from dehyst.marks import demand_own_folder, make_own_folder
 from dehyst.paper_tables import MODELS, PAPER
 
+# By this file a folder is known as one of the paper's.
+_OWN = ("results.json", "dehyst-paper")
 _ACTUATORS = {"asymmetric": "virtual E-280.10", "symmetric": "without its asymmetric map"}
 
 
@@ -54,6 +56,11 @@ def run(progress: Callable[[str], None] = lambda _: None) -> Paper:
     return Paper(of("asymmetric"), of("symmetric"))
 
 
+def demand_folder(folder: PathLike) -> None:
+    """Refuse a folder that is neither new, nor empty, nor one of an earlier run, with FileFormatError."""
+    demand_own_folder(folder, *_OWN)
+
+
 def write(result: Paper, folder: PathLike) -> list[Path]:
     """Leave every figure (SVG, PNG, CSV), the tables, the numbers and a page in a folder; returns what was written.
 
@@ -63,23 +70,22 @@ def write(result: Paper, folder: PathLike) -> list[Path]:
     Raises
     ------
     FileFormatError
-        If the folder cannot be made or written to.
+        If the folder cannot be made or written to, or holds files that are not of this experiment.
     MissingExtraError
         If matplotlib is not installed.
     """
     from dehyst.figures import plates
     from dehyst.paper_page import render
 
-    target = Path(folder)
-    _make(target)
-    drawn = plates(result.asymmetric, result.symmetric)
-    written = []
+    target = make_own_folder(folder, *_OWN)
+    drawn, written = plates(result.asymmetric, result.symmetric), []
+    # First, so that the folder is known as the paper's even if it is not finished.
+    write_json(target / _OWN[0], {"format": _OWN[1], "version": 1, **result.as_dict()})
     for plate in drawn:
         written += plate.drawing.save(target / plate.name)
         for suffix, columns in plate.data.items():
             written.append(target / f"{plate.name}{suffix}.csv")
             write_columns(written[-1], columns)
-    write_json(target / "results.json", result.as_dict())
     write_columns(target / "table1.csv", paper_tables.table1(result.asymmetric))
     for name, rows in (("summary.csv", _summary(result)), ("limits.csv", _limits(result))):
         write_atomically(target / name, _csv(rows))
@@ -87,15 +93,6 @@ def write(result: Paper, folder: PathLike) -> list[Path]:
     page = render(result.asymmetric, result.symmetric, drawn, [path.name for path in written])
     write_atomically(target / "index.html", page)
     return [target / "index.html", *written]
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileFormatError(
-            f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
-        ) from error
 
 
 def _summary(result: Paper) -> Iterator[list[Any]]:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from html import escape
 
 from dehyst.captions import captions
 from dehyst.discrepancies import discrepancies, findings
 from dehyst.experiment import CYCLES, DRIVE, PEAKS, Experiment
 from dehyst.figures import Plate
-from dehyst.page import MINUS, Row, document, table
+from dehyst.page import MINUS, Row, document, escape, table
 from dehyst.paper_tables import CONSTANTS, MODELS, Quantity, floors, limits, open_directions, summary, table1
 
 _STYLE = """.plate svg{max-width:62rem}.plate.one svg{max-width:31rem}

@@ -6,7 +6,6 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 from os import PathLike
 from typing import Any
 
@@ -23,7 +22,7 @@ from dehyst.followed_page import followed_sections
 from dehyst.insight import Insight
 from dehyst.insight_page import sections
 from dehyst.model import Fit, Outcome, RecordErrors, Trace
-from dehyst.page import MINUS, Row, document, figure, length, number, panel, table
+from dehyst.page import MINUS, Row, document, escape, figure, length, number, panel, table
 from dehyst.parts_page import made_of
 from dehyst.selection import label
 from dehyst.structure import Structure

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from html import escape
-
 from dehyst import plot_insight
 from dehyst.band import ERRORS
 from dehyst.homing import Homing
 from dehyst.insight import Insight
-from dehyst.page import Row, figure, length, number, panel, table
+from dehyst.page import Row, escape, figure, length, number, panel, table
 from dehyst.wide_insight import WideInsight
 
 

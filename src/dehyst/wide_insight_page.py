@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from html import escape
-
 import numpy as np
 
 from dehyst import plot_insight
-from dehyst.page import Row, figure, length, number, panel, table
+from dehyst.page import Row, escape, figure, length, number, panel, table
 from dehyst.told import SHARP
 from dehyst.trust_page import state, trajectory, verdict
 from dehyst.wide_insight import NOT_JUDGED, WideInsight

@@ -1,0 +1,121 @@
+"""Writing a file wholly or not at all: under another name in its folder first, on the disk, then renamed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import secrets
+import stat
+from contextlib import suppress
+from pathlib import Path
+from typing import TypeAlias
+
+from dehyst._errors import FileFormatError
+
+PathLike: TypeAlias = str | os.PathLike[str]
+
+# Short, so that any name that the file system takes can be written, and the same for all: a name's own length is free.
+_DRAFT = re.compile(r"\.dehyst-[0-9a-f]{8}\.tmp")
+# What a file system without the call answers.
+_NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
+
+
+def draft_of(target: Path) -> Path:
+    """Return a new name beside the target, hidden, for what is not whole yet; what a killed process leaves is inert."""
+    return target.with_name(f".dehyst-{secrets.token_hex(4)}.tmp")
+
+
+def is_draft(name: str) -> bool:
+    """Whether a file or folder of this name is a draft."""
+    return _DRAFT.fullmatch(name) is not None
+
+
+def unwritten(path: PathLike, error: OSError) -> FileFormatError:
+    """What to raise of a file or a folder that cannot be written, with advice that fits."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        advice = "make room there, or name a place that has some"
+    elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        advice = "check the folder's rights"
+    elif error.errno == errno.ENAMETOOLONG:
+        advice = "give a shorter name"
+    else:
+        advice = "check the name, and the folder's room and rights"
+    return FileFormatError(f"{path}: cannot be written ({error.strerror}); {advice}")
+
+
+def write_atomically(path: PathLike, data: str | bytes) -> None:
+    """Write a file wholly or not at all: a draft in its folder first, on the disk, then renamed.
+
+    A file that is there is replaced, whoever wrote it, and keeps its mode; commands look at it before (`dehyst.marks`).
+
+    Raises
+    ------
+    FileFormatError
+        The folder is missing or not writable, or the path is a folder.
+    """
+    content = data.encode() if isinstance(data, str) else data
+    try:
+        mode = mode_of(path)
+        if mode is not None and stat.S_ISDIR(mode):
+            raise FileFormatError(f"{path}: this is a folder; add a file name")
+        # A device such as /dev/null, or a pipe, is written to, never replaced.
+        if mode is not None and not stat.S_ISREG(mode):
+            Path(path).write_bytes(content)
+            return
+        # A link keeps pointing at its file.
+        target = Path(os.path.realpath(path))
+        if not target.parent.is_dir():
+            raise FileFormatError(f"{path}: the folder {Path(path).parent} does not exist; create it first")
+        _replace(target, content, mode)
+    except OSError as error:
+        raise unwritten(path, error) from error
+
+
+def mode_of(path: PathLike) -> int | None:
+    """Return type and mode of what lies at a path; None if there is nothing."""
+    try:
+        return Path(path).stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+
+
+def _replace(target: Path, content: bytes, mode: int | None) -> None:
+    draft = draft_of(target)
+    try:
+        _write_through(draft, content, mode)
+        draft.replace(target)
+    finally:
+        draft.unlink(missing_ok=True)
+    settle_folder(target.parent)
+
+
+def _write_through(draft: Path, content: bytes, mode: int | None) -> None:
+    with draft.open("xb") as stream:
+        if mode is not None:
+            # Not every file system has modes.
+            with suppress(OSError):
+                draft.chmod(stat.S_IMODE(mode))
+        stream.write(content)
+        stream.flush()
+        settle(stream.fileno())
+
+
+def settle(descriptor: int) -> None:
+    """Wait until an open file is on the disk, where the file system can promise that; raises OSError if it is not."""
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _NO_SYNC:
+            raise
+
+
+def settle_folder(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk, where that can be had."""
+    # Windows opens no folders, and some file systems settle none.
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

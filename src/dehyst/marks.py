@@ -1,0 +1,134 @@
+"""What dehyst wrote, recognised by its content: it may be replaced, any other file only by force.
+
+JSON begins with a format that begins with dehyst, HTML names its generator, an FMU its generating tool. CSV has no
+place for a word that every reader skips: the first number is written with the exponent e0, the same number to all,
+and no other program writes one such number and then others without.
+"""
+
+from __future__ import annotations
+
+import re
+import stat
+import zlib
+from decimal import Decimal
+from math import isfinite
+from pathlib import Path
+
+from dehyst._errors import FileFormatError
+from dehyst.drafts import PathLike, is_draft, mode_of, unwritten
+from dehyst.version import __version__
+
+GENERATOR = f"dehyst {__version__}"
+
+_HEAD = 16384
+_JSON = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"(dehyst-[a-z-]+)"')
+_HTML = re.compile(rb'<!DOCTYPE html>.{0,2000}?<meta name="generator" content="dehyst [^"]*">', re.DOTALL)
+_FIRST = re.compile(rb"[^\r\n]*\r?\n-?\d+\.\d+e0(?:[,\t][^\r\n]*)?(?:\r?\n|$)")
+_OTHERS = re.compile(rb"[\d.]e0(?![\d])")
+_TOOL = re.compile(rb'generationTool="dehyst [^"]*"')
+
+
+def marked(cell: str) -> str:
+    """Return the first number of a table as only dehyst writes it: every digit, and the exponent e0."""
+    number = float(cell)
+    if not isfinite(number):
+        return cell
+    digits = format(Decimal(cell), "f") if "e" in cell else cell
+    return f"{digits}e0" if "." in digits else f"{digits}.0e0"
+
+
+def format_of(path: PathLike) -> str | None:
+    """Return the format that a JSON file of dehyst begins with; None for any other file."""
+    found = _JSON.match(_head(path))
+    return found[1].decode() if found else None
+
+
+def written_by_dehyst(path: PathLike) -> bool:
+    """Whether a command of dehyst wrote this file."""
+    head = _head(path)
+    if head.startswith(b"PK\3\4"):
+        return _is_own_fmu(path)
+    return bool(_JSON.match(head) or _HTML.match(head) or _is_own_table(head))
+
+
+def demand_replaceable(path: PathLike, *, force: bool = False) -> None:
+    """Refuse to write where a file lies that dehyst did not write, unless forced; an empty one may be replaced.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    try:
+        mode = mode_of(path)
+        if mode is None or not stat.S_ISREG(mode) or force:
+            if mode is not None and stat.S_ISBLK(mode):
+                raise FileFormatError(f"{path}: is a disk; give the name of a file")
+            return
+        if not Path(path).stat().st_size or written_by_dehyst(path):
+            return
+    except OSError as error:
+        raise unwritten(path, error) from error
+    raise FileFormatError(
+        f"{path}: is there already, and dehyst did not write it; give another name, or --force to replace it"
+    )
+
+
+def demand_own_folder(folder: PathLike, marker: str, kind: str) -> None:
+    """Refuse a folder that is neither new, nor empty, nor one whose `marker` is JSON of the format `kind`.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    try:
+        there = sorted(path.name for path in Path(folder).iterdir() if not is_draft(path.name))
+    except FileNotFoundError:
+        return
+    except NotADirectoryError as error:
+        raise FileFormatError(f"{folder}: cannot be made a folder (it is a file); give another one with -o") from error
+    except OSError as error:
+        raise unwritten(folder, error) from error
+    if there and format_of(Path(folder) / marker) != kind:
+        more = f" and {len(there) - 3} more" if len(there) > 3 else ""
+        raise FileFormatError(
+            f"{folder}: holds other files ({', '.join(there[:3])}{more}); give the name of a new or an empty folder "
+            "with -o"
+        )
+
+
+def make_own_folder(folder: PathLike, marker: str, kind: str) -> Path:
+    """Return a folder that may be written to, made if it is not there; raises as `demand_own_folder` does."""
+    demand_own_folder(folder, marker, kind)
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileFormatError(
+            f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
+        ) from error
+    return Path(folder)
+
+
+def _head(path: PathLike) -> bytes:
+    """Return how a regular file begins; nothing of one that cannot be read."""
+    try:
+        if not Path(path).is_file():
+            return b""
+        with Path(path).open("rb") as stream:
+            return stream.read(_HEAD)
+    except OSError:
+        return b""
+
+
+def _is_own_table(head: bytes) -> bool:
+    first = _FIRST.match(head)
+    return first is not None and len(_OTHERS.findall(head, head.index(b"\n"))) == 1
+
+
+def _is_own_fmu(path: PathLike) -> bool:
+    import zipfile
+
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open("modelDescription.xml") as stream:
+            return _TOOL.search(stream.read(_HEAD)) is not None
+    except (zipfile.BadZipFile, KeyError, OSError, RuntimeError, ValueError, EOFError, zlib.error):
+        return False
