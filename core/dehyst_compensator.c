@@ -92,14 +92,14 @@ dehyst_real dehyst_loop_offer(const dehyst_compensator *compensator, dehyst_loop
 static void follow(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v, int as_wished)
 {
     const dehyst_compensator *c = compensator;
+    dehyst_real acts = v;
     if (c->lag > 0) {
-        loop->acting = c->keep * loop->acting + c->from_old * loop->sent + c->from_new * v;
+        acts = c->keep * loop->acting + c->from_old * loop->sent + c->from_new * v;
+        loop->acting = acts;
         loop->wished[1] = loop->wished[0];
-        loop->wished[0] = as_wished ? loop->wish.v : loop->acting;
-        dehyst_wide_simulate_step(&c->wide, &c->pace, &loop->state, c->stiffness, loop->acting);
-    } else {
-        dehyst_wide_simulate_step(&c->wide, &c->pace, &loop->state, c->stiffness, v);
+        loop->wished[0] = as_wished ? loop->wish.v : acts;
     }
+    if (!within_reach(dehyst_wide_simulate_step(&c->wide, &c->pace, &loop->state, c->stiffness, acts))) loop->refused++;
 }
 
 static void end_period(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v)
@@ -121,7 +121,7 @@ void dehyst_loop_commit(const dehyst_compensator *compensator, dehyst_loop *loop
 {
     const dehyst_compensator *c = compensator;
     const int as_offered = loop->offer != DEHYST_NOTHING && v == loop->voltage;
-    const int as_wished = as_offered && loop->offer == DEHYST_WISHED;
+    const int as_wished = as_offered && loop->offer == DEHYST_WISHED && within_reach(loop->wish.w);
     if (as_wished && !(c->lag > 0)) {
         dehyst_wide_fulfil(&c->wide, &c->pace, &loop->state, &loop->wish);
     } else {
