@@ -214,14 +214,20 @@ struct Loop {
         step(u);
         return row();
     }
+    // A voltage that leads farther than can be computed is counted only.
+    void follow(double v) {
+        const unsigned long refused = loop.refused;
+        commit(v);
+        if (loop.refused != refused) throw CoreError("a voltage that leads farther than can be computed");
+    }
     double reached(Input row, double v) {
         place(row);
-        commit(v);
+        follow(v);
         return wide.wide.inertia ? loop.state.y : loop.state.memory.y;
     }
     Output moved(Input row_, double v) {
         place(row_);
-        commit(v);
+        follow(v);
         return row();
     }
 };
