@@ -26,14 +26,16 @@ dehyst_status dehyst_loop_begin(const dehyst_compensator *compensator, dehyst_lo
 {
     const dehyst_wide *wide = &compensator->wide;
     dehyst_status status = dehyst_wide_check(wide, &loop->state);
-    dehyst_real y;
+    dehyst_real y, v;
     int m;
     if (status != DEHYST_OK) return status;
     if (loop->fed == NULL || (wide->plain.slip.size > 0 && loop->wish.cart == NULL)) return DEHYST_ERR_SIZE;
+    v = dehyst_wide_voltage(wide, &loop->state);
+    if (!is_finite(v)) return DEHYST_ERR_FINITE;
     loop->state.input = wide->inertia ? loop->state.memory.y - wide->share * loop->state.y : 0;
     y = wide->inertia ? loop->state.y : loop->state.memory.y;
     for (m = 0; m < compensator->taps; m++) loop->fed[m] = y;
-    loop->sent = nearest_allowed(compensator, dehyst_wide_voltage(wide, &loop->state));
+    loop->sent = nearest_allowed(compensator, v);
     loop->acting = loop->wished[0] = loop->wished[1] = loop->wish.v = loop->voltage = loop->sent;
     loop->asked = y;
     loop->wish.w = loop->state.memory.y;

@@ -262,9 +262,12 @@ class Actuator(AbstractModel):
     def voltage(self, state: State | None = None) -> float:
         """Voltage [V] that holds the actuator in `state`; default ``self.state``."""
         start = self._start(state)
-        if not self.wide:
-            return self.core.voltage(start.displacement, start.carts)
-        return self.model.core.voltage(self.model.held(start))
+        if self.wide:
+            v = self.model.core.voltage(self.model.held(start))
+        else:
+            v = self.core.voltage(start.displacement, start.carts)
+        demand_result(np.array([v]), "voltage of the state")
+        return v
 
     def to_control(
         self, *, period: float | None = None, state: State | None = None, name: str = "actuator"

@@ -75,7 +75,7 @@ def demand_result(values: Array, what: str, most: float = _LARGEST) -> None:
 
 
 def _demand(values: ArrayLike, what: str, least: float, most: float) -> None:
-    magnitudes = np.abs(np.atleast_1d(np.asarray(values, dtype=np.float64)))
+    magnitudes = np.abs(np.asarray(values, dtype=np.float64)).ravel()
     bad = np.flatnonzero(~((magnitudes >= least) & (magnitudes <= most)))
     if bad.size:
         needed = f"at most {most:g}" if least < 0 else f"{least:g} to {most:g}"

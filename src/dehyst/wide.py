@@ -231,7 +231,8 @@ class WideModel:
         force = vector(load, "load")
         if force.size != samples:
             raise ModelError(f"load: got {force.size} values for {samples} samples, need as many")
-        push = force / self.load_stiffness
+        with np.errstate(over="ignore"):
+            push = force / self.load_stiffness
         demand_result(push, "load over load_stiffness", FARTHEST)
         return push
 

@@ -41,7 +41,9 @@ def main(name, play):
     parser = argparse.ArgumentParser(description=sys.modules["__main__"].__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=1000)
-    parser.add_argument("--first", type=int, default=0, help="the first case: a finding is played again with its number")
+    parser.add_argument(
+        "--first", type=int, default=0, help="the first case: a finding is played again with its number"
+    )
     parser.add_argument("--seconds", type=float, help="stop after so many")
     given = parser.parse_args()
     summary = run(play, given.seed, given.count, first=given.first, seconds=given.seconds)

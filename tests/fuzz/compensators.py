@@ -146,7 +146,9 @@ class Life:
     def run(self):
         """A run, the same steps in a copy, and the same run in one that goes on from a snapshot."""
         wanted = np.array([self.wish() for _ in range(self.rng.choice([0, 1, 5, 30]))])
-        twin = copy.deepcopy(self.compensator) if self.rng.random() < 0.8 else pickle.loads(pickle.dumps(self.compensator))
+        twin = (
+            copy.deepcopy(self.compensator) if self.rng.random() < 0.8 else pickle.loads(pickle.dumps(self.compensator))
+        )
         other = self.compensator.afresh()
         other.restore(self.compensator.snapshot())
         stepped = np.array([twin.step(y) for y in wanted.tolist()])
@@ -293,7 +295,7 @@ def through_file(rng, snapshot):
         snapshot.save(path)
         data = bytearray(path.read_bytes())
         for _ in range(rng.integers(1, 4)):
-            data[rng.integers(len(data))] = rng.choice(list(b"0123456789eE+-.,[]{}\"x \xff"))
+            data[rng.integers(len(data))] = rng.choice(list(b'0123456789eE+-.,[]{}"x \xff'))
         path.write_bytes(data)
         return Snapshot.load(path)
 
