@@ -1,4 +1,4 @@
-"""Huge, tiny and damaged numbers: a clear error or a finite answer, never a crash; voltages stay within their limits."""
+"""Huge, tiny and damaged numbers: a clear error or a finite answer, never a crash; voltages stay in their limits."""
 
 import json
 import math

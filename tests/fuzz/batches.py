@@ -1,7 +1,7 @@
 """How a fuzzer plays its cases: in batches, each in a process of its own, so that a crash or a hang is a finding.
 
-A fuzzer has a function `play(seed, case, note)`: it plays one case and returns what is wrong, in sentences. What it notes
-is counted. An exception that leaves it is wrong too.
+A fuzzer has a function `play(seed, case, note)`: it plays one case and returns what is wrong, in sentences. What it
+notes is counted. An exception that leaves it is wrong too.
 """
 
 import argparse

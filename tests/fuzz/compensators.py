@@ -1,7 +1,7 @@
 """Random lives of compensators: models, limits, slew rates, and orders of calls, hostile numbers among them.
 
-Checked after every call: the voltage lies within limits and slew rate, the state is finite, run is step by step, what is
-refused moves nothing, and the state is where a simulation of the voltages that were sent leads.
+Checked after every call: the voltage lies within limits and slew rate, the state is finite, run is step by step, what
+is refused moves nothing, and the state is where a simulation of the voltages that were sent leads.
 """
 
 import copy

@@ -1,5 +1,6 @@
 /* Random models and lives on the C core, hostile numbers among them, to be compiled with the core's own sources under
- * sanitizers: core SEED FIRST COUNT prints the first case that fails and ends with 1. Every array has its exact size. */
+ * sanitizers: core SEED FIRST COUNT prints the first case that fails and ends with 1. Every array has its exact size.
+ */
 #include "dehyst.h"
 #include "rivals_fields.h"
 #include "rivals_plays.h"
@@ -90,7 +91,8 @@ static int make_plain(model *m)
     dehyst_slip *slip = &m->wide.plain.slip;
     dehyst_curve *spring = &m->wide.plain.spring;
     dehyst_real *rho = rising(n > 0 ? n : 1, m->span * between(0.01, 0.2), m->span, m->hostile), *kappa = numbers(n);
-    dehyst_real *edge = numbers(n + 1), *intercept = numbers(n + 1), *stiffness = numbers(n + 1), *slope = numbers(k - 1);
+    dehyst_real *edge = numbers(n + 1), *intercept = numbers(n + 1), *stiffness = numbers(n + 1);
+    dehyst_real *slope = numbers(k - 1);
     dehyst_real *knot = rising(k, -m->span * share(), m->span, m->hostile);
     dehyst_real *value = rising(k, -m->volts * share(), m->volts, m->hostile);
     int i;
@@ -219,7 +221,8 @@ static void make_state(const model *m, dehyst_wide_state *state)
         state->memory.cart[i] = (dehyst_real)(y - s * slip->rho[i]);
     }
     for (i = 0; i < m->wide.branches; i++) state->strain[i] = (dehyst_real)(m->span * between(-0.1, 0.1));
-    for (i = 0; i < m->wide.smooth.size; i++) state->elongation[i] = (dehyst_real)(m->wide.smooth.length[i] * between(-1, 1));
+    for (i = 0; i < m->wide.smooth.size; i++)
+        state->elongation[i] = (dehyst_real)(m->wide.smooth.length[i] * between(-1, 1));
 }
 
 static int all_numbers(const dehyst_real *a, int n)
@@ -289,7 +292,7 @@ static void was_sent(const model *m, life *l, dehyst_real v)
     const dehyst_real change = v > l->before ? v - l->before : l->before - v;
     if (!(v >= c->low && v <= c->high)) fail("outside the limits", (double)v, (double)(v < c->low ? c->low : c->high));
     /* After a voltage from outside the limits the way back to them is free. */
-    if (!l->free && !(change <= c->change * (1 + 4 * DEHYST_EPSILON) + 4 * DEHYST_EPSILON * (dehyst_real)fabs(l->before)))
+    if (!l->free && !(change <= c->change + 4 * DEHYST_EPSILON * (c->change + (dehyst_real)fabs(l->before))))
         fail("over the slew rate", (double)change, (double)c->change);
     if (!m->hostile && !is_sound(m, &l->loop.state)) fail("a state that is no number", l->loop.state.memory.y, v);
     l->before = v;
@@ -347,7 +350,7 @@ static void act(const model *m, life *l)
     } else if (what < 19) {
         const dehyst_real kept = l->loop.sent;
         dehyst_loop_play(&l->c, &l->loop, chance(0.5) ? nonsense() : (dehyst_real)(m->volts * between(-2, 2)));
-        if (!m->hostile && !is_sound(m, &l->loop.state)) fail("a state that is no number after a play", l->loop.sent, 0);
+        if (!m->hostile && !is_sound(m, &l->loop.state)) fail("no state after a play", l->loop.sent, 0);
         l->loop.sent = l->before = kept;
     } else {
         damage(m, l);
@@ -421,8 +424,8 @@ static void play_plays(void)
 {
     const int plays = below(8), passes = below(3), n = below(60);
     int *first = room((size_t)plays + 1, sizeof *first), *at = room((size_t)plays, sizeof *at), i, j;
-    double *r = input(plays, 1), *tau = input(passes, 0), *part = input(passes, 0), *in = input(n, 2), *out = input(n, 1);
-    double *z = input(plays, 1), *q = input(passes, 1), *held = input(plays, 0), *dt = input(n, 0);
+    double *r = input(plays, 1), *tau = input(passes, 0), *part = input(passes, 0), *in = input(n, 2);
+    double *out = input(n, 1), *z = input(plays, 1), *q = input(passes, 1), *held = input(plays, 0), *dt = input(n, 0);
     double *kept = input(passes, 0), *gain = input(passes, 0), *knot, *value, *slope;
     first[0] = 0;
     for (i = 0; i < plays; i++) first[i + 1] = first[i] + 1 + below(4), r[i] = share();

@@ -1,4 +1,4 @@
-/* Hostile calls on an export, compiled with its files under sanitizers: exports SEED STEPS. Ends with 1, and a sentence,
+/* Hostile calls on an export, compiled with its files under sanitizers: exports SEED STEPS. It ends with 1 and a sentence
  * if a voltage lies outside the limits or changes by more than CHANGE, or where the actuator is becomes no number. */
 #include "piezo.h"
 
@@ -39,7 +39,8 @@ static int is_wrong(const piezo *p, double v, const char *call, long t)
 {
     const double change = v > before ? v - before : before - v;
     const int leaves = !(v >= (double)MODEL_LOW && v <= (double)MODEL_HIGH);
-    const int jumps = !from_outside && !(change <= CHANGE * (1 + 8 * DEHYST_EPSILON) + 8 * DEHYST_EPSILON * fabs(before));
+    const double most = CHANGE * (1 + 8 * DEHYST_EPSILON) + 8 * DEHYST_EPSILON * fabs(before);
+    const int jumps = !from_outside && !(change <= most);
     if (leaves || jumps || !isfinite((double)piezo_displacement(p)) || !isfinite((double)p->loop.state.memory.y)) {
         printf("%s %ld: %.17g V after %.17g V, at %.17g m\n", call, t, v, before, (double)piezo_displacement(p));
         return 1;
@@ -82,7 +83,8 @@ int main(int count, char **word)
     const long steps = count > 2 ? atol(word[2]) : 1000;
     long t;
     state64 = count > 1 ? strtoull(word[1], NULL, 10) : 1;
-    if (piezo_begin(&loop) != DEHYST_OK || piezo_begin(&kept) != DEHYST_OK || piezo_begin(&actuator) != DEHYST_OK) return 2;
+    if (piezo_begin(&loop) != DEHYST_OK || piezo_begin(&kept) != DEHYST_OK) return 2;
+    if (piezo_begin(&actuator) != DEHYST_OK) return 2;
     before = loop.loop.sent;
     for (t = 0; t < steps; t++) {
         if (act(&loop, &kept, t)) return 1;

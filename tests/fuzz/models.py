@@ -25,8 +25,9 @@ import strategies
 
 from dehyst import Actuator, Compensator, DehystError, Snapshot
 
-VALUES = (0, -0.0, -1, 1, 1e308, -1e308, 1.7e308, 5e-324, 1e-300, 1e300, 1e15, -1e15, 1e-15, 1e30, 1e-30, -1e30, True, False,
-          None, "1", "nan", [], {}, [1], 10**400, -(10**30), 0.5, 1e5)  # fmt: skip
+HUGE = (1e308, -1e308, 1.7e308, 1e300, 1e30, -1e30, 10**400, -(10**30), 1e15, -1e15)
+TINY = (5e-324, 1e-300, 1e-30, 1e-15, 0, -0.0)
+VALUES = (*HUGE, *TINY, -1, 1, 0.5, 1e5, True, False, None, "1", "nan", [], {}, [1])
 FACTORS = (-1, 2, 0.5, 1e3, 1e-3, 1 + 1e-15, 1 + 1e-9, 1e30, 1e-30, 1e150, 1e-150, 0)
 SHARED = (1e-12, 1e12, 1e25, 1e-25, 1e150, 1e-150, -1, 1e280, 1e-280)
 SAMPLES, STEP = 200, 1e-3

@@ -2,8 +2,8 @@
 
     python tests/fuzz/sanitized.py build/sanitized tests/fuzz/compensators.py --seed 1 --count 1000
 
-The first argument is the folder of the build, made when it is missing; the others are a Python program and its arguments,
-run on the sanitized package. Needs cmake, nanobind, and gcc with libasan.
+The first argument is the folder of the build, made when it is missing; the others are a Python program and its
+arguments, run on the sanitized package. Needs cmake, nanobind, and gcc with libasan.
 """
 
 import os
