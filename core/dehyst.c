@@ -161,6 +161,7 @@ dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, dehyst_state *
         y = ahead.event;
         ahead = dehyst_look_ahead(actuator, state, y, direction);
     }
+    if (!within_reach(y)) return y;
     dehyst_slip_move(&actuator->slip, state->cart, y);
     state->y = y;
     return y;

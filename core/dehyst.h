@@ -219,7 +219,7 @@ typedef struct dehyst_wish {
 
 /* A step as above alone. `stiffness` is what moves in time adds to the slope of voltage over w within a step. A wish, whose
  * w is given, moves nothing. The others move, to the wish just made or to where v leads, and return the displacement that
- * is seen. */
+ * is seen. If v leads farther than can be computed, nothing but time moves, and that far place or not a number returns. */
 dehyst_real dehyst_wide_stiffness(const dehyst_wide *wide, const dehyst_pace *pace);
 void dehyst_wide_wish(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_wide_state *state,
                       dehyst_real stiffness, dehyst_wish *wish);
@@ -279,7 +279,8 @@ int dehyst_loop_believes(const dehyst_compensator *compensator, dehyst_real v);
 /* A period has passed with the voltage v: what is on offer, or another that was really sent; one that is not believed is
  * counted as refused, and the last one is taken to act on. */
 void dehyst_loop_commit(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v);
-/* A period has passed with any voltage: the actuator alone, without limits. */
+/* A period has passed with any voltage: the actuator alone, without limits. One that leads farther than can be computed
+ * moves nothing and is counted as refused. */
 void dehyst_loop_play(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v);
 /* Offer and commit; then n of them. */
 dehyst_real dehyst_loop_step(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u);

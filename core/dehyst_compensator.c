@@ -26,14 +26,16 @@ dehyst_status dehyst_loop_begin(const dehyst_compensator *compensator, dehyst_lo
 {
     const dehyst_wide *wide = &compensator->wide;
     dehyst_status status = dehyst_wide_check(wide, &loop->state);
-    dehyst_real y;
+    dehyst_real y, v;
     int m;
     if (status != DEHYST_OK) return status;
     if (loop->fed == NULL || (wide->plain.slip.size > 0 && loop->wish.cart == NULL)) return DEHYST_ERR_SIZE;
+    v = dehyst_wide_voltage(wide, &loop->state);
+    if (!is_finite(v)) return DEHYST_ERR_FINITE;
     loop->state.input = wide->inertia ? loop->state.memory.y - wide->share * loop->state.y : 0;
     y = wide->inertia ? loop->state.y : loop->state.memory.y;
     for (m = 0; m < compensator->taps; m++) loop->fed[m] = y;
-    loop->sent = nearest_allowed(compensator, dehyst_wide_voltage(wide, &loop->state));
+    loop->sent = nearest_allowed(compensator, v);
     loop->acting = loop->wished[0] = loop->wished[1] = loop->wish.v = loop->voltage = loop->sent;
     loop->asked = y;
     loop->wish.w = loop->state.memory.y;
@@ -92,14 +94,14 @@ dehyst_real dehyst_loop_offer(const dehyst_compensator *compensator, dehyst_loop
 static void follow(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v, int as_wished)
 {
     const dehyst_compensator *c = compensator;
+    dehyst_real acts = v;
     if (c->lag > 0) {
-        loop->acting = c->keep * loop->acting + c->from_old * loop->sent + c->from_new * v;
+        acts = c->keep * loop->acting + c->from_old * loop->sent + c->from_new * v;
+        loop->acting = acts;
         loop->wished[1] = loop->wished[0];
-        loop->wished[0] = as_wished ? loop->wish.v : loop->acting;
-        dehyst_wide_simulate_step(&c->wide, &c->pace, &loop->state, c->stiffness, loop->acting);
-    } else {
-        dehyst_wide_simulate_step(&c->wide, &c->pace, &loop->state, c->stiffness, v);
+        loop->wished[0] = as_wished ? loop->wish.v : acts;
     }
+    if (!within_reach(dehyst_wide_simulate_step(&c->wide, &c->pace, &loop->state, c->stiffness, acts))) loop->refused++;
 }
 
 static void end_period(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v)
@@ -121,7 +123,7 @@ void dehyst_loop_commit(const dehyst_compensator *compensator, dehyst_loop *loop
 {
     const dehyst_compensator *c = compensator;
     const int as_offered = loop->offer != DEHYST_NOTHING && v == loop->voltage;
-    const int as_wished = as_offered && loop->offer == DEHYST_WISHED;
+    const int as_wished = as_offered && loop->offer == DEHYST_WISHED && within_reach(loop->wish.w);
     if (as_wished && !(c->lag > 0)) {
         dehyst_wide_fulfil(&c->wide, &c->pace, &loop->state, &loop->wish);
     } else {

@@ -10,10 +10,15 @@ static inline int is_finite(dehyst_real a) { return a - a == 0; }
 
 static inline dehyst_real magnitude(dehyst_real a) { return a < 0 ? -a : a; }
 
-/* The number of entries of a[0..n-1], increasing, that are <= u; the answer is sought near the hint first. */
+/* Whether a displacement can be computed with: beyond, products with stiffnesses overflow. Not a number is not. */
+#define DEHYST_FARTHEST (1 / DEHYST_EPSILON / DEHYST_EPSILON)
+static inline int within_reach(dehyst_real a) { return a >= -DEHYST_FARTHEST && a <= DEHYST_FARTHEST; }
+
+/* The number of entries of a[0..n-1], increasing, that are <= u; the answer is sought near the hint first. A negative
+ * hint counts as n. */
 static inline int count_below(const dehyst_real *a, int n, dehyst_real u, int hint)
 {
-    int low = 0, high = n, i = hint < n ? hint : n, tries;
+    int low = 0, high = n, i = (unsigned)hint < (unsigned)n ? hint : n, tries;
     for (tries = 0; tries < 3; tries++) {
         if (i < n && a[i] <= u)
             low = ++i;
@@ -43,12 +48,13 @@ static inline dehyst_real on_segment(const dehyst_curve *curve, int j, dehyst_re
     return curve->value[j] + curve->slope[j] * (x - curve->knot[j]);
 }
 
-/* The index of the cell of 2 phi(u / 2) that holds u >= 0. */
+/* The index of the cell of 2 phi(u / 2) that holds u >= 0. Rounding of huge displacements may leave any u, also one that
+ * is not a number: a conversion to int is defined only where it fits. */
 static inline int cell_of(const dehyst_slip *slip, dehyst_real u, int hint)
 {
     if (slip->inverse_step > 0) {
-        dehyst_real guess = u * slip->inverse_step;
-        hint = guess < slip->size ? (int)guess : slip->size;
+        const dehyst_real guess = u * slip->inverse_step;
+        hint = !(guess < slip->size) ? slip->size : guess > 0 ? (int)guess : 0;
     }
     return count_below(slip->edge, slip->size, u, hint);
 }
@@ -121,7 +127,7 @@ static inline dehyst_real voltage_after(const dehyst_actuator *actuator, const d
 }
 
 /* Move the carts and smooth elements to the w at which G(w) + stiffness (w - w_old) = drive, G what they and the spring
- * hold. The likely direction is tried first, and is put right. */
+ * hold. The likely direction is tried first, and is put right. Returns w; nothing moves if it is not within reach. */
 dehyst_real dehyst_wide_solve(const dehyst_wide *wide, dehyst_wide_state *state, dehyst_real drive,
                               dehyst_real stiffness, dehyst_real *likely);
 /* What smooth elements would hold after a motion by `by`. */

@@ -19,6 +19,8 @@ dehyst_real dehyst_decay(dehyst_real x)
     dehyst_real f, t, c, rest, scale = 1;
     int n, i;
     if (x > 40) return 1;
+    /* Nor is what is not a number converted to int. */
+    if (!(x > 0)) return 0;
     n = (int)(x * (dehyst_real)1.4426950408889634 + (dehyst_real)0.5);
     f = (dehyst_real)n * high - x + (dehyst_real)n * low;
     t = f * f;
@@ -208,6 +210,7 @@ dehyst_real dehyst_smooth_solve(const dehyst_wide *wide, dehyst_wide_state *stat
         if (step * step <= SHARE * DEHYST_EPSILON) break;
         ahead = meet(wide, state, stiffness, w, direction);
     }
+    if (!within_reach(w)) return w;
     dehyst_slip_move(&wide->plain.slip, state->memory.cart, w);
     dehyst_smooth_move(smooth, state->elongation, w - state->memory.y);
     state->memory.y = w;

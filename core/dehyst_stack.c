@@ -21,6 +21,8 @@ void dehyst_stack_turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real
     /* On an outermost branch every cart slides, wherever it began: its beginning is put where rounding cannot make the
      * amplitude look shorter than it takes to move them all. */
     if (stack->depth == 1 && slip->size > 0) r[0].y = here.y - stack->direction * 2 * slip->edge[slip->size - 1];
+    /* Amplitudes that rounding has put out of order would need more room than nested ones: the innermost loop goes. */
+    if (stack->depth >= stack->capacity) stack->depth -= 2;
     r[stack->depth++] = here;
     stack->direction = -stack->direction;
     if (stack->depth >= 4) {

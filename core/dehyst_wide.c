@@ -16,7 +16,7 @@ dehyst_status dehyst_wide_check(const dehyst_wide *wide, const dehyst_wide_state
     status = dehyst_smooth_check(&wide->smooth, state->elongation);
     if (status != DEHYST_OK || !wide->inertia) return status;
     if (!is_finite(wide->series) || !is_finite(wide->share)) return DEHYST_ERR_FINITE;
-    if (!is_finite(state->y) || !is_finite(state->rate)) return DEHYST_ERR_FINITE;
+    if (!within_reach(state->y) || !within_reach(state->rate)) return DEHYST_ERR_FINITE;
     return wide->series < 0 || wide->share < 0 || wide->share > 1 ? DEHYST_ERR_SIGN : DEHYST_OK;
 }
 
@@ -56,6 +56,7 @@ dehyst_real dehyst_wide_solve(const dehyst_wide *wide, dehyst_wide_state *state,
         w = ahead.event;
         ahead = look_ahead(wide, memory, w, direction);
     }
+    if (!within_reach(w)) return w;
     dehyst_slip_move(&wide->plain.slip, memory->cart, w);
     memory->y = w;
     return w;
@@ -122,7 +123,9 @@ dehyst_real dehyst_wide_simulate_step(const dehyst_wide *wide, const dehyst_pace
                                       dehyst_real stiffness, dehyst_real v)
 {
     const dehyst_real before = state->memory.y, known = known_of(wide, pace, state);
-    dehyst_real likely = 1;
+    dehyst_real likely = 1, w, y;
     if (wide->drive.size > 0) v = dehyst_curve_at(&wide->drive, v);
-    return arrive(wide, pace, state, before, dehyst_wide_solve(wide, state, v - known, stiffness, &likely));
+    w = dehyst_wide_solve(wide, state, v - known, stiffness, &likely);
+    y = arrive(wide, pace, state, before, state->memory.y);
+    return within_reach(w) ? y : w;
 }

@@ -39,6 +39,12 @@ inline void demand(dehyst_status status) {
     if (status != DEHYST_OK) throw CoreError(sentence(status));
 }
 
+// Sizes that the core's int holds, also where tables have rows and columns.
+constexpr size_t LARGEST_TABLE = size_t(1) << 28;
+inline void demand_size(size_t rows, size_t columns = 1) {
+    if (columns > 0 && rows > LARGEST_TABLE / columns) throw CoreError("tables larger than the core can index");
+}
+
 struct Core {
     std::vector<double> rho, kappa, knot, value, slope, edge, intercept, stiffness;
     dehyst_actuator actuator;
@@ -46,6 +52,7 @@ struct Core {
     Core(Input rho_, Input kappa_, Input knot_, Input value_)
         : rho(copy(rho_)), kappa(copy(kappa_)), knot(copy(knot_)), value(copy(value_)) {
         const size_t n = rho.size();
+        demand_size(n), demand_size(knot.size());
         if (kappa.size() != n || value.size() != knot.size() || knot.size() < 2) demand(DEHYST_ERR_SIZE);
         slope.resize(knot.size() - 1);
         edge.resize(n + 1), intercept.resize(n + 1), stiffness.resize(n + 1);
@@ -129,6 +136,8 @@ struct Wide {
         const size_t n = base.rho.size(), m = grade_knot.empty() ? 0 : grade_knot.size() - 1;
         if (grade_slope.size() != n * m || tau_voltage.size() != tau_drive.size()) demand(DEHYST_ERR_SIZE);
         if (closing.size() != length.size() || smooth.size() != length.size()) demand(DEHYST_ERR_SIZE);
+        demand_size(n + 1, m + 1), demand_size(tau_voltage.size()), demand_size(stiffness.size());
+        demand_size(length.size());
         wide = {base.actuator, {0, nullptr, nullptr, nullptr}, {0, nullptr, nullptr, nullptr},
                 {0, nullptr, nullptr, nullptr}, int(stiffness.size()), stiffness.data(), inertia.size() > 0, 0, 0,
                 {int(length.size()), length.data(), back.data(), smooth.data()}};

@@ -11,8 +11,8 @@ struct Loop {
     const Wide &wide;
     std::vector<double> decay, gain, tap, fed, spare;
     std::unique_ptr<Wide::Memory> memory;
-    dehyst_compensator compensator;
-    dehyst_loop loop;
+    dehyst_compensator compensator{};
+    dehyst_loop loop{};
     nb::object tell;
     bool told[2] = {false, false};
     bool busy = false;
@@ -33,6 +33,7 @@ struct Loop {
     Loop(const Loop &) = delete;
 
     void begin(double w, Input cart, Input strain, Input motion) {
+        demand_idle();
         auto begun = wide.memory(w, cart, strain, motion);
         dehyst_loop fresh{};
         fresh.state = begun->state;
@@ -79,8 +80,12 @@ struct Loop {
         explicit Busy(bool &flag_) : flag(flag_) { flag = true; }
         ~Busy() { flag = false; }
     };
-    void demand_free() const {
+    void demand_idle() const {
         if (busy) throw std::runtime_error("this compensator is running in another thread; give each thread its own");
+    }
+    void demand_free() const {
+        demand_idle();
+        if (!memory) throw std::runtime_error("this loop has not begun");
     }
 
     Output run(Input u) {
@@ -97,6 +102,7 @@ struct Loop {
     }
     // Voltages, where each leads, and what was on offer.
     std::tuple<Output, Output, Output> trace(Input u) {
+        demand_free();
         const size_t n = u.size();
         std::unique_ptr<double[]> v(new double[n + 1]), w(new double[n + 1]), offers(new double[n + 1]);
         for (size_t t = 0; t < n; t++) {
@@ -138,6 +144,7 @@ struct Loop {
         return {loop.limited, loop.slewed, loop.refused};
     }
     std::tuple<double, Output, Output, Output> state() const {
+        demand_free();
         const std::vector<double> motion{loop.state.y, loop.state.rate};
         const double *cart = loop.state.memory.cart;
         return {loop.state.memory.y, as_array({cart, cart + spare.size()}), as_array(memory->strain),
@@ -146,14 +153,19 @@ struct Loop {
 
     // What a state lacks to go on bit for bit: amplifier, mass and what was fed.
     Output rest() const {
+        demand_free();
         std::vector<double> row{loop.sent, loop.acting, loop.wished[0], loop.wished[1], loop.state.input, loop.state.rate};
         row.insert(row.end(), fed.begin(), fed.end());
         return as_array(row);
     }
     void go_on(Input row, unsigned long limited, unsigned long slewed, unsigned long refused) {
+        demand_free();
         if (row.size() != 6 + fed.size()) demand(DEHYST_ERR_SIZE);
         for (size_t i = 0; i < row.size(); i++)
             if (!std::isfinite(row(i))) demand(DEHYST_ERR_FINITE);
+        // The push and the velocity of a mass, as `dehyst_wide_check` bounds its place.
+        const double farthest = 1 / DEHYST_EPSILON / DEHYST_EPSILON;
+        if (std::fabs(row(4)) > farthest || std::fabs(row(5)) > farthest) demand(DEHYST_ERR_FINITE);
         loop.sent = row(0), loop.acting = row(1), loop.wished[0] = row(2), loop.wished[1] = row(3);
         loop.state.input = row(4), loop.state.rate = row(5);
         std::copy(row.data() + 6, row.data() + row.size(), fed.begin());
@@ -172,11 +184,13 @@ struct Loop {
         for (size_t m = 0; m + 1 < fed.size(); m++) each(fed[m]);
     }
     Output row() {
+        demand_free();
         std::vector<double> out;
         visit([&](double one) { out.push_back(one); });
         return as_array(out);
     }
     void place(Input row) {
+        demand_free();
         size_t size = 0, finite = 0;
         visit([&](double) { size++; });
         if (row.size() != size) demand(DEHYST_ERR_SIZE);
@@ -200,14 +214,20 @@ struct Loop {
         step(u);
         return row();
     }
+    // A voltage that leads farther than can be computed is counted only.
+    void follow(double v) {
+        const unsigned long refused = loop.refused;
+        commit(v);
+        if (loop.refused != refused) throw CoreError("a voltage that leads farther than can be computed");
+    }
     double reached(Input row, double v) {
         place(row);
-        commit(v);
+        follow(v);
         return wide.wide.inertia ? loop.state.y : loop.state.memory.y;
     }
     Output moved(Input row_, double v) {
         place(row_);
-        commit(v);
+        follow(v);
         return row();
     }
 };

@@ -255,3 +255,17 @@ def test_compensating_the_simulation_gives_the_voltage(model, candidate):
 def test_more_voltage_more_displacement(model):
     rise = timed(model.simulate)(np.linspace(0.05, 0.95, 50) * VOLTS).displacement
     assert np.all(np.diff(rise) > 0)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("far", [1e16, -1e100, 1e281, -1.7e308])
+def test_huge_numbers_have_a_finite_answer_or_a_clear_error(model, far):
+    for run, drive, out in both_ways(model, 20):
+        given = drive.copy()
+        given[5::4] = far
+        try:
+            motion = run(given)
+        except ModelError as error:
+            assert out in str(error) or "state" in str(error) or "displacement" in str(error)
+        else:
+            assert np.isfinite(getattr(motion, out)).all()

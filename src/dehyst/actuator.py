@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from dehyst import model_file
 from dehyst._errors import ModelError
 from dehyst._native import Array, Core, number, vector
+from dehyst.computable import FARTHEST, MOST_ADDED, demand_divisors, demand_magnitudes, demand_result
 from dehyst.control_blocks import actuator_block
 from dehyst.creep import Creep, clock
 from dehyst.dynamics import Dynamics
@@ -38,6 +39,7 @@ def interval(limits: Sequence[float]) -> tuple[float, float]:
     ends = [number(end, "limits") for end in limits] if isinstance(limits, Sequence | np.ndarray) else []
     if len(ends) != 2 or ends[0] >= ends[1]:
         raise ModelError(f"limits: got {limits}, need two finite voltages, the lower one first")
+    demand_magnitudes(ends, "limits [V]", MOST_ADDED)
     return ends[0], ends[1]
 
 
@@ -82,8 +84,8 @@ class Actuator(AbstractModel):
     Raises
     ------
     ModelError
-        If the state does not fit the elements, the limits are no interval, or graded elements leave a branch on which
-        the voltage does not rise with the displacement.
+        If the state does not fit the elements, the limits are no interval, graded elements leave a branch on which
+        the voltage does not rise with the displacement, or a number cannot be computed with (see `dehyst.computable`).
     """
 
     slip: MaxwellSlip | GradedSlip
@@ -117,6 +119,7 @@ class Actuator(AbstractModel):
             object.__setattr__(self, "limits", interval(self.limits))
         if number(self.delay, "delay") < 0:
             raise ModelError(f"delay: got {self.delay}, need 0 or more: a displacement does not lead its voltage")
+        demand_magnitudes(self.delay, "delay [s]", MOST_ADDED)
 
     @property
     def wide(self) -> bool:
@@ -184,7 +187,8 @@ class Actuator(AbstractModel):
         Raises
         ------
         ModelError
-            If the voltage is not finite, the time is missing or does not fit, or the state does not fit this actuator.
+            If the voltage is not finite, the time is missing or does not fit, the state does not fit this actuator, or
+            a displacement is too large to be computed.
         """
         v, start = vector(voltage, "voltage"), self._start(state)
         if self.wide:
@@ -192,6 +196,7 @@ class Actuator(AbstractModel):
             return Motion(voltage=v, displacement=y, state=reached)
         self._demand_no_load(time, load, v.size)
         y, position, carts = self.core.simulate(v, start.displacement, start.carts, stack=stack)
+        demand_result(y, "displacement", FARTHEST)
         return Motion(voltage=v, displacement=y, state=State(position, carts))
 
     def compensate(
@@ -226,8 +231,8 @@ class Actuator(AbstractModel):
         Raises
         ------
         ModelError
-            If the displacement is not finite, the time is missing or does not fit, or the state does not fit this
-            actuator.
+            If the displacement is not finite, the time is missing or does not fit, the state does not fit this
+            actuator, or a voltage is too large to be computed.
         """
         y, start = vector(displacement, "displacement"), self._start(state)
         if self.wide:
@@ -235,6 +240,7 @@ class Actuator(AbstractModel):
             return Motion(voltage=v, displacement=y, state=reached)
         self._demand_no_load(time, load, y.size)
         v, position, carts = self.core.compensate(y, start.displacement, start.carts, stack=stack)
+        demand_result(v, "voltage")
         return Motion(voltage=v, displacement=y, state=State(position, carts))
 
     def relaxed(self, voltage: float = 0.0) -> State:
@@ -256,9 +262,12 @@ class Actuator(AbstractModel):
     def voltage(self, state: State | None = None) -> float:
         """Voltage [V] that holds the actuator in `state`; default ``self.state``."""
         start = self._start(state)
-        if not self.wide:
-            return self.core.voltage(start.displacement, start.carts)
-        return self.model.core.voltage(self.model.held(start))
+        if self.wide:
+            v = self.model.core.voltage(self.model.held(start))
+        else:
+            v = self.core.voltage(start.displacement, start.carts)
+        demand_result(np.array([v]), "voltage of the state")
+        return v
 
     def to_control(
         self, *, period: float | None = None, state: State | None = None, name: str = "actuator"
@@ -406,8 +415,13 @@ class Actuator(AbstractModel):
     def _demand_numbers(self) -> None:
         if number(self.lag, "lag") < 0:
             raise ModelError(f"lag: got {self.lag}, need 0 s or more")
-        if self.load_stiffness is not None and number(self.load_stiffness, "load_stiffness") <= 0:
+        if self.lag:
+            demand_divisors(self.lag, "lag [s]")
+        if self.load_stiffness is None:
+            return
+        if number(self.load_stiffness, "load_stiffness") <= 0:
             raise ModelError(f"load_stiffness: got {self.load_stiffness}, need a positive number of N/m")
+        demand_divisors(self.load_stiffness, "load_stiffness [N/m]")
 
     def _demand_no_load(self, time: ArrayLike | None, load: ArrayLike | None, samples: int) -> None:
         if load is not None:

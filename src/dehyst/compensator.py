@@ -313,7 +313,7 @@ class Compensator:
         Raises
         ------
         ModelError
-            If it is of another actuator, period or preview.
+            If it is of another actuator, period or preview, or damaged: the loop is as before then.
         """
         if not isinstance(snapshot, Snapshot):
             raise ModelError(f"snapshot: got {type(snapshot).__name__}, need a Snapshot; Snapshot.load reads a file")
@@ -328,8 +328,14 @@ class Compensator:
             raise ModelError(
                 f"snapshot: its voltage, {snapshot.rest[0]:g} V, lies outside the limits {self._limits.words}"
             )
+        before = self._loop.state(), self._loop.rest(), self._loop.counts()
         checked(self._loop.begin, *state)
-        checked(self._loop.go_on, snapshot.rest, *snapshot.counts)
+        try:
+            checked(self._loop.go_on, snapshot.rest, *snapshot.counts)
+        except ModelError:
+            self._loop.begin(*before[0])
+            self._loop.go_on(before[1], *before[2])
+            raise
 
     def to_control(self, *, name: str = "compensator") -> NonlinearIOSystem:
         """A block for python-control: displacement wanted [m] in, voltage [V] out, from the present memory on.
@@ -395,7 +401,8 @@ class Compensator:
             raise ModelError("creep, inertia, a lag or a slew rate need the time between steps; give period= [s]")
         seconds = 0.0 if period is None else period
         pace = model.pace(np.array([0, 1]), np.array([seconds]))
-        change = float(np.finfo(np.float64).max) if slew is None else slew * seconds
+        most = float(np.finfo(np.float64).max)
+        change = most if slew is None else min(slew * seconds, most)
         if change <= 0:
             raise ModelError(f"slew_rate: {slew:g} V/s allow no change in {seconds:g} s; give more, or a longer period")
         numbers = np.array([*self.limits, change, *model.amplifier(seconds)])

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, steps, strains, untimely, vector
+from dehyst.computable import demand_divisors, demand_magnitudes, demand_result
 from dehyst.elements import frozen
 
 
@@ -29,7 +30,7 @@ class Creep:
     Raises
     ------
     ModelError
-        If lengths differ, or a value is impossible.
+        If lengths differ, or a value is impossible or cannot be computed with (see `dehyst.computable`).
     """
 
     time_constants: Array
@@ -45,6 +46,8 @@ class Creep:
             raise ModelError(
                 f"creep stiffness {int(np.argmin(c))} is {c.min():g} V/m; a negative one never comes to rest"
             )
+        demand_divisors(tau, "creep time constants [s]")
+        demand_magnitudes(c, "creep stiffnesses [V/m]")
         object.__setattr__(self, "time_constants", frozen(tau))
         object.__setattr__(self, "stiffness", frozen(c))
 
@@ -53,7 +56,8 @@ class Creep:
 
     def tables(self, durations: Array) -> tuple[Array, Array]:
         """Decays exp(-dt/tau_j) and gains (1 - decay) tau_j/dt, each (R, J), of steps (R,) [s]; at 0 s both are 1."""
-        x = durations[:, None] / self.time_constants
+        with np.errstate(over="ignore"):
+            x = durations[:, None] / self.time_constants
         return np.exp(-x), np.divide(-np.expm1(-x), x, out=np.ones_like(x), where=x > 0)
 
     def strains(self, time: ArrayLike, displacement: ArrayLike) -> Array:
@@ -81,4 +85,5 @@ def clock(time: ArrayLike, samples: int) -> tuple[NDArray[np.int64], Array]:
     bounds, durations = steps(t)
     if t.size != samples or np.any(durations[1:] <= 0):
         raise ModelError(untimely(t, samples))
+    demand_result(durations, "time: steps [s]")
     return bounds, durations

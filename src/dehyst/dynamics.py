@@ -8,10 +8,13 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, number
+from dehyst.computable import demand_divisors, demand_magnitudes
 from dehyst.elements import Spring
 
 # Of Taylor's series at a norm of 1: 1/20! is below the last digit.
 _TERMS = 21
+# Radians in a step: squared as often as these ask for, the exponential keeps four digits.
+_LONGEST = 2.0**40
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,7 @@ class Dynamics:
     Raises
     ------
     ModelError
-        If a number is impossible.
+        If a number is impossible or cannot be computed with (see `dehyst.computable`).
     """
 
     frequency: float
@@ -49,6 +52,8 @@ class Dynamics:
         for name in ("damping", "series"):
             if number(getattr(self, name), name) < 0:
                 raise ModelError(f"{name}: got {getattr(self, name)}, need 0 or more")
+            demand_magnitudes(getattr(self, name), name)
+        demand_divisors(self.frequency, "frequency [rad/s]")
 
     def share(self, spring: Spring) -> float:
         """Theta = beta/(K + beta), K the mean slope of the spring: what of the push of w follows y at once."""
@@ -64,7 +69,19 @@ class Dynamics:
 
         ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time: by
         the exponential of the matrix that has q and its slope for states too.
+
+        Raises
+        ------
+        ModelError
+            If a step is so long beside the resonance that its exponential has no digits.
         """
+        radians = max(1.0, 2 * self.damping) * self.frequency * float(durations.max(initial=0.0))
+        if radians > _LONGEST:
+            raise ModelError(
+                f"time: a step of {durations.max():.3g} s is too long for a resonance at "
+                f"{self.frequency / (2 * np.pi):.3g} Hz with a damping of {self.damping:.3g}; give shorter ones, or "
+                "leave Dynamics out"
+            )
         distinct, row = np.unique(durations * self.frequency, return_inverse=True)
         generator = np.zeros((distinct.size, 4, 4))
         generator[:, 0, 1] = distinct

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, matrix, vector
+from dehyst.computable import demand_curve, demand_divisors, demand_magnitudes
 
 
 def frozen(array: Array) -> Array:
@@ -106,7 +107,7 @@ class GradedSlip:
     Raises
     ------
     ModelError
-        If shapes do not fit, or a value is impossible.
+        If shapes do not fit, or a value is impossible or cannot be computed with (see `dehyst.computable`).
     """
 
     breakaway: Array
@@ -123,6 +124,10 @@ class GradedSlip:
             )
         if np.any(np.diff(ends) <= 0):
             raise ModelError(f"grade knots must strictly increase, got {ends}")
+        demand_magnitudes(ends, "grade knots")
+        demand_divisors(np.diff(ends), "grade knots: steps")
+        demand_magnitudes(kappa, "stiffnesses")
+        demand_magnitudes(rho, "breakaway elongations")
         if np.any(kappa < 0):
             i, m = np.unravel_index(int(np.argmin(kappa)), kappa.shape)
             raise ModelError(f"stiffness {i}, {m} is {kappa.min():g} V/m; a negative one never lets go (footnote 3)")
@@ -169,7 +174,7 @@ class Spring:
     Raises
     ------
     ModelError
-        If lengths differ or a curve does not strictly increase.
+        If lengths differ, a curve does not strictly increase, or cannot be computed with (see `dehyst.computable`).
     """
 
     displacement: Array
@@ -187,6 +192,7 @@ class Spring:
                 f"the spring's voltage must strictly increase (Assumption I); it does not between knots {falls[0]} and "
                 f"{falls[0] + 1}. Identify with a slope floor, or with fewer elements"
             )
+        demand_curve(y, v, "spring")
         object.__setattr__(self, "displacement", frozen(y))
         object.__setattr__(self, "voltage", frozen(v))
 
@@ -222,7 +228,7 @@ class Transformer:
     Raises
     ------
     ModelError
-        If lengths differ or a curve does not strictly increase.
+        If lengths differ, a curve does not strictly increase, or cannot be computed with (see `dehyst.computable`).
     """
 
     voltage: Array
@@ -237,6 +243,7 @@ class Transformer:
         for values, what in ((v, "knots"), (tau, "drives")):
             if np.any(np.diff(values) <= 0):
                 raise ModelError(f"transformer {what} must strictly increase, got {values}; else no voltage is the one")
+        demand_curve(v, tau, "transformer")
         object.__setattr__(self, "voltage", frozen(v))
         object.__setattr__(self, "drive", frozen(tau))
 

@@ -52,7 +52,7 @@ def worst_case(compensator: Compensator) -> Operations:
     known = _known(sizes, inertia)
     # What was asked for and its voltage are tested, limited, and tested again.
     offer = Operations(2 * sizes.taps - 1 + 6 + 2 + 3, 1, 9)
-    commit = Operations(2 + 5, 0, 6)
+    commit = Operations(2 + 5, 0, 10)
     return offer + _wish(sizes, known) + commit + known + _simulate(sizes, inertia)
 
 
@@ -81,7 +81,9 @@ def _simulate(s: Sizes, inertia: bool) -> Operations:
     """`dehyst_wide_simulate_step` without `known_of`."""
     arrive = Operations(1 + 3 * s.branches) + (Operations(2 + 9 + 2 + 3 + 7, 2) if inertia else Operations())
     moved = Operations(2 * s.elements, 0, 2 * s.elements)
-    return _curve(s.bends) + Operations(1) + (_smooth_solve(s) if s.smooth else _solve(s)) + moved + arrive
+    within_reach = Operations(2, 0, 4)
+    solve = _smooth_solve(s) if s.smooth else _solve(s)
+    return _curve(s.bends) + Operations(1) + solve + within_reach + moved + arrive
 
 
 def _events(s: Sizes) -> int:
@@ -113,6 +115,6 @@ def _look_ahead(s: Sizes) -> Operations:
 
 
 # `dehyst_decay`, `dehyst_log1p`, and `moved`: an element that comes back, is at rest, and goes on.
-_DECAY = Operations(31, 1, 1)
+_DECAY = Operations(31, 1, 2)
 _LOG = Operations(28, 2, 1)
 _MOVED = _DECAY + _LOG + _DECAY + Operations(11, 3, 6)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._native import Array, smooth_elongations, vector
+from dehyst.computable import demand_divisors, demand_magnitudes
 from dehyst.elements import frozen
 
 
@@ -34,7 +35,7 @@ class SmoothSlip:
     Raises
     ------
     ModelError
-        If lengths differ, or a value is impossible.
+        If lengths differ, or a value is impossible or cannot be computed with (see `dehyst.computable`).
     """
 
     length: Array
@@ -51,6 +52,8 @@ class SmoothSlip:
             raise ModelError(f"smooth elements: got {sizes}; need as many, one an element")
         if np.any(self.length <= 0) or np.any(self.stiffness < 0):
             raise ModelError("smooth elements: need lengths above 0 and stiffnesses of 0 or more")
+        demand_divisors(self.length, "smooth elements: length [m]")
+        demand_magnitudes(self.stiffness, "smooth elements: stiffness [V/m]")
         if np.any((self.closing < 0.5) | (self.closing > 1)):
             raise ModelError(f"smooth elements: closing must be 1/2 to 1, got {self.closing}")
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dehyst import model_file
 from dehyst._errors import ModelError
-from dehyst._native import Array
+from dehyst._native import Array, vector
 from dehyst.actuator import Actuator
 from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import State
@@ -42,6 +43,15 @@ class Snapshot:
     state: State
     rest: Array
     counts: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.state, State):
+            raise ModelError(f"snapshot: got a state of type {type(self.state).__name__}, need a State")
+        object.__setattr__(self, "rest", vector(self.rest, "snapshot: rest"))
+        counts = self.counts
+        if not isinstance(counts, Sequence) or [type(n) for n in counts] != [int] * 3 or not _few(counts):
+            raise ModelError(f"snapshot: counts: got {counts!r}, need three whole numbers below {_MOST}")
+        object.__setattr__(self, "counts", tuple(counts))
 
     def save(self, path: PathLike) -> None:
         """Write it (JSON), wholly or not at all.
@@ -77,12 +87,15 @@ class Snapshot:
                 f"{path}: got format {data.get('format')!r} version {data.get('version')!r}, need {FORMAT!r} {VERSION}"
             )
         model_file.demand_keys(data, {"format", "version", "key", "state", "rest", "counts"}, "snapshot")
-        counts = data["counts"]
-        if not (
-            isinstance(counts, list) and len(counts) == 3 and all(type(n) is int and 0 <= n < _MOST for n in counts)
-        ):
-            raise ModelError(f"{path}: counts: got {counts!r}, need three whole numbers")
-        return cls(str(data["key"]), model_file.state(data), model_file.numbers(data["rest"], "rest"), tuple(counts))
+        try:
+            rest = model_file.numbers(data["rest"], "rest")
+            return cls(str(data["key"]), model_file.state(data), rest, data["counts"])
+        except ModelError as error:
+            raise ModelError(f"{path}: {error}") from error
+
+
+def _few(counts: Sequence[int]) -> bool:
+    return all(0 <= n < _MOST for n in counts)
 
 
 def key_of(actuator: Actuator, period: float | None, preview: bool) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
 from dehyst._native import NOTHING, Array, Held, Pace, WideCore, strains, vector
+from dehyst.computable import FARTHEST, demand_divisors, demand_result
 from dehyst.creep import Creep, clock
 from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer, frozen
@@ -83,8 +84,11 @@ class WideModel:
             self.held(start),
         )
         voltage = self._amplified(voltage, course.time, self.core.voltage(held))
+        demand_result(voltage, "voltage that acts")
         y, reached = self.core.simulate(voltage, pace, held, load=push if self.dynamics else NOTHING, stack=stack)
-        return y if self.dynamics or not push.size else y + push, self.state_of(reached)
+        y = y if self.dynamics or not push.size else y + push
+        demand_result(y, "displacement", FARTHEST)
+        return y, self.state_of(reached)
 
     def compensate(self, path: Array, course: Course, start: State, stack: bool) -> tuple[Array, State]:
         """Voltage (n,) [V] and the state reached; `start` is complete."""
@@ -96,10 +100,12 @@ class WideModel:
             more = self.dynamics.series * (w - path)
             if path.size:
                 held = held._replace(motion=np.array([path[-1], velocity[-1] / self.dynamics.frequency]))
+        demand_result(w, "displacement of the electrical side")
         voltage, reached = self.core.compensate(w, pace, held, more=more, stack=stack)
         if self.lag and path.size > 1:
             rate = np.gradient(voltage, _seconds(course), edge_order=2 if path.size > 2 else 1)
             voltage = voltage + self.lag * rate
+        demand_result(voltage, "voltage")
         return voltage, self.state_of(reached)
 
     def held(self, state: State) -> Held:
@@ -190,6 +196,7 @@ class WideModel:
             return Pace(bounds, decay, gain, empty)
         share = self.dynamics.share(self.spring)
         pace = Pace(bounds, decay, gain, self.dynamics.transitions(durations, share))
+        demand_result(pace.transition.ravel(), "time: what a step does to the mass", FARTHEST)
         self._demand_solvable(self.dynamics, share, pace, durations)
         return pace
 
@@ -198,6 +205,7 @@ class WideModel:
         if not self.lag:
             return 0.0, 0.0, 0.0, 1.0
         steps = period / self.lag
+        demand_divisors(steps, "period over lag")
         keep, mean = math.exp(-steps), -math.expm1(-steps) / steps
         return 1 / steps, keep, mean - keep, 1 - mean
 
@@ -223,7 +231,10 @@ class WideModel:
         force = vector(load, "load")
         if force.size != samples:
             raise ModelError(f"load: got {force.size} values for {samples} samples, need as many")
-        return force / self.load_stiffness
+        with np.errstate(over="ignore"):
+            push = force / self.load_stiffness
+        demand_result(push, "load over load_stiffness", FARTHEST)
+        return push
 
     def _amplified(self, command: Array, time: ArrayLike | None, before: float) -> Array:
         """What a lagging amplifier makes of a command that is straight between samples, from its present voltage."""

@@ -96,8 +96,9 @@ static int sample(fmu *f)
 {
     piezo *p = &f->piezo;
 #if FMU_ACTUATOR
+    const unsigned long refused = p->loop.refused;
     f->output = piezo_simulate(p, f->input);
-    if (fmu_finite(f->output) && fmu_finite(p->loop.state.memory.y)) return 1;
+    if (p->loop.refused == refused && fmu_finite(f->output)) return 1;
 #else
     f->output = piezo_offer(p, f->input);
     if (p->loop.offer != DEHYST_REFUSED) {

@@ -29,7 +29,8 @@ dehyst_real piezo_offer(piezo *p, dehyst_real displacement);
 void piezo_commit(piezo *p, dehyst_real voltage);
 /* A period has passed in which nothing was sent: the last voltage acts on. */
 void piezo_hold(piezo *p);
-/* The actuator itself: its displacement after a period with this voltage; if that is not a number, with the last. */
+/* The actuator itself: its displacement after a period with this voltage; if that is not a number, with the last. One
+ * that leads farther than can be computed moves nothing and is counted as refused. */
 dehyst_real piezo_simulate(piezo *p, dehyst_real voltage);
 /* Where the actuator is, by all that was sent. */
 dehyst_real piezo_displacement(const piezo *p);

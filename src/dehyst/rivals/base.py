@@ -8,6 +8,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from dehyst._native import Array, vector
+from dehyst.computable import demand_result
 from dehyst.model import AbstractModel, Motion
 
 
@@ -42,10 +43,11 @@ class AbstractRival(AbstractModel):
         ------
         ModelError
             If the voltage is no path of finite numbers, the state is none of this model, or a model with creep is not
-            told an increasing time.
+            told an increasing time, or a displacement is too large to be computed.
         """
         v = vector(voltage, "voltage")
         y, after = self._displaced(v, self.state if state is None else state, time)
+        demand_result(y, "displacement")
         return Motion(v, y, after)
 
     def compensate(self, displacement: ArrayLike, *, state: Any = None, time: ArrayLike | None = None) -> Motion:
@@ -58,6 +60,7 @@ class AbstractRival(AbstractModel):
         """
         y = vector(displacement, "displacement")
         v, after = self._driven(y, self.state if state is None else state, time)
+        demand_result(v, "voltage")
         return Motion(v, y, after)
 
     @abstractmethod

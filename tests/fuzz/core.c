@@ -1,0 +1,467 @@
+/* Random models and lives on the C core, hostile numbers among them, to be compiled with the core's own sources under
+ * sanitizers: core SEED FIRST COUNT prints the first case that fails and ends with 1. Every array has its exact size.
+ */
+#include "dehyst.h"
+#include "rivals_fields.h"
+#include "rivals_plays.h"
+
+#include <math.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+static uint64_t state64;
+static long now;
+
+/* splitmix64 */
+static uint64_t bits(void)
+{
+    uint64_t z = (state64 += 0x9E3779B97F4A7C15u);
+    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
+    z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
+    return z ^ (z >> 31);
+}
+
+static double share(void) { return (double)(bits() >> 11) * 0x1p-53; }
+static double between(double low, double high) { return low + (high - low) * share(); }
+static int below(int n) { return (int)(bits() % (uint64_t)n); }
+static int chance(double p) { return share() < p; }
+
+static const double NONSENSE[] = {NAN,    INFINITY, -INFINITY, 1.7e308, -1.7e308, 1e281, -1e281, 1e100, -1e100, 1e30,
+                                  -1e30,  1e16,     -1e16,     5e-324,  -5e-324,  1e-310, 1e-200, 0.0,   -0.0};
+#define KINDS_OF_NONSENSE (int)(sizeof NONSENSE / sizeof *NONSENSE)
+static dehyst_real nonsense(void) { return (dehyst_real)NONSENSE[below(KINDS_OF_NONSENSE)]; }
+
+static void fail(const char *what, double a, double b)
+{
+    printf("case %ld: %s (%.17g, %.17g)\n", now, what, a, b);
+    exit(1);
+}
+
+static void *room(size_t count, size_t size)
+{
+    void *found = malloc(count * size);
+    if (found == NULL && count > 0) exit(3);
+    return found;
+}
+
+#define MOST_ARRAYS 96
+static void *owned[MOST_ARRAYS];
+static int arrays;
+
+static dehyst_real *numbers(int n)
+{
+    dehyst_real *found = room((size_t)n, sizeof(dehyst_real));
+    int i;
+    for (i = 0; i < n; i++) found[i] = 0;
+    if (arrays == MOST_ARRAYS) exit(4);
+    owned[arrays++] = found;
+    return found;
+}
+
+static void release(void)
+{
+    while (arrays > 0) free(owned[--arrays]);
+}
+
+/* Strictly rising; hostile ones span all exponents. */
+static dehyst_real *rising(int n, double first, double span, int hostile)
+{
+    dehyst_real *found = numbers(n);
+    int i;
+    found[0] = (dehyst_real)first;
+    for (i = 1; i < n; i++) {
+        double step = span / n * between(0.2, 2);
+        if (hostile && chance(0.3)) step = span * pow(10, between(-200, 200));
+        found[i] = found[i - 1] + (dehyst_real)step;
+    }
+    return found;
+}
+
+typedef struct model {
+    int hostile;
+    double span, volts;
+    dehyst_wide wide;
+    dehyst_pace pace;
+} model;
+
+static int make_plain(model *m)
+{
+    const int n = below(12), k = 2 + below(10), uniform = chance(0.6);
+    dehyst_slip *slip = &m->wide.plain.slip;
+    dehyst_curve *spring = &m->wide.plain.spring;
+    dehyst_real *rho = rising(n > 0 ? n : 1, m->span * between(0.01, 0.2), m->span, m->hostile), *kappa = numbers(n);
+    dehyst_real *edge = numbers(n + 1), *intercept = numbers(n + 1), *stiffness = numbers(n + 1);
+    dehyst_real *slope = numbers(k - 1);
+    dehyst_real *knot = rising(k, -m->span * share(), m->span, m->hostile);
+    dehyst_real *value = rising(k, -m->volts * share(), m->volts, m->hostile);
+    int i;
+    for (i = 0; i < n; i++) {
+        if (uniform) rho[i] = rho[0] * (dehyst_real)(i + 1);
+        kappa[i] = (dehyst_real)(chance(0.2) ? 0 : between(0, 2) * m->volts / m->span / n);
+        if (m->hostile && chance(0.1)) kappa[i] *= (dehyst_real)pow(10, between(-300, 100));
+    }
+    slip->size = n, slip->rho = rho, slip->kappa = kappa;
+    slip->edge = edge, slip->intercept = intercept, slip->stiffness = stiffness;
+    spring->size = k, spring->knot = knot, spring->value = value, spring->slope = slope;
+    return dehyst_curve_tabulate(k, knot, value, slope) == DEHYST_OK &&
+           dehyst_slip_tabulate(n, rho, kappa, edge, intercept, stiffness, &slip->inverse_step) == DEHYST_OK;
+}
+
+static int make_grades(model *m)
+{
+    const int n = m->wide.plain.slip.size, parts = 1 + below(6);
+    dehyst_real *knot = rising(parts + 1, -m->span * share(), m->span, m->hostile);
+    dehyst_real *slope = numbers((n + 1) * parts), *value = numbers((n + 1) * (parts + 1));
+    double least = m->wide.plain.spring.slope[0];
+    int i;
+    for (i = 1; i + 1 < m->wide.plain.spring.size; i++)
+        if (m->wide.plain.spring.slope[i] < least) least = m->wide.plain.spring.slope[i];
+    for (i = 0; i < n * parts; i++) slope[i] = (dehyst_real)(0.8 * least / n * share());
+    m->wide.grades.size = parts, m->wide.grades.knot = knot;
+    m->wide.grades.slope = slope, m->wide.grades.value = value;
+    return dehyst_grades_tabulate(n, parts, knot, slope, value) == DEHYST_OK;
+}
+
+static int make_transformer(model *m)
+{
+    const int n = 2 + below(8);
+    dehyst_real *v = rising(n, -m->volts * share(), m->volts, m->hostile);
+    dehyst_real *drive = rising(n, -m->volts * share(), m->volts, m->hostile);
+    dehyst_real *slope = numbers(n - 1), *inverse = numbers(n - 1);
+    m->wide.drive.size = m->wide.voltage.size = n;
+    m->wide.drive.knot = m->wide.voltage.value = v;
+    m->wide.drive.value = m->wide.voltage.knot = drive;
+    m->wide.drive.slope = slope, m->wide.voltage.slope = inverse;
+    return dehyst_curve_tabulate(n, v, drive, slope) == DEHYST_OK &&
+           dehyst_curve_tabulate(n, drive, v, inverse) == DEHYST_OK;
+}
+
+static void make_creep(model *m)
+{
+    const int n = 1 + below(20);
+    dehyst_real *stiffness = numbers(n), *decay = numbers(n), *gain = numbers(n);
+    int j;
+    for (j = 0; j < n; j++) {
+        const double steps = pow(10, between(-12, 6));
+        stiffness[j] = (dehyst_real)(m->volts / m->span / n * share());
+        decay[j] = (dehyst_real)exp(-steps), gain[j] = (dehyst_real)(-expm1(-steps) / steps);
+    }
+    m->wide.branches = n, m->wide.stiffness = stiffness;
+    m->pace.decay = decay, m->pace.gain = gain;
+}
+
+/* One step of a mass, by many small ones. */
+static void make_inertia(model *m)
+{
+    const double mean = m->volts / m->span, beta = mean * between(0, 3), theta = beta / (mean + beta);
+    const double zeta = between(0.005, 1), by = pow(10, between(-4, 0.3)) / 2000;
+    double column[4][2] = {{1, 0}, {0, 1}, {0, 0}, {0, 0}};
+    int c, t;
+    for (c = 0; c < 4; c++)
+        for (t = 0; t < 2000; t++) {
+            const double q = c == 2 ? 1 - (t + 0.5) / 2000 : c == 3 ? (t + 0.5) / 2000 : 0;
+            double *x = column[c];
+            x[1] += by * (q - (1 - theta) * x[0] - 2 * zeta * x[1]);
+            x[0] += by * x[1];
+        }
+    m->wide.inertia = 1, m->wide.series = (dehyst_real)beta, m->wide.share = (dehyst_real)theta;
+    for (c = 0; c < 2; c++) {
+        m->pace.transition.phi[2 * c] = (dehyst_real)column[0][c];
+        m->pace.transition.phi[2 * c + 1] = (dehyst_real)column[1][c];
+        m->pace.transition.before[c] = (dehyst_real)column[2][c];
+        m->pace.transition.after[c] = (dehyst_real)column[3][c];
+    }
+}
+
+static int make_smooth(model *m)
+{
+    const int n = 1 + below(4);
+    dehyst_real *length = numbers(n), *closing = numbers(n), *back = numbers(n), *stiffness = numbers(n);
+    int l;
+    for (l = 0; l < n; l++) {
+        length[l] = (dehyst_real)(m->span * pow(10, between(-2, 0)));
+        if (m->hostile && chance(0.3)) length[l] *= (dehyst_real)pow(10, between(-250, 200));
+        closing[l] = (dehyst_real)(chance(0.3) ? 0.5 : between(0.5, 1));
+        stiffness[l] = (dehyst_real)(m->volts / m->span * between(0, 0.4));
+    }
+    m->wide.smooth.size = n, m->wide.smooth.length = length;
+    m->wide.smooth.back = back, m->wide.smooth.stiffness = stiffness;
+    return dehyst_smooth_tabulate(n, length, closing, back) == DEHYST_OK;
+}
+
+/* Whether the core takes it. */
+static int make_model(model *m)
+{
+    static const model nothing;
+    *m = nothing;
+    m->hostile = chance(0.3);
+    m->span = pow(10, between(-7, -3)), m->volts = pow(10, between(0, 3));
+    m->pace.transition.phi[0] = m->pace.transition.phi[3] = 1;
+    if (!make_plain(m)) return 0;
+    if (chance(0.3) && !make_grades(m)) return 0;
+    if (chance(0.4) && !make_transformer(m)) return 0;
+    if (chance(0.4)) make_creep(m);
+    if (chance(0.25)) make_inertia(m);
+    return chance(0.3) ? make_smooth(m) : 1;
+}
+
+static void make_state(const model *m, dehyst_wide_state *state)
+{
+    const dehyst_slip *slip = &m->wide.plain.slip;
+    const double y = m->span * between(-1.5, 1.5);
+    const int extreme = chance(0.3);
+    int i;
+    state->memory.cart = numbers(slip->size);
+    state->strain = numbers(m->wide.branches), state->elongation = numbers(m->wide.smooth.size);
+    state->memory.y = state->y = (dehyst_real)y;
+    state->rate = state->input = 0;
+    for (i = 0; i < slip->size; i++) {
+        const double s = extreme ? (chance(0.5) ? 1 : -1) : between(-1, 1);
+        state->memory.cart[i] = (dehyst_real)(y - s * slip->rho[i]);
+    }
+    for (i = 0; i < m->wide.branches; i++) state->strain[i] = (dehyst_real)(m->span * between(-0.1, 0.1));
+    for (i = 0; i < m->wide.smooth.size; i++)
+        state->elongation[i] = (dehyst_real)(m->wide.smooth.length[i] * between(-1, 1));
+}
+
+static int all_numbers(const dehyst_real *a, int n)
+{
+    while (n-- > 0)
+        if (!(a[n] - a[n] == 0)) return 0;
+    return 1;
+}
+
+static int is_sound(const model *m, const dehyst_wide_state *s)
+{
+    return all_numbers(&s->memory.y, 1) && all_numbers(s->memory.cart, m->wide.plain.slip.size) &&
+           all_numbers(s->strain, m->wide.branches) && all_numbers(s->elongation, m->wide.smooth.size) &&
+           (!m->wide.inertia || (all_numbers(&s->y, 1) && all_numbers(&s->rate, 1) && all_numbers(&s->input, 1)));
+}
+
+/* A path or a voltage: near, far, and nonsense. */
+static dehyst_real *make_input(double size, int n, double strange)
+{
+    dehyst_real *found = numbers(n);
+    int t;
+    for (t = 0; t < n; t++) {
+        found[t] = (dehyst_real)(size * between(-1.5, 1.5));
+        if (chance(strange)) found[t] *= (dehyst_real)pow(10, between(0, chance(0.5) ? 20 : 300));
+        if (chance(strange)) found[t] = nonsense();
+    }
+    return found;
+}
+
+static void play_records(const model *m)
+{
+    const int n = below(150), size = m->wide.plain.slip.size, knots = m->wide.plain.spring.size;
+    const double strange = chance(0.5) ? 0 : share();
+    dehyst_wide_state s;
+    dehyst_room work;
+    dehyst_real *y = make_input(m->span, n, strange), *v = make_input(m->volts, n, strange), *out = numbers(n);
+    dehyst_reversal *reversals = room(DEHYST_STACK_CAPACITY(size), sizeof *reversals);
+    int *segment = room((size_t)size, sizeof *segment);
+    const int stack = chance(0.7);
+    work.stack.capacity = DEHYST_STACK_CAPACITY(size), work.stack.reversal = stack ? reversals : NULL;
+    work.value = numbers(knots), work.slope = numbers(knots - 1), work.held = numbers(size), work.segment = segment;
+    make_state(m, &s);
+    if (dehyst_wide_check(&m->wide, &s) == DEHYST_OK) {
+        dehyst_wide_compensate(&m->wide, &m->pace, &s, &work, y, chance(0.2) ? v : NULL, out, n);
+        dehyst_wide_simulate(&m->wide, &m->pace, &s, &work, v, chance(0.2) ? y : NULL, out, n);
+    }
+    make_state(m, &s);
+    if (stack && dehyst_state_check(&m->wide.plain, &s.memory) == DEHYST_OK) {
+        dehyst_compensate_run(&m->wide.plain, &s.memory, &work.stack, y, out, n);
+        dehyst_simulate_run(&m->wide.plain, &s.memory, &work.stack, v, out, n);
+        if (work.stack.depth > work.stack.capacity) fail("stack too deep", work.stack.depth, work.stack.capacity);
+    }
+    free(reversals);
+    free(segment);
+}
+
+typedef struct life {
+    dehyst_compensator c;
+    dehyst_loop loop;
+    dehyst_real before;
+    int free;
+} life;
+
+static void was_sent(const model *m, life *l, dehyst_real v)
+{
+    const dehyst_compensator *c = &l->c;
+    const dehyst_real change = v > l->before ? v - l->before : l->before - v;
+    if (!(v >= c->low && v <= c->high)) fail("outside the limits", (double)v, (double)(v < c->low ? c->low : c->high));
+    /* After a voltage from outside the limits the way back to them is free. */
+    if (!l->free && !(change <= c->change + 4 * DEHYST_EPSILON * (c->change + (dehyst_real)fabs(l->before))))
+        fail("over the slew rate", (double)change, (double)c->change);
+    if (!m->hostile && !is_sound(m, &l->loop.state)) fail("a state that is no number", l->loop.state.memory.y, v);
+    l->before = v;
+    l->free = 0;
+}
+
+static dehyst_real wish(const model *m)
+{
+    if (chance(0.1)) return nonsense();
+    return (dehyst_real)(m->span * between(-1.5, 1.5) * (chance(0.1) ? pow(10, between(0, 300)) : 1));
+}
+
+static void commit_other(const model *m, life *l)
+{
+    const dehyst_compensator *c = &l->c;
+    const dehyst_real v = chance(0.5) ? nonsense() : (dehyst_real)between(2 * c->low - c->high, 2 * c->high - c->low);
+    dehyst_loop_commit(c, &l->loop, v);
+    if (!m->hostile && !is_sound(m, &l->loop.state)) fail("a state that is no number after a commit", v, 0);
+    l->before = l->loop.sent;
+    l->free = !(l->before >= c->low && l->before <= c->high);
+    if (!dehyst_loop_believes(c, l->before)) fail("a voltage is believed that is none", l->before, v);
+}
+
+/* A state that comes from outside is checked, and begins anew. */
+static void damage(const model *m, life *l)
+{
+    dehyst_wide_state *s = &l->loop.state;
+    dehyst_real *const one[] = {&s->memory.y, &s->y, &s->rate};
+    *one[below(3)] = nonsense();
+    if (m->wide.plain.slip.size > 0 && chance(0.3)) s->memory.cart[below(m->wide.plain.slip.size)] = nonsense();
+    if (m->wide.branches > 0 && chance(0.3)) s->strain[below(m->wide.branches)] = nonsense();
+    if (m->wide.smooth.size > 0 && chance(0.3)) s->elongation[below(m->wide.smooth.size)] = nonsense();
+    if (dehyst_loop_begin(&l->c, &l->loop) != DEHYST_OK) {
+        make_state(m, s);
+        if (dehyst_loop_begin(&l->c, &l->loop) != DEHYST_OK) fail("a sound state is refused", s->memory.y, 0);
+    }
+    l->before = l->loop.sent;
+    l->free = 0;
+}
+
+static void act(const model *m, life *l)
+{
+    const int what = below(20);
+    if (what < 9) {
+        was_sent(m, l, dehyst_loop_step(&l->c, &l->loop, wish(m)));
+    } else if (what < 12) {
+        const dehyst_real v = dehyst_loop_offer(&l->c, &l->loop, wish(m));
+        if (chance(0.3)) return;
+        dehyst_loop_commit(&l->c, &l->loop, v);
+        was_sent(m, l, v);
+    } else if (what < 15) {
+        commit_other(m, l);
+    } else if (what < 17) {
+        dehyst_loop_commit(&l->c, &l->loop, l->loop.sent);
+    } else if (what < 19) {
+        const dehyst_real kept = l->loop.sent;
+        dehyst_loop_play(&l->c, &l->loop, chance(0.5) ? nonsense() : (dehyst_real)(m->volts * between(-2, 2)));
+        if (!m->hostile && !is_sound(m, &l->loop.state)) fail("no state after a play", l->loop.sent, 0);
+        l->loop.sent = l->before = kept;
+    } else {
+        damage(m, l);
+    }
+}
+
+static void play_life(const model *m)
+{
+    static const life nothing;
+    life l = nothing;
+    const int taps = chance(0.7) ? 1 : 2 + below(6);
+    dehyst_real *tap = numbers(taps);
+    const double low = m->volts * between(-1, 1), width = m->volts * pow(10, between(-2, 0.3));
+    int t, calls = 10 + below(80);
+    for (t = 0; t < taps; t++) tap[t] = (dehyst_real)(taps == 1 ? 1 : between(-2, 2));
+    l.c.wide = m->wide, l.c.pace = m->pace;
+    l.c.low = (dehyst_real)low, l.c.high = (dehyst_real)(low + width);
+    l.c.change = chance(0.3) ? DEHYST_LARGEST : (dehyst_real)(width * pow(10, between(-3, 0.5)));
+    l.c.taps = taps, l.c.tap = tap;
+    if (chance(0.3)) {
+        const double steps = pow(10, between(-3, 3)), mean = -expm1(-steps) / steps;
+        l.c.lag = (dehyst_real)(1 / steps), l.c.keep = (dehyst_real)exp(-steps);
+        l.c.from_old = (dehyst_real)(mean - exp(-steps)), l.c.from_new = (dehyst_real)(1 - mean);
+    }
+    if (dehyst_compensator_tabulate(&l.c) != DEHYST_OK) return;
+    make_state(m, &l.loop.state);
+    l.loop.fed = numbers(taps), l.loop.wish.cart = numbers(m->wide.plain.slip.size);
+    if (dehyst_loop_begin(&l.c, &l.loop) != DEHYST_OK) return;
+    l.before = l.loop.sent;
+    was_sent(m, &l, l.loop.sent);
+    while (calls-- > 0) act(m, &l);
+}
+
+static double strange(double size) { return chance(0.2) ? (double)nonsense() : size * between(-1.5, 1.5); }
+
+static double *input(int n, double size)
+{
+    double *found = room((size_t)n, sizeof *found);
+    int t;
+    for (t = 0; t < n; t++) found[t] = strange(size);
+    return found;
+}
+
+static void play_fields(void)
+{
+    const int cells = 1 + below(12), wide = cells + 1, n = below(60);
+    double *everett = room((size_t)(wide * wide), sizeof *everett), *in = input(n, 2), *out = input(n, 1);
+    preisach_turn *turns = room((size_t)(n + n + 3), sizeof *turns);
+    preisach_plane plane = {cells, -1, 2.0 / cells, everett, -1, 0.5, 0.5};
+    preisach_stairs stairs = {1, -1, -1, turns};
+    const double c[4] = {0.1, 1, between(-0.2, 0.2), between(0, 0.2)};
+    boucwen bw = {between(0, 0.45), 1, between(-0.5, 0.5), {-1, 2, {c[0], c[1], c[2], c[3]}}};
+    boucwen_state at = {strange(1), strange(0.1)};
+    duhem model = {-1, 2, between(0.1, 5), 4, c, c, between(0.1, 1), between(0.1, 1)};
+    duhem_state where = {strange(1), strange(1)};
+    int i, j;
+    for (i = 0; i < wide; i++)
+        for (j = 0; j < wide; j++) everett[i * wide + j] = i > j ? (i - j) * (i - j + 1.0) / (wide * wide) : 0;
+    if (chance(0.2)) plane.step = chance(0.5) ? 0 : 1e-300;
+    turns[0].v = -1, turns[0].y = -1;
+    preisach_simulate(&plane, &stairs, in, out, n);
+    preisach_compensate(&plane, &stairs, in, out, n);
+    boucwen_simulate(&bw, &at, in, out, n);
+    boucwen_compensate(&bw, &at, in, out, n);
+    duhem_simulate(&model, &where, in, out, n);
+    duhem_compensate(&model, &where, in, out, n);
+    free(everett), free(in), free(out), free(turns);
+}
+
+static void play_plays(void)
+{
+    const int plays = below(8), passes = below(3), n = below(60);
+    int *first = room((size_t)plays + 1, sizeof *first), *at = room((size_t)plays, sizeof *at), i, j;
+    double *r = input(plays, 1), *tau = input(passes, 0), *part = input(passes, 0), *in = input(n, 2);
+    double *out = input(n, 1), *z = input(plays, 1), *q = input(passes, 1), *held = input(plays, 0), *dt = input(n, 0);
+    double *kept = input(passes, 0), *gain = input(passes, 0), *knot, *value, *slope;
+    first[0] = 0;
+    for (i = 0; i < plays; i++) first[i + 1] = first[i] + 1 + below(4), r[i] = share();
+    knot = input(first[plays], 1), value = input(first[plays], 1), slope = input(first[plays] + plays, 1);
+    for (i = 0; i < plays; i++)
+        for (j = first[i]; j < first[i + 1]; j++) knot[j] = (j > first[i] ? knot[j - 1] : -1) + share();
+    for (i = 0; i < first[plays] + plays; i++) slope[i] = share();
+    for (i = 0; i < passes; i++) tau[i] = pow(10, between(-3, 3)), part[i] = share();
+    for (i = 0; i < n; i++) dt[i] = pow(10, between(-6, 3));
+    {
+        const plays_model m = {plays, r, first, knot, value, slope, passes, tau, part, 0.1};
+        plays_state s = {strange(1), z, q, held, at, 0, kept, gain};
+        plays_begin(&m, &s);
+        plays_simulate(&m, &s, in, dt, out, n);
+        plays_compensate(&m, &s, in, dt, out, n);
+    }
+    free(first), free(at), free(r), free(tau), free(part), free(in), free(out), free(z), free(q), free(held), free(dt);
+    free(kept), free(gain), free(knot), free(value), free(slope);
+}
+
+int main(int count, char **word)
+{
+    const uint64_t seed = count > 1 ? strtoull(word[1], NULL, 10) : 1;
+    const long first = count > 2 ? atol(word[2]) : 0, cases = count > 3 ? atol(word[3]) : 1000;
+    long made = 0;
+    for (now = first; now < first + cases; now++) {
+        model m;
+        state64 = seed * 0xD1342543DE82EF95u + (uint64_t)now * 0x9E3779B97F4A7C15u;
+        if (make_model(&m)) {
+            made++;
+            play_records(&m);
+            play_life(&m);
+        }
+        release();
+        if (sizeof(dehyst_real) == sizeof(double) && chance(0.2)) play_fields(), play_plays();
+    }
+    printf("%ld cases, %ld models\n", cases, made);
+    return 0;
+}

@@ -1,0 +1,252 @@
+"""Huge, tiny and damaged numbers: a clear error or a finite answer, never a crash; voltages stay in their limits."""
+
+import json
+import math
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import strategies
+
+from dehyst import (
+    Actuator,
+    Compensator,
+    Creep,
+    Dynamics,
+    GradedSlip,
+    MaxwellSlip,
+    ModelError,
+    SmoothSlip,
+    Snapshot,
+    Spring,
+    Transformer,
+)
+from dehyst.computable import FARTHEST, LEAST, MOST
+
+pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+
+UNIFORM = MaxwellSlip([3e-7, 6e-7, 9e-7], [1.7e6, 2.9e6, 3.2e6])
+SPRING = Spring([-1e-6, 0.0, 4e-7, 6e-7], [-10.0, -4.3, -1.9, 0.3])
+PLAIN = Actuator(UNIFORM, SPRING, limits=(-10.0, 0.3))
+# A curve that began at -4.8e143 m made the place of a cell in its table negative.
+BROKEN_SPRING = {"displacement_m": [-4.8e143, -5e-9, 4e-7, 6e-7], "voltage_V": [-10.0, -4.3, -1.9, 0.3]}
+
+
+def survives(program, *arguments):
+    """Run Python in a process of its own, which must not crash."""
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, f"status {done.returncode}: {done.stderr[-800:]}"
+    return done.stdout.strip()
+
+
+def test_a_model_whose_spring_reaches_across_all_exponents_is_refused(tmp_path):
+    data = {**PLAIN.as_dict(), "spring": BROKEN_SPRING}
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(data))
+    program = """
+import sys, numpy, dehyst
+try:
+    actuator = dehyst.Actuator.load(sys.argv[1])
+except dehyst.ModelError as error:
+    print(error)
+else:
+    actuator.simulate(numpy.linspace(-10, 0.3, 200))
+"""
+    assert "spring knots: got 4.8e+143, which cannot be computed with" in survives(program, str(path))
+
+
+@pytest.mark.parametrize("stack", [True, False])
+def test_huge_voltages_end_in_a_clear_error_and_no_crash(stack):
+    program = f"""
+import sys, numpy, dehyst
+sys.path.insert(0, {str(strategies.__file__.rsplit("/", 1)[0])!r})
+import strategies
+for seed in range(60):
+    rng = numpy.random.default_rng(seed)
+    actuator = strategies.make_actuator(seed, int(rng.integers(1, 12)), int(rng.integers(2, 8)), True)
+    size = 10 ** (rng.uniform(0, 290, 60) * (rng.random(60) < 0.5))
+    voltage = strategies.volts_of(actuator) * rng.uniform(-1, 1, 60) * size
+    try:
+        assert numpy.isfinite(actuator.simulate(voltage, stack={stack}).displacement).all()
+    except dehyst.ModelError as error:
+        assert "displacement: value" in str(error), error
+print("ok")
+"""
+    assert survives(program) == "ok"
+
+
+def test_a_voltage_of_1e281_is_refused():
+    with pytest.raises(ModelError, match=r"displacement: value 1 would be .*, which cannot be computed with"):
+        PLAIN.simulate([0.0, 1e281, 0.0])
+
+
+def test_a_displacement_of_which_no_finite_voltage_comes_is_refused():
+    with pytest.raises(ModelError, match="voltage: value 1 would be"):
+        PLAIN.compensate([0.0, 1e305])
+
+
+@pytest.mark.parametrize("lag", [1.7e308, 1e31, 1e-31, 5e-324])
+def test_a_lag_that_cannot_be_computed_with_is_refused_at_load(lag):
+    data = {**replace(PLAIN, lag=1e-3).as_dict(), "lag_s": lag}
+    with pytest.raises(ModelError, match=r"lag \[s\]: got .*, which cannot be computed with; need 1e-30 to 1e\+30"):
+        Actuator.from_dict(data)
+
+
+BAD = (1.7e308, 1.01 * MOST)
+MAKERS = {
+    "spring knot": lambda x: Spring([0.0, x], [0.0, 1.0]),
+    "spring voltage": lambda x: Spring([0.0, 1.0], [-x, 1.0]),
+    "transformer voltage": lambda x: Transformer([-x, 1.0], [0.0, 1.0]),
+    "transformer drive": lambda x: Transformer([0.0, 1.0], [0.0, x]),
+    "creep time": lambda x: Creep([x], [1.0]),
+    "creep stiffness": lambda x: Creep([1.0], [x]),
+    "smooth length": lambda x: SmoothSlip([x], [1.0], [1.0]),
+    "smooth stiffness": lambda x: SmoothSlip([1.0], [1.0], [x]),
+    "frequency": lambda x: Dynamics(x, 0.1),
+    "damping": lambda x: Dynamics(1.0, x),
+    "series": lambda x: Dynamics(1.0, 0.1, x),
+    "load stiffness": lambda x: replace(PLAIN, load_stiffness=x),
+    "grade knot": lambda x: GradedSlip([1.0], [0.0, x], [[1.0]]),
+    # More than one row: the place of the worst number is one in the whole table.
+    "grade stiffness": lambda x: GradedSlip([1.0, 2.0], [0.0, 1.0, 2.0], [[1.0, 1.0], [1.0, x]]),
+}
+DIVIDED_BY = {
+    "spring step": lambda x: Spring([0.0, x], [0.0, 1.0]),
+    "spring rise": lambda x: Spring([0.0, 1.0], [0.0, x]),
+    "transformer step": lambda x: Transformer([0.0, x], [0.0, 1.0]),
+    "creep time": lambda x: Creep([x], [1.0]),
+    "smooth length": lambda x: SmoothSlip([x], [1.0], [1.0]),
+    "frequency": lambda x: Dynamics(x, 0.1),
+    "load stiffness": lambda x: replace(PLAIN, load_stiffness=x),
+    "grade step": lambda x: GradedSlip([1.0], [0.0, x], [[1.0]]),
+}
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("name", MAKERS)
+def test_numbers_too_large_are_refused_and_said(name, bad):
+    MAKERS[name](1e3)
+    with pytest.raises(ModelError, match="which cannot be computed with; need"):
+        MAKERS[name](bad)
+
+
+@pytest.mark.parametrize("bad", [5e-324, 1e-200, 0.99 * LEAST])
+@pytest.mark.parametrize("name", DIVIDED_BY)
+def test_numbers_too_small_to_divide_by_are_refused_and_said(name, bad):
+    DIVIDED_BY[name](1e-3)
+    with pytest.raises(ModelError, match="which cannot be computed with; need"):
+        DIVIDED_BY[name](bad)
+
+
+@pytest.mark.parametrize(("limits", "delay"), [((-1e308, 1e308), 0.0), (None, 1.7e308)])
+def test_limits_and_delays_whose_difference_overflows_are_refused(limits, delay):
+    with pytest.raises(ModelError, match="which cannot be computed with"):
+        Actuator(UNIFORM, SPRING, limits=limits, delay=delay)
+
+
+def test_steps_of_time_without_end_are_refused():
+    creeping = replace(PLAIN, creep=Creep([1.0], [1e5]))
+    with pytest.raises(ModelError, match=r"time: steps \[s\]"):
+        creeping.simulate([0.0, -1.0], time=[-1.7e308, 1.7e308])
+    swinging = replace(PLAIN, dynamics=Dynamics(1e4, 0.1))
+    with pytest.raises(ModelError, match=r"a step of 1e\+20 s is too long for a resonance"):
+        swinging.simulate([0.0, -1.0], time=[0.0, 1e20])
+    with pytest.raises(ModelError, match="with a damping of 1e"):
+        replace(PLAIN, dynamics=Dynamics(1e4, 1e25)).simulate([0.0, -1.0], time=[0.0, 1e-3])
+
+
+def test_a_load_too_large_is_refused():
+    loaded = replace(PLAIN, load_stiffness=1e-20)
+    with pytest.raises(ModelError, match="load over load_stiffness"):
+        loaded.simulate([0.0, -1.0], load=[0.0, 1e300])
+
+
+def test_a_state_whose_voltage_is_no_number_begins_no_loop():
+    far = PLAIN.relaxed().shifted(1e305)
+    with pytest.raises(ModelError, match="voltage of the state"):
+        PLAIN.voltage(far)
+    with pytest.raises(ModelError):
+        Compensator(PLAIN, state=far)
+
+
+MOVING = replace(
+    PLAIN, creep=Creep([0.1], [1e5]), dynamics=Dynamics(2e3, 0.1, 1e6), lag=1e-3,
+    smooth=SmoothSlip([1e-7], [1.0], [1e5]),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("actuator", [PLAIN, MOVING], ids=["plain", "moving"])
+@pytest.mark.parametrize("wanted", [1e16, -1e100, 1e281, -1.7e308, 5e-324, math.inf, math.nan])
+def test_hostile_wishes_leave_voltages_within_limits_and_the_state_finite(actuator, wanted):
+    compensator = Compensator(actuator, (-10.0, 0.3), 1e3, period=1e-3)
+    for _ in range(5):
+        before = compensator.voltage
+        try:
+            voltage = compensator.step(wanted)
+        except ModelError:
+            voltage = compensator.voltage
+        assert -10.0 <= voltage <= 0.3
+        assert abs(voltage - before) <= 1.0 + 1e-9
+    state = compensator.state
+    assert np.isfinite([state.displacement, *state.carts, *state.creep, *state.smooth, *state.motion]).all()
+    assert abs(state.displacement) < 1e-3
+
+
+@pytest.mark.parametrize("where", range(6))
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 1.7e308, -1e100])
+def test_a_damaged_snapshot_is_refused_whole_or_goes_on_within_limits(where, bad):
+    compensator = Compensator(MOVING, (-10.0, 0.3), period=1e-3)
+    compensator.run([-1e-6, -5e-7])
+    before = compensator.snapshot()
+    rest = before.rest.copy()
+    rest[where] = bad
+    try:
+        compensator.restore(Snapshot(before.key, before.state, rest, before.counts))
+    except ModelError:
+        after = compensator.snapshot()
+        np.testing.assert_array_equal(after.rest, before.rest)
+        np.testing.assert_array_equal(after.state.carts, before.state.carts)
+    for wanted in np.linspace(-1e-6, 5e-7, 20):
+        try:
+            assert -10.0 <= compensator.step(wanted) <= 0.3
+        except ModelError:
+            break
+    state = compensator.state
+    assert np.isfinite([state.displacement, *state.carts, *state.creep, *state.smooth, *state.motion]).all()
+
+
+@pytest.mark.parametrize("changes", [{"rest": "123"}, {"rest": [[1.0]]}, {"counts": (0, -1, 0)}, {"counts": (0, 0)},
+                                     {"counts": 5}, {"counts": (0, 0, 2**70)}, {"state": None}])  # fmt: skip
+def test_what_is_no_snapshot_is_refused_when_it_is_made(changes):
+    snapshot = Compensator(PLAIN).snapshot()
+    with pytest.raises(ModelError):
+        replace(snapshot, **changes)
+
+
+def test_a_loop_is_not_begun_anew_while_it_runs():
+    """That freed the memory that the run worked in."""
+    compensator = Compensator(PLAIN, (-10.0, 0.3))
+    compensator.step(-1e-6)
+    snapshot = compensator.snapshot()
+    run = threading.Thread(target=compensator._loop.run, args=(np.full(5_000_000, -1e-6),))
+    refusals = 0
+    run.start()
+    while run.is_alive():
+        try:
+            compensator.restore(snapshot)
+        except RuntimeError as error:
+            assert "is running in another thread" in str(error)
+            refusals += 1
+    run.join()
+    assert refusals > 0
+
+
+def test_the_farthest_place_leaves_room():
+    """A model that is refused nowhere computes finite voltages at the farthest place."""
+    actuator = Actuator(UNIFORM, Spring([0.0, 1.0], [0.0, MOST]))
+    assert np.isfinite(actuator.compensate([0.5 * FARTHEST, -0.5 * FARTHEST]).voltage).all()
