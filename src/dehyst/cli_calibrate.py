@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.console import PATH, json_option
+from dehyst.console import PATH, json_option, size_option
 from dehyst.files import finite
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     "--goal", type=float, default=1.0, show_default=True, metavar="PERCENT", help="Largest error allowed on the path."
 )
 @click.option("--dry-run", is_flag=True, help="Say what would be sent, and send nothing.")
+@size_option
 @json_option
 def calibrate(
     rig: str, output: Path, limits: tuple[float, float] | None, slew: float | None, dry_run: bool, as_json: bool,
@@ -59,7 +60,8 @@ def calibrate(
     from dehyst.plan import Plan
     from dehyst.rigs import open_rig
 
-    given = tuple(_excitation(path) for path in options.pop("protocol"))
+    max_bytes = options.pop("max_bytes")
+    given = tuple(_excitation(path, max_bytes) for path in options.pop("protocol"))
     plan = Plan(protocol=given, **options)
     with _told(output), open_rig(rig, limits=limits, slew_rate=slew) as instrument:
         _say_less(instrument, limits, slew)
@@ -71,7 +73,7 @@ def calibrate(
     sys.exit(0 if found.good else 1)
 
 
-def _excitation(path: Path) -> Excitation:
+def _excitation(path: Path, max_bytes: float) -> Excitation:
     """A voltage to play from a file with a uniform time."""
     import numpy as np
 
@@ -79,7 +81,7 @@ def _excitation(path: Path) -> Excitation:
     from dehyst.excitation import Excitation
     from dehyst.files import read_table, time_of
 
-    table = read_table(path)
+    table = read_table(path, max_bytes=max_bytes)
     voltage = table.column("voltage")
     time = time_of(table, voltage.size, None, None)
     steps = np.diff(time)
