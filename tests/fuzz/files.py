@@ -23,6 +23,7 @@ from file_mutations import mutated
 from file_specimens import specimens
 
 import dehyst
+from dehyst import reader_process
 from dehyst.preparation import prepare
 
 # Of each kind of finding, as many are printed.
@@ -44,7 +45,9 @@ def attack(seed: int, count: int, first: int = 0, only: str = "") -> dict[str, A
         folder = Path(name)
         (folder / "sound").mkdir()
         sound = {file: content for file, content in specimens(folder / "sound").items() if file.endswith(only)}
-        results = list(forked.run(lambda number: _case(sound, folder, seed, number), range(first, first + count)))
+        numbers = range(first, first + count)
+        lines = list(forked.run(lambda number: _case(sound, folder, seed, number), numbers, reader_process.close))
+    results = [line for line in lines if "children" not in line or "finding" in line]
     findings = [result for result in results if "finding" in result]
     return {
         "cases": len(results),
@@ -52,7 +55,8 @@ def attack(seed: int, count: int, first: int = 0, only: str = "") -> dict[str, A
         "kinds": dict(Counter(result["finding"] for result in findings).most_common(20)),
         "ends": dict(Counter(result["end"] for result in results if "end" in result)),
         "longest_cpu_s": max((result.get("cpu_s", 0.0) for result in results), default=0.0),
-        "peak_mib": max((result.get("memory", 0) for result in results), default=0) >> 20,
+        "peak_mib": max((line.get("memory", 0) for line in lines), default=0) >> 20,
+        "peak_children_mib": max((line.get("children", 0) for line in lines), default=0) >> 20,
         "wall_s": round(time.perf_counter() - began, 1),
     }
 
