@@ -181,7 +181,7 @@ def _in_mat(content: bytes, dice: random.Random, others: list[bytes]) -> bytes:
             except zlib.error:
                 return content
             way: Callable[..., bytes] = dice.choice((_flip, _integer, _integer, _cut, _double, _splice))
-            body = zlib.compress(way(inner, dice, others) + (b"\0" * dice.choice((0, 0, 0, 50_000_000))))
+            body = zlib.compress(way(inner, dice, others) + (b"\0" * dice.choice((*[0] * 11, 50_000_000))))
         found.append(struct.pack("<II", kind, len(body)) + body)
         at += 8 + size
     return b"".join(found)
