@@ -148,7 +148,7 @@ def simulate(
 
     refuse_overwriting([model, voltage_file], output)
     actuator = read_model(model)
-    table = read_table(voltage_file)
+    table = read_table(voltage_file, max_bytes=columns["max_bytes"])
     voltage = table.column("voltage", columns["voltage"])
     time = time_of_table(table, voltage.size, columns)
     motion = actuator.simulate(
@@ -232,7 +232,7 @@ def insight(
     refuse_overwriting([model, *records, *([trajectory] if trajectory else [])], output, report)
     actuator = read_model(model)
     tell = progress_line()
-    path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted)
+    path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted, columns["max_bytes"])
     found = run(actuator, read_records(records, columns), trajectory=path, time=time.get("time_s"), limits=limits,
                 seconds=seconds, level=level, repeats=repeats, progress=tell)  # fmt: skip
     refuse_replacing(output, report)

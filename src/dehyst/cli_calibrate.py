@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.console import PATH, force_option, json_option, refuse_replacing
+from dehyst.console import PATH, force_option, json_option, refuse_replacing, size_option
 from dehyst.terminal import echo, echo_json, note
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 )
 @force_option
 @click.option("--dry-run", is_flag=True, help="Say what would be sent, and send nothing.")
+@size_option
 @json_option
 def calibrate(
     rig: str, output: Path, limits: tuple[float, float] | None, slew: float | None, dry_run: bool, as_json: bool,
@@ -60,7 +61,8 @@ def calibrate(
     from dehyst.plan import Plan
     from dehyst.rigs import open_rig
 
-    given = tuple(_excitation(path) for path in options.pop("protocol"))
+    max_bytes = options.pop("max_bytes")
+    given = tuple(_excitation(path, max_bytes) for path in options.pop("protocol"))
     plan = Plan(protocol=given, **options)
     if not dry_run:
         _refuse_replacing(output)
@@ -84,7 +86,7 @@ def _refuse_replacing(folder: Path) -> None:
         refuse_replacing(*(folder / name for name in RESULTS))
 
 
-def _excitation(path: Path) -> Excitation:
+def _excitation(path: Path, max_bytes: float) -> Excitation:
     """A voltage to play from a file with a uniform time."""
     import numpy as np
 
@@ -92,7 +94,7 @@ def _excitation(path: Path) -> Excitation:
     from dehyst.excitation import Excitation
     from dehyst.files import read_table, time_of
 
-    table = read_table(path)
+    table = read_table(path, max_bytes=max_bytes)
     voltage = table.column("voltage")
     time = time_of(table, voltage.size, None, None)
     steps = np.diff(time)

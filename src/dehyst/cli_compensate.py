@@ -120,7 +120,7 @@ def _of_file(trajectory: Path | None, options: dict[str, Any]) -> tuple[Any, dic
     """Wanted displacement [m], its time column if there is one, and its derivatives: none."""
     from dehyst.files import read_table
 
-    table = read_table(trajectory or "")
+    table = read_table(trajectory or "", max_bytes=options["max_bytes"])
     wanted = table.column("displacement", options["displacement"])
     return wanted, time_of_table(table, wanted.size, options), {}
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst.file_content import MOST
 from dehyst.terminal import echo, echo_json, guarded_streams, note
 
 if TYPE_CHECKING:
@@ -100,7 +101,17 @@ def columns_options(command: Callable[..., None]) -> Callable[..., None]:
         ("--time", "Column of the time, e.g. time_s."),
     ):
         command = click.option(name, metavar="NAME", help=f"{text} [default: found by its name]")(command)
+    command = size_option(command)
     return click.option("--sample-rate", type=float, metavar="HZ", help="Instead of a time column.")(command)
+
+
+def size_option(command: Callable[..., None]) -> Callable[..., None]:
+    """The option that lets large files in; its value in bytes."""
+    return click.option(
+        "--max-size", "max_bytes", type=float, metavar="MB", default=MOST / 1e6, show_default=f"{MOST / 1e6:g}",
+        callback=lambda _context, _option, size: size * 1e6,
+        help="Largest file that is read, and most memory for its numbers.",
+    )(command)  # fmt: skip
 
 
 def json_option(command: Callable[..., None]) -> Callable[..., None]:
@@ -179,12 +190,12 @@ def time_of_table(table: Table, size: int, columns: dict[str, Any]) -> dict[str,
     return {"time_s": time_of(table, size, columns["time"], columns["sample_rate"])}
 
 
-def path_of(trajectory: Path, wanted: str | None) -> tuple[Any, dict[str, Any]]:
+def path_of(trajectory: Path, wanted: str | None, max_bytes: float = MOST) -> tuple[Any, dict[str, Any]]:
     """Displacement of a trajectory file and, if it has one, its time column."""
     from dehyst._errors import FileFormatError
     from dehyst.files import read_table
 
-    table = read_table(trajectory)
+    table = read_table(trajectory, max_bytes=max_bytes)
     try:
         path = table.column("displacement", wanted)
     except FileFormatError as error:

@@ -20,8 +20,11 @@ from numpy.typing import ArrayLike
 from dehyst import hdf5
 from dehyst._errors import DehystError, FileFormatError
 from dehyst.drafts import PathLike, unwritten, write_atomically
-from dehyst.loaders import LOADERS, TEXT, UNITS, Table, listed
+from dehyst.file_content import MOST, bytes_allowed, content_of
+from dehyst.formats import LOADERS
+from dehyst.loaders import TEXT, UNITS, Table, listed
 from dehyst.marks import marked
+from dehyst.reader_process import load
 from dehyst.record import Record
 from dehyst.signals import FloatArray
 
@@ -55,19 +58,24 @@ def read(
     displacement: str | None = None,
     sample_rate: float | None = None,
     name: str | None = None,
+    max_bytes: float = MOST,
 ) -> Record:
     """Read a record from a file whose kind follows from its suffix.
 
     Parameters
     ----------
     path : path
-        .csv .tsv .txt .dat .mat .h5 .hdf5 .parquet .tdms or .npz.
+        .csv .tsv .txt .dat .mat .h5 .hdf5 .parquet .tdms or .npz; a named pipe is read once, and without a suffix its
+        first bytes decide.
     time, voltage, displacement : str, optional
         Columns, see `Table.column`.
     sample_rate : float, optional
         Samples a second [Hz], for a file without a time column.
     name : str, optional
         The record's name; by default the one that `write_hdf5` wrote, else the file's, without suffix.
+    max_bytes : float
+        What the file may have, and what the numbers in it may take in memory; headers that declare more are refused
+        before anything is read.
 
     Raises
     ------
@@ -78,9 +86,7 @@ def read(
     MissingExtraError
         The library for this kind of file is not installed.
     """
-    with _reading(Path(path), Path(path).suffix):
-        stored = hdf5.told(Path(path), least=2)
-    table = read_table(path)
+    table, stored = _loaded(Path(path), max_bytes, own=True)
     v, y = table.column("voltage", voltage), table.column("displacement", displacement)
     meta: dict[str, Any] = {"source": table.source, "sha256": table.sha256}
     meta["columns"] = {"voltage": table.find("voltage", voltage)[0].name}
@@ -104,23 +110,22 @@ def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float |
     return np.arange(samples) / sample_rate
 
 
-def read_table(path: PathLike) -> Table:
+def read_table(path: PathLike, *, max_bytes: float = MOST) -> Table:
     """Read all numeric columns of a file whose kind follows from its suffix; raises as `read` does."""
-    path = Path(path)
-    if path.is_dir():
-        raise FileFormatError(f"{path}: this is a folder; give one of the files in it")
-    load = LOADERS.get(path.suffix.lower())
-    if load is None:
-        raise FileFormatError(f"{path}: unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}")
+    return _loaded(Path(path), max_bytes, own=False)[0]
+
+
+def _loaded(path: Path, max_bytes: float, own: bool) -> tuple[Table, hdf5.Stored | None]:
+    """Read a file once; its columns and, if `own` is asked for and dehyst wrote it, name and meta."""
+    most = bytes_allowed(max_bytes)
     with _reading(path, path.suffix):
-        if path.stat().st_size == 0 and path.is_file():
-            raise FileFormatError(f"{path}: the file is empty; export the measurement again")
-        with path.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        columns = tuple(load(path))
+        if path.suffix.lower() not in LOADERS and not path.is_fifo() and not path.is_dir():
+            raise FileFormatError(f"{path}: unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}")
+        content = content_of(path, most)
+    columns, stored = load(content, most, own)
     if not columns:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
-    return Table(path.name, digest, columns)
+    return Table(path.name, hashlib.sha256(content.data).hexdigest(), tuple(columns)), stored
 
 
 def write_record(path: PathLike, record: Record) -> None:

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst.file_content import MOST, Allowance
+from dehyst.hdf5_nodes import own_samples
 
 SUFFIXES = (".h5", ".hdf5")
 DATASETS = {"time_s": "s", "voltage_V": "V", "displacement_m": "m"}
@@ -89,25 +91,37 @@ def in_json(data: Mapping[str, Any], where: object) -> str:
         ) from error
 
 
-def told(path: Path, least: int = 0) -> Stored | None:
+def told(path: Path, least: int = 0, content: bytes | None = None, most: int = MOST) -> Stored | None:
     """What a file tells of its record; None if there is none, or one that `pack` did not make.
+
+    Parameters
+    ----------
+    path : path
+    least : int
+        Samples that it must hold.
+    content : bytes, optional
+        The file's, if it was read already.
+    most : int
+        Memory that its samples may take [bytes], or as much as the file has.
 
     Raises
     ------
     FileFormatError
-        If it is damaged, its samples are not those that it was made of, or they are fewer than `least`.
+        If it is damaged, its samples are not those it was made of or lie elsewhere, or they are fewer than `least`.
     """
-    if path.suffix.lower() not in SUFFIXES or not path.is_file() or not path.stat().st_size:
+    if content is None and (path.suffix.lower() not in SUFFIXES or not path.is_file() or not path.stat().st_size):
         return None
+    size = path.stat().st_size if content is None else len(content)
+    allowance = Allowance(path, max(most, size))
     h5py = library("files", f"Reading {path.suffix} files")
     try:
-        with h5py.File(path, "r") as file:
+        with h5py.File(path if content is None else io.BytesIO(content), "r") as file:
             if _MARK not in file.attrs or not all(dataset in file for dataset in DATASETS):
                 return None
             name, meta = _marked(file.attrs[_MARK])
-            time, voltage, displacement = (np.asarray(file[dataset][()], dtype=np.float64) for dataset in DATASETS)
+            time, voltage, displacement = (own_samples(file, h5py, dataset, allowance) for dataset in DATASETS)
             stored = Stored(name, meta, int(time.size), str(file.attrs["sha256"]))
-    except OSError:
+    except (OSError, FileFormatError):
         raise
     # A damaged file makes h5py raise errors of any kind.
     except Exception as error:

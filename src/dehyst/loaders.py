@@ -1,20 +1,12 @@
-"""The formats: bytes on disk to a `Table` of columns, with the units that the file states."""
+"""The columns of a file, with the units that it states: found by name, handed out in SI units."""
 
 from __future__ import annotations
 
-import csv
-import importlib
-import io
-import re
-import warnings
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst._errors import FileFormatError
 from dehyst.signals import FloatArray
 
 UNITS: dict[str, dict[str, float]] = {
@@ -29,16 +21,31 @@ _WORDS = {
 }
 _EXAMPLES = {"time": "time_s", "voltage": "voltage_V", "displacement": "displacement_um"}
 TEXT = (".csv", ".tsv", ".txt", ".dat")
+# Characters of a name that a message shows.
+_SHOWN = 60
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Column:
-    """One named column: data (n,), the unit if the file states one apart from the name, why it is not numeric if so."""
+    """One named column of a file.
+
+    Attributes
+    ----------
+    name : str
+    data : (n,) array
+    unit : str
+        If the file states one apart from the name.
+    fault : str
+        Why it cannot be used, and what to try; empty if it can.
+    foreign : bool
+        Whether its samples lie in another file, or are computed: it is set aside while another column fits.
+    """
 
     name: str
     data: FloatArray
     unit: str = ""
     fault: str = ""
+    foreign: bool = False
 
     @property
     def leaf(self) -> str:
@@ -48,8 +55,10 @@ class Column:
     @property
     def parts(self) -> tuple[str, str]:
         """What the column says it is, and its unit: ('drive', 'V') of 'drive_V' or 'drive [V]'."""
-        if match := re.fullmatch(r"\s*(.*?)[\s_]*[\[(]\s*(.*?)\s*[\])]\s*", self.leaf):
-            word, unit = match[1], match[2]
+        text = self.leaf.strip()
+        start = min((at for at in (text.find("["), text.find("(")) if at >= 0), default=-1)
+        if 0 <= start < len(text) - 1 and text[-1] in "])":
+            word, unit = _trimmed(text[:start]), text[start + 1 : -1]
         else:
             word, _, unit = self.leaf.rpartition("_") if "_" in self.leaf else (self.leaf, "", "")
         known = any(self.unit in units for units in UNITS.values())
@@ -93,18 +102,21 @@ class Table:
             No such column, several of them, an unknown unit, or cells that are no numbers.
         """
         found, unit = self.find(quantity, wanted)
+        if found.fault:
+            raise FileFormatError(f"{self.source}: column '{shortened(found.name)}': {found.fault}")
         factor = UNITS[quantity].get(unit)
         if factor is None:
-            said = f"the unit '{unit}', unknown for {quantity}" if unit else "no unit"
+            said = f"the unit '{shortened(unit)}', unknown for {quantity}" if unit else "no unit"
+            name = shortened(found.name)
             raise FileFormatError(
-                f"{self.source}: column '{found.name}' has {said}; known are {', '.join(UNITS[quantity])}. Name it "
+                f"{self.source}: column '{name}' has {said}; known are {', '.join(UNITS[quantity])}. Name it "
                 f"like '{_EXAMPLES[quantity]}' or '{_EXAMPLES[quantity].replace('_', ' [')}]', or give "
-                f"{_option(quantity, found.name + ':' + _EXAMPLES[quantity].rsplit('_')[-1])}"
+                f"{_option(quantity, name + ':' + _EXAMPLES[quantity].rsplit('_')[-1])}"
             )
-        if found.fault:
-            raise FileFormatError(f"{self.source}: column '{found.name}': {found.fault}; correct or remove that row")
-        # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
-        return found.data * factor if factor >= 1 else found.data / round(1 / factor)
+        # What overflows or is not a number is refused by the record, with its row.
+        with np.errstate(all="ignore"):
+            # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
+            return found.data * factor if factor >= 1 else found.data / round(1 / factor)
 
     def find(self, quantity: str, wanted: str | None = None) -> tuple[Column, str]:
         """Return the column that `column` would take, and its unit."""
@@ -126,6 +138,7 @@ class Table:
 
     def _candidates(self, quantity: str) -> list[Column]:
         fits = [c for c in self.columns if {c.leaf.lower(), c.parts[0].lower()} & set(_WORDS[quantity])]
+        fits = [c for c in fits if not c.foreign] or fits
         return [c for c in fits if c.parts[1] in UNITS[quantity]] or fits
 
     def _named(self, name: str) -> list[Column]:
@@ -141,181 +154,19 @@ def _option(quantity: str, value: str) -> str:
 
 def listed(names: tuple[str, ...]) -> str:
     """Quote names for a message, the first twenty of them."""
-    return ", ".join(f"'{name}'" for name in names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+    return ", ".join(f"'{shortened(name)}'" for name in names[:20]) + (
+        f" and {len(names) - 20} more" if len(names) > 20 else ""
+    )
 
 
-def _library(module: str, purpose: str) -> Any:
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise MissingExtraError.of(module.split(".", maxsplit=1)[0], "files", purpose) from error
+def shortened(name: str) -> str:
+    """A name of a file's own for a message: its beginning, if it is long."""
+    return name if len(name) <= _SHOWN else f"{name[:_SHOWN]}..."
 
 
-def _read_text(path: Path) -> list[Column]:
-    text, encoding = _decoded(path)
-    start, first, header = _header(text, path)
-    delimiter = next((d for d in ";\t," if d in re.sub(r'"[^"]*"', "", header)), None)
-    names = _cells(re.sub(r"\s+(?=[\[(])", "", header) if delimiter is None else header, delimiter)
-    if len(names) > 1 and not names[-1]:
-        names.pop()
-    if all(_is_number(name.replace(",", ".") if delimiter != "," else name) for name in names):
-        raise FileFormatError(
-            f"{path}: line {first} is '{header.strip()[:60]}', but a header line with names and units is needed first, "
-            "not behind a # or %; try time_s,voltage_V,displacement_um"
-        )
-    body = text[start:]
-    decimal_comma = delimiter in (";", "\t") and "," in body
-    if decimal_comma:
-        body = body.replace(",", ".")
-    plain = not decimal_comma and "%" not in body
-    source: Path | io.StringIO = path if plain else io.StringIO(re.sub(r"(?m)^\s*%", "#", body))
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            skipped = first if plain else 0
-            data = np.loadtxt(source, delimiter=delimiter, skiprows=skipped, encoding=encoding, ndmin=2)
-    except ValueError:
-        data = np.empty((0, 0))
-    if data.shape[1] == len(names) and len(data):
-        return [Column(name, column) for name, column in zip(names, data.T.copy(), strict=True)]
-    return _read_rows(body, first, names, delimiter, path)
-
-
-def _decoded(path: Path) -> tuple[str, str]:
-    raw = path.read_bytes()
-    if b"\0" in raw:
-        raise FileFormatError(
-            f"{path}: not a text file (it holds NUL bytes); save it as UTF-8 text or correct its suffix"
-        )
-    try:
-        text, encoding = raw.decode("utf-8-sig"), "utf-8-sig"
-    except UnicodeDecodeError:
-        text, encoding = raw.decode("latin-1"), "latin-1"  # instruments write the micro sign so
-    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text, encoding
-
-
-def _header(text: str, path: Path) -> tuple[int, int, str]:
-    """Return where the rows start, the header's line number and the header."""
-    start = number = 0
-    while start < len(text):
-        end = text.find("\n", start)
-        end, begin, number = (len(text) if end < 0 else end), start, number + 1
-        start, line = end + 1, text[begin:end]
-        if line.strip() and line.lstrip()[0] not in "#%":
-            return start, number, line
-    raise FileFormatError(f"{path}: nothing but blank and comment lines; a header line and rows are needed")
-
-
-def _cells(line: str, delimiter: str | None) -> list[str]:
-    if '"' not in line:
-        return [cell.strip() for cell in line.split(delimiter)]
-    return [
-        cell.strip() for cell in next(csv.reader([line.strip(" ")], delimiter=delimiter or " ", skipinitialspace=True))
-    ]
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell or "nan")
-    except ValueError:
-        return False
-    return True
-
-
-def _read_rows(body: str, first: int, names: list[str], delimiter: str | None, path: Path) -> list[Column]:
-    """Read row by row: slow, but it knows the line of what is wrong and lets text columns be."""
-    rows, lines = [], []
-    for number, line in enumerate(body.split("\n"), first + 1):
-        if not line.strip(f"{delimiter or ''} \t") or line.lstrip()[0] in "#%":
-            continue
-        cells = _cells(line, delimiter)
-        if len(cells) == len(names) + 1 and not cells[-1]:
-            cells.pop()
-        if len(cells) != len(names):
-            raise FileFormatError(
-                f"{path}: line {number} has {len(cells)} cells where the header has {len(names)}: '{line.strip()[:60]}'"
-                "; correct or remove that line"
-            )
-        rows.append(cells)
-        lines.append(number)
-    if not rows:
-        raise FileFormatError(f"{path}: a header but no rows; export the measurement again")
-    return [_column(name, cells, lines) for name, cells in zip(names, zip(*rows, strict=True), strict=True)]
-
-
-def _column(name: str, cells: tuple[str, ...], lines: list[int]) -> Column:
-    try:
-        return Column(name, np.array([float(cell or "nan") for cell in cells]))
-    except ValueError:
-        line, cell = next(pair for pair in zip(lines, cells, strict=True) if not _is_number(pair[1]))
-        return Column(name, np.empty(0), fault=f"line {line} holds '{cell}', which is no number")
-
-
-def _vectors(items: Mapping[str, Any]) -> list[Column]:
-    """Keep the real numeric arrays that are 1-D, or 2-D with one row or column, as MATLAB has them."""
-    arrays = {name: np.asarray(values) for name, values in items.items() if not name.startswith("__")}
-    return [
-        Column(name, array.ravel().astype(np.float64))
-        for name, array in arrays.items()
-        if array.dtype.kind in "fiu" and array.size > 1 and array.size == max(array.shape)
-    ]
-
-
-def _read_mat(path: Path) -> list[Column]:
-    from scipy.io import loadmat
-
-    try:
-        return _vectors(loadmat(path))
-    except NotImplementedError:  # version 7.3 is HDF5
-        return _read_hdf5(path)
-
-
-def _read_hdf5(path: Path) -> list[Column]:
-    h5py = _library("h5py", f"Reading {path.suffix} files")
-    columns: list[Column] = []
-
-    def visit(name: str, node: Any) -> None:
-        if isinstance(node, h5py.Dataset) and not name.startswith("#"):
-            unit = node.attrs.get("unit", node.attrs.get("units", ""))
-            text = unit.decode() if isinstance(unit, bytes) else str(unit)
-            columns.extend(Column(name, c.data, text.strip()) for c in _vectors({"x": node[()]}))
-
-    with h5py.File(path, "r") as file:
-        file.visititems(visit)
-    return columns
-
-
-def _read_parquet(path: Path) -> list[Column]:
-    table = _library("pyarrow.parquet", "Reading Parquet files").read_table(path)
-    return _vectors({name: table[name].to_numpy() for name in table.column_names})
-
-
-def _read_tdms(path: Path) -> list[Column]:
-    file = _library("nptdms", "Reading TDMS files").TdmsFile.read(path)
-    columns: list[Column] = []
-    increments: set[tuple[int, float]] = set()
-    for group in file.groups():
-        for channel in group.channels():
-            unit = str(channel.properties.get("unit_string", "")).strip()
-            columns += [Column(f"{group.name}/{channel.name}", c.data, unit) for c in _vectors({"x": channel[:]})]
-            increments.add((len(channel), float(channel.properties.get("wf_increment", 0.0))))
-    # A waveform has no time channel: its sampling stands in a property, the same for every channel of a run.
-    timed = any(column.parts[0].lower() in ("time", "t") for column in columns)
-    if not timed and len(increments) == 1 and (run := increments.pop())[1] > 0:
-        columns.append(Column("time", np.arange(float(run[0])) * run[1], "s"))
-    return columns
-
-
-def _read_npz(path: Path) -> list[Column]:
-    with np.load(path, allow_pickle=False) as archive:
-        return _vectors({name: archive[name] for name in archive.files})
-
-
-LOADERS: dict[str, Callable[[Path], list[Column]]] = {
-    **dict.fromkeys(TEXT, _read_text),
-    ".mat": _read_mat,
-    ".h5": _read_hdf5,
-    ".hdf5": _read_hdf5,
-    ".parquet": _read_parquet,
-    ".tdms": _read_tdms,
-    ".npz": _read_npz,
-}
+def _trimmed(text: str) -> str:
+    """Without blanks and underscores at its end."""
+    end = len(text)
+    while end and (text[end - 1].isspace() or text[end - 1] == "_"):
+        end -= 1
+    return text[:end]

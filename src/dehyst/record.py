@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dehyst._errors import RecordError
 from dehyst.signals import FloatArray, interpolate, noise_span, outer_extreme, turning_points, white_noise
-from dehyst.suspicions import problems, refuse_not_finite, refuse_not_rising, refuse_unusable
+from dehyst.suspicions import problems, refuse_implausible, refuse_not_finite, refuse_not_rising, refuse_unusable
 
 __all__ = ["FloatArray", "Record", "Span", "white_noise"]
 
@@ -29,8 +29,8 @@ class Record:
     Parameters
     ----------
     time, voltage, displacement : (n,) array_like
-        Seconds (strictly rising), volts and metres, n >= 2, all finite; kept as read-only float64 copies
-        (read-only arrays, as another record's, are shared).
+        Seconds (strictly rising), volts and metres, n >= 2, all finite and at most 1e30; kept as read-only
+        float64 copies (read-only arrays, as another record's, are shared).
     name : str
         Used in messages.
     meta : mapping
@@ -39,7 +39,8 @@ class Record:
     Raises
     ------
     RecordError
-        Not one-dimensional, not numbers, different lengths, fewer than 2 samples, NaN or inf, time not rising.
+        Not one-dimensional, not numbers, different lengths, fewer than 2 samples, NaN, inf or beyond 1e30, time not
+        rising.
     """
 
     time: FloatArray
@@ -62,6 +63,7 @@ class Record:
             )
         for column, unit in _COLUMNS.items():
             refuse_not_finite(getattr(self, column), column, unit, self.name)
+            refuse_implausible(getattr(self, column), column, unit, self.name)
         refuse_not_rising(self.time, self.name)
 
     def __len__(self) -> int:

@@ -15,6 +15,14 @@ if TYPE_CHECKING:
     from dehyst.record import Record, Span
 
 
+# Larger numbers [V, m, s] and shorter steps of time [s] are no measurement, and computing with them overflows.
+LARGEST, SHORTEST = 1e30, 1e-15
+# A stroke [m] that no sensor shows: an atomic nucleus.
+_LEAST_STROKE = 1e-15
+# Part of the time step that rounding of large times may be, unsaid.
+_ROUNDED = 0.02
+
+
 def problems(record: Record) -> tuple[str, ...]:
     """Sentences about what is suspicious but allowed, see `Record.problems`."""
     found = []
@@ -22,6 +30,12 @@ def problems(record: Record) -> tuple[str, ...]:
     if gaps:
         i, length = gaps[0]
         found.append(f"{len(gaps)} gap(s) in time, the first of {length:.4g} s after sample {i}.")
+    lost = rounding(record.time)
+    if lost > _ROUNDED * record.sample_time:
+        found.append(
+            f"Times this large are kept to {lost:.2g} s only, {100 * lost / record.sample_time:.2g} % of the time "
+            "step; count them from the record's first sample before they are saved."
+        )
     jitter = float(np.std(steps[steps <= 1.5 * record.sample_time])) / record.sample_time
     if jitter > 0.01:
         found.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; try resample().")
@@ -84,15 +98,43 @@ def refuse_not_finite(values: FloatArray, column: str, unit: str, name: str) -> 
         )
 
 
+def refuse_implausible(values: FloatArray, column: str, unit: str, name: str) -> None:
+    """Raise when a value of the `column` is larger than any measured: its powers would overflow."""
+    if (largest := max(-values.min(), values.max())) > LARGEST:
+        i = int(np.argmax(np.abs(values)))
+        raise RecordError(
+            f"record '{name}': {column}[{i}] = {values[i]:.6g} {unit} is no {column}; {largest / LARGEST:.3g} times "
+            f"the largest number that is taken ({LARGEST:g}): correct or cut that row, or check the column's unit"
+        )
+
+
 def refuse_not_rising(time: FloatArray, name: str) -> None:
     """Raise when a time [s] is not above the one before."""
-    bad = np.flatnonzero(np.diff(time) <= 0.0)
-    if len(bad):
-        i = int(bad[0])
+    steps = np.diff(time)
+    bad = np.flatnonzero(steps < SHORTEST)
+    if not len(bad):
+        return
+    i = int(bad[0])
+    if steps[i] > 0.0:
         raise RecordError(
-            f"record '{name}': time must rise strictly, but time[{i + 1}] = {time[i + 1]:.9g} s follows "
-            f"time[{i}] = {time[i]:.9g} s; sort the rows, drop repeated ones, or check the time unit's digits"
+            f"record '{name}': time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock tells apart, need "
+            f"{SHORTEST:g} s at least; drop one of the two rows, or check the time's unit"
         )
+    advice = "sort the rows, drop repeated ones, or check the time unit's digits"
+    if (lost := rounding(time)) > 1e-9:
+        advice = (
+            f"times as large as these are kept to {lost:.2g} s only: count them from the record's first sample before "
+            "they are saved, or give sample_rate="
+        )
+    raise RecordError(
+        f"record '{name}': time must rise strictly, but time[{i + 1}] = {time[i + 1]:.9g} s follows "
+        f"time[{i}] = {time[i]:.9g} s; {advice}"
+    )
+
+
+def rounding(time: FloatArray) -> float:
+    """What the largest of these times is rounded to [s]."""
+    return float(np.spacing(max(-time.min(), time.max())))
 
 
 def refuse_constant(record: Record) -> None:
@@ -102,7 +144,8 @@ def refuse_constant(record: Record) -> None:
         raise RecordError(
             f"record '{record.name}': the voltage is constant at {low:.6g} V; drive the actuator up and down"
         )
-    if record.stroke <= max(noise_span(record.displacement), 1e-12 * max(map(abs, record.displacement_range))):
+    least = max(noise_span(record.displacement), 1e-12 * max(map(abs, record.displacement_range)), _LEAST_STROKE)
+    if record.stroke <= least:
         raise RecordError(
             f"record '{record.name}': the displacement is constant but for noise: its stroke, {record.stroke:.3g} m, "
             f"is no more than noise of {record.noise:.3g} m makes of so many samples; check the sensor and the column"

@@ -1,0 +1,109 @@
+"""What is read of a file: its bytes, once, whatever it is; and how much memory they and its numbers may take."""
+
+from __future__ import annotations
+
+import stat
+from math import inf, nan
+from numbers import Real
+from pathlib import Path
+from typing import NamedTuple
+
+from dehyst._errors import FileFormatError
+
+# Bytes of a file, and of the numbers in it, that are read unless more are allowed: 20 million samples.
+MOST = 500_000_000
+# A number takes as much as a double.
+_DOUBLE = 8
+_MAGIC = {b"\x89HDF\r\n\x1a\n": ".h5", b"PK\x03\x04": ".npz", b"PAR1": ".parquet", b"TDSm": ".tdms", b"MATLAB ": ".mat"}
+_RAISE = "allow more with max_bytes= (on the command line --max-size MB) if you trust the file"
+
+
+class Content(NamedTuple):
+    """A file as it was when it was read: its path, its bytes, and the suffix that says what they are."""
+
+    path: Path
+    data: bytes
+    suffix: str
+
+
+class Allowance:
+    """How much memory the numbers of a file may take; what its headers declare is held against it beforehand.
+
+    Parameters
+    ----------
+    path : path
+        What a message calls the file.
+    most : int
+        In bytes, of all numbers together.
+    """
+
+    def __init__(self, path: Path, most: int) -> None:
+        self.path, self.most, self.left = path, most, most
+
+    def take(self, numbers: int, what: str) -> None:
+        """Take memory for so many numbers; raises FileFormatError if it does not suffice."""
+        self.check(numbers * _DOUBLE, what)
+        self.left -= numbers * _DOUBLE
+
+    def check(self, size: int, what: str) -> None:
+        """Refuse a size [bytes] that is negative or more than what is left."""
+        if size < 0:
+            raise FileFormatError(f"{self.path}: {what} declares a negative size; the file is damaged, take a copy")
+        if size > self.left:
+            raise FileFormatError(
+                f"{self.path}: {what} declares {_in_words(size)}, more than the {_in_words(self.left)} left of the "
+                f"{_in_words(self.most)} that are read of a file; {_RAISE}"
+            )
+
+
+def content_of(path: Path, most: int) -> Content:
+    """Read a regular file, a named pipe or a process substitution; once, and never more than `most` bytes.
+
+    Raises
+    ------
+    FileFormatError
+        A folder, a device, a socket; an empty file; more than `most` bytes.
+    OSError
+        The file cannot be opened.
+    """
+    kind = path.stat().st_mode
+    if stat.S_ISDIR(kind):
+        raise FileFormatError(f"{path}: this is a folder; give one of the files in it")
+    if not (stat.S_ISREG(kind) or stat.S_ISFIFO(kind)):
+        word = "a socket" if stat.S_ISSOCK(kind) else "a device"
+        raise FileFormatError(f"{path}: this is {word}, need a file or a pipe; save what it sends to a file first")
+    size = path.stat().st_size
+    _refuse_large(path, size, most)
+    with path.open("rb") as stream:
+        data = stream.read(most + 1)
+    _refuse_large(path, len(data), most)
+    if not data:
+        raise FileFormatError(f"{path}: the file is empty; export the measurement again")
+    return Content(path, data, path.suffix.lower() if stat.S_ISREG(kind) else _suffix(path, data))
+
+
+def bytes_allowed(value: object) -> int:
+    """A limit in whole bytes; raises FileFormatError for what is no positive number."""
+    number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
+    if not 1 <= number < inf:
+        raise FileFormatError(f"max_bytes: got {value!r}, need a number of bytes above 0; try {MOST}")
+    return int(number)
+
+
+def _refuse_large(path: Path, size: int, most: int) -> None:
+    if size > most:
+        raise FileFormatError(
+            f"{path}: the file has {'at least ' if size == most + 1 else ''}{_in_words(size)}, more than the "
+            f"{_in_words(most)} that are read; {_RAISE}, or cut it"
+        )
+
+
+def _suffix(path: Path, data: bytes) -> str:
+    """What a pipe holds: its name rarely says it, its first bytes do; text if they are no format's."""
+    named = path.suffix.lower()
+    found = next((suffix for magic, suffix in _MAGIC.items() if data.startswith(magic)), ".csv")
+    return named or found
+
+
+def _in_words(size: int) -> str:
+    return f"{size / 1e6:.4g} MB" if size >= 1_000_000 else f"{size} bytes"

@@ -1,0 +1,187 @@
+"""Ways to damage a file: blindly, in its text, and within the structure of containers."""
+
+from __future__ import annotations
+
+import io
+import random
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
+
+from file_specimens import npz_parts
+
+_INTEGERS = (0, 1, 2, 7, 8, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 1 << 20, (1 << 27) - 1, 0x7FFFFFFF, 0x80000000,
+             0xFFFFFFFF, 1 << 33, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)  # fmt: skip
+_DOUBLES = (1e308, -1e308, 1e200, -1e155, 1e154, 1e99, 1e29, 1e-200, 5e-324, 0.0, float("nan"), float("inf"))
+_NUMBERS = ("1e308", "-1e308", "1e200", "1e-320", "nan", "inf", "-inf", "", "0", "-0.0", "0x1p3", "1_0", "+5", "1,5",
+            "٣", "1e5000", "9" * 400,
+            "abc", '"', '"1', "=1+1", "1763780000000000001", "−5", "1e", "#", "%")  # fmt: skip
+_PIECES = (b"\0", b"\n" * 500, b"\r", b"\xff\xfe", b"\xef\xbb\xbf", b'"', b",,,,", b";", b"\t", b"#", b"%", b"\x1b[2J",
+           b" " * 20000, b"_" * 20000, b"[" * 5000, b"(" * 5000 + b"m", b"9" * 20000, b'"' * 5001, b"\xe2\x80\xa8",
+           b"a" * 140000, b",1" * 3000, b"\x0b\x0c", b"e" * 3000)  # fmt: skip
+
+
+def mutated(content: bytes, name: str, others: list[bytes], dice: random.Random) -> bytes:
+    """Damage a file by one to four mutations that fit its kind."""
+    ways = [_flip, _flip, _cut, _splice, _integer, _integer, _double, _zeros, _repeat]
+    if name.endswith((".csv", ".tsv", ".txt", ".dat")):
+        ways = [_flip, _cut, _splice, _repeat, _cell, _cell, _cell, _insert, _insert, _header, _header, _encode, _rows]
+    elif name.endswith(".npz"):
+        ways += [_in_npz] * 8
+    elif name == "packed.mat":
+        ways += [_in_mat] * 6
+    taken = [dice.choice(ways) for _ in range(dice.choice((1, 1, 1, 2, 3, 4)))]
+    for way in taken:
+        content = way(content, dice, others) if content else content
+    return content
+
+
+def _place(content: bytes, dice: random.Random) -> int:
+    """Anywhere, but headers more often: they stand first, or last."""
+    size = len(content)
+    lot = dice.random()
+    if lot < 0.45:
+        return dice.randrange(min(size, 1024))
+    return size - 1 - dice.randrange(min(size, 1200)) if lot < 0.65 else dice.randrange(size)
+
+
+def _flip(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    found = bytearray(content)
+    for _number in range(dice.choice((1, 1, 2, 4, 16))):
+        found[_place(content, dice)] ^= 1 << dice.randrange(8)
+    return bytes(found)
+
+
+def _cut(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    at = _place(content, dice)
+    return content[:at] if dice.random() < 0.6 else content[:at] + content[at + dice.randrange(1, 200) :]
+
+
+def _splice(content: bytes, dice: random.Random, others: list[bytes]) -> bytes:
+    other = dice.choice(others)
+    start = dice.randrange(len(other))
+    piece = other[start : start + dice.choice((4, 64, 1024, 100_000))]
+    at = _place(content, dice)
+    return content[:at] + piece + content[at + (len(piece) if dice.random() < 0.6 else 0) :]
+
+
+def _repeat(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    at = _place(content, dice)
+    piece = content[at : at + dice.choice((1, 8, 100, 5000))]
+    return content[:at] + piece * dice.choice((2, 3, 50)) + content[at:]
+
+
+def _integer(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    """A number of 1, 2, 4 or 8 bytes, on a boundary as a rule: a size, an offset, a count, a type."""
+    width = dice.choice((1, 2, 4, 4, 8, 8))
+    at = _place(content, dice)
+    at -= at % width if dice.random() < 0.8 else 0
+    value = dice.choice(_INTEGERS) if dice.random() < 0.8 else dice.getrandbits(8 * width)
+    order = dice.choice(("little", "little", "big"))
+    return content[:at] + (value % (1 << 8 * width)).to_bytes(width, order) + content[at + width :]
+
+
+def _double(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    """Numbers among the samples that are none, or none that can be."""
+    found = bytearray(content)
+    for _number in range(dice.choice((1, 3, 30))):
+        at = dice.randrange(len(content)) & ~7
+        value = dice.choice(
+            (1e308, -1e308, 1e200, -1e155, 1e154, 1e99, float("nan"), float("inf"), 5e-324, 1e-310, 0.0)
+        )
+        found[at : at + 8] = struct.pack("<d", value)
+    return bytes(found)
+
+
+def _zeros(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    at, size = _place(content, dice), dice.choice((4, 16, 64, 512))
+    return content[:at] + dice.choice((b"\0", b"\xff")) * size + content[at + size :]
+
+
+def _cell(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    """Other numbers in cells."""
+    cells = list(re.finditer(rb"[-+\d.e]{2,}", content))
+    word = dice.choice(_NUMBERS).encode()
+    for cell in sorted(dice.sample(cells, min(len(cells), dice.choice((1, 1, 2, 20)))), key=lambda m: -m.start()):
+        content = content[: cell.start()] + word + content[cell.end() :]
+    return content
+
+
+def _insert(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    piece, at = dice.choice(_PIECES), _place(content, dice)
+    return content[:at] + piece * dice.choice((1, 1, 2, 10)) + content[at:]
+
+
+def _header(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    """Another header: a name doubled or replaced, a long run of blanks, brackets or lines in it."""
+    head, _newline, body = content.partition(b"\n")
+    run = dice.choice((b" ", b"_", b"[", b"(", b"]", b"\t", b'"', b" _", b"[ ")) * dice.choice((1, 50, 4000, 20000))
+    names = (b"time_ns", b"time_min", b"voltage_kV", b"displacement_m", b"displacement_pm", b"voltage_V", b"x", b"")
+    words = head.split(b",")
+    at = dice.randrange(len(words))
+    words[at] = dice.choice((words[at] + run, b"x [" + run + b"y", dice.choice(names), words[0], run + words[at]))
+    return b",".join(words) + b"\n" * dice.choice((1, 1, 1, 2, 20000)) + body
+
+
+def _encode(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    text = content.decode("latin-1")
+    return text.encode(dice.choice(("utf-16", "utf-32", "utf-8-sig", "utf-7", "cp037")))
+
+
+def _rows(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
+    """Rows in another order, dropped or doubled; separators and line ends exchanged."""
+    lines = content.split(b"\n")
+    way = dice.randrange(4)
+    if way == 0:
+        dice.shuffle(lines)
+    elif way == 1:
+        lines = [line for line in lines if dice.random() < 0.5]
+    elif way == 2:
+        at = dice.randrange(len(lines))
+        lines[at:at] = [lines[at]] * dice.choice((1, 100))
+    old, new = dice.choice(((b",", b";"), (b"\n", b"\r"), (b",", b"\t"), (b".", b","), (b"\n", b"\n\n"), (b",", b", ")))
+    return b"\n".join(lines).replace(old, new, dice.choice((1, 20, -1)))
+
+
+def _in_npz(content: bytes, dice: random.Random, others: list[bytes]) -> bytes:
+    """Members damaged and packed again with right checksums; headers of arrays edited."""
+    try:
+        parts = npz_parts(content)
+    except Exception:  # damaged by an earlier mutation
+        return content
+    if not parts:
+        return content
+    name = dice.choice(sorted(parts))
+    if dice.random() < 0.6:
+        shape = dice.choice((b"(%d,)" % dice.choice(_INTEGERS), b"(-1,)", b"()", b"(240, 1)", b"(0,)", b"(1.5,)"))
+        descr = dice.choice((b"'<f8'", b"'>f8'", b"'|O'", b"'<f2'", b"'<i8'", b"'<U9'", b"'<f16'", b"[('a', '<f8')]"))
+        parts[name] = re.sub(rb"\(\d*,?[^)]*\)", lambda _: shape, parts[name], count=1)
+        parts[name] = re.sub(rb"'[<|>][a-zA-Z]\d*'", lambda _: descr, parts[name], count=dice.choice((0, 1)))
+    else:
+        way: Callable[..., bytes] = dice.choice((_flip, _integer, _cut, _double, _splice))
+        parts[name] = way(parts[name], dice, others)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", dice.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
+        for member, data in parts.items():
+            archive.writestr(member, data)
+    return packed.getvalue()
+
+
+def _in_mat(content: bytes, dice: random.Random, others: list[bytes]) -> bytes:
+    """Elements of a compressed MAT file damaged within, and packed again."""
+    at, found = 128, [content[:128]]
+    while at + 8 <= len(content):
+        kind, size = struct.unpack_from("<II", content, at)
+        body = content[at + 8 : at + 8 + size]
+        if kind == 15 and dice.random() < 0.4:
+            try:
+                inner = zlib.decompress(body)
+            except zlib.error:
+                return content
+            way: Callable[..., bytes] = dice.choice((_flip, _integer, _integer, _cut, _double, _splice))
+            body = zlib.compress(way(inner, dice, others) + (b"\0" * dice.choice((*[0] * 11, 50_000_000))))
+        found.append(struct.pack("<II", kind, len(body)) + body)
+        at += 8 + size
+    return b"".join(found)

@@ -1,0 +1,114 @@
+"""Sound files of every format that dehyst reads, small, in the variants that instruments and programs write."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+
+import h5py
+import nptdms
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import scipy.io
+
+from dehyst.files import write_hdf5
+from dehyst.record import Record
+
+N = 240
+T = np.arange(N) * 1e-3
+V = 50.0 - 50.0 * np.cos(2 * np.pi * np.arange(N) / 80)
+Y = 1e-7 * (V - 8.0 * np.sin(2 * np.pi * np.arange(N) / 80)) + 1e-10 * np.sin(np.arange(N) ** 2)
+COLUMNS = {"time_s": T, "voltage_V": V, "displacement_um": Y * 1e6}
+
+
+def _table(delimiter: str = ",", number: str = "%.9g", head: str = "", names: tuple[str, ...] = ()) -> str:
+    rows = np.column_stack(list(COLUMNS.values()))
+    body = "\n".join(delimiter.join(number % cell for cell in row) for row in rows)
+    return f"{head}{delimiter.join(names or COLUMNS)}\n{body}\n"
+
+
+def _texts() -> dict[str, bytes]:
+    brackets = ("Time [ms]", "Drive (V)", "Position [µm]")
+    quoted = _table().replace("time_s,voltage_V", '"time_s","voltage_V"')
+    remarks = _table().replace("\n", ",ok\n").replace("um,ok", "um,remark", 1)
+    return {
+        "plain.csv": _table().encode(),
+        "quoted.csv": quoted.encode(),
+        "remarks.csv": remarks.encode(),
+        "comments.csv": _table(head="# made by a rig\n% and more\n\n").replace("\n0.01,", "\n% half\n0.01,").encode(),
+        "latin.csv": _table(names=brackets).encode("latin-1"),
+        "tabs.tsv": _table("\t").encode("utf-8-sig"),
+        "comma.txt": _table(";").replace(".", ",").encode(),
+        "spaces.dat": _table(" ", "%.6e").replace("\n", "\r\n").encode(),
+    }
+
+
+def _hdf5(path: Path) -> None:
+    with h5py.File(path / "grouped.h5", "w") as file:
+        for name, values in COLUMNS.items():
+            file[f"run/{name}"] = values.reshape(-1, 1) if name == "voltage_V" else values
+        file["run/image"] = np.eye(5)
+        file["link"] = h5py.SoftLink("/run")
+        file["run"].attrs["about"] = "a rig"
+    with h5py.File(path / "packed.hdf5", "w", libver="latest") as file:
+        more = [{"compression": "gzip", "shuffle": True}, {"compression": "lzf"}, {"fletcher32": True}]
+        for (name, values), options in zip(COLUMNS.items(), more, strict=True):
+            kept = file.create_dataset(name.split("_")[0], data=values, chunks=(50,), maxshape=(None,), **options)
+            kept.attrs["unit"] = name.split("_")[1]
+    write_hdf5(path / "own.h5", Record(T, V, Y, "own", {"complete": True, "rig": "sim"}))
+
+
+def _mat(path: Path) -> None:
+    beside = {"note": "text", "image": np.eye(3), "cell": np.array(["a", 1], dtype=object), "run": {"time_s": T}}
+    scipy.io.savemat(path / "plain.mat", {**COLUMNS, **beside})
+    scipy.io.savemat(path / "packed.mat", {**COLUMNS, **beside}, do_compression=True)
+    scipy.io.savemat(path / "old.mat", COLUMNS, format="4")
+    with h5py.File(path / "new.mat", "w", userblock_size=512) as file:
+        for name, values in COLUMNS.items():
+            file.create_dataset(name, data=values.reshape(1, -1), compression="gzip")
+    with (path / "new.mat").open("r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file, HDF5".ljust(124) + b"\x00\x02IM")
+
+
+def _others(path: Path) -> None:
+    table = pa.table({**COLUMNS, "note": ["x"] * N, "count": pa.array(range(N), pa.int32())})
+    pq.write_table(table, path / "plain.parquet")
+    pq.write_table(table, path / "packed.parquet", compression="gzip", use_dictionary=False, data_page_version="2.0")
+    pq.write_table(table, path / "rows.parquet", compression="none", row_group_size=60)
+    np.savez(path / "plain.npz", **COLUMNS, note=np.array("x"), image=np.eye(3))
+    np.savez_compressed(path / "packed.npz", **{name: values.astype("f4") for name, values in COLUMNS.items()})
+    with nptdms.TdmsWriter(path / "plain.tdms") as writer:
+        for part in (slice(0, 100), slice(100, N)):
+            writer.write_segment([nptdms.ChannelObject("run", name, values[part]) for name, values in COLUMNS.items()])
+    with nptdms.TdmsWriter(path / "wave.tdms") as writer:
+        step = {"wf_increment": 1e-3, "unit_string": "V"}
+        channels = [nptdms.ChannelObject("g", "voltage", V, step)]
+        channels.append(nptdms.ChannelObject("g", "displacement", Y * 1e6, step | {"unit_string": "um"}))
+        channels.append(nptdms.ChannelObject("g", "note", ["a", "b"]))
+        writer.write_segment(channels)
+
+
+def specimens(folder: Path) -> dict[str, bytes]:
+    """Name -> content; written into a folder first, as programs do."""
+    for name, content in _texts().items():
+        (folder / name).write_bytes(content)
+    # By a child: threads that pyarrow starts would not be there in workers forked later.
+    child = os.fork()
+    if not child:
+        _hdf5(folder)
+        _mat(folder)
+        _others(folder)
+        os._exit(0)
+    if os.waitpid(child, 0)[1]:
+        raise RuntimeError("the child could not write the specimens")
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def npz_parts(content: bytes) -> dict[str, bytes]:
+    """The members of an NPZ, for edits within."""
+    import zipfile
+
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
