@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dehyst.directions import Directions
+from dehyst.inertia import felt
 from dehyst.model import Outcome, RecordErrors
 from dehyst.preparation import Prepared
 from dehyst.regression import Coefficients, Regression
@@ -82,7 +83,7 @@ def of_held_out(records: Sequence[Prepared], limits: tuple[float, float], errors
 def repaired(errors: Sequence[RecordErrors], delay: float, sample: float, *, given: bool) -> list[str]:
     """Sentences about the delay [s], of samples `sample` [s] apart, and about each record's datum and drift."""
     said = []
-    if delay:
+    if felt(delay, sample):
         said.append(
             f"The displacement lags the voltage by {delay * 1e3:.4g} ms ({delay / sample:.3g} samples, "
             f"{'given' if given else 'estimated'}); voltages were delayed by it."
