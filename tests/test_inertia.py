@@ -88,8 +88,8 @@ def test_a_delay_below_a_hundredth_of_a_sample_is_none(delay):
     """The search itself, on a cost that is least there."""
 
     def build(inertia):
-        missed = 1e-2 + abs(inertia.delay - delay) / STEP + abs(inertia.mass / STEP**2 - 1) + abs(inertia.damping / STEP)
-        return SimpleNamespace(rms=lambda: missed)
+        off = abs(inertia.delay - delay) / STEP + abs(inertia.mass / STEP**2 - 1) + inertia.damping / STEP
+        return SimpleNamespace(rms=lambda: 1e-2 + off)
 
     found = find_inertia(build, 0.0, STEP, PERIOD)
     assert found.mass > 0

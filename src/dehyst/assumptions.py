@@ -12,7 +12,7 @@ from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.branches import Family, families
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring
-from dehyst.model import Check, RecordErrors, Verdict
+from dehyst.model import Check, RecordErrors, Verdict, may_creep
 from dehyst.preparation import Prepared
 from dehyst.record import white_noise
 from dehyst.returns import creep, gaps
@@ -237,15 +237,22 @@ def _drift(records: Sequence[Prepared], errors: Sequence[RecordErrors], delay: f
         trend = _creep(item, delay)
         if trend:
             value, floor = (100 * abs(number) / error.stroke for number in trend)
-            found.append((value / max(floor, _SMALLEST), value, floor, bool(error.drift), item.name))
+            decades = max(float(np.ptp(curve)) for _, _, curve in item.delayed(0, delay))
+            found.append((value / max(floor, _SMALLEST), value, floor, decades, bool(error.drift), item.name))
     if not found:
         said = "No record comes back thrice to an extreme of its voltage: fewer cannot tell a drift from hysteresis."
         return Check(name, Verdict.UNKNOWN, None, None, unit, said)
-    ratio, value, floor, aside, record = max(found)
+    ratio, value, floor, decades, aside, record = max(found)
+    if ratio <= 1 and not may_creep(floor, decades):
+        said = f"{record}: what it shows at the ends of its voltages scatters too much to tell a drift."
+        return Check(name, Verdict.UNKNOWN, None, None, unit, said)
     said = (
         f"{record}: at the ends of its voltages the displacement creeps by {value:.2g} % of the range a decade of time "
         "since the record's start"
     )
+    if not may_creep(value, decades):
+        value, floor, unit = value * decades, floor * decades, _OF_RANGE
+        said = f"{record}: at the ends of its voltages the displacement drifts by {value:.3g} % of the range in all"
     if ratio <= 1:
         said += ", which does not matter." if value <= _SMALLEST else ", which its scatter explains."
         return Check(name, Verdict.HOLDS, value, floor, unit, said)
