@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import RecordError
+from dehyst.butterfly import butterfly_of
 from dehyst.signals import FloatArray, noise_span, resolution, white_noise
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
             f"record '{record.name}': {len(cycles)} full cycle(s) of the voltage found, {min_cycles} needed; "
             "drive it up and back down, for instance with a sine over the whole range"
         )
+    refuse_butterfly(record)
     refuse_inverted(record)
     least = max(5, round(0.005 * len(record) / max(1, len(cycles))))
     refuse_clipped(record, least)
@@ -109,12 +111,23 @@ def refuse_constant(record: Record) -> None:
         )
 
 
+def refuse_butterfly(record: Record) -> None:
+    """Raise when the displacement falls on one part of the range of the voltage and rises on another."""
+    found = butterfly_of(record.voltage, record.displacement)
+    if found is not None:
+        raise RecordError(
+            f"record '{record.name}': the displacement both rises, by {found.rise * 1e6:.3g} um, and falls, by "
+            f"{found.fall * 1e6:.3g} um, with rising voltage: a butterfly loop, of an actuator driven beyond its "
+            f"coercive field, or a sensor that folds over; record between {found.low:.3g} and {found.high:.3g} V"
+        )
+
+
 def refuse_inverted(record: Record) -> None:
     """Raise when the displacement falls as the voltage rises."""
     if np.corrcoef(record.voltage, record.displacement)[0, 1] < -0.5:
         raise RecordError(
-            f"record '{record.name}': displacement falls when voltage rises: the sensor's sign is inverted; "
-            "try multiplying the displacement by -1"
+            f"record '{record.name}': displacement falls when voltage rises: the actuator is poled the other "
+            "way, or the sensor's sign is inverted; try multiplying the displacement by -1"
         )
 
 
