@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -37,10 +38,14 @@ from dehyst.console import (
     start_state,
     state_dict,
     time_of_table,
+    worded,
 )
 from dehyst.files import finite
 from dehyst.printing import print_fit, print_insight, print_paper
 from dehyst.version import __version__
+
+if TYPE_CHECKING:
+    from dehyst.model import Check
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -113,6 +118,7 @@ def identify(
         structure=structure, refine=refine, norm=norm, knots=knots, slope_floor=slope_floor, delay=delay,
         shared_datum=shared_datum, drift=not no_drift, throw=False, progress=tell,
     )  # fmt: skip
+    fit = replace(fit, repairs=worded(fit.repairs), remarks=worded(fit.remarks), checks=_worded_checks(fit.checks))
     if output is not None and fit.actuator is not None:
         fit.actuator.save(output)
     if report is not None:
@@ -127,6 +133,11 @@ def identify(
     else:
         print_fit(fit, output, report)
     sys.exit(0 if fit.outcome.good else 1)
+
+
+def _worded_checks(checks: tuple[Check, ...]) -> tuple[Check, ...]:
+    sentences = worded(check.sentence for check in checks)
+    return tuple(replace(check, sentence=said) for check, said in zip(checks, sentences, strict=True))
 
 
 @main.command()
@@ -222,6 +233,8 @@ def insight(
     actuator = read_model(model)
     tell = progress_line()
     path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted)
+    if trajectory is not None and actuator.needs_time and not time:
+        raise ModelError(f"{trajectory}: got no time column, need one, for this model depends on time; add time_s")
     found = run(actuator, read_records(records, columns), trajectory=path, time=time.get("time_s"), limits=limits,
                 seconds=seconds, level=level, repeats=repeats, progress=tell)  # fmt: skip
     if output is not None and found.band is not None:

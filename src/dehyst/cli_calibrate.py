@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.console import PATH, json_option
+from dehyst.console import PATH, json_option, worded
 from dehyst.files import finite
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def _told(output: Path) -> Iterator[None]:
             yield
         except (DehystError, KeyboardInterrupt, SystemExit) as error:
             said = str(error) if isinstance(error, DehystError) else f"stopped by {_stopper(error)}"
-            for line in (said, *getattr(error, "__notes__", ()), *_left(output, error)):
+            for line in worded((said, *getattr(error, "__notes__", ()), *_left(output, error))):
                 _say(line)
             sys.exit(_status(error))
 
@@ -205,7 +205,7 @@ def _print(found: Calibration, output: Path, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(finite({**found.as_dict(), "output": str(output)}), indent=1))
         return
-    for warning in (*_kept(found), *found.warnings()):
+    for warning in worded((*_kept(found), *found.warnings())):
         click.echo(f"dehyst: {warning}", err=True)
     fit = found.fit
     click.echo(f"{fit.outcome.value}")

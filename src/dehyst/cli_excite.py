@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.console import PATH, json_option, read_model, refuse_overwriting
+from dehyst.console import PATH, json_option, read_model, refuse_overwriting, worded
 
 if TYPE_CHECKING:
     from dehyst.drive import Drive
@@ -148,7 +148,7 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
     way = shortest_homing(actuator, limits=options["limits"], present=drive.start, end=options["base"], stiff_only=True,
                           drive=drive, hold=hold)  # fmt: skip
     if not way.certified or way.played is not None:
-        for remark in way.remarks:
+        for remark in worded(way.remarks):
             click.echo(f"dehyst: {remark}", err=True)
     if len(way.turns) < 2:
         click.echo("homing: the state is known already, nothing to play and nothing written")
@@ -183,14 +183,15 @@ def _save(made: Excitation, options: dict[str, Any], word: str) -> None:
 
     output = options["output"]
     write_columns(output, {"time_s": made.time, "voltage_V": made.voltage})
-    for warning in made.warnings:
+    warnings = worded(made.warnings)
+    for warning in warnings:
         click.echo(f"dehyst: {warning}", err=True)
     low, high = made.voltage_range
     if options["as_json"]:
         click.echo(json.dumps({
             "kind": made.name, "samples": len(made), "seconds": made.duration, "sample_rate_Hz": made.sample_rate,
             "lowest_V": low, "highest_V": high, "first_V": float(made.voltage[0]), "last_V": float(made.voltage[-1]),
-            "turns_V": made.turns.tolist(), "warnings": list(made.warnings), "output": str(output),
+            "turns_V": made.turns.tolist(), "warnings": list(warnings), "output": str(output),
         }, indent=1))  # fmt: skip
         return
     click.echo(

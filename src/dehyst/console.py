@@ -6,13 +6,14 @@ import json
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from dehyst.files import finite
+from dehyst.option_words import in_words_of
 
 if TYPE_CHECKING:
     from dehyst.actuator import Actuator
@@ -33,11 +34,18 @@ class Commands(click.Group):
         try:
             return super().invoke(ctx)
         except DehystError as error:
-            click.echo(f"dehyst: {error}", err=True)
+            command = self.get_command(ctx, ctx.invoked_subcommand or "") or self
+            click.echo(f"dehyst: {in_words_of(command, [str(error)])[0]}", err=True)
             sys.exit(2)
         except MemoryError:
             click.echo("dehyst: not enough memory; resample the record or cut it", err=True)
             sys.exit(2)
+
+
+def worded(sentences: Iterable[str]) -> tuple[str, ...]:
+    """Sentences of the library in the words of the command that runs."""
+    context = click.get_current_context(silent=True)
+    return tuple(sentences) if context is None else in_words_of(context.command, sentences)
 
 
 def leave_cleanly(context: click.Context) -> None:
@@ -134,7 +142,7 @@ def path_of(trajectory: Path, wanted: str | None) -> tuple[Any, dict[str, Any]]:
         path = table.column("displacement", wanted)
     except FileFormatError as error:
         # --displacement is the records' column here.
-        raise FileFormatError(str(error).replace("--displacement", "--wanted")) from error
+        raise FileFormatError(str(error).replace("displacement=", "wanted=")) from error
     return path, time_of_table(table, path.size, {"time": None, "sample_rate": None})
 
 
@@ -258,6 +266,8 @@ def progress_line() -> Callable[[str], None]:
 
 def conclude(as_json: bool, result: dict[str, Any], line: str, warnings: Any) -> None:
     """Print warnings, then the result as a line or as JSON."""
+    warnings = worded(warnings)
+    result = {**result, "warnings": list(warnings)} if "warnings" in result else result
     for warning in warnings:
         click.echo(f"dehyst: {warning}", err=True)
     click.echo(json.dumps(finite(result), indent=1) if as_json else line)

@@ -126,9 +126,7 @@ def identify(
     _refuse_structure(structure, settings, counted)
     _refuse_copies([*training, *held_out])
     if refine and structure == "paper":
-        raise IdentifyError(
-            "refine: the paper's class is fitted as it is; give a dehyst.structure.Structure, or 'auto'"
-        )
+        raise IdentifyError("refine: the paper's class is fitted as it is; leave refine out, or try structure='auto'")
     tell("checking the records")
     with one_thread():
         job = _Job(settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell)

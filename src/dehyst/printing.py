@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst.console import worded
+
 if TYPE_CHECKING:
     from dehyst.insight import Insight
     from dehyst.model import Fit
@@ -72,7 +74,7 @@ def print_insight(found: Insight | WideInsight, output: Path | None, report: Pat
     """Print what records tell, in the order in which it matters."""
     from dehyst.wide_insight import WideInsight
 
-    for warning in found.warnings():
+    for warning in worded(found.warnings()):
         click.echo(f"BEWARE: {warning}\n")
     missed = 100 * found.misfit / found.evidence.stroke
     click.echo(f"The model misses these records by {missed:.3g} % of their range at most.")
@@ -140,13 +142,15 @@ def _print_homing(found: Insight | WideInsight) -> None:
     turns = ", ".join(f"{v:.6g}" for v in found.homing.turns)
     word = "certified" if found.homing.certified else "NOT certified"
     if found.homing.played is None:
-        click.echo(f"  - shortest homing: {turns} V ({word}: from any state to within {found.homing.width:.1g} m)")
+        click.echo(
+            f"  - shortest homing: {turns} V ({word}: from any state to within {found.homing.width * 1e6:.1g} um)"
+        )
     else:
         click.echo(
             f"  - homing: {turns} V in {found.homing.played.duration:.4g} s ({word}: the displacement is known to "
             f"{found.homing.error * 1e6:.3g} um after it)"
         )
-    for remark in found.homing.remarks:
+    for remark in worded(found.homing.remarks):
         click.echo(f"      {remark}")
 
 

@@ -25,7 +25,7 @@ def problems(record: Record) -> tuple[str, ...]:
         found.append(f"{len(gaps)} gap(s) in time, the first of {length:.4g} s after sample {i}.")
     jitter = float(np.std(steps[steps <= 1.5 * record.sample_time])) / record.sample_time
     if jitter > 0.01:
-        found.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; try resample().")
+        found.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; resample the record.")
     cycles = record.cycles()
     points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
     if points < 50:
