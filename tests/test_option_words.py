@@ -4,14 +4,18 @@ import ast
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import click
 import pytest
 from anatomies import anatomy
 
+import dehyst
 from dehyst import demo
 from dehyst.cli import main
+from dehyst.console import came_from, start_state, start_within
+from dehyst.counting import counted
 from dehyst.files import write_record
 from dehyst.option_words import in_options, in_words_of, options_of
 from dehyst.truths import PlayActuator
@@ -145,3 +149,30 @@ def test_messages_of_commands_name_options(folder, line, shown):
     assert done.returncode == 2, done.stderr
     assert shown in done.stderr
     assert not re.search(r"\b[a-z]+_?[a-z]*=|slope_floor|sample_rate|slew_rate", done.stderr)
+
+
+def test_the_help_of_knots_is_what_is_done():
+    shown = subprocess.run(
+        [sys.executable, "-c", "from dehyst.cli import main; main()", "identify", "--help"],
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    assert "[default: N + 1, at most 41]" in " ".join(shown.split())
+    record = demo.record_loops(PlayActuator(plays=60))[0]
+    for elements, knots in ((20, 21), (50, 41)):
+        fit = dehyst.identify(record, elements=elements, norm="l2", delay=0.0)
+        assert fit.actuator.spring.displacement.size == knots
+
+
+def test_the_start_is_said_alike_and_within_the_limits():
+    """The state at the top of the spring is held by a little more than the highest voltage of the records."""
+    actuator = replace(anatomy("plain"), limits=(0.0, 150.0))
+    assert actuator.voltage(start_state(actuator, "top")) > 160
+    begin = start_within(actuator, "top", None)
+    assert came_from(actuator, "top") == came_from(actuator, "top", begin) == "(coming from the top, 150 V)"
+
+
+def test_numbers_of_things_agree_with_them():
+    assert [counted(k, "sample") for k in (0, 1, 2)] == ["0 samples", "1 sample", "2 samples"]
+    plural = re.compile(r"\w\(s\)")
+    columns = {"compare_page.py", "parameters.py"}  # Seconds, in the head of a column.
+    assert [text for path, text in messages() if plural.search(text) and path.name not in columns] == []

@@ -277,7 +277,7 @@ def test_problems():
     t = record.time.copy()
     t[1000:] += 0.1
     assert (
-        "1 gap(s) in time, the first of 0.101 s after sample 999."
+        "1 gap in time, the first of 0.101 s after sample 999."
         in Record(t, record.voltage, record.displacement).problems()
     )
     uneven = np.cumsum(1e-3 * rng.uniform(0.9, 1.1, len(record)))
@@ -394,7 +394,7 @@ def test_a_spike_is_told_and_only_a_spike():
     y = clean.displacement.copy()
     y[200] += 3e-6
     said = " ".join(Record(clean.time, clean.voltage, y).problems())
-    assert f"jumps away and back at 1 sample(s), the first at {made[200]:.6g} s" in said
+    assert f"jumps away and back at 1 sample, the first at {made[200]:.6g} s" in said
     corners = np.abs((np.arange(200) % 20) - 10.0)  # a triangle of 20 samples a cycle turns round sharply
     sharp = Record(np.arange(200.0), corners, 1e-6 * np.roll(corners, 1))
     assert not any("jumps away" in said for said in sharp.problems())

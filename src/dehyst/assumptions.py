@@ -11,6 +11,7 @@ import numpy as np
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.branches import Family, families
+from dehyst.counting import counted
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring
 from dehyst.model import Check, RecordErrors, Verdict, may_creep
 from dehyst.preparation import Prepared
@@ -108,8 +109,8 @@ def _assumption_2(slip: MaxwellSlip | GradedSlip, training: Sequence[Prepared]) 
     if still:
         fewest, other = min(still)
         said += (
-            f" Fewer slid in {len(still)} other record(s), {fewest} in {other}: the rest are fixed springs there, "
-            "with a constant of each record, which the fit finds."
+            f" Fewer slid in {counted(len(still), 'other record')}, {fewest} in {other}: the rest are fixed springs "
+            "there, with a constant of each record, which the fit finds."
         )
     verdict = Verdict.HOLDS if slid == needed.size else Verdict.FAILS
     return Check(name, verdict, 100 * slid / needed.size, None, unit, said)
@@ -220,7 +221,7 @@ def _closure(training: Sequence[Prepared], delay: float, stroke: float) -> Check
         return Check(name, Verdict.UNKNOWN, None, None, _OF_RANGE, said)
     ratio, value, floor, mean, cycles, record = max(found)
     said = (
-        f"{record}: {cycles} cycle(s) come back to their voltage at a displacement up to {value:.2g} % of the range "
+        f"{record}: {counted(cycles, 'cycle')} back at the same voltage ended up to {value:.2g} % of the range "
         f"away, {mean:.2g} % in the mean."
     )
     if ratio <= 1:

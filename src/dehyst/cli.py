@@ -91,7 +91,7 @@ main.add_command(rig)
 )
 @click.option("--refine", is_flag=True, help="Try to make the error of simulation smaller; slow.")
 @click.option("--norm", type=click.Choice(["l1", "l2", "linf"]), default="l1", show_default=True)
-@click.option("--knots", type=int, metavar="M", help="Knots of the spring.  [default: N + 1]")
+@click.option("--knots", type=int, metavar="M", help="Knots of the spring.  [default: N + 1, at most 41]")
 @click.option(
     "--slope-floor", type=float, default=0.2, show_default=True, help="Least slope of the spring / mean slope."
 )

@@ -188,7 +188,7 @@ def _homed(actuator: Actuator) -> State:
 
 def came_from(actuator: Actuator, start: str, state: State | None = None) -> str:
     """What the first sample takes for granted: the state that the word means, or the one that was made of it."""
-    voltage = f"{actuator.voltage(start_state(actuator, start) if state is None else state):.4g} V"
+    voltage = f"{actuator.voltage(start_within(actuator, start, None) if state is None else state):.4g} V"
     said = {"relaxed": f"(from rest, relaxed, at {voltage})", "homed": f"(homed, at {voltage})"}
     return said.get(start, f"(coming from the {start}, {voltage})")
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst.counting import counted
 
 SUFFIXES = (".h5", ".hdf5")
 DATASETS = {"time_s": "s", "voltage_V": "V", "displacement_m": "m"}
@@ -113,7 +114,7 @@ def told(path: Path, least: int = 0) -> Stored | None:
         )
     if stored.samples < least:
         raise FileFormatError(
-            f"{path}: holds {stored.samples} sample(s) of a record that ended early "
+            f"{path}: holds {counted(stored.samples, 'sample')} of a record that ended early "
             f"({stored.meta.get('ended_because', 'no reason is known')}), need {least} at least; record it again"
         )
     return stored

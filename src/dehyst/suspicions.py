@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dehyst._errors import RecordError
 from dehyst.butterfly import butterfly_of
+from dehyst.counting import counted
 from dehyst.signals import FloatArray, noise_span, resolution, white_noise
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def problems(record: Record) -> tuple[str, ...]:
     steps, gaps = np.diff(record.time), record.gaps()
     if gaps:
         i, length = gaps[0]
-        found.append(f"{len(gaps)} gap(s) in time, the first of {length:.4g} s after sample {i}.")
+        found.append(f"{counted(len(gaps), 'gap')} in time, the first of {length:.4g} s after sample {i}.")
     jitter = float(np.std(steps[steps <= 1.5 * record.sample_time])) / record.sample_time
     if jitter > 0.01:
         found.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; resample the record.")
@@ -39,12 +40,12 @@ def problems(record: Record) -> tuple[str, ...]:
     spikes = _spikes(record)
     if len(spikes):
         found.append(
-            f"The displacement jumps away and back at {len(spikes)} sample(s), the first at "
+            f"The displacement jumps away and back at {counted(len(spikes), 'sample')}, the first at "
             f"{record.time[spikes[0]]:.6g} s: take such spikes out, they spoil range and fit."
         )
     if not 1e-9 <= record.stroke <= 1e-3:
         found.append(
-            f"The stroke is {record.stroke:.3g} m, unusual for a piezo actuator; check the displacement's unit."
+            f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check the displacement's unit."
         )
     return tuple(found)
 
@@ -66,7 +67,7 @@ def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
     cycles = record.cycles()
     if len(cycles) < min_cycles:
         raise RecordError(
-            f"record '{record.name}': {len(cycles)} full cycle(s) of the voltage found, {min_cycles} needed; "
+            f"record '{record.name}': {counted(len(cycles), 'full cycle')} of the voltage found, {min_cycles} needed; "
             "drive it up and back down, for instance with a sine over the whole range"
         )
     refuse_butterfly(record)
@@ -81,7 +82,7 @@ def refuse_not_finite(values: FloatArray, column: str, unit: str, name: str) -> 
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         raise RecordError(
-            f"record '{name}': {column} holds {len(bad)} value(s) that are not finite, the first is "
+            f"record '{name}': {column} holds {counted(len(bad), 'value')} not finite, the first is "
             f"{column}[{bad[0]}] = {values[bad[0]]} {unit}; cut these rows out or fill them in"
         )
 

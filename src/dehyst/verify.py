@@ -301,7 +301,7 @@ class _Sums:
         return [float(np.sqrt(squares / self.samples)) for squares in self._squares]
 
     def add(self, played: tuple[Array, ...]) -> None:
-        """Add a stretch, as `_play` gives it."""
+        """Add a stretch, as `Comparison.play` yields it."""
         first = -self.samples % self._step
         self.drawn.append(tuple(column[first :: self._step].copy() for column in played[:4]))
         self.samples += played[0].size
