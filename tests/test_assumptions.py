@@ -304,7 +304,7 @@ def test_assumption_ii_tells_what_stands_still_in_minor_records():
     assert (check.verdict, check.value) == (HOLDS, 100)
     # Nine elements have stiffness; 2 rho_i = i / 10 of the stroke.
     assert "major: 9 of the 9 elements" in check.sentence
-    assert "Fewer slid in 2 other record(s), 3 in minor 0.3" in check.sentence
+    assert "Fewer slid in 2 other records, 3 in minor 0.3" in check.sentence
     alone = looked_at(CURVED, *minors)["Assumption II"]
     assert (alone.verdict, alone.value) == (FAILS, pytest.approx(500 / 9))
     assert "The widest needs 14.4 um, the widest motion is 8 um" in alone.sentence

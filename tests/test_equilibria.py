@@ -465,7 +465,7 @@ def piece(start, stop):
 
 RECORDS = [
     (lambda: [1, 2], "got list, need a Record; read a file with"),
-    (lambda: piece(0, 190), r"0 full cycle\(s\) of the voltage found"),
+    (lambda: piece(0, 190), r"0 full cycles of the voltage found"),
     (lambda: piece(200, None), "the voltage falls first, from 60 to 0 V; .* start recording at rest"),
     (lambda: piece(0, 500), "no full loop after the first rise, which ends at 1 s; .* go on down and up again"),
 ]

@@ -92,7 +92,7 @@ def test_peaks_that_are_no_voltages(peaks):
         (lambda: homing(turns=[0.0]), "turns: got 0 beside the present 0 V, need 1 to"),
         (lambda: homing(turns=[3.0, 3.0]), "turns: got 3 V twice in a row"),
         (lambda: homing(turns=["a"]), "turns: got list, need an array of numbers; give voltages in V"),
-        (lambda: Excitation("mine", [1.0], 1.0), r"voltage: got 1 sample\(s\), need 2"),
+        (lambda: Excitation("mine", [1.0], 1.0), r"voltage: got 1 sample, need 2"),
         (lambda: Excitation("mine", [1.0, 2.0], 0.0), "sample_rate: got 0, need"),
     ],
 )

@@ -1,6 +1,7 @@
 """Delay, damping and inertia of actuators that are known, and of those that have none."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import bench
 import numpy as np
@@ -80,6 +81,19 @@ def test_delay_damping_and_mass_come_back(resonance, damping, delay):
     assert found.dynamics.frequency == pytest.approx(omega, rel=0.05)
     assert found.delay == pytest.approx(delay * STEP, abs=0.5 * STEP)
     assert found.delay + found.damping == pytest.approx(delay * STEP + 2 * damping / omega, abs=0.1 * STEP)
+
+
+@pytest.mark.parametrize("delay", [0.0, 2e-3 * STEP, 0.3 * STEP])
+def test_a_delay_below_a_hundredth_of_a_sample_is_none(delay):
+    """The search itself, on a cost that is least there."""
+
+    def build(inertia):
+        off = abs(inertia.delay - delay) / STEP + abs(inertia.mass / STEP**2 - 1) + inertia.damping / STEP
+        return SimpleNamespace(rms=lambda: 1e-2 + off)
+
+    found = find_inertia(build, 0.0, STEP, PERIOD)
+    assert found.mass > 0
+    assert found.delay == (pytest.approx(delay, abs=0.02 * STEP) if delay > 0.1 * STEP else 0)
 
 
 @pytest.mark.parametrize("delay", [0, 3])

@@ -302,7 +302,7 @@ def test_what_are_no_records_is_refused(kind):
         kind.fit([])
     with pytest.raises(IdentifyError, match=r"got str, need records; read a file"):
         kind.fit("loop.csv")
-    with pytest.raises(RecordError, match=r"0 full cycle\(s\) of the voltage found, 1 needed"):
+    with pytest.raises(RecordError, match=r"0 full cycles of the voltage found, 1 needed"):
         kind.fit(recorded(PlayActuator().drive, through((0, 1))))
 
 

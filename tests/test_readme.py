@@ -4,9 +4,12 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from anatomies import PARTS, anatomy
 
+import dehyst
 from dehyst import demo
 from dehyst.files import write_record
 from dehyst.truths import PlayActuator
@@ -19,8 +22,12 @@ def test_its_figures_are_those_of_the_benchmarks():
     assert subprocess.run(check, check=False).returncode == 0, "run make bench"
 
 
+def its_code():
+    return "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
+
+
 def test_its_code_runs(tmp_path, monkeypatch, capsys):
-    code = "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
+    code = its_code()
     write_record(tmp_path / "loops.csv", demo.record_loops(PlayActuator(plays=60))[0])
     monkeypatch.chdir(tmp_path)
     names = {}
@@ -29,6 +36,19 @@ def test_its_code_runs(tmp_path, monkeypatch, capsys):
     assert names["command"].voltage.shape == (1000,)
     assert names["command"].warnings == ()
     assert names["compensator"].clamps == (0, 0)
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_its_code_runs_for_any_model_that_an_identification_may_choose(kind, monkeypatch, capsys):
+    fit = SimpleNamespace(actuator=anatomy(kind), outcome=dehyst.Outcome.WIDER, errors=())
+    monkeypatch.setattr(dehyst, "read", lambda path: None)
+    monkeypatch.setattr(dehyst, "identify", lambda record: fit)
+    names = {}
+    exec(its_code(), names)
+    assert names["command"].warnings == ()
+    assert names["command"].missed <= 1e-9
+    assert names["compensator"].clamps == (0, 0)
+    assert capsys.readouterr().out.splitlines()[-1].startswith("Clamps(limited=0, slewed=0)")
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])

@@ -4,7 +4,7 @@ Measured loops in, a physical model and the cancelling voltage out::
 
     record = dehyst.read("loops.csv")
     fit = dehyst.identify(record)
-    command = dehyst.Compensator(fit.actuator).trajectory(wanted_displacement)
+    command = dehyst.Compensator(fit.actuator, period=1e-3).trajectory(wanted_displacement)
 """
 
 from dehyst._errors import (

@@ -11,8 +11,9 @@ import numpy as np
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.branches import Family, families
+from dehyst.counting import counted
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring
-from dehyst.model import Check, RecordErrors, Verdict
+from dehyst.model import Check, RecordErrors, Verdict, may_creep
 from dehyst.preparation import Prepared
 from dehyst.record import white_noise
 from dehyst.returns import creep, gaps
@@ -108,8 +109,8 @@ def _assumption_2(slip: MaxwellSlip | GradedSlip, training: Sequence[Prepared]) 
     if still:
         fewest, other = min(still)
         said += (
-            f" Fewer slid in {len(still)} other record(s), {fewest} in {other}: the rest are fixed springs there, "
-            "with a constant of each record, which the fit finds."
+            f" Fewer slid in {counted(len(still), 'other record')}, {fewest} in {other}: the rest are fixed springs "
+            "there, with a constant of each record, which the fit finds."
         )
     verdict = Verdict.HOLDS if slid == needed.size else Verdict.FAILS
     return Check(name, verdict, 100 * slid / needed.size, None, unit, said)
@@ -220,7 +221,7 @@ def _closure(training: Sequence[Prepared], delay: float, stroke: float) -> Check
         return Check(name, Verdict.UNKNOWN, None, None, _OF_RANGE, said)
     ratio, value, floor, mean, cycles, record = max(found)
     said = (
-        f"{record}: {cycles} cycle(s) come back to their voltage at a displacement up to {value:.2g} % of the range "
+        f"{record}: {counted(cycles, 'cycle')} back at the same voltage ended up to {value:.2g} % of the range "
         f"away, {mean:.2g} % in the mean."
     )
     if ratio <= 1:
@@ -237,15 +238,22 @@ def _drift(records: Sequence[Prepared], errors: Sequence[RecordErrors], delay: f
         trend = _creep(item, delay)
         if trend:
             value, floor = (100 * abs(number) / error.stroke for number in trend)
-            found.append((value / max(floor, _SMALLEST), value, floor, bool(error.drift), item.name))
+            decades = max(float(np.ptp(curve)) for _, _, curve in item.delayed(0, delay))
+            found.append((value / max(floor, _SMALLEST), value, floor, decades, bool(error.drift), item.name))
     if not found:
         said = "No record comes back thrice to an extreme of its voltage: fewer cannot tell a drift from hysteresis."
         return Check(name, Verdict.UNKNOWN, None, None, unit, said)
-    ratio, value, floor, aside, record = max(found)
+    ratio, value, floor, decades, aside, record = max(found)
+    if ratio <= 1 and not may_creep(floor, decades):
+        said = f"{record}: what it shows at the ends of its voltages scatters too much to tell a drift."
+        return Check(name, Verdict.UNKNOWN, None, None, unit, said)
     said = (
         f"{record}: at the ends of its voltages the displacement creeps by {value:.2g} % of the range a decade of time "
         "since the record's start"
     )
+    if not may_creep(value, decades):
+        value, floor, unit = value * decades, floor * decades, _OF_RANGE
+        said = f"{record}: at the ends of its voltages the displacement drifts by {value:.3g} % of the range in all"
     if ratio <= 1:
         said += ", which does not matter." if value <= _SMALLEST else ", which its scatter explains."
         return Check(name, Verdict.HOLDS, value, floor, unit, said)

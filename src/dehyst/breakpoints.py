@@ -11,6 +11,7 @@ from dehyst._errors import IdentifyError
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.branches import Branch, families, voltage_at
+from dehyst.counting import counted
 from dehyst.elements import MaxwellSlip, Spring, parts_in_segments
 from dehyst.model import Outcome
 from dehyst.record import Record
@@ -113,7 +114,9 @@ def linear_program(loops: list[Loop], elements: int, slope_floor: float) -> Iden
             f"One loop determines {elements // 2} combinations of the {elements} stiffnesses: minor loops may be "
             "predicted wrongly (the program returns one of many optima)."
         )
-    remarks.append(f"{len(target)} break points of {len(loops)} loop(s), sum of absolute errors {objective:.4g} V.")
+    remarks.append(
+        f"{len(target)} break points of {counted(len(loops), 'loop')}, sum of absolute errors {objective:.4g} V."
+    )
     spring = Spring.of_slopes(knots, slopes, float(x[2 * elements]))
     actuator = Actuator(MaxwellSlip(rho, kappa), spring, name=major.record)
     return Identified(actuator, outcome, status, gap, tuple(remarks))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -39,8 +40,11 @@ from dehyst.console import (
     time_of_table,
 )
 from dehyst.printing import print_fit, print_insight, print_paper
-from dehyst.terminal import echo, echo_json, progress_line
+from dehyst.terminal import echo, echo_json, progress_line, worded
 from dehyst.version import __version__
+
+if TYPE_CHECKING:
+    from dehyst.model import Check
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -86,7 +90,7 @@ main.add_command(rig)
 )
 @click.option("--refine", is_flag=True, help="Try to make the error of simulation smaller; slow.")
 @click.option("--norm", type=click.Choice(["l1", "l2", "linf"]), default="l1", show_default=True)
-@click.option("--knots", type=int, metavar="M", help="Knots of the spring.  [default: N + 1]")
+@click.option("--knots", type=int, metavar="M", help="Knots of the spring.  [default: N + 1, at most 41]")
 @click.option(
     "--slope-floor", type=float, default=0.2, show_default=True, help="Least slope of the spring / mean slope."
 )
@@ -115,6 +119,7 @@ def identify(
         shared_datum=shared_datum, drift=not no_drift, throw=False, progress=tell,
     )  # fmt: skip
     refuse_replacing(output, report)
+    fit = replace(fit, repairs=worded(fit.repairs), remarks=worded(fit.remarks), checks=_worded_checks(fit.checks))
     if output is not None and fit.actuator is not None:
         fit.actuator.save(output)
     if report is not None:
@@ -129,6 +134,11 @@ def identify(
     else:
         print_fit(fit, output, report)
     sys.exit(0 if fit.outcome.good else 1)
+
+
+def _worded_checks(checks: tuple[Check, ...]) -> tuple[Check, ...]:
+    sentences = worded(check.sentence for check in checks)
+    return tuple(replace(check, sentence=said) for check, said in zip(checks, sentences, strict=True))
 
 
 @main.command()
@@ -233,6 +243,8 @@ def insight(
     actuator = read_model(model)
     tell = progress_line()
     path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted, columns["max_bytes"])
+    if trajectory is not None and actuator.needs_time and not time:
+        raise ModelError(f"{trajectory}: got no time column, need one, for this model depends on time; add time_s")
     found = run(actuator, read_records(records, columns), trajectory=path, time=time.get("time_s"), limits=limits,
                 seconds=seconds, level=level, repeats=repeats, progress=tell)  # fmt: skip
     refuse_replacing(output, report)

@@ -25,6 +25,7 @@ from dehyst.console import (
     state_dict,
     time_of_table,
 )
+from dehyst.counting import counted
 from dehyst.option_words import in_options, said_in_options
 from dehyst.scan_options import NAMES, named_scan, scan_options
 from dehyst.terminal import note, progress_line
@@ -160,7 +161,7 @@ def _follow(
     said = [*warnings, *command.warnings, *before_and_after(actuator, float(command.voltage[0]), start, begin, slew)]
     result = {"samples": wanted.size, "clamped": int(command.clamped.sum()), "lowest_V": low, "highest_V": high,
               "warnings": said, "state": state_dict(command.state), "output": str(output)}  # fmt: skip
-    line = f"{_samples(wanted.size)}, {low:.6g} to {high:.6g} V {came_from(actuator, start, begin)}: {output}"
+    line = f"{counted(wanted.size, 'sample')}, {low:.6g} to {high:.6g} V {came_from(actuator, start, begin)}: {output}"
     conclude(as_json, result, line, said)
     sys.exit(0 if command.followed else 1)
 
@@ -208,15 +209,11 @@ def _tabulate(
     }  # fmt: skip
     cycles_of = f"{table.cycles} cycle{'s' * (table.cycles != 1)} of start-up, to {table.error * 1e6:.3g} um"
     line = (
-        f"{_samples(played.voltage.size)}, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: "
-        f"{outputs[0]}; {_samples(len(cycle))} a cycle: {outputs[1]}"
+        f"{counted(played.voltage.size, 'sample')}, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: "
+        f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}"
     )
     conclude(as_json, result, line, said)
     sys.exit(0 if table.settled and table.certified and not table.clamped else 1)
-
-
-def _samples(count: int) -> str:
-    return f"{count} sample{'s' * (count != 1)}"
 
 
 def _columns(part: Any) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst.console import PATH, force_option, json_option, read_model, refuse_overwriting, refuse_replacing
-from dehyst.terminal import echo, echo_json, note
+from dehyst.terminal import echo, echo_json, note, worded
 
 if TYPE_CHECKING:
     from dehyst.drive import Drive
@@ -191,7 +191,7 @@ def _save(made: Excitation, options: dict[str, Any], word: str) -> None:
         echo_json({
             "kind": made.name, "samples": len(made), "seconds": made.duration, "sample_rate_Hz": made.sample_rate,
             "lowest_V": low, "highest_V": high, "first_V": float(made.voltage[0]), "last_V": float(made.voltage[-1]),
-            "turns_V": made.turns.tolist(), "warnings": list(made.warnings), "output": str(output),
+            "turns_V": made.turns.tolist(), "warnings": list(worded(made.warnings)), "output": str(output),
         })  # fmt: skip
         return
     echo(

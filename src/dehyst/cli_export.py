@@ -145,7 +145,7 @@ def _begin_words(compensator: Compensator, actuator: Actuator, start: str, kind:
     from dehyst.outset import Outset
 
     outset = Outset.of(compensator)
-    said = f"memory begins at {outset.words} {came_from(actuator, start)}"
+    said = f"memory begins at {outset.words} {came_from(actuator, start, compensator.state)}"
     return said if kind == "actuator" else f"{said}; to bring the actuator there, {outset.way}"
 
 

@@ -239,6 +239,7 @@ class Compensator:
             Wanted displacement [m].
         time : (n,) array_like, optional
             [s], strictly increasing; needed with a slew rate, and by an actuator with creep, dynamics or a lag.
+            Default: a sample every `period`, if the compensator has one.
         load, velocity, acceleration : (n,) array_like, optional
             As in `Actuator.compensate`.
         state : State, optional
@@ -248,13 +249,14 @@ class Compensator:
         Raises
         ------
         ModelError
-            If the arrays do not fit, or a slew rate is given without time.
+            If the arrays do not fit, a time is needed and neither `time` nor `period` is given, or they disagree.
         """
         return follow(
             self.actuator,
             self._limits,
             displacement,
             time=time,
+            period=self.period,
             load=load,
             velocity=velocity,
             acceleration=acceleration,

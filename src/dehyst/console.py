@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst.file_content import MOST
-from dehyst.terminal import echo, echo_json, guarded_streams, note
+from dehyst.option_words import in_words_of
+from dehyst.terminal import echo, echo_json, guarded_streams, note, worded
 
 if TYPE_CHECKING:
     from dehyst.actuator import Actuator
@@ -57,7 +58,8 @@ class Commands(click.Group):
         try:
             return super().invoke(ctx)
         except DehystError as error:
-            note(error)
+            command = self.get_command(ctx, ctx.invoked_subcommand or "") or self
+            note(*in_words_of(command, [str(error)]))
             sys.exit(2)
         except MemoryError:
             note("not enough memory; resample the record or cut it")
@@ -200,7 +202,7 @@ def path_of(trajectory: Path, wanted: str | None, max_bytes: float = MOST) -> tu
         path = table.column("displacement", wanted)
     except FileFormatError as error:
         # --displacement is the records' column here.
-        raise FileFormatError(str(error).replace("--displacement", "--wanted")) from error
+        raise FileFormatError(str(error).replace("displacement=", "wanted=")) from error
     return path, time_of_table(table, path.size, {"time": None, "sample_rate": None})
 
 
@@ -246,7 +248,7 @@ def _homed(actuator: Actuator) -> State:
 
 def came_from(actuator: Actuator, start: str, state: State | None = None) -> str:
     """What the first sample takes for granted: the state that the word means, or the one that was made of it."""
-    voltage = f"{actuator.voltage(start_state(actuator, start) if state is None else state):.4g} V"
+    voltage = f"{actuator.voltage(start_within(actuator, start, None) if state is None else state):.4g} V"
     said = {"relaxed": f"(from rest, relaxed, at {voltage})", "homed": f"(homed, at {voltage})"}
     return said.get(start, f"(coming from the {start}, {voltage})")
 
@@ -311,8 +313,10 @@ def range_words(actuator: Actuator) -> str:
     return f"{low:.6g} to {high:.6g} V"
 
 
-def conclude(as_json: bool, result: dict[str, Any], lines: str | Iterable[str], warnings: Any) -> None:
+def conclude(as_json: bool, result: dict[str, Any], lines: str | Iterable[str], warnings: Iterable[str]) -> None:
     """Print warnings, then the result as one or more lines or as JSON."""
+    warnings = worded(warnings)
+    result = {**result, "warnings": list(warnings)} if "warnings" in result else result
     for warning in warnings:
         note(warning)
     if as_json:

@@ -83,8 +83,8 @@ def run(progress: Callable[[str], None] = lambda _: None) -> Demo:
     # Up to the highest voltage and down to 0 V: after it the state is known, whatever it was.
     homing = np.concatenate([np.linspace(0, truth.highest, _SAMPLES), np.linspace(truth.highest, 0, _SAMPLES)])
     actuator = fit.actuator
-    homed = actuator.simulate(homing).state
-    command = Compensator(actuator, (0.0, truth.highest)).trajectory(wanted, state=homed)
+    homed = actuator.simulate(homing, time=np.arange(homing.size) / _RATE).state
+    command = Compensator(actuator, (0.0, truth.highest), period=1 / _RATE).trajectory(wanted, state=homed)
     truth.drive(homing)
     compensated = truth.drive(command.voltage, measured=False)
     truth.drive(homing)

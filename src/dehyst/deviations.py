@@ -34,7 +34,7 @@ class Deviations:
     x, y, multipliers : (q,), (n,) and (m,) array
     status : str
     optimal : bool
-        Whether they were found at all; how good they are, `Share.dual` tells.
+        Whether they were found at all; how good they are, `dual_value` returns.
     """
 
     x: Array

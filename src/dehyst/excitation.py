@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, RecordError
 from dehyst._native import Array, number, vector
+from dehyst.counting import counted
 
 _MOST_SAMPLES = 50_000_000
 # No actuator, amplifier or patience goes beyond; within them nothing overflows.
@@ -45,7 +46,7 @@ class Excitation:
     def __post_init__(self) -> None:
         voltage = voltages(self.voltage, "voltage")
         if voltage.size < 2:
-            raise RecordError(f"voltage: got {voltage.size} sample(s), need 2 at least; give a longer one")
+            raise RecordError(f"voltage: got {counted(voltage.size, 'sample')}, need 2 at least; give a longer one")
         voltage.flags.writeable = False
         object.__setattr__(self, "voltage", voltage)
         object.__setattr__(self, "sample_rate", positive(self.sample_rate, "sample_rate"))

@@ -17,6 +17,7 @@ from dehyst.excite import Drive, descending_tops, raised_cosine
 from dehyst.floors import MajorLoop
 from dehyst.identify import identify
 from dehyst.metrics import largest, percent
+from dehyst.model import State
 from dehyst.program import Norm
 from dehyst.record import Record
 from dehyst.rivals.goldfarb import Goldfarb
@@ -257,13 +258,13 @@ def _tried(truth: PlayActuator, runs: Mapping[str, Measured], plan: Plan, tell: 
 def _trial(
     truth: PlayActuator, run: Measured, key: str, actuator: Actuator, outcome: str, remarks: Sequence[str]
 ) -> Trial:
-    simulated = actuator.simulate(run.record.voltage).displacement
+    simulated = actuator.simulate(run.record.voltage, time=run.record.time).displacement
     errors = {}
     for loop in PEAKS:
         samples = run.known(loop)
         misses = (simulated[samples] - y[samples] for y in (run.true, run.record.displacement))
         errors[loop] = Error(*(percent(largest(miss), truth.stroke) for miss in misses))
-    energised = actuator.simulate(ENERGISED.voltage, state=actuator.relaxed()).state
+    energised = _after(actuator, ENERGISED.voltage, actuator.relaxed())
     tracking = _tracked(truth, run, actuator)
     return Trial(key, actuator, simulated, errors, tracking, shift(actuator, energised), outcome, tuple(remarks))
 
@@ -275,13 +276,20 @@ def _tracked(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> T
     homing = raised_cosine(truth.highest, drive=DRIVE).voltage
     voltage, clamped = truth.highest * shape, 0
     if actuator is not None:
-        homed = actuator.simulate(homing).state
-        command = Compensator(actuator, (0.0, truth.highest)).trajectory(wanted, state=homed)
+        homed = _after(actuator, homing)
+        compensator = Compensator(actuator, (0.0, truth.highest), period=1 / DRIVE.rate)
+        command = compensator.trajectory(wanted, state=homed)
         voltage, clamped = command.voltage, int(command.clamped.sum())
     exact = replace(truth, noise=0.0)
     exact.drive(np.concatenate([run.start.voltage, homing]))
     time = np.arange(wanted.size) / DRIVE.rate
     return Tracking(time, wanted, voltage, exact.drive(voltage) - run.zero, truth.stroke, clamped)
+
+
+def _after(actuator: Actuator, voltage: Array, state: State | None = None) -> State:
+    """The state that a voltage of the drive's rate leads to."""
+    reached: State = actuator.simulate(voltage, time=np.arange(voltage.size) / DRIVE.rate, state=state).state
+    return reached
 
 
 def _bottom(run: Measured) -> float:

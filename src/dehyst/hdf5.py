@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst.counting import counted
 from dehyst.file_content import MOST, Allowance
 from dehyst.hdf5_nodes import own_samples
 
@@ -136,7 +137,7 @@ def told(path: Path, least: int = 0, content: bytes | None = None, most: int = M
         )
     if stored.samples < least:
         raise FileFormatError(
-            f"{path}: holds {stored.samples} sample(s) of a record that ended early "
+            f"{path}: holds {counted(stored.samples, 'sample')} of a record that ended early "
             f"({stored.meta.get('ended_because', 'no reason is known')}), need {least} at least; record it again"
         )
     return stored

@@ -39,6 +39,8 @@ from dehyst.wider import Wider
 Progress = Callable[[str], None]
 # A model that misses its own training records by more of the range than this is of no use.
 _USELESS_PERCENT = 5.0
+# Of the spring, by default.
+_MOST_KNOTS = 41
 # A delay is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
 _SEARCH_CYCLE = 20_000
 _SEARCH_SAMPLES = 1_000_000
@@ -82,7 +84,7 @@ def identify(
     norm : {"l1", "l2", "linf"}, optional
         Of the weighted residuals; "record" only.
     knots : int, optional
-        Knots of the spring; default N + 1. "record" only.
+        Knots of the spring; default N + 1, 41 at most. "record" only.
     slope_floor : float, optional
         Least slope of the spring as a fraction of the mean slope of the widest loop (Assumption I with a margin).
     delay : float, optional
@@ -127,9 +129,7 @@ def identify(
     _refuse_structure(structure, settings, counted)
     _refuse_copies([*training, *held_out])
     if refine and structure == "paper":
-        raise IdentifyError(
-            "refine: the paper's class is fitted as it is; give a dehyst.structure.Structure, or 'auto'"
-        )
+        raise IdentifyError("refine: the paper's class is fitted as it is; leave refine out, or try structure='auto'")
     tell("checking the records")
     with one_thread():
         job = _Job(settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell)
@@ -343,7 +343,7 @@ class _Job:
         mean_slope = float(np.ptp(self.training[self.widest].record.voltage)) / self.stroke
         floor = mean_slope * (slope_floor or self.settings.slope_floor)
         movable = 2 * rho < self.stroke * (1 - 1e-9)
-        places = np.linspace(low, high, knots or self.settings.knots or min(rho.size + 1, 41))
+        places = np.linspace(low, high, knots or self.settings.knots or min(rho.size + 1, _MOST_KNOTS))
         rows = source.thinned(MOST_ROWS)
         return Stream(source, Regression(rows, places, floor, movable, np.zeros(len(self.training))))
 

@@ -19,6 +19,8 @@ _WINDOW, _ORDER = 9, 4
 # Inertia must lower the RMS residual to this part, or it is left out.
 _WORTH = 0.8
 _EVALUATIONS = 90
+# Of a sample: a shorter delay or lag leaves no trace in a record.
+_FELT = 0.01
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,11 @@ class Inertia:
             return None
         omega = 1 / np.sqrt(self.mass)
         return Dynamics(float(omega), float(0.5 * self.damping * omega))
+
+
+def felt(seconds: float, sample_time: float) -> float:
+    """A delay or lag [s] that a search found; 0 below a hundredth of a sample, for a search rarely ends at 0 itself."""
+    return seconds if seconds >= _FELT * sample_time else 0.0
 
 
 def undone(piece: Record, dynamics: Dynamics | None) -> Record:
@@ -112,4 +119,7 @@ def find_inertia(
     options: Any = {"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0}
     least: Any = minimize
     found = least(lambda x: build(of(x)).rms(), simplex[0], method="Nelder-Mead", options=options)
-    return of(found.x) if found.fun < _WORTH * cost else best
+    if found.fun >= _WORTH * cost:
+        return best
+    best = of(found.x)
+    return replace(best, delay=felt(best.delay, sample_time))

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dehyst.directions import Directions
-from dehyst.model import Outcome, RecordErrors
+from dehyst.inertia import felt
+from dehyst.model import FEWEST_DECADES, Outcome, RecordErrors
 from dehyst.preparation import Prepared
 from dehyst.regression import Coefficients, Regression
 
@@ -82,7 +83,7 @@ def of_held_out(records: Sequence[Prepared], limits: tuple[float, float], errors
 def repaired(errors: Sequence[RecordErrors], delay: float, sample: float, *, given: bool) -> list[str]:
     """Sentences about the delay [s], of samples `sample` [s] apart, and about each record's datum and drift."""
     said = []
-    if delay:
+    if felt(delay, sample):
         said.append(
             f"The displacement lags the voltage by {delay * 1e3:.4g} ms ({delay / sample:.3g} samples, "
             f"{'given' if given else 'estimated'}); voltages were delayed by it."
@@ -93,8 +94,14 @@ def repaired(errors: Sequence[RecordErrors], delay: float, sample: float, *, giv
                 f"{error.record}: fits best with its sensor's zero moved by {error.datum * 1e6:.4g} um; moved so."
             )
         if abs(error.drift) > _SMALLEST_DRIFT * error.stroke:
-            said.append(
-                f"{error.record}: creeps by {100 * error.drift / error.stroke:.3g} % of the range a decade of time "
-                "since its start; set aside."
-            )
+            said.append(f"{error.record}: {_drift(error)}; set aside.")
     return said
+
+
+def _drift(error: RecordErrors) -> str:
+    """A drift in words; it is a rate only where it can be creep."""
+    if error.creeps:
+        return f"creeps by {100 * error.drift / error.stroke:.3g} % of the range a decade of time since its start"
+    few = error.decades < FEWEST_DECADES
+    why = "too short a time to tell a rate of creep" if few else "which is more than creep"
+    return f"drifts by {error.drifted_percent:.3g} % of the range over the samples that count, {why}"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.anatomy import Slopes
-from dehyst.model import Check, RecordErrors, Trace, Verdict
+from dehyst.model import Check, RecordErrors, Trace, Verdict, may_creep
 from dehyst.signals import turning_points
 from dehyst.symmetry import RISK
 
@@ -198,11 +198,14 @@ def _drift(training: Sequence[Trace], stroke: float) -> Check:
         left = mean - mean.mean() - slope * off
         scatter = float(np.sqrt(left @ left / (len(legs) - 2) / (off @ off)))
         floor = float(stdtrit(len(legs) - 2, 1 - RISK / (2 * len(training)))) * scatter
-        found.append((abs(slope) / max(floor, _SMALLEST), abs(slope), floor, trace.record))
+        found.append((abs(slope) / max(floor, _SMALLEST), abs(slope), floor, float(np.ptp(decades)), trace.record))
     if not found:
         return Check(name, Verdict.UNKNOWN, None, None, unit, "No record has legs enough to tell a drift.")
-    ratio, value, floor, record = max(found)
+    ratio, value, floor, seen, record = max(found)
     said = f"{record}: what the model leaves drifts by {value:.2g} % of the range a decade of time since its start"
+    if not may_creep(value, seen):
+        value, floor, unit = value * seen, floor * seen, _OF_RANGE
+        said = f"{record}: what the model leaves drifts by {value:.3g} % of the range in all"
     if ratio <= 1:
         reason = "which does not matter" if value <= _SMALLEST else "which its scatter explains"
         return Check(name, Verdict.HOLDS, value, floor, unit, f"{said}, {reason}.")

@@ -149,7 +149,7 @@ class Table:
 
 
 def _option(quantity: str, value: str) -> str:
-    return f'{quantity}="{value}" (on the command line --{quantity} "{value}")'
+    return f'{quantity}="{value}"'
 
 
 def listed(names: tuple[str, ...]) -> str:

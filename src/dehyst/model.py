@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._native import Array, number, vector
 
+# Of the range a decade; and what of a decade must have been seen.
+MOST_CREEP, FEWEST_DECADES = 20.0, 0.5
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -128,6 +131,10 @@ class RecordErrors:
         [m], with the drift left in.
     stroke : float
         The range of the widest training loop [m], to which the percentages refer.
+    drift : float
+        That was set aside [m a decade of time since the record's start].
+    decades : float
+        Of that time, which the samples that count cover.
     """
 
     record: str
@@ -142,6 +149,17 @@ class RecordErrors:
     offset: float
     datum: float
     drift: float
+    decades: float = 1.0
+
+    @property
+    def drifted_percent(self) -> float:
+        """How far the drift moved the samples that count, in % of the stroke."""
+        return 100 * self.drift * self.decades / self.stroke
+
+    @property
+    def creeps(self) -> bool:
+        """Whether the drift may be called a creep, and its rate be told."""
+        return may_creep(100 * self.drift / self.stroke, self.decades)
 
     @property
     def largest_percent(self) -> float:
@@ -162,7 +180,17 @@ class RecordErrors:
             "largest_with_drift_percent": 100 * self.largest_with_drift / self.stroke,
             "rms_with_drift_percent": 100 * self.rms_with_drift / self.stroke,
             "offset_V": self.offset, "datum_m": self.datum, "drift_percent": 100 * self.drift / self.stroke,
+            "drift_decades": self.decades,
         }  # fmt: skip
+
+
+def may_creep(rate: float, decades: float) -> bool:
+    """Whether a drift may be called a creep, by its rate [% of the range a decade] and the decades seen.
+
+    Piezoelectric actuators creep by some percent a decade; what drifts by more is something else. A rate that is told
+    from a small part of a decade is an extrapolation.
+    """
+    return abs(rate) <= MOST_CREEP and decades >= FEWEST_DECADES
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,85 @@
-"""What a scan or a wave table says, in the words of the command line: options, micrometres."""
+"""Sentences of the library in the words of the command line: options for arguments, of scans micrometres too."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import Any, NamedTuple
 
-# Arguments that are called otherwise on the command line.
+# Arguments of the library that options of another name set.
+_RENAMED = {"slew_rate": "slew"}
+# A sentence that begins with one of these is about data, not about the option that names a column or a file.
+_DATA = {"time", "voltage", "displacement", "model", "records", "trajectory", "report", "output"}
+_TIME = re.compile(r"give time=[^;]*")
+
+
+class Option(NamedTuple):
+    """An option of a command: its flag, and what it takes, as help texts show it; "" if nothing."""
+
+    flag: str
+    takes: str
+
+
+def options_of(command: Any) -> dict[str, Option]:
+    """The options of a click command, or of all commands of a group, by the argument that each sets."""
+    found: dict[str, Option] = {}
+    for inner in getattr(command, "commands", {}).values():
+        found |= options_of(inner)
+    for parameter in command.params:
+        flags = [flag for flag in parameter.opts if flag.startswith("--")]
+        takes = "" if getattr(parameter, "is_flag", False) else parameter.metavar or ""
+        found[parameter.name] = Option(flags[0] if flags else str(parameter.human_readable_name), takes)
+    return found | {name: found[other] for name, other in _RENAMED.items() if name not in found and other in found}
+
+
+def worded_for(said: str, options: dict[str, Option]) -> str:
+    """Write a sentence of the library with the options of a command for arguments.
+
+    Arguments are found as `name=`, as the head of a sentence (`name: got ...`), and by an underscore in their name.
+    """
+    if {"time", "sample_rate"} <= options.keys():
+        said = _TIME.sub("give a time column (--time NAME) or --sample-rate HZ", said)
+    names = "|".join(sorted(map(re.escape, options), key=len, reverse=True))
+    if not names:
+        return said
+    said = re.sub(rf"^(?:{names})(?:, (?:{names}))*(?=: )", lambda head: _head(head[0], options), said)
+    said = re.sub(
+        rf"(\b(?:give|try|or|with) )?\b({names})=(\([^)]*\)|\"[^\"]*\"|'[^']*'|[-\w.]+)?( \[[^]]*\]| in Hz)?",
+        lambda found: (found[1] or "") + _set(options[found[2]], found[3], bool(found[1])) + _rest(found[3], found[4]),
+        said,
+    )
+    long = "|".join(name for name in options if "_" in name)
+    return (
+        re.sub(rf"(?<![\w./'\"-])({long})(?![\w/'\"]|\.\w)", lambda name: options[name[1]].flag, said) if long else said
+    )
+
+
+def _head(names: str, options: dict[str, Option]) -> str:
+    return ", ".join(name if name in _DATA else options[name].flag for name in names.split(", "))
+
+
+def _set(option: Option, value: str | None, asked: bool) -> str:
+    """An option with its value, or with what it takes where a sentence asks for it."""
+    if value is None or value.startswith("("):
+        return f"{option.flag} {option.takes}" if option.takes and (asked or value) else option.flag
+    if value == "True":
+        return option.flag
+    return f"{option.flag} {value.strip(chr(39))}"
+
+
+def _rest(value: str | None, unit: str | None) -> str:
+    """A unit is said by what an option takes already."""
+    return "" if value is None else unit or ""
+
+
+def in_words_of(command: Any, sentences: Iterable[str]) -> tuple[str, ...]:
+    """Write sentences of the library in the words of a click command."""
+    options = options_of(command)
+    return tuple(worded_for(said, options) for said in sentences)
+
+
+# Arguments of scans that are called otherwise on the command line.
 _OTHERWISE = {"cycles": "start-up", "seconds": "edge", "slew_rate": "slew", "base": "present"}
 _SAME = ("low", "high", "y_low", "y_high", "frequency", "turns", "speed", "acceleration", "rising", "rounding", "lines",
          "slow", "back", "revolutions", "constant", "ratio", "phase", "levels", "dwell", "shape", "sample_rate", "axis",
@@ -29,7 +102,7 @@ _HEAD = re.compile(rf"^(?:{_NAMES})(?:, (?:{_NAMES}))*(?=:)")
 
 
 def in_options(said: str) -> str:
-    """Write a sentence with options for arguments, and micrometres for metres."""
+    """Write a sentence of a scan with options for arguments, and micrometres for metres."""
     said = _HEAD.sub(lambda found: ", ".join(_FLAGS[name] for name in found[0].split(", ")), said)
     for pattern, words in _ENTRIES:
         said = pattern.sub(words, said)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dehyst.escaping import escaped
-from dehyst.terminal import echo
+from dehyst.terminal import echo, worded
 
 if TYPE_CHECKING:
     from dehyst.insight import Insight
@@ -75,7 +75,7 @@ def print_insight(found: Insight | WideInsight, output: Path | None, report: Pat
     """Print what records tell, in the order in which it matters."""
     from dehyst.wide_insight import WideInsight
 
-    for warning in found.warnings():
+    for warning in worded(found.warnings()):
         echo(f"BEWARE: {warning}")
         echo()
     missed = 100 * found.misfit / found.evidence.stroke
@@ -150,13 +150,13 @@ def _print_homing(found: Insight | WideInsight) -> None:
     turns = ", ".join(f"{v:.6g}" for v in found.homing.turns)
     word = "certified" if found.homing.certified else "NOT certified"
     if found.homing.played is None:
-        echo(f"  - shortest homing: {turns} V ({word}: from any state to within {found.homing.width:.1g} m)")
+        echo(f"  - shortest homing: {turns} V ({word}: from any state to within {found.homing.width * 1e6:.1g} um)")
     else:
         echo(
             f"  - homing: {turns} V in {found.homing.played.duration:.4g} s ({word}: the displacement is known to "
             f"{found.homing.error * 1e6:.3g} um after it)"
         )
-    for remark in found.homing.remarks:
+    for remark in worded(found.homing.remarks):
         echo(f"      {remark}")
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import RecordError
+from dehyst.counting import counted
 from dehyst.signals import FloatArray, interpolate, noise_span, outer_extreme, turning_points, white_noise
 from dehyst.suspicions import problems, refuse_implausible, refuse_not_finite, refuse_not_rising, refuse_unusable
 
@@ -59,7 +60,7 @@ class Record:
             raise RecordError(f"record '{self.name}': columns differ in length ({got}); give one value each per sample")
         if len(self) < 2:
             raise RecordError(
-                f"record '{self.name}': {len(self)} sample(s), at least 2 are needed; check the row range"
+                f"record '{self.name}': {counted(len(self), 'sample')}, at least 2 are needed; check the row range"
             )
         for column, unit in _COLUMNS.items():
             refuse_not_finite(getattr(self, column), column, unit, self.name)

@@ -303,13 +303,13 @@ def _constants(errors: Iterable[RecordErrors]) -> str:
     rows: list[Row] = [
         (
             (error.record, error.role),
-            *(number(x) for x in (error.offset, error.datum * 1e6, 100 * error.drift / error.stroke)),
+            *(number(x) for x in (error.offset, error.datum * 1e6, error.drifted_percent, error.decades)),
         )
         for error in errors
     ]
     if not rows:
         return ""
-    head = ("Record", "Offset (V)", "Sensor's zero (µm)", "Drift (% of stroke a decade)")
+    head = ("Record", "Offset (V)", "Sensor's zero (µm)", "Drift (% of stroke)", "over decades of time")
     return (
         "<details>\n<summary>Constants found for each record, validation records too</summary>\n"
         f"<div>{table(head, rows, texts=1)}</div>\n</details>"

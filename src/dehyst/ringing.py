@@ -14,6 +14,7 @@ import numpy as np
 from dehyst._native import Array
 from dehyst.actuator import Actuator
 from dehyst.dynamics import Dynamics
+from dehyst.inertia import felt
 from dehyst.metrics import rms
 from dehyst.playback import Playback
 
@@ -34,10 +35,18 @@ def rung(actuator: Actuator, playback: Playback) -> Actuator:
     playback : Playback
         Of records in which it rings.
     """
-    without = _nearest(actuator, playback, lagging=False)
-    lagging = _nearest(without, playback, lagging=True)
+    if actuator.dynamics is None:
+        return actuator
+    without = _felt(_nearest(actuator, playback, lagging=False), playback)
+    lagging = _felt(_nearest(without, playback, lagging=True), playback)
     worth = rms(playback.errors(lagging)) < _WORTH_OF_LAG * rms(playback.errors(without))
     return lagging if worth else without
+
+
+def _felt(actuator: Actuator, playback: Playback) -> Actuator:
+    """The same without a delay or lag that the records cannot show."""
+    sample = min((one.record.record.sample_time for one in playback.stretches), default=0.0)
+    return replace(actuator, delay=felt(actuator.delay, sample), lag=felt(actuator.lag, sample))
 
 
 def _nearest(actuator: Actuator, playback: Playback, *, lagging: bool) -> Actuator:

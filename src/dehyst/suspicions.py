@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import RecordError
+from dehyst.butterfly import butterfly_of
+from dehyst.counting import counted
 from dehyst.signals import FloatArray, noise_span, resolution, white_noise
 
 if TYPE_CHECKING:
@@ -29,7 +31,7 @@ def problems(record: Record) -> tuple[str, ...]:
     steps, gaps = np.diff(record.time), record.gaps()
     if gaps:
         i, length = gaps[0]
-        found.append(f"{len(gaps)} gap(s) in time, the first of {length:.4g} s after sample {i}.")
+        found.append(f"{counted(len(gaps), 'gap')} in time, the first of {length:.4g} s after sample {i}.")
     lost = rounding(record.time)
     if lost > _ROUNDED * record.sample_time:
         found.append(
@@ -38,7 +40,7 @@ def problems(record: Record) -> tuple[str, ...]:
         )
     jitter = float(np.std(steps[steps <= 1.5 * record.sample_time])) / record.sample_time
     if jitter > 0.01:
-        found.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; try resample().")
+        found.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; resample the record.")
     cycles = record.cycles()
     points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
     if points < 50:
@@ -52,12 +54,12 @@ def problems(record: Record) -> tuple[str, ...]:
     spikes = _spikes(record)
     if len(spikes):
         found.append(
-            f"The displacement jumps away and back at {len(spikes)} sample(s), the first at "
+            f"The displacement jumps away and back at {counted(len(spikes), 'sample')}, the first at "
             f"{record.time[spikes[0]]:.6g} s: take such spikes out, they spoil range and fit."
         )
     if not 1e-9 <= record.stroke <= 1e-3:
         found.append(
-            f"The stroke is {record.stroke:.3g} m, unusual for a piezo actuator; check the displacement's unit."
+            f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check the displacement's unit."
         )
     return tuple(found)
 
@@ -79,9 +81,10 @@ def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
     cycles = record.cycles()
     if len(cycles) < min_cycles:
         raise RecordError(
-            f"record '{record.name}': {len(cycles)} full cycle(s) of the voltage found, {min_cycles} needed; "
+            f"record '{record.name}': {counted(len(cycles), 'full cycle')} of the voltage found, {min_cycles} needed; "
             "drive it up and back down, for instance with a sine over the whole range"
         )
+    refuse_butterfly(record)
     refuse_inverted(record)
     least = max(5, round(0.005 * len(record) / max(1, len(cycles))))
     refuse_clipped(record, least)
@@ -93,7 +96,7 @@ def refuse_not_finite(values: FloatArray, column: str, unit: str, name: str) -> 
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         raise RecordError(
-            f"record '{name}': {column} holds {len(bad)} value(s) that are not finite, the first is "
+            f"record '{name}': {column} holds {counted(len(bad), 'value')} not finite, the first is "
             f"{column}[{bad[0]}] = {values[bad[0]]} {unit}; cut these rows out or fill them in"
         )
 
@@ -152,12 +155,23 @@ def refuse_constant(record: Record) -> None:
         )
 
 
+def refuse_butterfly(record: Record) -> None:
+    """Raise when the displacement falls on one part of the range of the voltage and rises on another."""
+    found = butterfly_of(record.voltage, record.displacement)
+    if found is not None:
+        raise RecordError(
+            f"record '{record.name}': the displacement both rises, by {found.rise * 1e6:.3g} um, and falls, by "
+            f"{found.fall * 1e6:.3g} um, with rising voltage: a butterfly loop, of an actuator driven beyond its "
+            f"coercive field, or a sensor that folds over; record between {found.low:.3g} and {found.high:.3g} V"
+        )
+
+
 def refuse_inverted(record: Record) -> None:
     """Raise when the displacement falls as the voltage rises."""
     if np.corrcoef(record.voltage, record.displacement)[0, 1] < -0.5:
         raise RecordError(
-            f"record '{record.name}': displacement falls when voltage rises: the sensor's sign is inverted; "
-            "try multiplying the displacement by -1"
+            f"record '{record.name}': displacement falls when voltage rises: the actuator is poled the other "
+            "way, or the sensor's sign is inverted; try multiplying the displacement by -1"
         )
 
 

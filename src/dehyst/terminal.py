@@ -6,7 +6,7 @@ import errno
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
@@ -14,6 +14,7 @@ import click
 
 from dehyst.escaping import escaped
 from dehyst.files import finite
+from dehyst.option_words import in_words_of
 
 
 class UnprintedError(Exception):
@@ -30,9 +31,15 @@ def echo_json(value: Any) -> None:
     _write(f"{json.dumps(finite(value), indent=1)}\n", err=False)
 
 
+def worded(sentences: Iterable[str]) -> tuple[str, ...]:
+    """Return sentences of the library in the words of the command that runs."""
+    context = click.get_current_context(silent=True)
+    return tuple(sentences) if context is None else in_words_of(context.command, sentences)
+
+
 def note(sentence: object) -> None:
-    """Print a warning or a refusal on standard error."""
-    echo(f"dehyst: {sentence}", err=True)
+    """Print a warning or a refusal on standard error, in the words of the command that runs."""
+    echo(f"dehyst: {worded([str(sentence)])[0]}", err=True)
 
 
 def progress_line() -> Callable[[str], None]:

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._errors import ModelError
 from dehyst._native import Array, Held, number, untimely, vector
 from dehyst.actuator import Actuator, interval
-from dehyst.creep import clock
 from dehyst.model import Motion, State
 from dehyst.wide import Course
 
@@ -24,6 +23,9 @@ _WISHED = 1
 _ROUNDING = 1e-12
 # Of the spring's knots: a miss that is worth a sentence.
 _WORTH = 1e-3
+_CURE = "give time= [s], one a sample, or make the Compensator with period= [s]"
+# Of a period: how far a step of the time may be off it, as the rounded times of a file are.
+_UNEVEN = 0.01
 # Runs of equal steps, each of which is set up anew.
 _FEW = 64
 
@@ -102,7 +104,7 @@ class Limits:
         if self.slew_rate is None:
             return np.full(size, np.inf)
         if time is None:
-            raise ModelError("a slew rate needs the time of each sample; give time=")
+            raise ModelError(f"a slew rate needs the time of each sample; {_CURE}")
         t = vector(time, "time")
         if t.size != size or np.any(np.diff(t) <= 0):
             raise ModelError(untimely(t, size))
@@ -121,6 +123,7 @@ def follow(
     displacement: ArrayLike,
     *,
     time: ArrayLike | None,
+    period: float | None,
     load: ArrayLike | None,
     velocity: ArrayLike | None,
     acceleration: ArrayLike | None,
@@ -128,8 +131,10 @@ def follow(
 ) -> Command:
     """Voltages for a path, each clamped with the state kept true; see `Compensator.trajectory`."""
     wanted = vector(displacement, "displacement")
+    time = _timed(time, period, wanted.size)
     steps = limits.steps(wanted.size, time)
     path, state = _Path(actuator, wanted, time, load, velocity, acceleration), start
+    _ = path.clock  # which refuses a time that is missing or does not fit
     voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
     clamped = np.zeros(wanted.size, dtype=bool)
     i, chunk = 0, _CHUNK
@@ -164,6 +169,28 @@ def follow(
     if not followed and not clamped.any():
         said = (*said, _lagged(missed))
     return Command(voltage, reached, clamped, state, (*said, *_extrapolates(actuator, voltage)), missed, followed)
+
+
+def _timed(time: ArrayLike | None, period: float | None, samples: int) -> ArrayLike | None:
+    """The time of each sample: as it was given, or by the period.
+
+    Raises
+    ------
+    ModelError
+        If both are given and do not agree.
+    """
+    if period is None:
+        return time
+    if time is None:
+        return period * np.arange(samples)
+    given = vector(time, "time")
+    steps = np.diff(given)
+    if given.size == samples and np.all(steps > 0) and np.any(np.abs(steps - period) > _UNEVEN * period):
+        raise ModelError(
+            f"time: its steps are {steps.min():.6g} to {steps.max():.6g} s, but the compensator's period is "
+            f"{period:.6g} s; leave time out, or make a Compensator without period for this path"
+        )
+    return given
 
 
 def _lagged(missed: float) -> str:
@@ -220,9 +247,8 @@ class _Path:
 
     @cached_property
     def clock(self) -> tuple[NDArray[np.int64], Array]:
-        """Runs of equal steps, see `_native.steps`; without time one."""
-        samples = self.wanted.size
-        return (np.array([0, samples]), np.zeros(1)) if self.time is None else clock(self.time, samples)
+        """Runs of equal steps, see `WideModel.clock`."""
+        return self.actuator.model.clock(self.time, self.wanted.size, _CURE)
 
     @cached_property
     def course(self) -> dict[str, Array | None]:

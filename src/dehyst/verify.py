@@ -284,6 +284,7 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
         record=record.name, role=protocol.role, samples=sums.samples, left_out=record.samples - sums.samples,
         largest=sums.largest[0], rms=sums.rms[0], largest_with_drift=sums.largest[1], rms_with_drift=sums.rms[1],
         stroke=protocol.stroke, offset=offset, datum=compared.datum, drift=-compared.drift / slope,
+        decades=float(np.ptp(regression.rows.drift)),
     ), trace  # fmt: skip
 
 
@@ -300,7 +301,7 @@ class _Sums:
         return [float(np.sqrt(squares / self.samples)) for squares in self._squares]
 
     def add(self, played: tuple[Array, ...]) -> None:
-        """Add a stretch, as `_play` gives it."""
+        """Add a stretch, as `Comparison.play` yields it."""
         first = -self.samples % self._step
         self.drawn.append(tuple(column[first :: self._step].copy() for column in played[:4]))
         self.samples += played[0].size

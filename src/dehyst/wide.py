@@ -172,13 +172,26 @@ class WideModel:
         low, high = state.displacement - self.slip.breakaway, state.displacement + self.slip.breakaway
         return frozen(np.clip(state.carts, low, high))
 
-    def _pace(self, time: ArrayLike | None, samples: int) -> Pace:
-        if time is None and self.needs_time:
+    def clock(
+        self, time: ArrayLike | None, samples: int, cure: str = "give time= [s], one a sample"
+    ) -> tuple[NDArray[np.int64], Array]:
+        """Runs of equal steps, see `dehyst._native.steps`; without time one run of no duration.
+
+        Raises
+        ------
+        ModelError
+            If a time is needed and missing, or it is not strictly increasing, a number a sample.
+        """
+        if time is not None:
+            return clock(time, samples)
+        if self.needs_time:
             parts = {"creeps": self.creep, "has inertia": self.dynamics, "lags": self.lag}
             does = " and ".join(does for does, part in parts.items() if part)
-            raise ModelError(f"this actuator {does}, so that the answer depends on time; give time= [s], one a sample")
-        bounds, durations = (np.array([0, samples]), np.zeros(1)) if time is None else clock(time, samples)
-        return self.pace(bounds, durations)
+            raise ModelError(f"this actuator {does}, so that the answer depends on time; {cure}")
+        return np.array([0, samples]), np.zeros(1)
+
+    def _pace(self, time: ArrayLike | None, samples: int) -> Pace:
+        return self.pace(*self.clock(time, samples))
 
     def pace(self, bounds: NDArray[np.int64], durations: Array) -> Pace:
         """What steps of such durations (R,) [s] do; samples bounds[r] to bounds[r + 1] are of duration r.
@@ -252,6 +265,7 @@ class WideModel:
 
     def derivatives(self, path: Array, course: Course) -> tuple[Array, Array]:
         """Velocity and acceleration of the path, where they are not given those of its cubic spline."""
+        self.clock(course.time, path.size)
         found = []
         for order, values, what in ((1, course.velocity, "velocity"), (2, course.acceleration, "acceleration")):
             if values is None:

@@ -56,5 +56,5 @@ def sentence(number: int) -> str:
     """Return what an error number says, and for limits what to try."""
     said = _SENTENCES.get(number, "see its manual's list of error codes")
     if number in LIMITS:
-        said += "; its limits are narrower than it told, ask for less (limits=, --limits)"
+        said += "; its limits are narrower than it told, ask for less with limits="
     return f"error {number}: {said}"

@@ -19,8 +19,8 @@ _LOT = 0.2
 def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Samples]:
     """Put voltages (n,) [V] at `rate` [Hz] or slower, never faster, and read the instrument after each.
 
-    For the `_wave` of a leaf, whose `nearest_rate` gives no more than `HIGHEST_RATE`. What is yielded has the times
-    at which it was read, by the device's clock.
+    For the `AbstractRig._wave` of a leaf, whose `nearest_rate` gives no more than `HIGHEST_RATE`. What is yielded has
+    the times at which it was read, by the device's clock.
     """
     period, lot, shown = 1 / rate, [], time.monotonic()
     for v in voltage:
