@@ -218,9 +218,10 @@ void bind_loop(nb::module_ &m) {
     nb::class_<Loop>(m, "Loop")
         .def(nb::init<const Wide &, Input, Input, Input, Input, Input, nb::object>(), nb::keep_alive<1, 2>())
         .def("begin", &Loop::begin)
-        .def("offer", &Loop::offer)
+        // A float, or NumPy's: what has to be converted first may have a unit.
+        .def("offer", [](Loop &loop, nb::float_ u) { return loop.offer(double(u)); })
         .def("commit", &Loop::commit)
-        .def("step", &Loop::step)
+        .def("step", [](Loop &loop, nb::float_ u) { return loop.step(double(u)); })
         .def("run", &Loop::run)
         .def("trace", &Loop::trace)
         .def("tables", &Loop::tables)

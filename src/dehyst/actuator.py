@@ -21,6 +21,7 @@ from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import AbstractModel, Motion, State
 from dehyst.physical import Physical, charge, physical
 from dehyst.smooth import SmoothSlip
+from dehyst.units import plain
 from dehyst.wide import Course, WideModel, least_slope
 
 if TYPE_CHECKING:
@@ -35,7 +36,8 @@ def interval(limits: Sequence[float]) -> tuple[float, float]:
     ModelError
         If they are not two finite numbers, the lower one first.
     """
-    ends = [number(end, "limits") for end in limits] if isinstance(limits, Sequence | np.ndarray) else []
+    pair = plain(limits, "limits")
+    ends = [number(end, "limits") for end in pair] if isinstance(pair, Sequence | np.ndarray) else []
     if len(ends) != 2 or ends[0] >= ends[1]:
         raise ModelError(f"limits: got {limits}, need two finite voltages, the lower one first")
     return ends[0], ends[1]
@@ -115,7 +117,8 @@ class Actuator(AbstractModel):
         _ = self.model.core if self.wide else self.core  # which refuse what the parts cannot see
         if self.limits is not None:
             object.__setattr__(self, "limits", interval(self.limits))
-        if number(self.delay, "delay") < 0:
+        object.__setattr__(self, "delay", number(self.delay, "delay"))
+        if self.delay < 0:
             raise ModelError(f"delay: got {self.delay}, need 0 or more: a displacement does not lead its voltage")
 
     @property
@@ -404,9 +407,13 @@ class Actuator(AbstractModel):
         return self.model.fitted(self.state if state is None else state)
 
     def _demand_numbers(self) -> None:
-        if number(self.lag, "lag") < 0:
+        object.__setattr__(self, "lag", number(self.lag, "lag"))
+        if self.lag < 0:
             raise ModelError(f"lag: got {self.lag}, need 0 s or more")
-        if self.load_stiffness is not None and number(self.load_stiffness, "load_stiffness") <= 0:
+        if self.load_stiffness is None:
+            return
+        object.__setattr__(self, "load_stiffness", number(self.load_stiffness, "load_stiffness"))
+        if self.load_stiffness <= 0:
             raise ModelError(f"load_stiffness: got {self.load_stiffness}, need a positive number of N/m")
 
     def _demand_no_load(self, time: ArrayLike | None, load: ArrayLike | None, samples: int) -> None:

@@ -420,6 +420,7 @@ def _refusal(displacement: float) -> ModelError:
 
 
 def _positive(period: float) -> float:
-    if number(period, "period") <= 0:
+    seconds = number(period, "period")
+    if seconds <= 0:
         raise ModelError(f"period: got {period}, need a positive number of seconds")
-    return float(period)
+    return seconds

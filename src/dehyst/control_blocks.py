@@ -25,11 +25,12 @@ _LARGEST = float(np.finfo(np.float64).max)
 
 def actuator_block(model: WideModel, start: State, period: float | None, name: str) -> NonlinearIOSystem:
     """See `dehyst.Actuator.to_control`; `start` is complete."""
-    if period is not None and number(period, "period") <= 0:
+    period = None if period is None else number(period, "period")
+    if period is not None and period <= 0:
         raise ModelError(f"period: got {period}, need a positive number of seconds")
     if period is None and model.needs_time:
         raise ModelError("creep, inertia or a lag need the time between samples; give period= [s]")
-    seconds = 0.0 if period is None else float(period)
+    seconds = 0.0 if period is None else period
     pace = model.pace(np.array([0, 1]), np.array([seconds]))
     numbers = np.array([-_LARGEST, _LARGEST, _LARGEST, *model.amplifier(seconds)])
     loop = model.core.loop(pace, np.ones(1), numbers, _nothing_to_tell, model.held(start))

@@ -78,12 +78,13 @@ class Swing:
     ) -> Swing:  # fmt: skip
         """The shortest swing between the present voltage and the last; more of them while that is worth it."""
         least = _TOLERANCE * float(np.ptp(actuator.spring.displacement)) if tolerance is None else tolerance
-        for value, name in ((least, "tolerance"), (1.0 if hold is None else hold, "hold")):
-            if number(value, name) < 0 or (name == "tolerance" and value == 0):
+        held = None if hold is None else number(hold, "hold")
+        for value, name in ((number(least, "tolerance"), "tolerance"), (1.0 if held is None else held, "hold")):
+            if value < 0 or (name == "tolerance" and value == 0):
                 raise ModelError(f"{name}: got {value}, need a positive number")
         shown = drive or Drive(frequency=0.5 / leg_seconds(actuator))
         shown = replace(shown, base=ends[1], present=ends[0], limits=limits)
-        wait = _rest(actuator) if hold is None else float(hold)
+        wait = _rest(actuator) if held is None else held
         found = cls(actuator, shown, ends, wait, limits, float(least), 2)
         found = replace(found, states=tuple(found._pasts()))
         if hold is None and found._longest:

@@ -85,8 +85,10 @@ class Limits:
         low, high = interval((self.low, self.high))
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
-        if self.slew_rate is not None and number(self.slew_rate, "slew_rate") <= 0:
-            raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
+        if self.slew_rate is not None:
+            object.__setattr__(self, "slew_rate", number(self.slew_rate, "slew_rate"))
+            if self.slew_rate <= 0:
+                raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
 
     @property
     def words(self) -> str:
