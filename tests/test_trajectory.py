@@ -114,7 +114,7 @@ def test_the_actuators_own_limits_are_the_default():
     limited = Actuator(PLANT.slip, PLANT.spring, limits=(5, 95))
     assert Compensator(limited).limits == (5.0, 95.0)
     assert Compensator(limited, (0, 10)).limits == (0.0, 10.0)
-    command = Compensator(limited).trajectory(bench.path((0, 1, 0)))
+    command = Compensator(limited).trajectory(bench.path((0, 1, 0)), extrapolate=True)
     assert (command.voltage.min(), command.voltage.max()) == (5.0, 95.0)
 
 
@@ -160,7 +160,7 @@ def test_wider_actuators_too_are_told_what_was_sent(kind, seed, slewing, size):
     plant, path, time = wider(kind), wanted(seed)[:size], times(seed, 400)[:size]
     command = Compensator(plant, (LOW, HIGH), RATE if slewing else None).trajectory(path, time=time)
     assert np.all((command.voltage >= LOW) & (command.voltage <= HIGH))
-    motion = plant.simulate(command.voltage, time=time, stack=False)
+    motion = plant.simulate(command.voltage, time=time, stack=False, extrapolate=True)
     np.testing.assert_allclose(command.displacement, motion.displacement, atol=1e-9 * bench.STROKE)
     np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-9 * bench.STROKE)
     np.testing.assert_allclose(command.state.creep, motion.state.creep, atol=1e-9 * bench.STROKE)

@@ -18,8 +18,10 @@ from dehyst.creep import Creep, clock
 from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import PathLike, read_json, write_json
+from dehyst.major_loop import major_loop_ends
 from dehyst.model import AbstractModel, Motion, State
 from dehyst.physical import Physical, charge, physical
+from dehyst.plausibility import ANYWAY, Range, displacement_words, voltage_words
 from dehyst.smooth import SmoothSlip
 from dehyst.units import plain
 from dehyst.wide import Course, WideModel, least_slope
@@ -112,7 +114,7 @@ class Actuator(AbstractModel):
         self._demand_numbers()
         least_slope(self.slip, self.spring)
         if self.state is None:
-            object.__setattr__(self, "state", self.turned(float(self.spring.displacement[-1])))
+            object.__setattr__(self, "state", self.turned(float(self.spring.displacement[-1]), extrapolate=True))
         self._start(self.state)
         _ = self.model.core if self.wide else self.core  # which refuse what the parts cannot see
         if self.limits is not None:
@@ -130,6 +132,25 @@ class Actuator(AbstractModel):
     def needs_time(self) -> bool:
         """Whether `simulate` and `compensate` must be told the time of each sample."""
         return self.model.needs_time
+
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """Displacements [m] at the lower and the upper limit, once both have been visited and creep is at rest.
+
+        Without limits, the first and the last knot of the spring.
+        """
+        if self.limits is not None:
+            return major_loop_ends(self.model, self.limits, self.state)
+        return float(self.spring.displacement[0]), float(self.spring.displacement[-1])
+
+    @cached_property
+    def voltage_range(self) -> tuple[float, float]:
+        """The limits [V]; without limits, voltages of the largest loop between the ends of the spring's knots."""
+        if self.limits is not None:
+            return self.limits
+        ends = float(self.spring.displacement[0]), float(self.spring.displacement[-1])
+        low, high = (self.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(ends))
+        return self.voltage(low), self.voltage(high)
 
     @cached_property
     def core(self) -> Core:
@@ -159,6 +180,7 @@ class Actuator(AbstractModel):
         load: ArrayLike | None = None,
         state: State | None = None,
         stack: bool = True,
+        extrapolate: bool = False,
     ) -> Motion:
         """Displacement that a voltage causes; exact, for any steps between samples, but for inertia.
 
@@ -178,6 +200,8 @@ class Actuator(AbstractModel):
         stack : bool, optional
             Evaluate on the stack of reversals (default), or clip every element at every sample. Same answer. Graded
             elements, and a simulation with smooth ones, always clip.
+        extrapolate : bool, optional
+            Simulate voltages too that lie farther outside of `voltage_range` than it is wide.
 
         Returns
         -------
@@ -187,9 +211,12 @@ class Actuator(AbstractModel):
         Raises
         ------
         ModelError
-            If the voltage is not finite, the time is missing or does not fit, or the state does not fit this actuator.
+            If the voltage is not finite or lies too far outside, the time is missing or does not fit, or the state does
+            not fit this actuator.
         """
         v, start = vector(voltage, "voltage"), self._start(state)
+        if not extrapolate:
+            self._demand_voltage(v)
         if self.wide:
             y, reached = self.model.simulate(v, Course(time, load), start, stack)
             return Motion(voltage=v, displacement=y, state=reached)
@@ -207,6 +234,7 @@ class Actuator(AbstractModel):
         acceleration: ArrayLike | None = None,
         state: State | None = None,
         stack: bool = True,
+        extrapolate: bool = False,
     ) -> Motion:
         """Voltage that makes the actuator follow a displacement (Eqs. 11-12, with x(0) put in).
 
@@ -218,6 +246,9 @@ class Actuator(AbstractModel):
             As in `simulate`; with creep the path is taken to be straight between samples.
         velocity, acceleration : (n,) array_like, optional
             Of the path [m/s, m/s^2], where dynamics need them; default: those of its cubic spline.
+        extrapolate : bool, optional
+            Compute voltages too for displacements that lie more than one stroke outside of `reach`: as a rule these are
+            micrometres given for metres.
 
         Returns
         -------
@@ -229,10 +260,12 @@ class Actuator(AbstractModel):
         Raises
         ------
         ModelError
-            If the displacement is not finite, the time is missing or does not fit, or the state does not fit this
-            actuator.
+            If the displacement is not finite or lies more than one stroke outside, the time is missing or does not fit,
+            or the state does not fit this actuator.
         """
         y, start = vector(displacement, "displacement"), self._start(state)
+        if not extrapolate:
+            self._demand_displacement(y, load)
         if self.wide:
             v, reached = self.model.compensate(y, Course(time, load, velocity, acceleration), start, stack)
             return Motion(voltage=v, displacement=y, state=reached)
@@ -240,18 +273,36 @@ class Actuator(AbstractModel):
         v, position, carts = self.core.compensate(y, start.displacement, start.carts, stack=stack)
         return Motion(voltage=v, displacement=y, state=State(position, carts))
 
-    def relaxed(self, voltage: float = 0.0) -> State:
-        """The state in which no element is strained and the spring alone holds `voltage` [V]."""
+    def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
+        """The state in which no element is strained and the spring alone holds `voltage` [V].
+
+        Raises
+        ------
+        ModelError
+            If the voltage lies farther outside of `voltage_range` and 0 V than that range is wide, unless
+            `extrapolate`.
+        """
         v = number(voltage, "voltage")
+        if v != 0 and not extrapolate:
+            self._demand_voltage(np.array([v]))
         y = self.core.spring_inverse(v if self.transformer is None else float(self.transformer(v)))
         return State(y, np.full(len(self.slip), y))
 
-    def turned(self, displacement: float, *, rising: bool = True) -> State:
+    def turned(self, displacement: float, *, rising: bool = True, extrapolate: bool = False) -> State:
         """The state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II).
 
         Every smooth element has let go. Creep is at rest there, as if the motion had been slow.
+
+        Raises
+        ------
+        ModelError
+            If the displacement lies more than one stroke outside of `reach` and the knots of the spring, unless
+            `extrapolate`.
         """
         y = number(displacement, "displacement")
+        knots = self.spring.displacement
+        if not extrapolate and not knots[0] <= y <= knots[-1]:
+            self._demand_displacement(np.array([y]), None)
         side = 1 if rising else -1
         smooth = () if self.smooth is None else side * self.smooth.length
         return State(y, y - side * self.slip.breakaway, smooth=smooth)
@@ -264,7 +315,12 @@ class Actuator(AbstractModel):
         return self.model.core.voltage(self.model.held(start))
 
     def to_control(
-        self, *, period: float | None = None, state: State | None = None, name: str = "actuator"
+        self,
+        *,
+        period: float | None = None,
+        state: State | None = None,
+        name: str = "actuator",
+        extrapolate: bool = False,
     ) -> NonlinearIOSystem:
         """A block for python-control: voltage [V] in, displacement [m] out, a sample every period.
 
@@ -280,6 +336,8 @@ class Actuator(AbstractModel):
             Where to start; default ``self.state``, with an amplifier at rest.
         name : str, optional
             Of the block; its input is called "voltage", its output "displacement".
+        extrapolate : bool, optional
+            As in `simulate`; by default the block raises at such a voltage.
 
         Returns
         -------
@@ -293,7 +351,8 @@ class Actuator(AbstractModel):
         MissingExtraError
             If python-control is not installed.
         """
-        return actuator_block(self.model, self._start(state), period, name)
+        allowed = None if extrapolate else self._voltages
+        return actuator_block(self.model, self._start(state), period, name, allowed)
 
     def physical(
         self, *, transformer_ratio: float, mechanical_stiffness: float, electrical_stiffness: float
@@ -415,6 +474,46 @@ class Actuator(AbstractModel):
         object.__setattr__(self, "load_stiffness", number(self.load_stiffness, "load_stiffness"))
         if self.load_stiffness <= 0:
             raise ModelError(f"load_stiffness: got {self.load_stiffness}, need a positive number of N/m")
+
+    @cached_property
+    def plausible(self) -> Range:
+        """`reach`; where limits are so wide that it cannot be computed, the ends of the spring."""
+        knots = Range(float(self.spring.displacement[0]), float(self.spring.displacement[-1]))
+        try:
+            low, high = self.reach
+        except ModelError:
+            return knots
+        return Range(low, high) if 0 < high - low < np.inf else knots
+
+    @cached_property
+    def _voltages(self) -> Range:
+        return Range(*self.voltage_range)
+
+    def _demand_voltage(self, voltage: Array) -> None:
+        got = self._voltages.astray(voltage)
+        if got is not None:
+            raise ModelError(f"{voltage_words(got, self._voltages)}; {ANYWAY}")
+
+    def _demand_displacement(self, displacement: Array, load: ArrayLike | None) -> None:
+        words = self.strays(displacement, load)
+        if words:
+            raise ModelError(f"{words}; {ANYWAY}")
+
+    def strays(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
+        """Why displacements (n,) [m] under a load (n,) [N] cannot be meant for this actuator; empty if they can.
+
+        One that lies more than one stroke outside of `reach` and the `others` cannot.
+        """
+        got = self.plausible.astray(displacement)
+        if got is None:
+            return ""
+        reach = self.plausible.joined(*others)
+        pushed = reach
+        if load is not None and self.load_stiffness is not None:
+            push = vector(load, "load") / self.load_stiffness
+            low, high = float(push.min(initial=0.0)), float(push.max(initial=0.0))
+            pushed = Range(reach.low + low, reach.high + high)
+        return displacement_words(got, reach) if pushed.astray(displacement) is not None else ""
 
     def _demand_no_load(self, time: ArrayLike | None, load: ArrayLike | None, samples: int) -> None:
         if load is not None:

@@ -149,7 +149,10 @@ def simulate(
     voltage = table.column("voltage", columns["voltage"])
     time = time_of_table(table, voltage.size, columns)
     motion = actuator.simulate(
-        voltage, time=time.get("time_s") if actuator.needs_time else None, state=start_state(actuator, start)
+        voltage,
+        time=time.get("time_s") if actuator.needs_time else None,
+        state=start_state(actuator, start),
+        extrapolate=True,
     )
     displacement = lagging(motion.displacement, actuator, time) if lag else motion.displacement
     write_columns(output, {**time, "voltage_V": voltage, "displacement_um": displacement * 1e6})

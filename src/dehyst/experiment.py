@@ -257,13 +257,13 @@ def _tried(truth: PlayActuator, runs: Mapping[str, Measured], plan: Plan, tell: 
 def _trial(
     truth: PlayActuator, run: Measured, key: str, actuator: Actuator, outcome: str, remarks: Sequence[str]
 ) -> Trial:
-    simulated = actuator.simulate(run.record.voltage).displacement
+    simulated = actuator.simulate(run.record.voltage, extrapolate=True).displacement
     errors = {}
     for loop in PEAKS:
         samples = run.known(loop)
         misses = (simulated[samples] - y[samples] for y in (run.true, run.record.displacement))
         errors[loop] = Error(*(percent(largest(miss), truth.stroke) for miss in misses))
-    energised = actuator.simulate(ENERGISED.voltage, state=actuator.relaxed()).state
+    energised = actuator.simulate(ENERGISED.voltage, state=actuator.relaxed(), extrapolate=True).state
     tracking = _tracked(truth, run, actuator)
     return Trial(key, actuator, simulated, errors, tracking, shift(actuator, energised), outcome, tuple(remarks))
 

@@ -222,9 +222,10 @@ class Swing:
         reached = still.model.fitted(state)
         if turns:
             seconds = np.cumsum(np.geomspace(0.01, 10, len(turns)) * self.drive.half)
-            reached = still.simulate(turns, time=seconds if still.needs_time else None, state=reached).state
+            when = seconds if still.needs_time else None
+            reached = still.simulate(turns, time=when, state=reached, extrapolate=True).state
         now = np.zeros(1) if still.needs_time else None
-        present: State = still.simulate(self.ends[:1], time=now, state=reached).state
+        present: State = still.simulate(self.ends[:1], time=now, state=reached, extrapolate=True).state
         return present
 
     def _legs(self, turns: tuple[float, ...], hold: float) -> list[Leg]:
@@ -260,7 +261,8 @@ class Swing:
         return _about(reached), float(np.ptp(paths, axis=0).max())
 
     def _run(self, voltage: Array, time: Array, state: State) -> tuple[Array, State]:
-        motion = self.actuator.simulate(voltage, time=time if self.actuator.needs_time else None, state=state)
+        when = time if self.actuator.needs_time else None
+        motion = self.actuator.simulate(voltage, time=when, state=state, extrapolate=True)
         return motion.displacement, motion.state
 
 
