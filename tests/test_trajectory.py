@@ -114,7 +114,7 @@ def test_the_actuators_own_limits_are_the_default():
     limited = Actuator(PLANT.slip, PLANT.spring, limits=(5, 95))
     assert Compensator(limited).limits == (5.0, 95.0)
     assert Compensator(limited, (0, 10)).limits == (0.0, 10.0)
-    command = Compensator(limited).trajectory(bench.path((0, 1, 0)), extrapolate=True)
+    command = Compensator(limited).trajectory(bench.path((0, 1, 0)))
     assert (command.voltage.min(), command.voltage.max()) == (5.0, 95.0)
 
 

@@ -119,9 +119,10 @@ class Actuator(AbstractModel):
         _ = self.model.core if self.wide else self.core  # which refuse what the parts cannot see
         if self.limits is not None:
             object.__setattr__(self, "limits", interval(self.limits))
-        object.__setattr__(self, "delay", number(self.delay, "delay"))
-        if self.delay < 0:
+        delay = number(self.delay, "delay")
+        if delay < 0:
             raise ModelError(f"delay: got {self.delay}, need 0 or more: a displacement does not lead its voltage")
+        object.__setattr__(self, "delay", delay)
 
     @property
     def wide(self) -> bool:
@@ -247,8 +248,8 @@ class Actuator(AbstractModel):
         velocity, acceleration : (n,) array_like, optional
             Of the path [m/s, m/s^2], where dynamics need them; default: those of its cubic spline.
         extrapolate : bool, optional
-            Compute voltages too for displacements that lie more than one stroke outside of `reach`: as a rule these are
-            micrometres given for metres.
+            Compute voltages too for displacements that lie more than one stroke outside of `reach` and the spring: as a
+            rule these are micrometres given for metres.
 
         Returns
         -------
@@ -466,24 +467,26 @@ class Actuator(AbstractModel):
         return self.model.fitted(self.state if state is None else state)
 
     def _demand_numbers(self) -> None:
-        object.__setattr__(self, "lag", number(self.lag, "lag"))
-        if self.lag < 0:
+        lag = number(self.lag, "lag")
+        if lag < 0:
             raise ModelError(f"lag: got {self.lag}, need 0 s or more")
+        object.__setattr__(self, "lag", lag)
         if self.load_stiffness is None:
             return
-        object.__setattr__(self, "load_stiffness", number(self.load_stiffness, "load_stiffness"))
-        if self.load_stiffness <= 0:
+        stiffness = number(self.load_stiffness, "load_stiffness")
+        if stiffness <= 0:
             raise ModelError(f"load_stiffness: got {self.load_stiffness}, need a positive number of N/m")
+        object.__setattr__(self, "load_stiffness", stiffness)
 
     @cached_property
     def plausible(self) -> Range:
-        """`reach`; where limits are so wide that it cannot be computed, the ends of the spring."""
+        """Displacements [m] within `reach` or the knots of the spring; limits may be too wide to compute with."""
         knots = Range(float(self.spring.displacement[0]), float(self.spring.displacement[-1]))
         try:
             low, high = self.reach
         except ModelError:
             return knots
-        return Range(low, high) if 0 < high - low < np.inf else knots
+        return knots.joined((low, high)) if 0 < high - low < np.inf else knots
 
     @cached_property
     def _voltages(self) -> Range:
@@ -502,7 +505,7 @@ class Actuator(AbstractModel):
     def strays(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
         """Why displacements (n,) [m] under a load (n,) [N] cannot be meant for this actuator; empty if they can.
 
-        One that lies more than one stroke outside of `reach` and the `others` cannot.
+        One cannot that lies farther outside of `plausible` and the `others` than these are wide together.
         """
         got = self.plausible.astray(displacement)
         if got is None:

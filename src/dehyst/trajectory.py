@@ -86,9 +86,10 @@ class Limits:
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
         if self.slew_rate is not None:
-            object.__setattr__(self, "slew_rate", number(self.slew_rate, "slew_rate"))
-            if self.slew_rate <= 0:
+            slew_rate = number(self.slew_rate, "slew_rate")
+            if slew_rate <= 0:
                 raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
+            object.__setattr__(self, "slew_rate", slew_rate)
 
     @property
     def words(self) -> str:
