@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike
 
 from dehyst import model_file
 from dehyst._errors import ModelError
-from dehyst._native import Array, Core, number, vector
+from dehyst._native import NOTHING, Array, Core, number, vector
 from dehyst.control_blocks import actuator_block
 from dehyst.creep import Creep, clock
 from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import PathLike, read_json, write_json
-from dehyst.major_loop import major_loop_ends
 from dehyst.model import AbstractModel, Motion, State
 from dehyst.physical import Physical, charge, physical
 from dehyst.plausibility import ANYWAY, Range, displacement_words, voltage_words
@@ -28,6 +27,12 @@ from dehyst.wide import Course, WideModel, least_slope
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
+
+
+# A step in creep's longest time constants: w moves evenly in it, and leaves strains of one part in so many.
+_REST = 1e9
+# Smooth elements forget slowly where they were.
+_VISITS = 60
 
 
 def interval(limits: Sequence[float]) -> tuple[float, float]:
@@ -141,8 +146,17 @@ class Actuator(AbstractModel):
         Without limits, the first and the last knot of the spring.
         """
         if self.limits is not None:
-            return major_loop_ends(self.model, self.limits, self.state)
+            return self.major_loop(self.limits)
         return float(self.spring.displacement[0]), float(self.spring.displacement[-1])
+
+    def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
+        """Displacements [m] at the lower and the upper limit [V] of slow loops between them, creep at rest at both."""
+        slow = replace(self, dynamics=None, lag=0.0, state=replace(self.state, motion=NOTHING), limits=None)
+        voltage = np.tile(limits, _VISITS)
+        rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
+        time = np.arange(voltage.size) * rest if slow.needs_time else None
+        y = slow.simulate(voltage, time=time, extrapolate=True).displacement
+        return float(y[-2]), float(y[-1])
 
     @cached_property
     def voltage_range(self) -> tuple[float, float]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from dehyst._native import NOTHING
 from dehyst.actuator import Actuator
-from dehyst.major_loop import major_loop_ends
 from dehyst.model import State
 
 _ROUNDING = 1e-12
@@ -16,7 +15,7 @@ _ROUNDING = 1e-12
 
 def reach_of(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
     """Displacements [m] at the lower and the upper limit [V] of slow loops between them, creep at rest at either."""
-    return major_loop_ends(actuator.model, limits, actuator.state)
+    return actuator.major_loop(limits)
 
 
 def brought(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
