@@ -232,15 +232,23 @@ struct Loop {
     }
 };
 
+// A float, or NumPy's; what has to be converted first may have a unit, even if it is derived from them.
+double plain(nb::handle number) {
+    static PyObject *numpys = nb::object(nb::module_::import_("numpy").attr("float64")).release().ptr();
+    PyObject *type = reinterpret_cast<PyObject *>(Py_TYPE(number.ptr()));
+    if (!PyFloat_CheckExact(number.ptr()) && type != numpys) throw nb::type_error("need a float");
+    return PyFloat_AsDouble(number.ptr());
+}
+
 } // namespace
 
 void bind_loop(nb::module_ &m) {
     nb::class_<Loop>(m, "Loop")
         .def(nb::init<const Wide &, Input, Input, Input, Input, Input, nb::object>(), nb::keep_alive<1, 2>())
         .def("begin", &Loop::begin)
-        .def("offer", &Loop::offer)
+        .def("offer", [](Loop &loop, nb::handle u) { return loop.offer(plain(u)); })
         .def("commit", &Loop::commit)
-        .def("step", &Loop::step)
+        .def("step", [](Loop &loop, nb::handle u) { return loop.step(plain(u)); })
         .def("run", &Loop::run)
         .def("trace", &Loop::trace)
         .def("tables", &Loop::tables)

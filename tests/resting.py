@@ -62,7 +62,7 @@ def metres(actuator, *paths):
 
 
 def carts_along(actuator, voltage, state):
-    y = actuator.simulate(voltage, state=state).displacement
+    y = actuator.simulate(voltage, state=state, extrapolate=True).displacement
     return y, y[:, None] - stops(actuator.slip.breakaway, state.carts, y)[0]
 
 

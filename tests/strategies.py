@@ -142,7 +142,7 @@ def voltages_like(actuator, state, path, seed):
     """Return voltages [V] that reach as far as the path does, but are not its compensation."""
     if not len(path):
         return np.zeros(0)
-    v = actuator.compensate(path, state=state).voltage
+    v = actuator.compensate(path, state=state, extrapolate=True).voltage
     return v + np.random.default_rng([seed, 3]).normal(scale=0.05 * volts_of(actuator)) * (1 + 0 * v)
 
 

@@ -62,8 +62,8 @@ NESTED = our.motions(our.actuators(1, 3), ("relaxed", "reached", "turned up"), (
 def test_clips_and_stack_agree_on_the_voltage(motion):
     actuator, state, path = motion
     metres = RANGE * span_with(actuator, state, path)
-    stack = actuator.compensate(path, state=state)
-    clips = actuator.compensate(path, state=state, stack=False)
+    stack = actuator.compensate(path, state=state, extrapolate=True)
+    clips = actuator.compensate(path, state=state, stack=False, extrapolate=True)
     assert_same_motion(stack, clips, metres, RANGE * volts_with(actuator, clips.voltage))
 
 
@@ -73,8 +73,8 @@ def test_clips_and_stack_agree_on_the_voltage(motion):
 def test_clips_and_stack_agree_on_the_displacement(motion, seed):
     actuator, state, path = motion
     v = our.voltages_like(actuator, state, path, seed)
-    stack = actuator.simulate(v, state=state)
-    clips = actuator.simulate(v, state=state, stack=False)
+    stack = actuator.simulate(v, state=state, extrapolate=True)
+    clips = actuator.simulate(v, state=state, stack=False, extrapolate=True)
     assert_same_motion(stack, clips, RANGE * span_with(actuator, state, clips.displacement), 0.0)
 
 
@@ -84,7 +84,7 @@ def test_clips_and_stack_agree_on_the_displacement(motion, seed):
 def test_compensate_agrees_with_the_oracle(stack, motion):
     actuator, state, path = motion
     v, y, carts = oracle.compensate(*numbers(actuator, state), path)
-    got = actuator.compensate(path, state=state, stack=stack)
+    got = actuator.compensate(path, state=state, stack=stack, extrapolate=True)
     metres = RANGE * span_with(actuator, state, path)
     assert_close(got.voltage, v, RANGE * volts_with(actuator, v))
     assert_close(got.state.displacement, y, metres)
@@ -98,7 +98,7 @@ def test_simulate_agrees_with_the_oracle(stack, motion, seed):
     actuator, state, path = motion
     v = our.voltages_like(actuator, state, path, seed)
     y, last, carts = oracle.simulate(*numbers(actuator, state), v)
-    got = actuator.simulate(v, state=state, stack=stack)
+    got = actuator.simulate(v, state=state, stack=stack, extrapolate=True)
     metres = RANGE * span_with(actuator, state, y)
     assert_close(got.displacement, y, metres)
     assert_close(got.state.displacement, last, metres)
@@ -111,8 +111,8 @@ def test_simulate_agrees_with_the_oracle(stack, motion, seed):
 @example(motion=barely_nested())
 def test_simulating_the_compensating_voltage_gives_the_path(there, back, motion):
     actuator, state, path = motion
-    sent = actuator.compensate(path, state=state, stack=there)
-    came = actuator.simulate(sent.voltage, state=state, stack=back)
+    sent = actuator.compensate(path, state=state, stack=there, extrapolate=True)
+    came = actuator.simulate(sent.voltage, state=state, stack=back, extrapolate=True)
     assert_same_motion(came, sent, RANGE * span_with(actuator, state, path), 0.0)
 
 
@@ -151,7 +151,7 @@ def test_nothing_in_nothing_out(stack, motion):
 def test_more_voltage_more_displacement(stack, motion, seed):
     actuator, state, path = motion
     v = our.voltages_like(actuator, state, path, seed)
-    y = np.append(state.displacement, actuator.simulate(v, state=state, stack=stack).displacement)
+    y = np.append(state.displacement, actuator.simulate(v, state=state, stack=stack, extrapolate=True).displacement)
     rise, steps = np.diff(y), np.diff(np.append(actuator.voltage(state), v))
     clear = np.abs(steps) > RANGE * volts_with(actuator, v)
     assert np.all(rise[clear] * steps[clear] > 0)
@@ -165,16 +165,16 @@ def test_jitter_about_the_width_in_which_nothing_slides_changes_no_answer(motion
     sweep = np.cumsum(rng.uniform(-1, 1, 12).repeat(25)) * our.span_of(actuator) / 50
     noise = share * actuator.slip.breakaway[0] * rng.choice([-1, 1, rng.uniform(-1, 1)], sweep.size)
     path = state.displacement + sweep + noise
-    clips = actuator.compensate(path, state=state, stack=False)
-    stack = actuator.compensate(path, state=state)
+    clips = actuator.compensate(path, state=state, stack=False, extrapolate=True)
+    stack = actuator.compensate(path, state=state, extrapolate=True)
     metres, volts = RANGE * span_with(actuator, state, path), RANGE * volts_with(actuator, clips.voltage)
     assert_same_motion(stack, clips, metres, volts)
-    came = actuator.simulate(clips.voltage, state=state)
+    came = actuator.simulate(clips.voltage, state=state, extrapolate=True)
     assert_same_motion(came, clips, metres, 0.0)
     # Cut where the way back is under way, the memory must have been put down.
     cut = int(rng.integers(1, sweep.size))
-    first = actuator.simulate(clips.voltage[:cut], state=state)
-    second = actuator.simulate(clips.voltage[cut:], state=first.state)
+    first = actuator.simulate(clips.voltage[:cut], state=state, extrapolate=True)
+    second = actuator.simulate(clips.voltage[cut:], state=first.state, extrapolate=True)
     assert_close(second.displacement, path[cut:], metres)
     assert_close(second.state.carts, clips.state.carts, metres)
 
@@ -290,9 +290,11 @@ def test_an_outermost_branch_that_rounding_shortens_by_a_bit():
     state = State(0.940325206469228, [0.0027390141650343])
     high, low, top = 2.8154975910776154, -0.9348471781391594, 0.940325206469228
     path = np.array([high, low, top, low, -0.1, low, top, 0.1, 1.8779113987734217])
-    voltage = actuator.compensate(path, state=state, stack=False).voltage
+    voltage = actuator.compensate(path, state=state, stack=False, extrapolate=True).voltage
     for stack in (False, True):
-        np.testing.assert_allclose(actuator.simulate(voltage, state=state, stack=stack).displacement, path, atol=1e-14)
+        np.testing.assert_allclose(
+            actuator.simulate(voltage, state=state, stack=stack, extrapolate=True).displacement, path, atol=1e-14
+        )
 
 
 def bench():
@@ -309,8 +311,8 @@ def test_c_compiled_apart_gives_the_same_bits(compiled, options):
     compiled.compile(*options, "-fno-sanitize-recover", "main.c", *SOURCES, "-o", "main")
     got = compiled.run(actuator, state, path)
     for column, stack in ((0, True), (2, False)):
-        sent = actuator.compensate(path, state=state, stack=stack)
-        came = actuator.simulate(sent.voltage, state=state, stack=stack)
+        sent = actuator.compensate(path, state=state, stack=stack, extrapolate=True)
+        came = actuator.simulate(sent.voltage, state=state, stack=stack, extrapolate=True)
         assert np.array_equal(got[:, column], sent.voltage)
         assert np.array_equal(got[:, column + 1], came.displacement)
 
@@ -331,7 +333,7 @@ def test_the_core_works_in_single_precision(compiled, options):
     strict = [*options, "-fno-sanitize-recover", "-Wdouble-promotion"]
     compiled.use_float().compile(*strict, "main.c", *SOURCES, "-o", "main")
     got = compiled.run(actuator, state, path)
-    span, sent = span_with(actuator, state, path), actuator.compensate(path, state=state)
+    span, sent = span_with(actuator, state, path), actuator.compensate(path, state=state, extrapolate=True)
     for column in (0, 2):
         assert_close(got[:, column], sent.voltage, 1e-4 * volts_with(actuator, sent.voltage))
         assert_close(got[:, column + 1], path, 1e-4 * span)

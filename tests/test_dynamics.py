@@ -161,14 +161,14 @@ def test_a_slow_load_shifts_what_has_no_mass(motion, seed):
     loaded = Actuator(actuator.slip, actuator.spring, transformer=actuator.transformer, creep=actuator.creep,
                       load_stiffness=2e6)  # fmt: skip
     load = 2e6 * our.span_of(actuator) * np.random.default_rng(seed).normal(size=path.size)
-    sent = loaded.compensate(path + load / 2e6, time=time, load=load, state=state)
+    sent = loaded.compensate(path + load / 2e6, time=time, load=load, state=state, extrapolate=True)
     # w is the path again, but for the rounding of the sum and its difference.
     scale = 1e-12 * (our.span_of(actuator) + np.ptp(np.append(path, state.displacement)))
     slopes = actuator.spring.slopes.max() + np.sum(actuator.slip.stiffness)
     slopes += 0.0 if actuator.creep is None else actuator.creep.stiffness.sum()
-    plain = actuator.compensate(path, time=time, state=state)
+    plain = actuator.compensate(path, time=time, state=state, extrapolate=True)
     assert np.abs(sent.voltage - plain.voltage).max(initial=0) <= 3 * slopes * scale
-    came = loaded.simulate(sent.voltage, time=time, load=load, state=state)
+    came = loaded.simulate(sent.voltage, time=time, load=load, state=state, extrapolate=True)
     assert np.abs(came.displacement - path - load / 2e6).max(initial=0) <= 3 * scale
 
 
@@ -179,11 +179,13 @@ def test_a_slow_load_shifts_what_has_no_mass(motion, seed):
 @settings(max_examples=40)
 def test_the_stack_moves_a_mass_as_the_carts_do(motion, series):
     actuator, state, time, path = motion
-    volts = actuator.compensate(path, time=time, state=state).voltage
+    volts = actuator.compensate(path, time=time, state=state, extrapolate=True).voltage
     moving = Actuator(actuator.slip, actuator.spring, transformer=actuator.transformer, creep=actuator.creep,
                       dynamics=Dynamics(6.0 / np.median(np.diff(time)) if time.size > 1 else 1.0, 0.3,
                                         series * actuator.spring.slopes.min()))  # fmt: skip
-    one, two = (moving.simulate(volts, time=time, state=state, stack=stack) for stack in (True, False))
+    one, two = (
+        moving.simulate(volts, time=time, state=state, stack=stack, extrapolate=True) for stack in (True, False)
+    )
     scale = 1e-12 * (our.span_of(actuator) + np.ptp(np.append(one.displacement, state.displacement)))
     assert np.abs(one.displacement - two.displacement).max(initial=0) <= 30 * scale
     assert np.abs(one.state.carts - two.state.carts).max(initial=0) <= 30 * scale

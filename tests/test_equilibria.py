@@ -150,7 +150,7 @@ def test_what_a_history_leaves_is_reachable(motion, seed, share):
     actuator, state, path = motion
     voltage = share * our.volts_of(actuator)
     driven = np.append(our.voltages_like(actuator, state, path, seed), voltage)
-    left = actuator.simulate(driven, state=state).state
+    left = actuator.simulate(driven, state=state, extrapolate=True).state
     assert Equilibria(actuator, voltage, reachable=True).holds(left)
 
 
@@ -161,7 +161,7 @@ def test_what_is_reachable_some_history_leaves(actuator, seed, kind):
     wanted = draw(actuator, seed, kind, reachable=True)
     visits = [b + side * r for b, r in zip(wanted.carts[::-1], rho[::-1], strict=True) for side in (1, -1)]
     start = our.make_state(actuator, seed, "arbitrary")
-    reached = actuator.compensate([*visits, wanted.displacement], state=start).state
+    reached = actuator.compensate([*visits, wanted.displacement], state=start, extrapolate=True).state
     rounding = 1e-9 * size(actuator)
     assert largest(reached.carts - wanted.carts) <= rounding
 
@@ -224,13 +224,13 @@ def test_sliding_order_by_hand():
 def loop_after_peak(actuator, state, peak):
     """What the sensor reads after the first peak, zeroed at t = 0, over cycles of several heights."""
     v = raised_cosine([peak, peak, 0.6 * peak, 0.8 * peak, peak], samples=60)
-    return (actuator.simulate(v, state=state).displacement - state.displacement)[30:]
+    return (actuator.simulate(v, state=state, extrapolate=True).displacement - state.displacement)[30:]
 
 
 def highest_peak(actuator):
     """A voltage at which every element has slid whatever the equilibrium at 0 V was."""
     highest = Equilibria(actuator).range()[1] + 2 * float(actuator.slip.breakaway[-1])
-    return actuator.voltage(actuator.turned(highest))
+    return actuator.voltage(actuator.turned(highest, extrapolate=True))
 
 
 @given(SOME, *EQUILIBRIA)
@@ -261,7 +261,7 @@ def test_the_first_rise_in_closed_form(actuator, seed, kind, reachable):
     y = state.displacement + np.linspace(0, 3 * slip.breakaway[-1], 50)
     left = np.maximum(way - (y - state.displacement)[:, None], 0)
     expected = actuator.spring(y) + (slip.breakaway - left) @ slip.stiffness
-    found = actuator.compensate(y, state=state).voltage
+    found = actuator.compensate(y, state=state, extrapolate=True).voltage
     assert largest(found - expected) <= 1e-11 * (our.volts_of(actuator) + largest(expected))
 
 

@@ -30,7 +30,7 @@ def same_state(state, other, metres):
 
 
 def compensated(actuator, path, start):
-    return actuator.compensate(path, state=start).voltage
+    return actuator.compensate(path, state=start, extrapolate=True).voltage
 
 
 def major(actuator, extra=1.0):
@@ -58,7 +58,7 @@ def test_force_balance(motion, seed):
     actuator, state, path = motion
     slip = actuator.slip
     for v in our.voltages_like(actuator, state, path, seed):
-        state = actuator.simulate([v], state=state).state
+        state = actuator.simulate([v], state=state, extrapolate=True).state
         s = state.displacement - state.carts
         assert np.all(np.abs(s) <= slip.breakaway + EXACT * our.span_of(actuator))
         balance = slip.stiffness @ s + actuator.spring(state.displacement)
@@ -125,7 +125,10 @@ def test_lemma_1(actuator, seed, other):
     a, b = (our.make_state(actuator, s, "arbitrary") for s in (seed, other))
     path = our.make_path(actuator, bottom, seed, "nested", 20).clip(bottom, top)
     path = np.concatenate([path, [bottom, top, 0.3 * bottom + 0.7 * top]])
-    one, two = actuator.compensate(path, state=a), actuator.compensate(path, state=b)
+    one, two = (
+        actuator.compensate(path, state=a, extrapolate=True),
+        actuator.compensate(path, state=b, extrapolate=True),
+    )
     assert same_state(one.state, two.state, metres)
     assert close(one.voltage[-2:], two.voltage[-2:], v)
 
@@ -169,8 +172,10 @@ def test_residual_strain_shifts_the_loop(actuator, seed):
     rng, rho = np.random.default_rng(seed), actuator.slip.breakaway
     starts = [at_rest(actuator, rho * rng.uniform(-1, 1, rho.size)) for _ in range(2)]
     highest = max(start.displacement for start in starts) + 2 * rho[-1]
-    v = actuator.voltage(actuator.turned(highest)) * (0.5 - 0.5 * np.cos(np.linspace(0, 4 * np.pi, 121)))
-    loops = [actuator.simulate(v, state=s).displacement - s.displacement for s in starts]
+    v = actuator.voltage(actuator.turned(highest, extrapolate=True)) * (
+        0.5 - 0.5 * np.cos(np.linspace(0, 4 * np.pi, 121))
+    )
+    loops = [actuator.simulate(v, state=s, extrapolate=True).displacement - s.displacement for s in starts]
     allowance, force = 4 * scales(actuator)[1], actuator.slip.friction.sum()
     shift = starts[1].displacement - starts[0].displacement
     assert close(loops[0][30:] - loops[1][30:], shift, allowance)
@@ -188,8 +193,8 @@ def test_wiping_out(motion, seed, depth):
     before, here = np.append(state.displacement, path)[-2:]
     turn = here + depth * (before - here)
     inside = here + np.random.default_rng(seed).uniform(0, 1, 10) * (turn - here)
-    plain = actuator.compensate(path, state=state)
-    detour = actuator.compensate(np.concatenate([path, [turn], inside, [here]]), state=state)
+    plain = actuator.compensate(path, state=state, extrapolate=True)
+    detour = actuator.compensate(np.concatenate([path, [turn], inside, [here]]), state=state, extrapolate=True)
     volts = EXACT * (our.volts_of(actuator) + np.ptp(detour.voltage))
     metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(path, state.displacement)))
     assert same_state(plain.state, detour.state, metres)
@@ -319,7 +324,10 @@ def test_order_is_preserved_under_voltage(motion, seed):
     higher = State(y, lower.carts + np.random.default_rng(seed).uniform(0, 1, rho.size) * (y + rho - lower.carts))
     v = our.voltages_like(actuator, lower, path, seed)
     for voltage in v:
-        one, two = actuator.simulate([voltage], state=lower), actuator.simulate([voltage], state=higher)
+        one, two = (
+            actuator.simulate([voltage], state=lower, extrapolate=True),
+            actuator.simulate([voltage], state=higher, extrapolate=True),
+        )
         metres = EXACT * (our.span_of(actuator) + abs(one.displacement[0]))
         assert two.displacement[0] - one.displacement[0] >= -metres
         assert np.all(two.state.carts - one.state.carts >= -metres)
@@ -332,7 +340,7 @@ def test_carts_slide_in_increasing_order(motion, seed):
     on a rise element i + 1 never slides before element i.
     """
     actuator, state, path = motion
-    state = actuator.simulate(our.voltages_like(actuator, state, path, seed), state=state).state
+    state = actuator.simulate(our.voltages_like(actuator, state, path, seed), state=state, extrapolate=True).state
     rho = actuator.slip.breakaway
     metres = EXACT * (our.span_of(actuator) + abs(state.displacement))
     gaps = np.diff(np.append(state.displacement, state.carts))
@@ -350,7 +358,9 @@ def test_physical_units(motion, seed):
     paper = in_newtons(actuator)
     keq = KE * KM / (KE + KM)
     knot = int(np.random.default_rng(seed).integers(paper.deformation.size))
-    at = actuator.simulate(compensated(actuator, [actuator.spring.displacement[knot]], state), state=state).state
+    at = actuator.simulate(
+        compensated(actuator, [actuator.spring.displacement[knot]], state), state=state, extrapolate=True
+    ).state
     s = (at.displacement - at.carts) * KM / keq
     force = paper.stiffness @ s + keq * paper.deformation[knot] + paper.nonlinear[knot]
     volts = scales(actuator)[0] + EXACT * np.abs(keq * paper.deformation).max() / T

@@ -173,7 +173,7 @@ def test_an_inner_loop_leaves_a_trace():
 def test_compensate_agrees_with_the_oracle(stack, motion):
     actuator, state, path = motion
     volts, metres = scales(actuator, state, path)
-    got, known = actuator.compensate(path, state=state, stack=stack), oracle.Smooth(actuator, state)
+    got, known = actuator.compensate(path, state=state, stack=stack, extrapolate=True), oracle.Smooth(actuator, state)
     bench.assert_close(got.voltage, known.compensate(path), volts)
     bench.assert_close(got.state.carts, known.y - known.elongation, metres)
     bench.assert_close(got.state.smooth, known.q, EXACT * actuator.smooth.length.max())
@@ -183,9 +183,9 @@ def test_compensate_agrees_with_the_oracle(stack, motion):
 @settings(max_examples=40)
 def test_simulate_agrees_with_the_oracle(motion):
     actuator, state, path = motion
-    v = actuator.compensate(path, state=state).voltage
+    v = actuator.compensate(path, state=state, extrapolate=True).voltage
     v = v + 0.1 * np.ptp(v) * np.random.default_rng(1).normal(size=v.size) if v.size else v
-    got, known = actuator.simulate(v, state=state), oracle.Smooth(actuator, state)
+    got, known = actuator.simulate(v, state=state, extrapolate=True), oracle.Smooth(actuator, state)
     expected = known.simulate(v)
     bench.assert_close(got.displacement, expected, 10 * scales(actuator, state, expected)[1])
 
@@ -194,8 +194,8 @@ def test_simulate_agrees_with_the_oracle(motion):
 @settings(max_examples=200)
 def test_simulating_the_compensating_voltage_gives_the_path(motion):
     actuator, state, path = motion
-    sent = actuator.compensate(path, state=state)
-    came = actuator.simulate(sent.voltage, state=state)
+    sent = actuator.compensate(path, state=state, extrapolate=True)
+    came = actuator.simulate(sent.voltage, state=state, extrapolate=True)
     metres = 10 * scales(actuator, state, path)[1]
     bench.assert_close(came.displacement, path, metres)
     bench.assert_close(came.state.carts, sent.state.carts, metres)
@@ -237,10 +237,13 @@ def test_rate_independence(motion, seed):
     part[:, 2:] = 1
     previous = np.append(state.displacement, path)[:-1, None]
     slow = np.where(part == 1, path[:, None], previous + part * (path[:, None] - previous))
-    fast, slowed = actuator.compensate(path, state=state), actuator.compensate(slow.ravel(), state=state)
+    fast, slowed = (
+        actuator.compensate(path, state=state, extrapolate=True),
+        actuator.compensate(slow.ravel(), state=state, extrapolate=True),
+    )
     bench.assert_close(slowed.voltage[3::4], fast.voltage, volts)
     bench.assert_close(slowed.state.smooth, fast.state.smooth, metres)
-    back = actuator.simulate(slowed.voltage, state=state)
+    back = actuator.simulate(slowed.voltage, state=state, extrapolate=True)
     bench.assert_close(back.displacement[3::4], path, 10 * metres)
 
 
@@ -248,7 +251,7 @@ def test_rate_independence(motion, seed):
 def test_a_record_may_be_cut_anywhere(motion, cut):
     actuator, state, path = motion
     k = int(cut * path.size)
-    whole = actuator.compensate(path, state=state)
+    whole = actuator.compensate(path, state=state, extrapolate=True)
     for name, drive, out in (("compensate", path, "voltage"), ("simulate", whole.voltage, "displacement")):
         run = getattr(actuator, name)
         first = run(drive[:k], state=state)
@@ -265,20 +268,22 @@ def test_without_stiffness_they_change_nothing(motion):
     plain, idling = (Actuator(actuator.slip, actuator.spring, smooth=smooth) for smooth in (None, idle))
     bare, (volts, metres) = State(state.displacement, state.carts), scales(actuator, state, path)
     for stack in (True, False):
-        sent = plain.compensate(path, state=bare, stack=stack).voltage
-        bench.assert_close(idling.compensate(path, state=state, stack=stack).voltage, sent, volts)
+        sent = plain.compensate(path, state=bare, stack=stack, extrapolate=True).voltage
+        bench.assert_close(idling.compensate(path, state=state, stack=stack, extrapolate=True).voltage, sent, volts)
     bench.assert_close(
-        idling.simulate(sent, state=state).displacement, plain.simulate(sent, state=bare).displacement, metres
+        idling.simulate(sent, state=state, extrapolate=True).displacement,
+        plain.simulate(sent, state=bare, extrapolate=True).displacement,
+        metres,
     )
 
 
 @given(motion=motions(max_samples=30), more=st.floats(1e-6, 1))
 def test_more_voltage_more_displacement(motion, more):
     actuator, state, path = motion
-    reached = actuator.compensate(path, state=state).state
+    reached = actuator.compensate(path, state=state, extrapolate=True).state
     now = actuator.voltage(reached)
     steps = now + more * our.volts_of(actuator) * np.array([0.0, 1.0])
-    ends = [actuator.simulate([v], state=reached).displacement[0] for v in steps]
+    ends = [actuator.simulate([v], state=reached, extrapolate=True).displacement[0] for v in steps]
     assert ends[1] > ends[0]
 
 
@@ -309,11 +314,11 @@ def test_the_equation_holds_to_its_rounding(seed):
     actuator = Actuator(slip, spring, smooth=smooth)
     ends = [actuator.voltage(actuator.turned(end, rising=end > 0)) for end in (0.0, span)]
     v = ends[0] + (ends[1] - ends[0]) * rng.uniform(-0.3, 1.3, 60)
-    y = actuator.simulate(v).displacement
+    y = actuator.simulate(v, extrapolate=True).displacement
     slope = slip.stiffness.sum() + spring.slopes.max() + 2 * smooth.stiffness.sum()
     held = np.ptp(spring.voltage) + 2 * slip.friction.sum() + 2 * smooth.stiffness @ smooth.length
     rounding = np.spacing(np.abs(y)) * slope + np.spacing(np.abs(v)) + np.finfo(float).eps * held
-    assert np.all(np.abs(actuator.compensate(y).voltage - v) <= 2 * rounding)
+    assert np.all(np.abs(actuator.compensate(y, extrapolate=True).voltage - v) <= 2 * rounding)
 
 
 def test_a_sample_that_is_not_a_number_moves_nothing():
@@ -332,7 +337,7 @@ def test_a_sample_that_is_not_a_number_moves_nothing():
 
 
 def test_after_a_long_motion_they_are_as_long_as_they_get():
-    far = ACTUATOR.compensate([1.0, -1.0, 5e-6]).state
+    far = ACTUATOR.compensate([1.0, -1.0, 5e-6], extrapolate=True).state
     turned = ACTUATOR.turned(5e-6)
     bench.assert_close(far.smooth, turned.smooth, 0.0)
     bench.assert_close(far.carts, turned.carts, 1e-18)

@@ -35,7 +35,10 @@ def same_state(one, two, metres):
 def test_compensate_agrees_with_the_oracle(stack, motion):
     actuator, state, time, path = motion
     volts, metres = scales(actuator, state, path)
-    got, known = actuator.compensate(path, time=time, state=state, stack=stack), oracle.Wide(actuator, state)
+    got, known = (
+        actuator.compensate(path, time=time, state=state, stack=stack, extrapolate=True),
+        oracle.Wide(actuator, state),
+    )
     bench.assert_close(got.voltage, known.compensate(path, time), 3 * volts)
     same_state(got.state, State(known.y, known.carts, known.y - known.z), metres)
 
@@ -45,12 +48,12 @@ def test_compensate_agrees_with_the_oracle(stack, motion):
 @settings(max_examples=40)
 def test_simulate_agrees_with_the_oracle(stack, motion):
     actuator, state, time, path = motion
-    v = actuator.compensate(path, time=time, state=state).voltage
+    v = actuator.compensate(path, time=time, state=state, extrapolate=True).voltage
     v = v + 0.1 * np.ptp(v) * np.random.default_rng(1).normal(size=v.size) if v.size else v
     known = oracle.Wide(actuator, state)
     expected = known.simulate(v, time)
     metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(expected, state.displacement)))
-    got = actuator.simulate(v, time=time, state=state, stack=stack)
+    got = actuator.simulate(v, time=time, state=state, stack=stack, extrapolate=True)
     bench.assert_close(got.displacement, expected, 10 * metres)
     same_state(got.state, State(known.y, known.carts, known.y - known.z), 10 * metres)
 
@@ -61,8 +64,8 @@ def test_simulate_agrees_with_the_oracle(stack, motion):
 def test_simulating_the_compensating_voltage_gives_the_path(there, back, motion):
     actuator, state, time, path = motion
     _, metres = scales(actuator, state, path)
-    sent = actuator.compensate(path, time=time, state=state, stack=there)
-    came = actuator.simulate(sent.voltage, time=time, state=state, stack=back)
+    sent = actuator.compensate(path, time=time, state=state, stack=there, extrapolate=True)
+    came = actuator.simulate(sent.voltage, time=time, state=state, stack=back, extrapolate=True)
     bench.assert_close(came.displacement, path, 3 * metres)
     same_state(came.state, sent.state, 3 * metres)
 
@@ -74,7 +77,7 @@ def test_a_record_may_be_cut_at_any_sample(motion, cut):
     assume(path.size)
     k = int(cut * (path.size - 1))
     volts, metres = scales(actuator, state, path)
-    whole = actuator.compensate(path, time=time, state=state)
+    whole = actuator.compensate(path, time=time, state=state, extrapolate=True)
     for name, drive, allowance in (("compensate", path, volts), ("simulate", whole.voltage, 3 * metres)):
         run, out = getattr(actuator, name), "voltage" if name == "compensate" else "displacement"
         first = run(drive[: k + 1], time=time[: k + 1], state=state)
@@ -88,8 +91,8 @@ def test_beside_a_transformer_alone_the_stack_puts_down_the_memory_of_the_clips(
     """The core maps voltages in place: the stack reads a sample before it writes there."""
     actuator, state, _, path = motion
     _, metres = scales(actuator, state, path)
-    voltage = actuator.compensate(path, state=state).voltage
-    stack, clips = (actuator.simulate(voltage, state=state, stack=stack) for stack in (True, False))
+    voltage = actuator.compensate(path, state=state, extrapolate=True).voltage
+    stack, clips = (actuator.simulate(voltage, state=state, stack=stack, extrapolate=True) for stack in (True, False))
     bench.assert_close(stack.displacement, clips.displacement, metres)
     same_state(stack.state, clips.state, metres)
 
@@ -101,9 +104,9 @@ def test_one_grade_is_a_plain_element(motion, seed):
     knots = np.sort(np.random.default_rng(seed).uniform(*actuator.spring.displacement[[0, -1]], 2))
     graded = Actuator(GradedSlip(slip.breakaway, knots, slip.stiffness[:, None]), actuator.spring)
     volts, metres = scales(actuator, state, path)
-    plain = actuator.compensate(path, state=state)
-    bench.assert_close(graded.compensate(path, state=state).voltage, plain.voltage, volts)
-    bench.assert_close(graded.simulate(plain.voltage, state=state).displacement, path, 2 * metres)
+    plain = actuator.compensate(path, state=state, extrapolate=True)
+    bench.assert_close(graded.compensate(path, state=state, extrapolate=True).voltage, plain.voltage, volts)
+    bench.assert_close(graded.simulate(plain.voltage, state=state, extrapolate=True).displacement, path, 2 * metres)
     bench.assert_close(
         graded.slip.friction,
         slip.friction,
@@ -121,19 +124,21 @@ def test_without_effect_the_wider_parts_change_nothing(motion, seed):
         our.make_time(seed, path.size),
     )
     volts, metres = scales(actuator, state, path)
-    plain = actuator.compensate(path, state=state)
-    bench.assert_close(wider.compensate(path, time=time, state=state).voltage, plain.voltage, volts)
-    bench.assert_close(wider.simulate(plain.voltage, time=time, state=state).displacement, path, metres)
+    plain = actuator.compensate(path, state=state, extrapolate=True)
+    bench.assert_close(wider.compensate(path, time=time, state=state, extrapolate=True).voltage, plain.voltage, volts)
+    bench.assert_close(
+        wider.simulate(plain.voltage, time=time, state=state, extrapolate=True).displacement, path, metres
+    )
 
 
 @given(motion=our.wider_motions(max_samples=40), more=st.floats(1e-6, 1))
 def test_more_voltage_more_displacement(motion, more):
     actuator, state, time, path = motion
     assume(path.size)
-    reached = actuator.compensate(path, time=time, state=state)
+    reached = actuator.compensate(path, time=time, state=state, extrapolate=True)
     times = [0.0, 0.3]
     now = reached.voltage[-1]
-    ends = [actuator.simulate([now, v], time=times, state=reached.state).displacement[-1]
+    ends = [actuator.simulate([now, v], time=times, state=reached.state, extrapolate=True).displacement[-1]
             for v in (now, now + more * our.volts_of(Actuator(MaxwellSlip([], []), actuator.spring)))]  # fmt: skip
     assert ends[1] > ends[0]
 
@@ -145,8 +150,8 @@ def test_samples_added_on_a_straight_path_change_nothing(motion, parts):
     assume(path.size > 1)
     fine = np.interp(np.arange(parts * (path.size - 1) + 1) / parts, np.arange(path.size), time)
     volts, _ = scales(actuator, state, path)
-    coarse = actuator.compensate(path, time=time, state=state).voltage
-    dense = actuator.compensate(np.interp(fine, time, path), time=fine, state=state).voltage
+    coarse = actuator.compensate(path, time=time, state=state, extrapolate=True).voltage
+    dense = actuator.compensate(np.interp(fine, time, path), time=fine, state=state, extrapolate=True).voltage
     # np.interp rounds times and places; a gain near 1 hands that on.
     bench.assert_close(dense[::parts], coarse, 30 * volts)
 
@@ -214,11 +219,13 @@ def test_dissipation_of_graded_elements(actuator, seed, width):
     )
     ticks = np.unique(np.append(bends.clip(bottom, top), [bottom, top]))
     loop = np.concatenate([ticks, ticks[-2::-1]])
-    v = wider.compensate(np.concatenate([loop, loop]), state=wider.turned(bottom, rising=False)).voltage[loop.size :]
+    v = wider.compensate(
+        np.concatenate([loop, loop]), state=wider.turned(bottom, rising=False, extrapolate=True), extrapolate=True
+    ).voltage[loop.size :]
     area = float(np.sum(0.5 * (v[1:] + v[:-1]) * np.diff(loop)))
     low, high = bottom + rho, np.maximum(top - rho, bottom + rho)
     lost = float(2 * rho @ (slip.held(high) - slip.held(low)))
-    volts, _ = scales(wider, wider.turned(bottom), loop)
+    volts, _ = scales(wider, wider.turned(bottom, extrapolate=True), loop)
     assert lost >= 0
     bench.assert_close(area, lost, loop.size * volts * (top - bottom))
 
@@ -242,10 +249,14 @@ def test_states_rest_where_they_say(motion, seed):
     actuator, state, *_ = motion
     v = actuator.voltage(state)
     volts, metres = scales(actuator, state, [])
-    here = actuator.compensate([state.displacement], time=[seed], state=state)
+    here = actuator.compensate([state.displacement], time=[seed], state=state, extrapolate=True)
     bench.assert_close(here.voltage, [v], 3 * volts)
-    bench.assert_close(actuator.simulate([v], time=[seed], state=state).displacement, [state.displacement], 10 * metres)
-    relaxed = actuator.relaxed(v)
+    bench.assert_close(
+        actuator.simulate([v], time=[seed], state=state, extrapolate=True).displacement,
+        [state.displacement],
+        10 * metres,
+    )
+    relaxed = actuator.relaxed(v, extrapolate=True)
     bench.assert_close(actuator.voltage(relaxed), v, 3 * volts + 1e-12 * abs(v))
     assert np.ptp(np.append(relaxed.carts, relaxed.displacement)) == 0
 
@@ -333,7 +344,7 @@ def test_charge_balances_power(motion):
     actuator, state, path = motion
     assume(path.size > 1)
     constants = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
-    paper, v = actuator.physical(**constants), actuator.compensate(path, state=state).voltage
+    paper, v = actuator.physical(**constants), actuator.compensate(path, state=state, extrapolate=True).voltage
     q = actuator.charge(path, **constants)
     x = np.diff(path) * 1.4e6 / paper.equivalent_stiffness
     mean = 0.5 * (v[1:] + v[:-1])

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst import _core
 from dehyst._errors import ModelError
+from dehyst.units import plain
 
 Array = NDArray[np.float64]
 NOTHING: Array = np.zeros(0)
@@ -27,26 +28,27 @@ def untimely(time: Array, samples: int) -> str:
     return f"time: got {after:.9g} s after {before:.9g} s at value {first}, need strictly increasing times"
 
 
-def vector(values: ArrayLike, what: str) -> Array:
-    """Return `values` as a contiguous one-dimensional array of finite doubles.
+def vector(values: ArrayLike, what: str, unit: str | None = None) -> Array:
+    """Return `values` as a contiguous one-dimensional array of finite doubles; quantities in `unit`, see `plain`.
 
     Raises
     ------
     ModelError
-        If it has another number of dimensions, is not numeric, or holds NaN or infinity.
+        If it has another number of dimensions, is not numeric, has another unit, or holds NaN or infinity.
     """
-    array = _doubles(values, what)
+    array = _doubles(values, what, unit)
     if array.ndim != 1:
         raise ModelError(f"{what}: got an array of shape {array.shape}, need one dimension")
-    bad = np.flatnonzero(~np.isfinite(array))
-    if bad.size:
+    finite = np.isfinite(array)
+    if not finite.all():
+        bad = np.flatnonzero(~finite)
         raise ModelError(f"{what}: {bad.size} of {array.size} values are not finite, the first at index {bad[0]}")
     return array
 
 
-def matrix(values: ArrayLike, what: str) -> Array:
+def matrix(values: ArrayLike, what: str, unit: str | None = None) -> Array:
     """Return `values` as a contiguous two-dimensional array of finite doubles; raises as `vector` does."""
-    array = _doubles(values, what)
+    array = _doubles(values, what, unit)
     if array.ndim != 2:
         raise ModelError(f"{what}: got an array of shape {array.shape}, need two dimensions")
     if not np.isfinite(array).all():
@@ -54,11 +56,10 @@ def matrix(values: ArrayLike, what: str) -> Array:
     return array
 
 
-def _doubles(values: ArrayLike, what: str) -> Array:
-    if np.ma.is_masked(values):
-        raise ModelError(f"{what}: got an array with masked values, need all of them")
+def _doubles(values: ArrayLike, what: str, unit: str | None) -> Array:
+    numbers = plain(values, what, unit)
     try:
-        given = np.asarray(values)
+        given = np.asarray(numbers)
         if given.dtype.kind not in "iuf" and given.size:
             raise TypeError
         return np.array(given, dtype=np.float64, order="C")
@@ -66,17 +67,18 @@ def _doubles(values: ArrayLike, what: str) -> Array:
         raise ModelError(f"{what}: got {type(values).__name__}, need an array of numbers") from error
 
 
-def number(value: object, what: str) -> float:
-    """Return `value` as a finite float.
+def number(value: object, what: str, unit: str | None = None) -> float:
+    """Return `value` as a finite float; a quantity in `unit`, see `plain`.
 
     Raises
     ------
     ModelError
-        If it is no number, or NaN or infinite.
+        If it is no number, has another unit, or is NaN or infinite.
     """
-    if isinstance(value, Real) and not isinstance(value, bool):
+    found = plain(value, what, unit)
+    if isinstance(found, Real) and not isinstance(found, bool):
         try:
-            as_float = float(value)
+            as_float = float(found)
         except OverflowError:
             as_float = math.inf
         if math.isfinite(as_float):

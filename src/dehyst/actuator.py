@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from dehyst import model_file
 from dehyst._errors import ModelError
-from dehyst._native import Array, Core, number, vector
+from dehyst._native import NOTHING, Array, Core, number, vector
 from dehyst.computable import FARTHEST, MOST_ADDED, demand_divisors, demand_magnitudes, demand_result
 from dehyst.control_blocks import actuator_block
 from dehyst.creep import Creep, clock
@@ -21,11 +21,19 @@ from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import AbstractModel, Motion, State
 from dehyst.physical import Physical, charge, physical
+from dehyst.plausibility import ANYWAY, Range, displacement_words, voltage_words
 from dehyst.smooth import SmoothSlip
+from dehyst.units import plain
 from dehyst.wide import Course, WideModel, least_slope
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
+
+
+# A step in creep's longest time constants: w moves evenly in it, and leaves strains of one part in so many.
+_REST = 1e9
+# Smooth elements forget slowly where they were.
+_VISITS = 60
 
 
 def interval(limits: Sequence[float]) -> tuple[float, float]:
@@ -36,7 +44,8 @@ def interval(limits: Sequence[float]) -> tuple[float, float]:
     ModelError
         If they are not two finite numbers, the lower one first.
     """
-    ends = [number(end, "limits") for end in limits] if isinstance(limits, Sequence | np.ndarray) else []
+    pair = plain(limits, "limits")
+    ends = [number(end, "limits") for end in pair] if isinstance(pair, Sequence | np.ndarray) else []
     if len(ends) != 2 or ends[0] >= ends[1]:
         raise ModelError(f"limits: got {limits}, need two finite voltages, the lower one first")
     demand_magnitudes(ends, "limits [V]", MOST_ADDED)
@@ -112,14 +121,16 @@ class Actuator(AbstractModel):
         self._demand_numbers()
         least_slope(self.slip, self.spring)
         if self.state is None:
-            object.__setattr__(self, "state", self.turned(float(self.spring.displacement[-1])))
+            object.__setattr__(self, "state", self.turned(float(self.spring.displacement[-1]), extrapolate=True))
         self._start(self.state)
         _ = self.model.core if self.wide else self.core  # which refuse what the parts cannot see
         if self.limits is not None:
             object.__setattr__(self, "limits", interval(self.limits))
-        if number(self.delay, "delay") < 0:
+        delay = number(self.delay, "delay")
+        if delay < 0:
             raise ModelError(f"delay: got {self.delay}, need 0 or more: a displacement does not lead its voltage")
-        demand_magnitudes(self.delay, "delay [s]", MOST_ADDED)
+        demand_magnitudes(delay, "delay [s]", MOST_ADDED)
+        object.__setattr__(self, "delay", delay)
 
     @property
     def wide(self) -> bool:
@@ -130,6 +141,34 @@ class Actuator(AbstractModel):
     def needs_time(self) -> bool:
         """Whether `simulate` and `compensate` must be told the time of each sample."""
         return self.model.needs_time
+
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """Displacements [m] at the lower and the upper limit, once both have been visited and creep is at rest.
+
+        Without limits, the first and the last knot of the spring.
+        """
+        if self.limits is not None:
+            return self.major_loop(self.limits)
+        return float(self.spring.displacement[0]), float(self.spring.displacement[-1])
+
+    def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
+        """Displacements [m] at the lower and the upper limit [V] of slow loops between them, creep at rest at both."""
+        slow = replace(self, dynamics=None, lag=0.0, state=replace(self.state, motion=NOTHING), limits=None)
+        voltage = np.tile(limits, _VISITS)
+        rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
+        time = np.arange(voltage.size) * rest if slow.needs_time else None
+        y = slow.simulate(voltage, time=time, extrapolate=True).displacement
+        return float(y[-2]), float(y[-1])
+
+    @cached_property
+    def voltage_range(self) -> tuple[float, float]:
+        """The limits [V]; without limits, voltages of the largest loop between the ends of the spring's knots."""
+        if self.limits is not None:
+            return self.limits
+        ends = float(self.spring.displacement[0]), float(self.spring.displacement[-1])
+        low, high = (self.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(ends))
+        return self.voltage(low), self.voltage(high)
 
     @cached_property
     def core(self) -> Core:
@@ -159,6 +198,7 @@ class Actuator(AbstractModel):
         load: ArrayLike | None = None,
         state: State | None = None,
         stack: bool = True,
+        extrapolate: bool = False,
     ) -> Motion:
         """Displacement that a voltage causes; exact, for any steps between samples, but for inertia.
 
@@ -178,6 +218,8 @@ class Actuator(AbstractModel):
         stack : bool, optional
             Evaluate on the stack of reversals (default), or clip every element at every sample. Same answer. Graded
             elements, and a simulation with smooth ones, always clip.
+        extrapolate : bool, optional
+            Simulate voltages too that lie farther outside of `voltage_range` than it is wide.
 
         Returns
         -------
@@ -187,10 +229,12 @@ class Actuator(AbstractModel):
         Raises
         ------
         ModelError
-            If the voltage is not finite, the time is missing or does not fit, the state does not fit this actuator, or
-            a displacement is too large to be computed.
+            If the voltage is not finite or lies too far outside, the time is missing or does not fit, the state does
+            not fit this actuator, or a displacement is too large to be computed.
         """
         v, start = vector(voltage, "voltage"), self._start(state)
+        if not extrapolate:
+            self._demand_voltage(v)
         if self.wide:
             y, reached = self.model.simulate(v, Course(time, load), start, stack)
             return Motion(voltage=v, displacement=y, state=reached)
@@ -209,6 +253,7 @@ class Actuator(AbstractModel):
         acceleration: ArrayLike | None = None,
         state: State | None = None,
         stack: bool = True,
+        extrapolate: bool = False,
     ) -> Motion:
         """Voltage that makes the actuator follow a displacement (Eqs. 11-12, with x(0) put in).
 
@@ -220,6 +265,9 @@ class Actuator(AbstractModel):
             As in `simulate`; with creep the path is taken to be straight between samples.
         velocity, acceleration : (n,) array_like, optional
             Of the path [m/s, m/s^2], where dynamics need them; default: those of its cubic spline.
+        extrapolate : bool, optional
+            Compute voltages too for displacements that lie more than one stroke outside of `reach` and the spring: as a
+            rule these are micrometres given for metres.
 
         Returns
         -------
@@ -231,10 +279,12 @@ class Actuator(AbstractModel):
         Raises
         ------
         ModelError
-            If the displacement is not finite, the time is missing or does not fit, the state does not fit this
-            actuator, or a voltage is too large to be computed.
+            If the displacement is not finite or lies more than one stroke outside, the time is missing or does not fit,
+            the state does not fit this actuator, or a voltage is too large to be computed.
         """
         y, start = vector(displacement, "displacement"), self._start(state)
+        if not extrapolate:
+            self._demand_displacement(y, load)
         if self.wide:
             v, reached = self.model.compensate(y, Course(time, load, velocity, acceleration), start, stack)
             return Motion(voltage=v, displacement=y, state=reached)
@@ -243,18 +293,36 @@ class Actuator(AbstractModel):
         demand_result(v, "voltage")
         return Motion(voltage=v, displacement=y, state=State(position, carts))
 
-    def relaxed(self, voltage: float = 0.0) -> State:
-        """The state in which no element is strained and the spring alone holds `voltage` [V]."""
+    def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
+        """The state in which no element is strained and the spring alone holds `voltage` [V].
+
+        Raises
+        ------
+        ModelError
+            If the voltage lies farther outside of `voltage_range` and 0 V than that range is wide, unless
+            `extrapolate`.
+        """
         v = number(voltage, "voltage")
+        if v != 0 and not extrapolate:
+            self._demand_voltage(np.array([v]))
         y = self.core.spring_inverse(v if self.transformer is None else float(self.transformer(v)))
         return State(y, np.full(len(self.slip), y))
 
-    def turned(self, displacement: float, *, rising: bool = True) -> State:
+    def turned(self, displacement: float, *, rising: bool = True, extrapolate: bool = False) -> State:
         """The state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II).
 
         Every smooth element has let go. Creep is at rest there, as if the motion had been slow.
+
+        Raises
+        ------
+        ModelError
+            If the displacement lies more than one stroke outside of `reach` and the knots of the spring, unless
+            `extrapolate`.
         """
         y = number(displacement, "displacement")
+        knots = self.spring.displacement
+        if not extrapolate and not knots[0] <= y <= knots[-1]:
+            self._demand_displacement(np.array([y]), None)
         side = 1 if rising else -1
         smooth = () if self.smooth is None else side * self.smooth.length
         return State(y, y - side * self.slip.breakaway, smooth=smooth)
@@ -270,7 +338,12 @@ class Actuator(AbstractModel):
         return v
 
     def to_control(
-        self, *, period: float | None = None, state: State | None = None, name: str = "actuator"
+        self,
+        *,
+        period: float | None = None,
+        state: State | None = None,
+        name: str = "actuator",
+        extrapolate: bool = False,
     ) -> NonlinearIOSystem:
         """A block for python-control: voltage [V] in, displacement [m] out, a sample every period.
 
@@ -286,6 +359,8 @@ class Actuator(AbstractModel):
             Where to start; default ``self.state``, with an amplifier at rest.
         name : str, optional
             Of the block; its input is called "voltage", its output "displacement".
+        extrapolate : bool, optional
+            As in `simulate`; by default the block raises at such a voltage.
 
         Returns
         -------
@@ -299,7 +374,8 @@ class Actuator(AbstractModel):
         MissingExtraError
             If python-control is not installed.
         """
-        return actuator_block(self.model, self._start(state), period, name)
+        allowed = None if extrapolate else self._voltages
+        return actuator_block(self.model, self._start(state), period, name, allowed)
 
     def physical(
         self, *, transformer_ratio: float, mechanical_stiffness: float, electrical_stiffness: float
@@ -413,15 +489,59 @@ class Actuator(AbstractModel):
         return self.model.fitted(self.state if state is None else state)
 
     def _demand_numbers(self) -> None:
-        if number(self.lag, "lag") < 0:
+        lag = number(self.lag, "lag")
+        if lag < 0:
             raise ModelError(f"lag: got {self.lag}, need 0 s or more")
-        if self.lag:
-            demand_divisors(self.lag, "lag [s]")
+        if lag:
+            demand_divisors(lag, "lag [s]")
+        object.__setattr__(self, "lag", lag)
         if self.load_stiffness is None:
             return
-        if number(self.load_stiffness, "load_stiffness") <= 0:
+        stiffness = number(self.load_stiffness, "load_stiffness")
+        if stiffness <= 0:
             raise ModelError(f"load_stiffness: got {self.load_stiffness}, need a positive number of N/m")
-        demand_divisors(self.load_stiffness, "load_stiffness [N/m]")
+        demand_divisors(stiffness, "load_stiffness [N/m]")
+        object.__setattr__(self, "load_stiffness", stiffness)
+
+    @cached_property
+    def plausible(self) -> Range:
+        """Displacements [m] within `reach` or the knots of the spring; limits may be too wide to compute with."""
+        knots = Range(float(self.spring.displacement[0]), float(self.spring.displacement[-1]))
+        try:
+            low, high = self.reach
+        except ModelError:
+            return knots
+        return knots.joined((low, high)) if 0 < high - low < np.inf else knots
+
+    @cached_property
+    def _voltages(self) -> Range:
+        return Range(*self.voltage_range)
+
+    def _demand_voltage(self, voltage: Array) -> None:
+        got = self._voltages.astray(voltage)
+        if got is not None:
+            raise ModelError(f"{voltage_words(got, self._voltages)}; {ANYWAY}")
+
+    def _demand_displacement(self, displacement: Array, load: ArrayLike | None) -> None:
+        words = self.strays(displacement, load)
+        if words:
+            raise ModelError(f"{words}; {ANYWAY}")
+
+    def strays(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
+        """Why displacements (n,) [m] under a load (n,) [N] cannot be meant for this actuator; empty if they can.
+
+        One cannot that lies farther outside of `plausible` and the `others` than these are wide together.
+        """
+        got = self.plausible.astray(displacement)
+        if got is None:
+            return ""
+        reach = self.plausible.joined(*others)
+        pushed = reach
+        if load is not None and self.load_stiffness is not None:
+            push = vector(load, "load") / self.load_stiffness
+            low, high = float(push.min(initial=0.0)), float(push.max(initial=0.0))
+            pushed = Range(reach.low + low, reach.high + high)
+        return displacement_words(got, reach) if pushed.astray(displacement) is not None else ""
 
     def _demand_no_load(self, time: ArrayLike | None, load: ArrayLike | None, samples: int) -> None:
         if load is not None:

@@ -129,7 +129,8 @@ def _menu(drive: Drive, top: float, elements: int) -> Iterator[tuple[str, str, E
 def _judged(evidence: Evidence, words: str, command: str, excitation: Excitation) -> Suggestion:
     actuator = evidence.actuator
     first = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
-    motion = actuator.simulate(excitation.voltage, state=actuator.simulate(excitation.voltage[:1], state=first).state)
+    begun = actuator.simulate(excitation.voltage[:1], state=first, extrapolate=True).state
+    motion = actuator.simulate(excitation.voltage, state=begun, extrapolate=True)
     record = Record(excitation.time, excitation.voltage, motion.displacement, excitation.name)
     told = directions([*evidence.pieces(), record], actuator.slip.breakaway, evidence.regression)
     weakest = float(told.values[told.determined - 1]) if told.determined else float(np.nan)

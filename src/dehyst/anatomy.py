@@ -109,7 +109,7 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
     rest = np.array([0.0, 20 * longest])
     time = np.concatenate([rest, rest[-1] + 0.1 * shortest + np.concatenate([[0.0], since])])
     voltage = np.concatenate([[low, low], np.full(_TIMES + 1, high)])
-    y = slow.simulate(voltage, time=time).displacement
+    y = slow.simulate(voltage, time=time, extrapolate=True).displacement
     return since, (y[3:] - y[2]) / (y[2] - y[1])
 
 

@@ -78,8 +78,9 @@ def approach_to(
 def _steepest(compensator: Compensator, path: Path, state: State) -> float:
     """Largest step of the voltage [V] along a path, before any limit."""
     motion = compensator.actuator.compensate(
-        path.displacement, time=path.time, velocity=path.velocity, acceleration=path.acceleration, state=state
-    )
+        path.displacement, time=path.time, velocity=path.velocity, acceleration=path.acceleration, state=state,
+        extrapolate=True,
+    )  # fmt: skip
     return float(np.abs(np.diff(motion.voltage)).max(initial=0.0))
 
 

@@ -93,7 +93,8 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         self, prefix: str, actuator: Actuator, *, limits: Sequence[float] | None = None, slew_rate: float | None = None,
         period: float = 0.02, settle: float = 0.1, timeout: float = 5.0, names: PvNames = _NAMES, name: str = "",
     ) -> None:  # fmt: skip
-        if number(period, "period") <= 0 or number(settle, "settle") < 0:
+        period, settle = number(period, "period"), number(settle, "settle")
+        if period <= 0 or settle < 0:
             raise ModelError(f"period, settle: got {period} and {settle} s, need more than 0, and 0 or more")
         self._actuator, self._period, self._settle = _slow(actuator), period, settle
         self._asked = [Limits(*ends) for ends in (limits, actuator.limits) if ends is not None]

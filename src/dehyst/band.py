@@ -124,8 +124,8 @@ def risen(actuator: Actuator, limits: tuple[float, float], played: Excitation | 
     """The state after a rise through the limits, played as it is given, or at any pace."""
     start = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
     if played is None:
-        after: State = actuator.simulate(np.array(limits), state=start).state
+        after: State = actuator.simulate(np.array(limits), state=start, extrapolate=True).state
         return after
     time = played.time if actuator.needs_time else None
-    homed_: State = actuator.simulate(played.voltage, time=time, state=start).state
+    homed_: State = actuator.simulate(played.voltage, time=time, state=start, extrapolate=True).state
     return homed_

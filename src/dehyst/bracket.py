@@ -295,6 +295,6 @@ def _ordered(a: State, b: State) -> Bracket:
 
 def _carts(actuator: Actuator, voltage: Array, state: State) -> tuple[Array, Array, State]:
     """Displacement (n,), carts (n, N) and the state reached."""
-    motion = actuator.simulate(voltage, state=state)
+    motion = actuator.simulate(voltage, state=state, extrapolate=True)
     elongations, _ = stops(actuator.slip.breakaway, state.carts, motion.displacement)
     return motion.displacement, motion.displacement[:, None] - elongations, motion.state

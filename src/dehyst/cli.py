@@ -162,7 +162,10 @@ def simulate(
     voltage = table.column("voltage", columns["voltage"])
     time = time_of_table(table, voltage.size, columns)
     motion = actuator.simulate(
-        voltage, time=time.get("time_s") if actuator.needs_time else None, state=start_state(actuator, start)
+        voltage,
+        time=time.get("time_s") if actuator.needs_time else None,
+        state=start_state(actuator, start),
+        extrapolate=True,
     )
     displacement = lagging(motion.displacement, actuator, time) if lag else motion.displacement
     refuse_replacing(output)

@@ -145,6 +145,7 @@ def _follow(
     from dehyst.reach import led_to
 
     wanted, time, derivatives = path
+    _refuse_astray(actuator, wanted, limits)
     begin = start_within(actuator, start, limits)
     # The way to the first sample is to be ramped slowly, as is said below.
     first = led_to(actuator, begin, float(wanted[0])) if wanted.size and actuator.model.moves_on else begin
@@ -214,6 +215,21 @@ def _tabulate(
     )
     conclude(as_json, result, line, said)
     sys.exit(0 if table.settled and table.certified and not table.clamped else 1)
+
+
+def _refuse_astray(actuator: Actuator, wanted: Any, limits: tuple[float, float] | None) -> None:
+    """A path more than one stroke outside of what can be reached is meant for another unit, or for another model."""
+    from dehyst._errors import ModelError
+    from dehyst.compensator import Compensator
+
+    compensator = Compensator(actuator, limits)
+    if compensator.strays(wanted):
+        low, high = compensator.reach
+        raise ModelError(
+            f"displacement: got {1e6 * wanted.min():.6g} to {1e6 * wanted.max():.6g} um, the model reaches "
+            f"{1e6 * low:.4g} to {1e6 * high:.4g} um, from the sensor's zero in its records; check the numbers and "
+            "their unit"
+        )
 
 
 def _columns(part: Any) -> dict[str, Any]:

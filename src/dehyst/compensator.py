@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from dehyst.actuator import Actuator, interval
 from dehyst.control_blocks import compensator_block, labels
 from dehyst.foresight import Foresight
 from dehyst.model import State
+from dehyst.plausibility import ANYWAY
 from dehyst.reach import brought, reach_of
 from dehyst.snapshot import Snapshot, key_of
 from dehyst.trajectory import Command, Limits, follow
@@ -213,6 +214,8 @@ class Compensator:
                 raise _refusal(float(wanted[np.argmax(np.abs(wanted))]))
             if limited or slewed:
                 why = f"{limited} at the limits {self._limits.words}, {slewed} by the slew rate"
+                words = self.strays(wanted)
+                why += f". {words}" if words else ""
                 warnings.warn(f"{limited + slewed} of {wanted.size} voltages clamped: {why}", ClampWarning, 2)
         except (ClampWarning, ModelError):
             self.restore(before)
@@ -228,6 +231,7 @@ class Compensator:
         velocity: ArrayLike | None = None,
         acceleration: ArrayLike | None = None,
         state: State | None = None,
+        extrapolate: bool = False,
     ) -> Command:
         """Voltages for a whole path, which may be uneven in time and is known ahead; the loop's own memory stays.
 
@@ -245,16 +249,24 @@ class Compensator:
         state : State, optional
             Where the actuator is; default: `self.state`, before any step as it was given. The first sample is not slew
             limited.
+        extrapolate : bool, optional
+            Follow a path too, as far as the limits allow, that lies more than one stroke outside of the reach of the
+            actuator: as a rule it is in micrometres.
 
         Raises
         ------
         ModelError
-            If the arrays do not fit, a time is needed and neither `time` nor `period` is given, or they disagree.
+            If the arrays do not fit, the path lies more than one stroke outside, or a time is needed and neither `time`
+            nor `period` is given, or they disagree.
         """
+        wanted = vector(displacement, "displacement")
+        words = "" if extrapolate else self.strays(wanted, load)
+        if words:
+            raise ModelError(f"{words}; {ANYWAY}")
         return follow(
             self.actuator,
             self._limits,
-            displacement,
+            wanted,
             time=time,
             period=self.period,
             load=load,
@@ -262,6 +274,10 @@ class Compensator:
             acceleration=acceleration,
             start=state if state is not None else self.state if self._running else self._given,
         )
+
+    def strays(self, displacement: Array, load: ArrayLike | None = None) -> str:
+        """Why displacements (n,) [m] cannot be meant, see `Actuator.strays`; what the limits allow can be."""
+        return _strays(self.actuator, self._limits, displacement, load)
 
     @property
     def voltage(self) -> float:
@@ -408,7 +424,8 @@ class Compensator:
         if change <= 0:
             raise ModelError(f"slew_rate: {slew:g} V/s allow no change in {seconds:g} s; give more, or a longer period")
         numbers = np.array([*self.limits, change, *model.amplifier(seconds)])
-        return model.core.loop(pace, self._foresight.taps, numbers, _tell, model.held(self._start))
+        listener = partial(_tell, self.actuator, self._limits)
+        return model.core.loop(pace, self._foresight.taps, numbers, listener, model.held(self._start))
 
 
 def _remade(made: tuple[Any, ...], memory: Snapshot | None) -> Compensator:
@@ -419,9 +436,21 @@ def _remade(made: tuple[Any, ...], memory: Snapshot | None) -> Compensator:
     return compensator
 
 
-def _tell(slewed: bool, displacement: float, voltage: float) -> None:
+def _tell(actuator: Actuator, limits: Limits, slewed: bool, displacement: float, voltage: float) -> None:
     why = "the slew rate allows no more" if slewed else "that is a limit"
+    words = _strays(actuator, limits, np.array([displacement]))
+    why += f". {words}" if words else ""
     warnings.warn(f"CLAMPED: {displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {why}", ClampWarning, 3)
+
+
+def _strays(actuator: Actuator, limits: Limits, displacement: Array, load: ArrayLike | None = None) -> str:
+    words = actuator.strays(displacement, load)
+    if not words or (limits.low, limits.high) == actuator.limits:
+        return words
+    try:
+        return actuator.strays(displacement, load, reach_of(actuator, (limits.low, limits.high)))
+    except ModelError:
+        return words
 
 
 def _refusal(displacement: float) -> ModelError:
@@ -429,6 +458,7 @@ def _refusal(displacement: float) -> ModelError:
 
 
 def _positive(period: float) -> float:
-    if number(period, "period") <= 0:
+    seconds = number(period, "period")
+    if seconds <= 0:
         raise ModelError(f"period: got {period}, need a positive number of seconds")
-    return float(period)
+    return seconds

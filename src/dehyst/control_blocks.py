@@ -10,6 +10,7 @@ import numpy as np
 from dehyst._errors import MissingExtraError, ModelError
 from dehyst._native import Array, CoreError, Loop, number
 from dehyst.model import State
+from dehyst.plausibility import Range, voltage_words
 from dehyst.wide import WideModel
 
 if TYPE_CHECKING:
@@ -23,17 +24,20 @@ _LINEAR = (
 _LARGEST = float(np.finfo(np.float64).max)
 
 
-def actuator_block(model: WideModel, start: State, period: float | None, name: str) -> NonlinearIOSystem:
-    """See `dehyst.Actuator.to_control`; `start` is complete."""
-    if period is not None and number(period, "period") <= 0:
+def actuator_block(
+    model: WideModel, start: State, period: float | None, name: str, allowed: Range | None
+) -> NonlinearIOSystem:
+    """See `dehyst.Actuator.to_control`; `start` is complete, and voltages that stray from `allowed` are refused."""
+    period = None if period is None else number(period, "period")
+    if period is not None and period <= 0:
         raise ModelError(f"period: got {period}, need a positive number of seconds")
     if period is None and model.needs_time:
         raise ModelError("creep, inertia or a lag need the time between samples; give period= [s]")
-    seconds = 0.0 if period is None else float(period)
+    seconds = 0.0 if period is None else period
     pace = model.pace(np.array([0, 1]), np.array([seconds]))
     numbers = np.array([-_LARGEST, _LARGEST, _LARGEST, *model.amplifier(seconds)])
     loop = model.core.loop(pace, np.ones(1), numbers, _nothing_to_tell, model.held(start))
-    return _block(loop, loop.moved, loop.reached, ("voltage", "displacement"), labels(model, 1), period, name)
+    return _block(loop, loop.moved, loop.reached, ("voltage", "displacement"), labels(model, 1), period, name, allowed)
 
 
 def compensator_block(loop: Loop, states: list[str], period: float | None, name: str) -> NonlinearIOSystem:
@@ -62,6 +66,7 @@ def _block(
     states: list[str],
     period: float | None,
     name: str,
+    allowed: Range | None = None,
 ) -> NonlinearIOSystem:
     """A block of one input and one output; both functions depend on the state and input that they are given alone."""
     try:
@@ -73,10 +78,10 @@ def _block(
         raise ModelError(f"name: got {name!r}, need a word, such as 'stage'")
 
     def update(_t: float, x: Any, u: Any, _params: Any) -> Array:
-        return np.asarray(_of(moved, x, u, signals[0]))
+        return np.asarray(_of(moved, x, u, signals[0], allowed))
 
     def output(_t: float, x: Any, u: Any, _params: Any) -> Array:
-        return np.array([_of(seen, x, u, signals[0])])
+        return np.array([_of(seen, x, u, signals[0], allowed)])
 
     block = control.NonlinearIOSystem(
         update, output, inputs=[signals[0]], outputs=[signals[1]], states=states,
@@ -88,10 +93,12 @@ def _block(
     return block
 
 
-def _of(function: Callable[[Array, float], Any], x: Any, u: Any, what: str) -> Any:
+def _of(function: Callable[[Array, float], Any], x: Any, u: Any, what: str, allowed: Range | None) -> Any:
     state, given = _row(x, "the state"), _row(u, what)
     if given.size != 1 or not np.isfinite(given[0]):
         raise ModelError(f"block: got {what} = {np.ravel(u).tolist()}, need one finite number")
+    if allowed is not None and (got := allowed.astray(given)) is not None:
+        raise ModelError(f"block: {voltage_words(got, allowed)}; or make the block with extrapolate=True")
     try:
         return function(state, float(given[0]))
     except CoreError as error:

@@ -10,9 +10,10 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from dehyst._errors import RecordError
+from dehyst._errors import ModelError, RecordError
 from dehyst._native import Array
 from dehyst.excitation import Excitation, positive, refuse_long, volts
+from dehyst.units import plain
 
 Shape: TypeAlias = Literal["cosine", "triangle"]
 Pace: TypeAlias = Literal["frequency", "rate"]
@@ -200,11 +201,19 @@ class Drive:
 
 
 def _interval(limits: object) -> tuple[float, float]:
-    if isinstance(limits, Sequence | np.ndarray) and len(limits) == 2:
-        low, high = (volts(limit, "limits") for limit in limits)
+    pair = _pair(limits)
+    if isinstance(pair, Sequence | np.ndarray) and len(pair) == 2:
+        low, high = (volts(limit, "limits") for limit in pair)
         if low < high:
             return low, high
     raise RecordError(f"limits: got {limits!r}, need the lowest and the highest voltage, such as (0, 200)")
+
+
+def _pair(limits: object) -> object:
+    try:
+        return plain(limits, "limits")
+    except ModelError as error:
+        raise RecordError(str(error)) from error
 
 
 def _sampled(leg: Leg, count: int, shape: Shape) -> Array:

@@ -75,7 +75,7 @@ class Equilibria:
     def residual_range(self) -> tuple[float, float]:
         """The same from where the spring alone holds the voltage [m]: the least and the largest residual strain."""
         low, high = self.range()
-        at_rest = self.actuator.relaxed(self.voltage).displacement
+        at_rest = self.actuator.relaxed(self.voltage, extrapolate=True).displacement
         return low - at_rest, high - at_rest
 
     def state(self, elongation: ArrayLike) -> State:
@@ -224,7 +224,8 @@ def shift(actuator: Actuator, state: State) -> float:
         If the actuator is none or the state does not fit it.
     """
     demand_actuator(actuator)
-    return actuator.relaxed(demand_state(actuator, state)).displacement - state.displacement
+    at_rest = actuator.relaxed(demand_state(actuator, state), extrapolate=True)
+    return at_rest.displacement - state.displacement
 
 
 def size_of(actuator: Actuator) -> float:

@@ -118,7 +118,7 @@ def refuse_long(samples: int, rate: float) -> None:
 def voltages(values: ArrayLike, what: str) -> Array:
     """Return `values` as a copy of finite voltages (n,) [V]; raises RecordError."""
     try:
-        array = vector(values, what)
+        array = vector(values, what, "V")
     except ModelError as error:
         raise RecordError(f"{error}; give voltages in V") from error
     if np.abs(array).max(initial=0.0) > _MOST_VOLTS:
@@ -128,7 +128,7 @@ def voltages(values: ArrayLike, what: str) -> Array:
 
 def volts(value: object, what: str) -> float:
     """Return `value` as a finite voltage [V]; raises RecordError."""
-    return float(voltages([_number(value, what)], what)[0])
+    return float(voltages([_number(value, what, "V")], what)[0])
 
 
 def positive(value: object, what: str) -> float:
@@ -139,8 +139,8 @@ def positive(value: object, what: str) -> float:
     return found
 
 
-def _number(value: object, what: str) -> float:
+def _number(value: object, what: str, unit: str | None = None) -> float:
     try:
-        return number(value, what)
+        return number(value, what, unit)
     except ModelError as error:
         raise RecordError(str(error)) from error

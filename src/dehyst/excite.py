@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,7 +46,9 @@ def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Drive = _PAPER) -
         If a peak is no number above the base or lies outside of the limits, `cycles` is no number of cycles, the record
         would have more than 5e7 samples, or the slew rate is too low for the sample rate.
     """
-    tops = voltages([peaks] if isinstance(peaks, Real) else peaks, "peaks")
+    alone = isinstance(peaks, Real) or getattr(peaks, "ndim", None) == 0
+    given: Any = [peaks] if alone else peaks
+    tops = voltages(given, "peaks")
     if not tops.size or np.any(tops <= drive.base):
         raise RecordError(f"peaks: got {tops}, need voltages above the base {drive.base:g} V")
     turns = [v for top in tops.tolist() for v in _cycles(cycles, "cycles", top, drive.base, of=tops.size)]

@@ -258,7 +258,7 @@ def _tried(truth: PlayActuator, runs: Mapping[str, Measured], plan: Plan, tell: 
 def _trial(
     truth: PlayActuator, run: Measured, key: str, actuator: Actuator, outcome: str, remarks: Sequence[str]
 ) -> Trial:
-    simulated = actuator.simulate(run.record.voltage, time=run.record.time).displacement
+    simulated = actuator.simulate(run.record.voltage, time=run.record.time, extrapolate=True).displacement
     errors = {}
     for loop in PEAKS:
         samples = run.known(loop)

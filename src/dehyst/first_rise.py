@@ -154,7 +154,10 @@ class _Rise:
 
     def difference(self, state: State) -> Array:
         """Simulated displacement minus the sensor's reading (n,) [m]; from the top on its mean is the datum."""
-        return self.actuator.simulate(self.record.voltage, state=state).displacement - self.record.displacement
+        return self._played(self.record.voltage, state) - self.record.displacement
+
+    def _played(self, voltage: Array, state: State) -> Array:
+        return self.actuator.simulate(voltage, state=state, extrapolate=True).displacement
 
     def solve(self) -> tuple[Array, Array]:
         """Shares and doubts of the best of several starts."""
@@ -162,7 +165,7 @@ class _Rise:
         voltage, measured = self.record.voltage[kept], self.record.displacement[kept]
 
         def residual(shares: Array) -> Array:
-            error = self.actuator.simulate(voltage, state=self.state(shares)).displacement - measured
+            error = self._played(voltage, self.state(shares)) - measured
             return np.asarray((error - error[kept >= self.top].mean()) / size)
 
         if not self.stiff.size:
@@ -191,8 +194,8 @@ class _Rise:
         """
         slip, spring, v = self.actuator.slip, self.actuator.spring, self.record.voltage
         force, kappa = float(slip.friction.sum()), slip.stiffness[self.stiff]
-        turned = self.actuator.turned(self.actuator.relaxed(float(v[self.top]) - force).displacement)
-        after = self.actuator.simulate(v[self.top :], state=turned).displacement
+        at_top = self.actuator.relaxed(float(v[self.top]) - force, extrapolate=True).displacement
+        after = self._played(v[self.top :], self.actuator.turned(at_top, extrapolate=True))
         datum = float(np.mean(after - self.record.displacement[self.top :]))
         y = self.record.displacement[: self.top + 1] + datum
         missing = spring(y) + force - v[: self.top + 1]
@@ -228,11 +231,11 @@ class _Rise:
         """The answer in words."""
         voltage, reading = float(self.record.voltage[0]), self.record.displacement[: self.top + 1]
         rise, own = slice(0, self.top + 1), self.difference(state)
-        datum, plain = float(own[self.top :].mean()), self.difference(self.actuator.relaxed(voltage))
+        datum, plain = float(own[self.top :].mean()), self.difference(self.actuator.relaxed(voltage, extrapolate=True))
         best, usual = rms(own[rise] - datum), rms(own[self.top :] - datum)
         if_relaxed = rms(plain[rise] - plain[self.top :].mean())
         height = float(np.ptp(reading))
-        highest = self.actuator.simulate(self.record.voltage[rise], state=state).displacement.max()
+        highest = self._played(self.record.voltage[rise], state).max()
         still = state.carts + self.actuator.slip.breakaway + doubt >= highest
         unknown = still | (self.actuator.slip.stiffness == 0)
         remarks = [

@@ -123,7 +123,7 @@ class Intervals:
         self, voltage: ArrayLike, state: Callable[[Actuator], State], time: ArrayLike | None = None
     ) -> Array:
         """Lowest and highest displacement (2, n) [m] that a voltage (n,) [V] causes, `state` of each model at first."""
-        return self._basic(lambda a: a.simulate(voltage, time=time, state=state(a)).displacement)
+        return self._basic(lambda a: a.simulate(voltage, time=time, state=state(a), extrapolate=True).displacement)
 
     def _basic(self, value: Callable[[Actuator], Array]) -> Array:
         centre = value(self.actuator)

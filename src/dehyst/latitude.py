@@ -62,7 +62,7 @@ class Latitude:
     def prediction(self, voltage: Array, state: Callable[[Actuator], State]) -> Array:
         """Lowest and highest displacement (2, n) [m] that a voltage (n,) [V] causes in any of them."""
         every = (self.actuator, *self.actuators)
-        paths = np.array([a.simulate(voltage, state=state(a)).displacement for a in every])
+        paths = np.array([a.simulate(voltage, state=state(a), extrapolate=True).displacement for a in every])
         return np.array([paths.min(axis=0), paths.max(axis=0)])
 
 

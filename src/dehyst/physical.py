@@ -51,9 +51,8 @@ def physical(
     """Convert; `at_rest` [m] is where the spring alone holds 0 V. See `Actuator.physical`."""
     given = {"transformer_ratio": transformer_ratio, "mechanical_stiffness": mechanical_stiffness,
              "electrical_stiffness": electrical_stiffness}  # fmt: skip
-    for name, value in given.items():
-        if number(value, name) <= 0:
-            raise ModelError(f"{name}: got {value}, need a positive number")
+    given = {name: _positive(value, name) for name, value in given.items()}
+    transformer_ratio, mechanical_stiffness, electrical_stiffness = given.values()
     equivalent = _in_series(electrical_stiffness, mechanical_stiffness)
     c = equivalent / mechanical_stiffness
     x = (spring.displacement - at_rest) / c
@@ -73,11 +72,16 @@ def charge(
     displacement: Array, *, at_rest: float, transformer_ratio: float, mechanical: float, electrical: float
 ) -> Array:
     """Return q = T x [C], x = (y - at_rest) km / keq."""
-    for name, value in (("transformer_ratio", transformer_ratio), ("mechanical_stiffness", mechanical),
-                        ("electrical_stiffness", electrical)):  # fmt: skip
-        if number(value, name) <= 0:
-            raise ModelError(f"{name}: got {value}, need a positive number")
-    return np.asarray(transformer_ratio * (displacement - at_rest) * mechanical / _in_series(electrical, mechanical))
+    ratio, km = _positive(transformer_ratio, "transformer_ratio"), _positive(mechanical, "mechanical_stiffness")
+    ke = _positive(electrical, "electrical_stiffness")
+    return np.asarray(ratio * (displacement - at_rest) * km / _in_series(ke, km))
+
+
+def _positive(value: float, name: str) -> float:
+    found = number(value, name)
+    if found <= 0:
+        raise ModelError(f"{name}: got {value}, need a positive number")
+    return found
 
 
 def _in_series(a: float, b: float) -> float:

@@ -58,7 +58,8 @@ class Stretch:
         y = self.state.displacement
         start = replace(self.state, carts=np.clip(self.state.carts, y - rho, y + rho))
         time = piece.time if actuator.needs_time else None
-        played = actuator.simulate(without_offset(actuator, piece.voltage, self.offset), time=time, state=start)
+        voltage = without_offset(actuator, piece.voltage, self.offset)
+        played = actuator.simulate(voltage, time=time, state=start, extrapolate=True)
         error = piece.displacement + self.datum - played.displacement
         return np.asarray(error - error.mean())
 

@@ -10,20 +10,12 @@ from dehyst._native import NOTHING
 from dehyst.actuator import Actuator
 from dehyst.model import State
 
-# A step in creep's longest time constants: w moves evenly in it, and leaves strains of one part in so many.
-_REST = 1e9
-# Smooth elements forget slowly where they were.
-_VISITS = 60
 _ROUNDING = 1e-12
 
 
 def reach_of(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
     """Displacements [m] at the lower and the upper limit [V] of slow loops between them, creep at rest at either."""
-    slow = _slow(actuator)
-    voltage = np.tile(limits, _VISITS)
-    rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
-    y = slow.simulate(voltage, time=np.arange(voltage.size) * rest if slow.needs_time else None).displacement
-    return float(y[-2]), float(y[-1])
+    return actuator.major_loop(limits)
 
 
 def brought(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
@@ -41,7 +33,7 @@ def brought(actuator: Actuator, state: State, limits: tuple[float, float]) -> St
         return start
     slow = _slow(actuator)
     time = np.zeros(1) if slow.needs_time else None
-    reached = slow.simulate([nearest], time=time, state=replace(start, motion=NOTHING)).state
+    reached = slow.simulate([nearest], time=time, state=replace(start, motion=NOTHING), extrapolate=True).state
     return actuator.model.fitted(reached)
 
 
@@ -55,7 +47,8 @@ def led_to(actuator: Actuator, state: State, displacement: float) -> State:
     """
     slow, start = _slow(actuator), actuator.model.fitted(state)
     time = np.zeros(1) if slow.needs_time else None
-    return actuator.model.fitted(slow.compensate([displacement], time=time, state=replace(start, motion=NOTHING)).state)
+    still = replace(start, motion=NOTHING)
+    return actuator.model.fitted(slow.compensate([displacement], time=time, state=still, extrapolate=True).state)
 
 
 def _slow(actuator: Actuator) -> Actuator:

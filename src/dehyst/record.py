@@ -11,10 +11,11 @@ from typing import Any, TypeAlias, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import RecordError
+from dehyst._errors import ModelError, RecordError
 from dehyst.counting import counted
 from dehyst.signals import FloatArray, interpolate, noise_span, outer_extreme, turning_points, white_noise
 from dehyst.suspicions import problems, refuse_implausible, refuse_not_finite, refuse_not_rising, refuse_unusable
+from dehyst.units import plain
 
 __all__ = ["FloatArray", "Record", "Span", "white_noise"]
 
@@ -31,7 +32,7 @@ class Record:
     ----------
     time, voltage, displacement : (n,) array_like
         Seconds (strictly rising), volts and metres, n >= 2, all finite and at most 1e30; kept as read-only
-        float64 copies (read-only arrays, as another record's, are shared).
+        float64 copies (read-only arrays, as another record's, are shared). Quantities with units are converted.
     name : str
         Used in messages.
     meta : mapping
@@ -40,8 +41,8 @@ class Record:
     Raises
     ------
     RecordError
-        Not one-dimensional, not numbers, different lengths, fewer than 2 samples, NaN, inf or beyond 1e30, time not
-        rising.
+        Not one-dimensional, not numbers, masked, of another unit, different lengths, fewer than 2 samples, NaN, inf or
+        beyond 1e30, time not rising.
     """
 
     time: FloatArray
@@ -216,7 +217,11 @@ class Record:
 
 def _frozen_column(raw: object, column: str, name: str) -> FloatArray:
     try:
-        values = raw if _is_frozen(raw) else np.array(raw, dtype=np.float64)
+        given = plain(raw, column)
+    except ModelError as error:
+        raise RecordError(f"record '{name}': {error}") from error
+    try:
+        values = given if _is_frozen(given) else np.array(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise RecordError(f"record '{name}': {column} is no array of numbers ({error}); give (n,) floats") from error
     if values.ndim != 1:

@@ -231,7 +231,7 @@ def above(value: float) -> str:
 def length(value: object, what: str) -> float:
     """Return `value` as a displacement [m]; raises RecordError."""
     try:
-        found = number(value, what)
+        found = number(value, what, "m")
     except ModelError as error:
         raise RecordError(str(error)) from error
     if abs(found) > _MOST_METRES:

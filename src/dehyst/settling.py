@@ -175,12 +175,13 @@ class _Task:
         """Displacement (n + 1,) [m] along a cycle of the voltage, from its first sample or from the one before."""
         closed = np.append(voltage, voltage[0]) if held is None else np.concatenate([[held], voltage, voltage[:1]])
         time = np.arange(closed.size) / self.path.sample_rate if self.actuator.needs_time else None
-        return self.actuator.simulate(closed, time=time, state=state).displacement[closed.size - voltage.size - 1 :]
+        motion = self.actuator.simulate(closed, time=time, state=state, extrapolate=True)
+        return motion.displacement[closed.size - voltage.size - 1 :]
 
     def _simulated(self, voltage: Array) -> Array:
         """Displacement (n,) [m] from the start on."""
         time = np.arange(voltage.size) / self.path.sample_rate if self.actuator.needs_time else None
-        return self.actuator.simulate(voltage, time=time, state=self.start).displacement
+        return self.actuator.simulate(voltage, time=time, state=self.start, extrapolate=True).displacement
 
     def _late(self, taken: int, error: float) -> tuple[str, ...]:
         """What is to be said if the steady cycle comes too early."""

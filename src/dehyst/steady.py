@@ -61,7 +61,7 @@ def _elongations(actuator: Actuator, path: Path, state: State) -> Array:
     def gained(elongation: Array) -> Array:
         motion = actuator.compensate(
             one.displacement, time=one.time, velocity=one.velocity, acceleration=one.acceleration,
-            state=replace(state, smooth=elongation),
+            state=replace(state, smooth=elongation), extrapolate=True,
         )  # fmt: skip
         return np.asarray(motion.state.smooth - elongation)
 

@@ -78,12 +78,13 @@ class Swing:
     ) -> Swing:  # fmt: skip
         """The shortest swing between the present voltage and the last; more of them while that is worth it."""
         least = _TOLERANCE * float(np.ptp(actuator.spring.displacement)) if tolerance is None else tolerance
-        for value, name in ((least, "tolerance"), (1.0 if hold is None else hold, "hold")):
-            if number(value, name) < 0 or (name == "tolerance" and value == 0):
+        held = None if hold is None else number(hold, "hold")
+        for value, name in ((number(least, "tolerance"), "tolerance"), (1.0 if held is None else held, "hold")):
+            if value < 0 or (name == "tolerance" and value == 0):
                 raise ModelError(f"{name}: got {value}, need a positive number")
         shown = drive or Drive(frequency=0.5 / leg_seconds(actuator))
         shown = replace(shown, base=ends[1], present=ends[0], limits=limits)
-        wait = _rest(actuator) if hold is None else float(hold)
+        wait = _rest(actuator) if held is None else held
         found = cls(actuator, shown, ends, wait, limits, float(least), 2)
         found = replace(found, states=tuple(found._pasts()))
         if hold is None and found._longest:
@@ -221,9 +222,10 @@ class Swing:
         reached = still.model.fitted(state)
         if turns:
             seconds = np.cumsum(np.geomspace(0.01, 10, len(turns)) * self.drive.half)
-            reached = still.simulate(turns, time=seconds if still.needs_time else None, state=reached).state
+            when = seconds if still.needs_time else None
+            reached = still.simulate(turns, time=when, state=reached, extrapolate=True).state
         now = np.zeros(1) if still.needs_time else None
-        present: State = still.simulate(self.ends[:1], time=now, state=reached).state
+        present: State = still.simulate(self.ends[:1], time=now, state=reached, extrapolate=True).state
         return present
 
     def _legs(self, turns: tuple[float, ...], hold: float) -> list[Leg]:
@@ -259,7 +261,8 @@ class Swing:
         return _about(reached), float(np.ptp(paths, axis=0).max())
 
     def _run(self, voltage: Array, time: Array, state: State) -> tuple[Array, State]:
-        motion = self.actuator.simulate(voltage, time=time if self.actuator.needs_time else None, state=state)
+        when = time if self.actuator.needs_time else None
+        motion = self.actuator.simulate(voltage, time=when, state=state, extrapolate=True)
         return motion.displacement, motion.state
 
 

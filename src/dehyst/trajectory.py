@@ -87,8 +87,11 @@ class Limits:
         low, high = interval((self.low, self.high))
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
-        if self.slew_rate is not None and number(self.slew_rate, "slew_rate") <= 0:
-            raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
+        if self.slew_rate is not None:
+            slew_rate = number(self.slew_rate, "slew_rate")
+            if slew_rate <= 0:
+                raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
+            object.__setattr__(self, "slew_rate", slew_rate)
 
     @property
     def words(self) -> str:
@@ -267,7 +270,7 @@ class _Path:
     def followed(self, i: int, stop: int, start: State) -> tuple[Array, State]:
         """Voltages of samples i to stop - 1, from the state at sample i - 1, and the state at the last."""
         if not self.actuator.wide:
-            motion = self.actuator.compensate(self.wanted[i:stop], load=self.load, state=start)
+            motion = self.actuator.compensate(self.wanted[i:stop], load=self.load, state=start, extrapolate=True)
             return motion.voltage, motion.state
         motion = self._piece(i, stop, start)
         voltage = motion.voltage
@@ -279,7 +282,8 @@ class _Path:
     def sent(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
         """Where the voltage of sample i leads."""
         first = i if not self.actuator.wide else max(i - 1, 0)
-        motion = self.actuator.simulate(voltage[first : i + 1], **self._cut(first, i + 1), state=start)
+        cut = self._cut(first, i + 1)
+        motion = self.actuator.simulate(voltage[first : i + 1], **cut, state=start, extrapolate=True)
         return float(motion.displacement[-1]), motion.state
 
     def stepped(self, first: int, before: float, start: State, limits: Limits) -> tuple[Array, Array, Mask, State]:
@@ -306,7 +310,7 @@ class _Path:
 
     def played(self, voltage: Array, start: State) -> Motion:
         """What the whole command does."""
-        return self.actuator.simulate(voltage, time=self.time, load=self.load, state=start)
+        return self.actuator.simulate(voltage, time=self.time, load=self.load, state=start, extrapolate=True)
 
     def _piece(self, i: int, stop: int, start: State) -> Motion:
         first = max(i - 1, 0)
@@ -316,7 +320,7 @@ class _Path:
         along: dict[str, Any] = {
             name: None if values is None else values[first:stop] for name, values in self.course.items()
         }
-        return self.actuator.compensate(path, **along, state=start)
+        return self.actuator.compensate(path, **along, state=start, extrapolate=True)
 
     def _cut(self, first: int, stop: int) -> dict[str, Any]:
         if not self.actuator.wide:

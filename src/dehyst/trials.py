@@ -166,8 +166,9 @@ def trial(name: str) -> Trial:
 
 
 def timed(model: AbstractModel, time: Array) -> dict[str, Any]:
-    """The keyword `time` for a model that looks at it."""
-    return {"time": time} if "time" in inspect.signature(model.simulate).parameters else {}
+    """The keywords `time` and `extrapolate` for a model that has them: records may go farther than those of its fit."""
+    given = {"time": time, "extrapolate": True}
+    return {name: value for name, value in given.items() if name in inspect.signature(model.simulate).parameters}
 
 
 def beginning(model: AbstractModel, voltage: Array) -> Any:
@@ -179,7 +180,7 @@ def beginning(model: AbstractModel, voltage: Array) -> Any:
     if not isinstance(model, Actuator) or not voltage.size:
         return None
     if model.creep is not None:
-        return model.relaxed(float(voltage[0]))
+        return model.relaxed(float(voltage[0]), extrapolate=True)
     low, high = (float(end) for end in model.spring.displacement[[0, -1]])
     ends = [model.turned(high), model.turned(low, rising=False)]
     return min(ends, key=lambda state: abs(model.voltage(state) - float(voltage[0])))

@@ -102,7 +102,7 @@ class Planner:
         late = slice(-(len(TURNS) - 1) * self.leg, None)
         datum = float(np.mean((history.displacement - played.displacement)[late]))
         homing = self.homing
-        homed = actuator.simulate(homing.voltage, time=homing.time, state=played.state)
+        homed = actuator.simulate(homing.voltage, time=homing.time, state=played.state, extrapolate=True)
         wanted = self._wanted(float(homed.displacement[-1]) + datum)
         time = np.arange(wanted.size) / homing.sample_rate
         ahead = np.interp(time + actuator.delay, time, wanted) - datum

@@ -316,7 +316,8 @@ def _driven(actuator: Actuator, piece: Record, span: slice, less: tuple[float, A
     # The piece's voltages are those that act, behind the amplifier.
     actuator = replace(actuator, lag=0.0) if actuator.lag else actuator
     time = piece.time[span] if actuator.needs_time else None
-    return actuator.simulate(without_offset(actuator, piece.voltage[span], *less), time=time, state=state)
+    voltage = without_offset(actuator, piece.voltage[span], *less)
+    return actuator.simulate(voltage, time=time, state=state, extrapolate=True)
 
 
 def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:

@@ -49,7 +49,7 @@ class ModelledActuator:
             raise ModelError(f"{actuator.name}: its highest voltage is {self.highest:.6g} V, need one above 0 V")
         swing = np.array([0.0, self.highest, 0.0, self.highest, 0.0])
         slowly = 1e3 * np.arange(swing.size) if actuator.needs_time else None
-        y = actuator.simulate(swing, time=slowly, state=actuator.relaxed()).displacement
+        y = actuator.simulate(swing, time=slowly, state=actuator.relaxed(), extrapolate=True).displacement
         self.stroke = float(y[3] - y[4])
         self.relax()
 
@@ -70,7 +70,7 @@ class ModelledActuator:
         if not v.size:
             return v
         if not self.actuator.needs_time:
-            motion = self.actuator.simulate(v, state=self._state)
+            motion = self.actuator.simulate(v, state=self._state, extrapolate=True)
             self._state = motion.state
             return motion.displacement
         if time is None:
@@ -83,7 +83,10 @@ class ModelledActuator:
                 raise ModelError("time: got one sample that does not go on from an earlier one; need two at least")
             self._time = float(2 * at[0] - at[1])
         motion = self.actuator.simulate(
-            np.concatenate([[self._voltage], v]), time=np.concatenate([[self._time], at]), state=self._state
+            np.concatenate([[self._voltage], v]),
+            time=np.concatenate([[self._time], at]),
+            state=self._state,
+            extrapolate=True,
         )
         self._state, self._voltage, self._time = motion.state, float(v[-1]), float(at[-1])
         return motion.displacement[1:]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import RecordError
+from dehyst._errors import ModelError, RecordError
 from dehyst._native import Array
 from dehyst.actuator import Actuator, interval
 from dehyst.approach import approach_to
@@ -148,9 +148,10 @@ class WaveTable:
     def _while_homing(self) -> Array:
         if self.homing is None:
             return np.zeros(0)
-        v, relaxed = self.homing.voltage, self.actuator.relaxed(float(self.homing.voltage[0]))
+        v = self.homing.voltage
+        relaxed = self.actuator.relaxed(float(v[0]), extrapolate=True)
         time = self.homing.time if self.actuator.needs_time else None
-        return self.actuator.simulate(v, time=time, state=relaxed).displacement
+        return self.actuator.simulate(v, time=time, state=relaxed, extrapolate=True).displacement
 
 
 def wave_table(
@@ -203,11 +204,14 @@ def wave_table(
     RecordError
         If the scan is not periodic or has no such axis, or a number is impossible.
     ModelError
-        If there are no limits, or the state does not fit the actuator.
+        If there are no limits, the state does not fit the actuator, or the scan lies more than one stroke outside of
+        its reach.
     """
     if not scan.periodic:
         raise RecordError("scan: got one that ends elsewhere than it begins, need a periodic one; try closed=True")
     path, compensator = scan.path(axis), Compensator(actuator, limits, slew_rate)
+    if words := compensator.strays(path.displacement):
+        raise ModelError(words)
     stroke = path.range[1] - path.range[0]
     least = _TOLERANCE * stroke if tolerance is None else positive(tolerance, "tolerance")
     wanted = None if cycles is None else start_up_cycles(cycles, path)

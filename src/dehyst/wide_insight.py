@@ -60,7 +60,8 @@ class Loop:
             return model.turned(float(model.spring.displacement[0]), rising=False)
 
         noise = intervals.prediction(voltage, state, time)[:, _SAMPLES:]
-        own = evidence.actuator.simulate(voltage, time=time, state=state(evidence.actuator)).displacement
+        actuator = evidence.actuator
+        own = actuator.simulate(voltage, time=time, state=state(actuator), extrapolate=True).displacement
         return cls(voltage[_SAMPLES:], own[_SAMPLES:], noise)
 
     @property

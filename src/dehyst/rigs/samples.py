@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dehyst._errors import DeviceError, LinkError
+from dehyst._errors import DeviceError, LinkError, ModelError
 from dehyst._native import Array
+from dehyst.units import plain
 
 # By so much of the range a voltage that is read back may differ from the one that was sent.
 ASTRAY = 0.05
@@ -62,7 +63,7 @@ class Inspection:
         LinkError
             If they are no samples that can follow those before: too many, not finite, times that do not rise.
         """
-        time, voltage, displacement = (np.asarray(column, dtype=np.float64) for column in samples)
+        time, voltage, displacement = (self._column(*column) for column in zip(samples, Samples._fields, strict=True))
         sizes = {column.shape for column in (time, voltage, displacement)}
         if len(sizes) > 1 or time.ndim != 1:
             raise LinkError(f"{self._name}: got columns of shapes {sizes}, need one length; check the link")
@@ -81,6 +82,12 @@ class Inspection:
             )
         self._last = float(times[-1])
         return Samples(time, voltage, displacement)
+
+    def _column(self, values: Array, what: str) -> Array:
+        try:
+            return np.asarray(plain(values, what), dtype=np.float64)
+        except ModelError as error:
+            raise LinkError(f"{self._name}: {error}; check the driver") from error
 
     def judge(self, samples: Samples) -> None:
         """Compare the voltages that were recorded with those that were sent; raises DeviceError."""

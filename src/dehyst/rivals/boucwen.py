@@ -88,6 +88,7 @@ class BoucWen(AbstractRival):
                 "beta + gamma > 2 alpha beta, or voltage would pull back"
             )
         low, high = (number(end, "limits") for end in self.limits)
+        object.__setattr__(self, "limits", (low, high))
         cubic = vector(self.cubic, "cubic")
         if low >= high or cubic.size != 4:
             raise ModelError(f"limits {self.limits} and cubic of {cubic.size}: need an interval and four coefficients")

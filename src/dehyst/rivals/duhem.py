@@ -77,6 +77,7 @@ class Duhem(AbstractRival):
 
     def __post_init__(self) -> None:
         low, high = (number(end, "limits") for end in self.limits)
+        object.__setattr__(self, "limits", (low, high))
         if low >= high or number(self.rate, "rate") <= 0:
             raise ModelError(f"limits {self.limits} and rate {self.rate}: need an interval, and a rate above 0")
         for name in ("anhysteretic", "reversible"):

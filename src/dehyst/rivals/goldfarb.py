@@ -46,11 +46,11 @@ class Goldfarb(AbstractRival):
         object.__setattr__(self, "state", self.actuator.state)
 
     def _displaced(self, v: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
-        motion = self.actuator.simulate(v, time=time, state=state)
+        motion = self.actuator.simulate(v, time=time, state=state, extrapolate=True)
         return motion.displacement, motion.state
 
     def _driven(self, y: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
-        motion = self.actuator.compensate(y, time=time, state=state)
+        motion = self.actuator.compensate(y, time=time, state=state, extrapolate=True)
         return motion.voltage, motion.state
 
     @classmethod

@@ -89,6 +89,7 @@ class Preisach(AbstractRival):
             raise ModelError(f"everett: got an array of shape {table.shape}, need a square of two or more finite nodes")
         table = np.tril(table, -1)
         low, high = (number(end, "limits") for end in self.limits)
+        object.__setattr__(self, "limits", (low, high))
         if low >= high:
             raise ModelError(f"limits: got {self.limits}, need two voltages, the lower one first")
         n = len(table)

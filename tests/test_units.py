@@ -1,0 +1,365 @@
+"""Metres and micrometres: what strays from a model is refused; quantities are converted or refused, not stripped."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pint
+import pytest
+import strategies as our
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+import dehyst
+from dehyst import (
+    Actuator,
+    ClampWarning,
+    Compensator,
+    IdentifyError,
+    MaxwellSlip,
+    ModelError,
+    RecordError,
+    Spring,
+    excite,
+)
+from dehyst.cli import main
+from dehyst.drive import Drive
+from dehyst.options import numbers
+from dehyst.rigs.samples import Inspection, Samples
+from dehyst.scans import Triangle
+from dehyst.units import plain
+from dehyst.wave_table import wave_table
+
+U = pint.UnitRegistry()
+# 3.6 V move it by 45 um, as the measured one, from -119 um on.
+KNOTS = np.linspace(-119e-6, -74e-6, 10)
+ACTUATOR = Actuator(
+    MaxwellSlip([2e-6, 8e-6, 15e-6], [8e3, 6e3, 4e3]),
+    Spring(KNOTS, np.linspace(0.15, 3.45, 10)),
+    limits=(0.0, 3.6),
+    load_stiffness=1e6,
+    name="stage",
+)
+LOW, HIGH = ACTUATOR.plausible.low, ACTUATOR.plausible.high
+STROKE = HIGH - LOW
+FREE = Actuator(ACTUATOR.slip, ACTUATOR.spring)
+PATH = np.linspace(-110e-6, -80e-6, 9)
+
+
+class Measured(np.ndarray):
+    """A look-alike of astropy's Quantity and unyt's array: NumPy's own conversion strips the unit."""
+
+    unit = "um"
+
+    def to_value(self, unit):
+        if unit != "m":
+            raise ValueError(f"no {unit}")
+        return np.asarray(self) * 1e-6
+
+
+class Rescaled(np.ndarray):
+    """A look-alike of an array of the package quantities."""
+
+    units = "1 um (micrometer)"
+
+    def rescale(self, unit):
+        if unit != "m":
+            raise ValueError(f"no {unit}")
+        made = Bare(0)
+        made.magnitude = np.asarray(self) * 1e-6
+        return made
+
+
+class Bare:
+    def __init__(self, magnitude):
+        self.magnitude = magnitude
+
+
+class Labelled:
+    """A look-alike of xarray's DataArray: the unit is a word, or belongs to the data inside."""
+
+    def __init__(self, data, units=None):
+        self.data, self.values = data, data
+        if units is not None:
+            self.units = units
+
+    def __array__(self, dtype=None, copy=None):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return np.asarray(self.data, dtype=dtype)
+
+
+class Float(float):
+    unit = "um"
+
+    def to_value(self, unit):
+        return float(self) * {"m": 1e-6}[unit]
+
+
+@pytest.fixture(autouse=True)
+def _no_stripping():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pint.UnitStrippedWarning)
+        yield
+
+
+def test_micrometres_given_for_metres_are_refused():
+    """It returned 780 kV."""
+    with pytest.raises(ModelError, match=r"displacement: got 2 to 12 m, the model reaches -1\S+ to -7\S+ um; is this "
+                       r"in micrometres\? .* extrapolate=True"):  # fmt: skip
+        ACTUATOR.compensate([2, 12])
+    with pytest.raises(ModelError, match=r"got 12000 m, .* is this in nanometres"):
+        ACTUATOR.compensate([12e3])
+    with pytest.raises(ModelError, match=r"got 2 to 12 um, .* both count from the sensor's zero"):
+        ACTUATOR.compensate([2e-6, 12e-6])
+
+
+@pytest.mark.parametrize("actuator", [ACTUATOR, FREE])
+def test_extrapolation_that_is_asked_for_gives_the_core_s_numbers(actuator):
+    y = np.array([2.0, 12.0, -3.0])
+    core, start = actuator.core, actuator.state
+    expected, *_ = core.compensate(y, start.displacement, start.carts)
+    np.testing.assert_array_equal(FREE.compensate(y, extrapolate=True).voltage, expected)
+    v = np.array([0.0, 1e4, -1e4])
+    expected, *_ = core.simulate(v, start.displacement, start.carts)
+    np.testing.assert_array_equal(FREE.simulate(v, extrapolate=True).displacement, expected)
+
+
+@pytest.mark.parametrize("actuator", [ACTUATOR, FREE])
+def test_one_stroke_is_the_border(actuator):
+    low, high = actuator.plausible.low, actuator.plausible.high
+    stroke, (first, last) = high - low, actuator.voltage_range
+    actuator.compensate([low - 0.999 * stroke, high + 0.999 * stroke])
+    actuator.simulate([first - 0.999 * (last - first), last + 0.999 * (last - first)])
+    for y in (low - 1.001 * stroke, high + 1.001 * stroke):
+        with pytest.raises(ModelError, match="the model reaches"):
+            actuator.compensate([0.5 * (low + high), y])
+        with pytest.raises(ModelError, match="the model reaches"):
+            actuator.turned(y)
+        actuator.turned(y, extrapolate=True)
+    for v in (first - 1.001 * (last - first), last + 1.001 * (last - first)):
+        with pytest.raises(ModelError, match="the model was identified from"):
+            actuator.simulate([first, v])
+        with pytest.raises(ModelError, match="the model was identified from"):
+            actuator.relaxed(v)
+        actuator.relaxed(v, extrapolate=True)
+
+
+@given(our.actuators(1, 20), our.SEEDS, st.booleans())
+def test_within_a_stroke_of_the_range_nothing_is_refused(actuator, seed, limited):
+    rng = np.random.default_rng(seed)
+    if limited:
+        low, high = actuator.voltage_range
+        ends = low + (high - low) * (np.sort(rng.uniform(0, 1, 2)) + np.array([0.0, 0.01]))
+        actuator = Actuator(actuator.slip, actuator.spring, limits=tuple(ends.tolist()))
+    low, high = actuator.reach
+    stroke = high - low
+    y = rng.uniform(low - 0.999 * stroke, high + 0.999 * stroke, 30)
+    same = actuator.compensate(y, extrapolate=True).voltage
+    np.testing.assert_array_equal(actuator.compensate(y).voltage, same)
+    first, last = actuator.voltage_range
+    v = rng.uniform(first - 0.999 * (last - first), last + 0.999 * (last - first), 30)
+    np.testing.assert_array_equal(
+        actuator.simulate(v).displacement, actuator.simulate(v, extrapolate=True).displacement
+    )
+    widest = actuator.plausible.high - actuator.plausible.low
+    with pytest.raises(ModelError, match="the model reaches"):
+        actuator.compensate([actuator.plausible.high + 1.01 * widest])
+
+
+def test_the_reach_is_that_of_a_compensator():
+    assert ACTUATOR.reach == Compensator(ACTUATOR).reach
+    assert FREE.reach == (KNOTS[0], KNOTS[-1])
+    assert ACTUATOR.voltage_range == (0.0, 3.6)
+
+
+def test_voltages_of_another_actuator_are_refused():
+    with pytest.raises(ModelError, match=r"voltage: got 0 to 100 V, the model was identified from 0 to 3.6 V; .*"
+                       "extrapolate=True"):  # fmt: skip
+        ACTUATOR.simulate([0, 50, 100])
+    assert ACTUATOR.simulate([0, 100], extrapolate=True).displacement[-1] > 5e-4
+
+
+def test_limits_too_wide_to_be_computed_with_leave_the_spring():
+    wide = replace(ACTUATOR, limits=(-1e308, 1e308))
+    np.testing.assert_array_equal(wide.compensate(PATH).voltage, ACTUATOR.compensate(PATH).voltage)
+    assert np.isfinite([wide.plausible.low, wide.plausible.high]).all()
+
+
+def test_a_load_moves_the_reach():
+    force = np.full(2, 100.0)
+    y = np.array([HIGH, HIGH + 1.9 * STROKE])
+    with pytest.raises(ModelError, match="the model reaches"):
+        ACTUATOR.compensate(y)
+    ACTUATOR.compensate(y, load=force)
+
+
+def test_a_trajectory_strokes_outside_is_refused_and_one_that_is_clamped_is_not():
+    compensator = Compensator(ACTUATOR)
+    with pytest.raises(ModelError, match="is this in micrometres"):
+        compensator.trajectory([2, 12])
+    assert compensator.trajectory([2, 12], extrapolate=True).clamped.all()
+    assert compensator.trajectory([LOW, HIGH + 0.9 * STROKE]).clamped.any()
+    # What wider limits of its own allow can be meant.
+    wider = Compensator(ACTUATOR, (0.0, 12.0))
+    assert not wider.trajectory([HIGH + 1.5 * STROKE]).clamped.any()
+    # And what the model reaches can be meant under narrower ones.
+    assert Compensator(ACTUATOR, (0.0, 0.5)).trajectory([HIGH]).clamped.all()
+
+
+@pytest.mark.parametrize("method", ["step", "offer"])
+@pytest.mark.parametrize("slew", [None, 10.0])
+def test_a_loop_does_not_raise_but_asks(method, slew):
+    compensator = Compensator(ACTUATOR, slew_rate=slew, period=1e-3)
+    with pytest.warns(ClampWarning, match=r"the model reaches .* um; is this in micrometres"):
+        voltage = getattr(compensator, method)(12.0)
+    assert 0 <= voltage <= 3.6
+    with pytest.warns(ClampWarning) as seen:
+        Compensator(ACTUATOR).step(HIGH + 0.5 * STROKE)
+    assert "micrometres" not in str(seen[0].message)
+    with pytest.warns(ClampWarning, match="is this in micrometres"):
+        assert np.all(np.abs(Compensator(ACTUATOR).run([2.0, 12.0])) <= 3.6)
+
+
+def test_a_loop_takes_the_largest_number_there_is():
+    with pytest.warns(ClampWarning, match="nanometres"):
+        assert Compensator(ACTUATOR).step(1e300) == 3.6
+
+
+def test_a_wave_table_strokes_outside_is_refused():
+    scan = Triangle(2e-6, 12e-6, 10, sample_rate=1000)
+    with pytest.raises(ModelError, match="got 2 to 12 um, the model reaches"):
+        wave_table(ACTUATOR, scan)
+
+
+def test_a_block_refuses_what_simulate_refuses():
+    pytest.importorskip("control")
+    block = ACTUATOR.to_control()
+    assert block.output(0, block.start, [3.0]).size == 1
+    with pytest.raises(ModelError, match=r"identified from 0 to 3\.6 V"):
+        block.output(0, block.start, [100.0])
+    assert ACTUATOR.to_control(extrapolate=True).output(0, block.start, [100.0])[0] > 5e-4
+
+
+@pytest.mark.parametrize("more", [(), ("--cycle", "table.csv")])
+def test_the_command_names_the_reach_and_writes_nothing(tmp_path, monkeypatch, more):
+    monkeypatch.chdir(tmp_path)
+    ACTUATOR.save("model.json")
+    scan = ["--scan", "triangle", "--low", "2", "--high", "12", "--frequency", "10"]
+    ran = CliRunner().invoke(main, ["compensate", "model.json", *scan, *more, "-o", "out.csv"])
+    said = f"{ran.output}{ran.exception}"
+    assert ran.exit_code != 0
+    assert "got 2 to 12 um, the model reaches" in said
+    assert "extrapolate" not in said
+    assert not (tmp_path / "out.csv").exists()
+
+
+# Quantities with units
+
+
+def test_a_record_converts_quantities():
+    """It was read as 1e6 times the displacement, with a warning of pint's alone."""
+    t, v = np.arange(9.0), np.linspace(0, 3, 9)
+    plain_one = dehyst.Record(t, v, PATH)
+    record = dehyst.Record(1e3 * t * U.ms, 1e3 * v * U.mV, PATH * 1e6 * U.um)
+    for name in ("time", "voltage", "displacement"):
+        got = getattr(record, name)
+        assert type(got) is np.ndarray
+        np.testing.assert_allclose(got, getattr(plain_one, name), rtol=1e-14)
+    with pytest.raises(RecordError, match="displacement: got a quantity in volt, need one that can be converted to m"):
+        dehyst.Record(t, v, PATH * U.V)
+    np.testing.assert_allclose(dehyst.Record(t, v, [y * U.m for y in PATH]).displacement, PATH)
+
+
+@pytest.mark.parametrize("given_as", [
+    PATH * 1e6 * U.um, [y * 1e6 * U.um for y in PATH], tuple(y * 1e9 * U.nm for y in PATH),
+    (PATH * 1e6).view(Measured), (PATH * 1e6).view(Rescaled), [Float(y * 1e6) for y in PATH],
+    Labelled(PATH * 1e6 * U.um), Labelled(PATH, "m"), np.ma.array(PATH), np.array(PATH, dtype=object).tolist(),
+])  # fmt: skip
+def test_displacements_are_converted_to_metres(given_as):
+    expected = ACTUATOR.compensate(PATH)
+    got = ACTUATOR.compensate(given_as)
+    assert type(got.displacement) is np.ndarray
+    np.testing.assert_allclose(got.displacement, PATH, rtol=1e-13)
+    np.testing.assert_allclose(got.voltage, expected.voltage, rtol=1e-10)
+
+
+@pytest.mark.parametrize("given_as", [
+    PATH * U.V, PATH * U.dimensionless, [PATH[0], 1 * U.s], Labelled(PATH, "um"), Labelled(PATH * U.kg),
+    PATH * U.um / U.m,
+])  # fmt: skip
+def test_another_unit_is_refused(given_as):
+    with pytest.raises(ModelError, match=r"displacement: got a quantity in .*, need .* m\b"):
+        ACTUATOR.compensate(given_as)
+
+
+@pytest.mark.parametrize("values", [
+    np.ma.array(PATH, mask=PATH > -90e-6), [PATH[0], np.ma.masked], np.ma.array(PATH, mask=PATH > -90e-6) * 1e6 * U.um,
+])  # fmt: skip
+def test_masked_values_are_refused(values):
+    with pytest.raises(ModelError, match="masked"):
+        ACTUATOR.compensate(values)
+    if len(values) == len(PATH):
+        with pytest.raises(RecordError, match="displacement: got an array with masked values"):
+            dehyst.Record(np.arange(PATH.size), PATH * 1e5, values)
+
+
+def test_voltages_limits_and_times_are_converted():
+    np.testing.assert_array_equal(ACTUATOR.simulate([0, 1500] * U.mV).voltage, [0, 1.5])
+    made = Actuator(ACTUATOR.slip, ACTUATOR.spring, limits=[0, 3600] * U.mV, delay=2 * U.ms, lag=1 * U.ms)
+    assert (made.limits, made.delay, made.lag) == ((0.0, 3.6), 0.002, 0.001)
+    assert type(made.delay) is float
+    assert Actuator(ACTUATOR.slip, ACTUATOR.spring, limits=(0, 3.6 * U.V)).limits == (0.0, 3.6)
+    with pytest.raises(ModelError, match="limits: got a quantity in micrometer, need one that can be converted to V"):
+        Compensator(ACTUATOR, (0, 3 * U.um))
+    assert ACTUATOR.turned(-100 * U.um).displacement == pytest.approx(-1e-4)
+    assert ACTUATOR.relaxed(1000 * U.mV).displacement == ACTUATOR.relaxed(1.0).displacement
+    assert Drive(frequency=1.0, limits=[0, 1] * U.kV).limits == (0.0, 1000.0)
+    assert excite.raised_cosine(100 * U.V).voltage_range == (0.0, 100.0)
+    assert excite.raised_cosine([50, 100] * U.V).voltage_range == (0.0, 100.0)
+    scan = Triangle(2 * U.um, 12 * U.um, 10, sample_rate=1 * U.kHz)
+    assert scan.path().range == pytest.approx((2e-6, 12e-6))
+    with pytest.raises(RecordError, match="peaks: got a quantity in micrometer"):
+        excite.raised_cosine(100 * U.um)
+    with pytest.raises(IdentifyError, match="breakaway: got a quantity in volt"):
+        numbers([1, 2] * U.V, "breakaway")
+
+
+def test_a_compensator_takes_quantities():
+    compensator, same = (
+        Compensator(ACTUATOR, limits, slew_rate=slew, period=period)
+        for limits, slew, period in (((0, 3600) * U.mV, 9 * U.mV / U.us, 1 * U.ms), ((0.0, 3.6), 9e3, 1e-3))
+    )
+    assert (compensator.limits, compensator.slew_rate, compensator.period) == ((0.0, 3.6), 9e3, pytest.approx(1e-3))
+    for wanted in (-100 * U.um, Float(-100.0), np.array(-100.0).view(Measured)):
+        assert compensator.offer(wanted) == pytest.approx(same.offer(-100e-6))
+        assert compensator.step(wanted) == pytest.approx(same.step(-100e-6))
+    compensator.commit(1500 * U.mV)
+    assert compensator.voltage == 1.5
+    with pytest.raises(ModelError, match="displacement: got a quantity in volt"):
+        compensator.step(1 * U.V)
+    np.testing.assert_allclose(compensator.trajectory(PATH * 1e6 * U.um, time=np.arange(9.0)).displacement, PATH)
+    same.commit(1.5)
+    np.testing.assert_allclose(compensator.run(PATH * 1e6 * U.um), same.run(PATH))
+
+
+@pytest.mark.parametrize(("what", "value"), [("frequency", 3 * U.Hz), ("damping", 1 * U.um / U.m)])
+def test_where_no_unit_is_known_quantities_are_refused(what, value):
+    """1 Hz would be converted to 1 rad/s."""
+    with pytest.raises(ModelError, match=f"{what}: got a quantity in .*, need plain numbers"):
+        dehyst.Dynamics(**{"frequency": 1e3, "damping": 0.1} | {what: value})
+
+
+def test_samples_of_a_driver_are_converted():
+    inspection = Inspection("rig", 10.0)
+    inspection.begin(np.zeros(2))
+    got = inspection.admit(Samples([0, 1] * U.ms, [0, 1] * U.mV, [0, 1] * U.um))
+    np.testing.assert_allclose(np.array(got), [[0, 1e-3], [0, 1e-3], [0, 1e-6]])
+    with pytest.raises(dehyst.DehystError, match="rig: displacement: got a quantity in volt"):
+        inspection.admit(Samples([2.0, 3.0], [0.0, 1.0], [0, 1] * U.V))
+
+
+def test_plain_arrays_pass_as_they_are():
+    for values in (PATH, [1.0, 2.0], (1, 2), 1.0, "x", None):
+        assert plain(values, "displacement") is values
