@@ -11,8 +11,8 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
 import batches
-import compensators
 import numpy as np
+import specimens
 from sanitized import SANITIZE
 
 from dehyst import DehystError
@@ -30,9 +30,9 @@ def missing():
 def play(seed, case, note, steps=STEPS):
     """One export, in double or float."""
     rng = np.random.default_rng([seed, case])
-    number, kind = str(rng.choice(["double", "float"])), str(rng.choice(compensators.KINDS))
+    number, kind = str(rng.choice(["double", "float"])), str(rng.choice(specimens.KINDS))
     try:
-        compensator = compensators.random_compensator(rng, kind)
+        compensator = specimens.random_compensator(rng, kind)
         files = code(compensator, number)
     except DehystError:
         note("refused at once")

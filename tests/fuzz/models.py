@@ -19,8 +19,8 @@ import sanitized
 sanitized.lay_over()
 
 import batches
-import compensators
 import numpy as np
+import specimens
 import strategies
 
 from dehyst import Actuator, Compensator, DehystError, Snapshot
@@ -37,8 +37,8 @@ SAMPLES, STEP = 200, 1e-3
 def bases():
     """Model files of every kind, as JSON values."""
     rng, found = np.random.default_rng(0), []
-    for kind in (*sorted(set(compensators.KINDS)), "plain", "all", "all", "wide", "wide"):
-        actuator = compensators.random_model(rng, kind)
+    for kind in (*sorted(set(specimens.KINDS)), "plain", "all", "all", "wide", "wide"):
+        actuator = specimens.random_model(rng, kind)
         low, high = (float(v) for v in actuator.spring.voltage[[0, -1]])
         data = json.loads(json.dumps(actuator.as_dict()))
         found.append({**data, "limits": {"voltage_V": [low, high]}, "load_stiffness_N_per_m": 1e6})
