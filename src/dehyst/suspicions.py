@@ -14,6 +14,9 @@ from dehyst.signals import FloatArray, noise_span, resolution, white_noise
 if TYPE_CHECKING:
     from dehyst.record import Record, Span
 
+# Seconds, volts or metres: squares of larger numbers, multiplied, are none that a float holds.
+_LARGEST = 1e50
+
 
 def problems(record: Record) -> tuple[str, ...]:
     """Sentences about what is suspicious but allowed, see `Record.problems`."""
@@ -81,6 +84,16 @@ def refuse_not_finite(values: FloatArray, column: str, unit: str, name: str) -> 
         raise RecordError(
             f"record '{name}': {column} holds {len(bad)} value(s) that are not finite, the first is "
             f"{column}[{bad[0]}] = {values[bad[0]]} {unit}; cut these rows out or fill them in"
+        )
+
+
+def refuse_too_large(values: FloatArray, column: str, unit: str, name: str) -> None:
+    """Raise when a value of the `column` is so large that its powers overflow; no instrument measures it."""
+    bad = np.flatnonzero(np.abs(values) > _LARGEST)
+    if len(bad):
+        raise RecordError(
+            f"record '{name}': {column}[{bad[0]}] is {values[bad[0]]:.3g} {unit}, need {_LARGEST:g} at most; "
+            f"check the unit and the {len(bad)} row(s) like it"
         )
 
 
