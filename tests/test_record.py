@@ -401,12 +401,11 @@ def test_a_spike_is_told_and_only_a_spike():
 
 
 @pytest.mark.parametrize("column", ["time", "voltage", "displacement"])
-@pytest.mark.parametrize("large", [1e200, -1e51, 1e308])
-def test_numbers_that_no_instrument_measures_are_refused(column, large):
+@pytest.mark.parametrize("large", [1e60, 1e200, 1e300])
+def test_numbers_that_no_instrument_measures_make_no_loop(column, large):
     """Their squares are no floats: OverflowError came of them where a loop's area is doubted."""
     time = np.arange(200.0)
-    columns = {"time": time, "voltage": 50 - 50 * np.cos(time / 8), "displacement": 1e-6 * np.sin(time / 8)}
-    columns[column] = columns[column] * large if column != "time" else time + abs(large) * (time == 199)
+    columns = {"time": time, "voltage": 50 - 50 * np.cos(time / 8), "displacement": 1e-6 * np.cos(time / 8 - 0.1)}
+    columns[column] = columns[column] * large
     with pytest.raises(RecordError, match=rf"{column}\[\d+\] is .*need 1e\+50 at most; check the unit"):
-        Record(**columns)
-    Record(**{**columns, column: columns[column] / abs(large)})
+        Record(**columns).check_usable()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dehyst._errors import RecordError
 from dehyst.signals import FloatArray, interpolate, noise_span, outer_extreme, turning_points, white_noise
-from dehyst.suspicions import problems, refuse_not_finite, refuse_not_rising, refuse_too_large, refuse_unusable
+from dehyst.suspicions import problems, refuse_not_finite, refuse_not_rising, refuse_unusable
 
 __all__ = ["FloatArray", "Record", "Span", "white_noise"]
 
@@ -39,8 +39,7 @@ class Record:
     Raises
     ------
     RecordError
-        Not one-dimensional, not numbers, different lengths, fewer than 2 samples, NaN or inf, above 1e50, time not
-        rising.
+        Not one-dimensional, not numbers, different lengths, fewer than 2 samples, NaN or inf, time not rising.
     """
 
     time: FloatArray
@@ -63,7 +62,6 @@ class Record:
             )
         for column, unit in _COLUMNS.items():
             refuse_not_finite(getattr(self, column), column, unit, self.name)
-            refuse_too_large(getattr(self, column), column, unit, self.name)
         refuse_not_rising(self.time, self.name)
 
     def __len__(self) -> int:

@@ -62,6 +62,8 @@ def _spikes(record: Record) -> NDArray[np.intp]:
 
 def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
     """Raise when no hysteresis loop can be learnt from the record, see `Record.check_usable`."""
+    for column, unit in (("time", "s"), ("voltage", "V"), ("displacement", "m")):
+        refuse_too_large(getattr(record, column), column, unit, record.name)
     if len(record) < min_samples:
         raise RecordError(f"record '{record.name}': {len(record)} samples, {min_samples} are needed; record for longer")
     refuse_constant(record)
