@@ -398,3 +398,23 @@ def test_a_spike_is_told_and_only_a_spike():
     corners = np.abs((np.arange(200) % 20) - 10.0)  # a triangle of 20 samples a cycle turns round sharply
     sharp = Record(np.arange(200.0), corners, 1e-6 * np.roll(corners, 1))
     assert not any("jumps away" in said for said in sharp.problems())
+
+
+@pytest.mark.parametrize("column", ["time", "voltage", "displacement"])
+@pytest.mark.parametrize("large", [1e60, 1e200, 1e300])
+def test_numbers_that_no_instrument_measures_make_no_loop(column, large):
+    """Their squares are no floats: OverflowError came of them where a loop's area is doubted."""
+    time = np.arange(200.0)
+    columns = {"time": time, "voltage": 50 - 50 * np.cos(time / 8), "displacement": 1e-6 * np.cos(time / 8 - 0.1)}
+    columns[column] = columns[column] * large
+    with pytest.raises(RecordError, match=rf"{column}\[\d+\] is .*need 1e\+50 at most; check the unit"):
+        Record(**columns).check_usable()
+
+
+@pytest.mark.parametrize("column", ["voltage", "displacement"])
+def test_a_lone_one_is_refused_with_its_row(column):
+    time = np.arange(400.0)
+    columns = {"voltage": 50 - 50 * np.cos(time / 8), "displacement": -1e-6 * np.cos(time / 8 - 0.1)}
+    columns[column][77] = 1e200
+    with pytest.raises(RecordError, match=rf"{column}\[77\] is 1e\+200 .*the 1 row"):
+        Record(time, **columns).check_usable()

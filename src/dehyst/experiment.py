@@ -288,7 +288,9 @@ def _tracked(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> T
 
 def _after(actuator: Actuator, voltage: Array, state: State | None = None) -> State:
     """The state that a voltage of the drive's rate leads to."""
-    reached: State = actuator.simulate(voltage, time=np.arange(voltage.size) / DRIVE.rate, state=state).state
+    reached: State = actuator.simulate(
+        voltage, time=np.arange(voltage.size) / DRIVE.rate, state=state, extrapolate=True
+    ).state
     return reached
 
 

@@ -16,7 +16,6 @@ from dehyst.signals import FloatArray, noise_span, resolution, white_noise
 if TYPE_CHECKING:
     from dehyst.record import Record, Span
 
-
 # Larger numbers [V, m, s] and shorter steps of time [s] are no measurement, and computing with them overflows.
 LARGEST, SHORTEST = 1e30, 1e-15
 # A stroke [m] that no sensor shows: an atomic nucleus.
