@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +19,20 @@ from dehyst.signals import FloatArray, resolution, white_noise
 # Most samples of a glitch, and neighbours on each side that show the slew.
 _WIDEST, _NEAR = 5, 8
 # Least part of the range, and so many standard deviations of noise, steps of resolution and usual excursions.
-_LEAST, _SIGMAS, _DIGITS, _TIMES = 0.02, 8.0, 1.5, 2.0
+_LEAST, _SIGMAS, _DIGITS, _TIMES = 0.02, 8.0, 1.5, 1.5
 # A glitch is larger than so many steps nearby.
 _STEPS = 1.5
 # The displacement follows with this part of its mean gain at least: a small excursion moves an actuator by half of
-# what the mean slope gives, and half of that can fall between two samples. A noise above a fifth of it hides that.
-_FOLLOWS, _SEEN = 0.2, 5.0
+# what the mean slope gives, and half of that can fall between two samples. A noise of which so many standard
+# deviations are larger hides it.
+_FOLLOWS, _SEEN = 0.2, 2.0
+# Beside a turn an actuator moves by so many times what its mean gain gives.
+_STEEP = 2.0
 # The displacement may lag by this part of a cycle, and by so many samples.
 _LAG, _LAGS = 0.05, (8, 64)
 _SHORTEST = 20
+# Digits of a signal are this part of its range at most.
+_COARSEST = 0.1
 _PASSES = 20
 _SHOWN = 5
 # Candidates looked at a time.
@@ -97,13 +103,13 @@ def glitches(time: FloatArray, voltage: FloatArray, displacement: FloatArray) ->
     return tuple(_described(time, voltage, clean, bad))
 
 
-def glitch_sentences(name: str, found: tuple[Glitch, ...]) -> tuple[str, ...]:
-    """A sentence for each glitch of a record; beyond five, for four of them and the farthest of the rest."""
+def glitch_sentences(found: tuple[Glitch, ...]) -> tuple[str, ...]:
+    """A sentence for each glitch; beyond five, for four of them and the range of the rest."""
     shown, rest = (found, ()) if len(found) <= _SHOWN else (found[: _SHOWN - 1], found[_SHOWN - 1 :])
-    said = [f"{name}: {one.words}; the displacement does not follow, left out." for one in shown]
+    said = [f"{one.words}; the displacement does not follow: left out." for one in shown]
     if rest:
         volts = [one.voltage for one in rest]
-        said.append(f"{name}: {len(rest)} more voltage glitches, of {min(volts):.6g} to {max(volts):.6g} V; left out.")
+        said.append(f"{len(rest)} more voltage glitches, of {min(volts):.6g} to {max(volts):.6g} V: left out.")
     return tuple(said)
 
 
@@ -145,8 +151,8 @@ class _Scale:
         stroke = float(np.subtract(*np.quantile(y, [0.99, 0.01])))
         crossings = int(np.count_nonzero(np.diff(v > middle)))
         cycle = 2 * len(v) / max(crossings, 1)
-        least = max(_LEAST * (high - low), _SIGMAS * _noise(v), _DIGITS * resolution(v)[0])
-        sensor = max(_SEEN * _noise(y), 2 * resolution(y)[0])
+        least = max(_LEAST * (high - low), _SIGMAS * _noise(v), _DIGITS * _digit(v))
+        sensor = max(_SEEN * _noise(y), _digit(y))
         lag = int(np.clip(_LAG * cycle, *_LAGS))
         return cls(least, stroke / (high - low), sensor, lag)
 
@@ -157,29 +163,34 @@ class _Scale:
             return []
         found: list[tuple[float, int, int]] = []
         for width in range(1, _WIDEST + 1):
-            least = max(self.least, _TIMES * _usual_excursion(v, width))
+            usual = _TIMES * _usual_excursion(v, width)
             before = np.intersect1d(jumps, jumps - width, assume_unique=True)
             for begin in range(0, before.size, _BLOCK):
-                found += self._followed_not(v, y, before[begin : begin + _BLOCK], width, least)
+                found += self._followed_not(v, y, before[begin : begin + _BLOCK], width, usual)
         return _apart(found)
 
     def _followed_not(
-        self, v: FloatArray, y: FloatArray, before: Indices, width: int, least: float
+        self, v: FloatArray, y: FloatArray, before: Indices, width: int, usual: float
     ) -> list[tuple[float, int, int]]:
-        """How far from the voltages around, start and stop of excursions that are glitches; from those before them."""
+        """How far away they go, start and stop of glitches so wide, among the excursions after samples `before`."""
         after = before + width + 1
         around = _around(before, after, len(v))
-        slew = _slew(v, around, width)
+        slew = _slew(v, around, 0.75)
         away = _from_chord(v, before, width)
         size = np.abs(away).min(axis=1)
-        comes_back = np.abs(v[after] - v[before]) <= least + _STEPS * (width + 1) * slew
-        large = comes_back & (size > least + 0.5 * _STEPS * (width + 1) * slew)
+        # At an edge of the voltage, by half of it.
+        comes_back = np.abs(v[after] - v[before]) <= np.maximum(self.least + _STEPS * (width + 1) * slew, 0.5 * size)
+        # The top of a staircase is wide and as high as the stairs beside it; a lone sample is not.
+        stair = _STEPS * _slew(v, around, 1.0) if width > 1 else 0.0
+        large = comes_back & (size > np.maximum(usual, self.least + np.maximum(_STEPS / 2 * (width + 1) * slew, stair)))
         large &= _FOLLOWS * self.gain * size > self.sensor
         before, away, slew, around = before[large], away[large], slew[large], around[large]
         still = ~self._follows(v, y, before, away, slew)
-        before, level = before[still], np.median(v[around[still]], axis=1)
-        far = [np.abs(v[a + 1 : a + 1 + width] - m).min() for a, m in zip(before.tolist(), level.tolist(), strict=True)]
-        return [(float(d), a + 1, a + 1 + width) for d, a in zip(far, before.tolist(), strict=True)]
+        before, size, level = before[still], size[large][still], np.median(v[around[still]], axis=1)
+        inside = v[before[:, None] + np.arange(1, width + 1)]
+        # Of two that differ in nothing else, the one farther from what is around.
+        far = size + 0.1 * np.abs(inside - level[:, None]).min(axis=1)
+        return [(d, a + 1, a + 1 + width) for d, a in zip(far.tolist(), before.tolist(), strict=True)]
 
     def _follows(self, v: FloatArray, y: FloatArray, before: Indices, away: FloatArray, slew: FloatArray) -> Mask:
         """Whether the displacement goes along with excursions (k, width) that start after the samples `before`.
@@ -192,13 +203,18 @@ class _Scale:
             along = _from_chord(y, before + late, width, beside=1)
             follows = np.maximum(follows, np.einsum("ij,ij->i", along, away) / power)
         size = np.sqrt(power / width)
+        corner = np.minimum(self._corner(v, before, width, beyond=width + 1), 0.5 * (width + 3) * slew)
+        corner = np.maximum(corner, self._corner(_without_pulses(v), before, width))
+        return np.asarray(follows * size > self.gain * (_FOLLOWS * size + _STEEP * corner), dtype=np.bool_)
+
+    def _corner(self, v: FloatArray, before: Indices, width: int, beyond: int = -1) -> FloatArray:
+        """What the voltage lies off chords (k,) [V], more than so many samples away."""
         corner = np.zeros(before.size)
         for shift in range(-self.lag, self.lag + 1):
-            if abs(shift) > width + 1:
+            if abs(shift) > beyond:
                 bent = np.abs(_from_chord(v, before + shift, width, beside=1)).max(axis=1)
                 corner = np.maximum(corner, bent)
-        corner = np.minimum(corner, 0.5 * (width + 3) * slew)
-        return np.asarray(follows * size > self.gain * (_FOLLOWS * size + corner), dtype=np.bool_)
+        return corner
 
     def outer(self, v: FloatArray, y: FloatArray) -> Iterator[tuple[int, int]]:
         """The same of glitches at the record's first or last samples, which come from nowhere or go nowhere.
@@ -215,9 +231,13 @@ class _Scale:
         steps = np.abs(np.diff(v))
         first = [int(k) + 1 for k in _jumps(v[: _WIDEST + 1], self.least)]
         for width in reversed(first):
-            usual = float(steps[width:-_WIDEST].max())
+            usual = float(steps[width + 1 : -_WIDEST].max())
             size = float(np.abs(v[:width] - v[width]).min())
-            large = size > self.least + _STEPS * usual and _FOLLOWS * self.gain * size > self.sensor
+            large = (
+                size > self.least + _STEPS * usual
+                and steps[width] <= usual
+                and _FOLLOWS * self.gain * size > self.sensor
+            )
             # Over so many samples the displacement moves by this without an excursion.
             span, near = width + 1, y[1 : 4 * _NEAR]
             moves = np.quantile(np.abs(near[span:] - near[:-span]), 0.75)
@@ -228,9 +248,15 @@ class _Scale:
 
 
 def _noise(values: FloatArray) -> float:
-    """White noise [in their unit], by differences of few samples where corners are many."""
-    order_2 = float(np.median(np.abs(np.diff(values, 2)))) / 0.6745 / 6**0.5
-    return min(white_noise(values), order_2)
+    """White noise [in their unit]; where slopes, corners or steps are many, by what feels least of them."""
+    plain = (float(np.median(np.abs(np.diff(values, k)))) / 0.6745 / comb(2 * k, k) ** 0.5 for k in (1, 2))
+    return min(white_noise(values), *plain)
+
+
+def _digit(values: FloatArray) -> float:
+    """The resolution, in the unit of the values; a signal that moves in few large steps is not told by its digits."""
+    step, part = resolution(values)
+    return step if part <= _COARSEST else 0.0
 
 
 def _jumps(v: FloatArray, least: float) -> Indices:
@@ -239,11 +265,18 @@ def _jumps(v: FloatArray, least: float) -> Indices:
 
 
 def _usual_excursion(v: FloatArray, width: int) -> float:
-    """How far so many samples go away and come back; one of twenty goes farther."""
+    """How far runs of so many samples go away and come back; one of fifty goes farther."""
     steps = np.diff(v)
     there, back = steps[:-width], steps[width:]
     far = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
-    return float(np.quantile(far, 0.95))
+    return float(np.quantile(far, 1 - 0.02 / width))
+
+
+def _without_pulses(v: FloatArray) -> FloatArray:
+    """The voltage with its steps, but without what comes back within the width of a glitch."""
+    from scipy.ndimage import median_filter
+
+    return np.asarray(median_filter(v, 2 * _WIDEST + 1, mode="nearest"), dtype=np.float64)
 
 
 def _around(before: Indices, after: Indices, size: int) -> Indices:
@@ -252,13 +285,13 @@ def _around(before: Indices, after: Indices, size: int) -> Indices:
     return np.clip(np.hstack([before[:, None] - offsets[::-1], after[:, None] + offsets]), 0, size - 1)
 
 
-def _slew(v: FloatArray, around: Indices, width: int) -> FloatArray:
-    """Step of the voltage beside excursions (k,) [V]: a quarter of the steps are larger."""
+def _slew(v: FloatArray, around: Indices, share: float) -> FloatArray:
+    """Step of the voltage beside excursions (k,) [V] that this share of the steps does not surpass."""
     steps = np.abs(np.diff(v[around], axis=1))
     # Not the step across, nor those that the ends of the record repeat.
     own = np.diff(around, axis=1) == 1
     own[:, _NEAR] = False
-    return np.nanquantile(np.where(own, steps, np.nan), 0.75, axis=1)
+    return np.nanquantile(np.where(own, steps, np.nan), share, axis=1)
 
 
 def _from_chord(values: FloatArray, before: Indices, width: int, beside: int = 0) -> FloatArray:

@@ -48,7 +48,7 @@ def without_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tupl
     kept = replace(record, time=record.time[keep], voltage=record.voltage[keep],
                    displacement=record.displacement[keep])  # fmt: skip
     holes = dict(_hole(record, one) for one in found if len(one.neighbours) == 2)
-    return kept, holes, glitch_sentences(record.name, found)
+    return kept, holes, tuple(f"{record.name}: {said}" for said in glitch_sentences(found))
 
 
 def _hole(record: Record, glitch: Glitch) -> tuple[float, bool]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import RecordError
-from dehyst.glitches import glitches
+from dehyst.glitches import glitch_sentences, glitches
 from dehyst.signals import FloatArray, noise_span, resolution, white_noise
 
 if TYPE_CHECKING:
@@ -42,8 +42,8 @@ def problems(record: Record) -> tuple[str, ...]:
             f"The displacement jumps away and back at {len(spikes)} sample(s), the first at "
             f"{record.time[spikes[0]]:.6g} s: take such spikes out, they spoil range and fit."
         )
-    for one in glitches(record.time, record.voltage, record.displacement):
-        found.append(f"There is a {one.words}, which the displacement does not follow: identify leaves it out.")
+    said = glitch_sentences(glitches(record.time, record.voltage, record.displacement))
+    found += [one[0].upper() + one[1:] for one in said]
     if not 1e-9 <= record.stroke <= 1e-3:
         found.append(
             f"The stroke is {record.stroke:.3g} m, unusual for a piezo actuator; check the displacement's unit."
