@@ -18,6 +18,7 @@ from dehyst.model import Fit
 from dehyst.plan import Plan, steps
 from dehyst.protocol import Creep, creep_of
 from dehyst.record import Record
+from dehyst.repairs import without_glitches
 from dehyst.replay import Agreement
 from dehyst.rigs.base import AbstractRig
 from dehyst.verification import Course, Followed, Planner
@@ -247,6 +248,7 @@ class _Job:
 
 def _ends(loops: Record) -> tuple[float, float]:
     """Displacement [m] where the voltage of major loops turns, lowest and highest."""
-    v, y = loops.voltage, loops.displacement
+    clean, _, _ = without_glitches(loops)
+    v, y = clean.voltage, clean.displacement
     near = 1e-4 * float(np.ptp(v))
     return float(y[v <= v.min() + near].mean()), float(y[v >= v.max() - near].mean())

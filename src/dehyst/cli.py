@@ -23,13 +23,12 @@ from dehyst.console import (
     came_from,
     columns_options,
     conclude,
-    count_outside,
     force_option,
     json_option,
     lagging,
     leave_cleanly,
+    outside_words,
     path_of,
-    range_words,
     read_model,
     read_records,
     refuse_overwriting,
@@ -153,7 +152,10 @@ def _worded_checks(checks: tuple[Check, ...]) -> tuple[Check, ...]:
 def simulate(
     model: Path, voltage_file: Path, output: Path, lag: bool, start: str, as_json: bool, **columns: Any
 ) -> None:
-    """Displacement that a VOLTAGE file causes; adds displacement_um."""
+    """Displacement that a VOLTAGE file causes; adds displacement_um.
+
+    The status is 1 if a voltage lies outside the model's limits by more than a tenth of their range.
+    """
     from dehyst.files import read_table, write_columns
 
     refuse_overwriting([model, voltage_file], output)
@@ -170,16 +172,13 @@ def simulate(
     displacement = lagging(motion.displacement, actuator, time) if lag else motion.displacement
     refuse_replacing(output)
     write_columns(output, {**time, "voltage_V": voltage, "displacement_um": displacement * 1e6})
-    outside = count_outside(actuator, voltage)
-    said = (
-        [f"{outside} voltages lie outside the identified range {range_words(actuator)}: extrapolated"]
-        if outside
-        else []
-    )
+    outside, far, said = outside_words(actuator, voltage)
     if actuator.delay and not lag:
         said.append(f"the displacement was measured to lag by {actuator.delay * 1e3:.4g} ms; --lag puts that in")
-    result = {"samples": voltage.size, "warnings": said, "state": state_dict(motion.state), "output": str(output)}
+    result = {"samples": voltage.size, "outside": outside, "far_outside": far, "warnings": said,
+              "state": state_dict(motion.state), "output": str(output)}  # fmt: skip
     conclude(as_json, result, f"{voltage.size} samples {came_from(actuator, start)}: {output}", said)
+    sys.exit(1 if far else 0)
 
 
 @main.command()

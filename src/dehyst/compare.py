@@ -269,7 +269,7 @@ def _row(
         model = known[id(job.records)] = fit(job.records)
         row = replace(row, seconds=time.perf_counter() - begin, parameters=parameters_of(model))
         tell(f"simulating {name}")
-        simulate, compensate = speeds(model, job.records[0])
+        simulate, compensate = speeds(model, job.training[0].record)
         row = replace(row, scores=job.scores(model), simulate=simulate, compensate=compensate)
     except _FAILURES as error:
         said.append(_sentence(error))

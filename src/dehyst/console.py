@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from dehyst.record import Record
 
 PATH = click.Path(path_type=Path)
+# Voltages farther outside of a model's limits than this part of their range have nothing to do with its records.
+_FAR = 0.1
 
 _FORCE = "dehyst.force"
 _INTERRUPTED = 130
@@ -300,11 +302,29 @@ def late_words(actuator: Actuator) -> list[str]:
     return [f"the displacement was measured to lag by {actuator.delay * 1e3:.4g} ms: expect it that much later"]
 
 
-def count_outside(actuator: Actuator, voltage: Any) -> int:
-    """Count the voltages outside the identified range."""
-    return (
-        0 if actuator.limits is None else int(((voltage < actuator.limits[0]) | (voltage > actuator.limits[1])).sum())
-    )
+def outside_words(actuator: Actuator, voltage: Any) -> tuple[int, bool, list[str]]:
+    """How many voltages [V] lie outside the identified range, whether one lies far outside, and a warning if so.
+
+    Far is more than a tenth of the range away: there the model is a straight line that nothing was measured of.
+    """
+    import numpy as np
+
+    if actuator.limits is None:
+        return 0, False, []
+    low, high = actuator.limits
+    beyond = np.maximum(low - voltage, voltage - high)
+    count = int(np.count_nonzero(beyond > 0))
+    if not count:
+        return 0, False, []
+    said = f"{count} of {voltage.size} voltages lie outside the identified range {range_words(actuator)}: extrapolated"
+    far = float(beyond.max()) > _FAR * (high - low)
+    if far:
+        said += (
+            f", and far: {float(voltage[int(np.argmax(beyond))]):.6g} V lies {float(beyond.max()):.6g} V beyond, "
+            f"more than {100 * _FAR:.0f} % of the range. Nothing was measured there: record these voltages and "
+            "identify again"
+        )
+    return count, far, [said]
 
 
 def range_words(actuator: Actuator) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from dehyst.equilibria import ROUNDING, Equilibria, Indices, Mask, demand_actuat
 from dehyst.metrics import rms
 from dehyst.model import State
 from dehyst.record import Record
+from dehyst.repairs import without_glitches
 from dehyst.threads import one_thread
 
 # A relaxed start explains a rise as well as the best one if its RMS error is not above the best one's by this factor
@@ -94,12 +95,14 @@ def state_from_first_rise(actuator: Actuator, record: Record) -> FirstRise:
         )
     if not isinstance(record, Record):
         raise RecordError(f"got {type(record).__name__}, need a Record; read a file with dehyst.read(path)")
+    record, _, said = without_glitches(record)
     record.check_usable()
     used = record.delayed(actuator.delay) if actuator.delay else record
     rise = _Rise(actuator, used, _first_top(used))
     with one_thread():
         shares, doubt = rise.solve()
-    return rise.told(rise.state(shares), doubt)
+    found = rise.told(rise.state(shares), doubt)
+    return replace(found, remarks=(*said, *found.remarks))
 
 
 def _first_top(record: Record) -> int:

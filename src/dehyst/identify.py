@@ -366,7 +366,8 @@ class _Job:
         )
 
     def _limits(self) -> tuple[float, float]:
-        ranges = np.array([item.record.voltage_range for item in self.training])
+        """Voltages that were used: what glitches show, or what a gap cuts off, was not."""
+        ranges = np.array([piece.voltage_range for item in self.training for piece in item.pieces])
         return float(ranges[:, 0].min()), float(ranges[:, 1].max())
 
     def _provenance(self) -> dict[str, Any]:
@@ -411,6 +412,7 @@ class _Job:
         if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:
             outcome = Outcome.INACCURATE
         actuator = replace(actuator, provenance={**actuator.provenance, "outcome": outcome.name})
+        self.remarks += judgement.of_rare_voltages(self.training, self._limits())
         self.remarks += judgement.of_held_out(self.held_out, self._limits(), errors)
         sample = self.training[self.widest].record.sample_time
         repaired = judgement.repaired(errors, self.delay, sample, given=self.settings.delay is not None)

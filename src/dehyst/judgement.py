@@ -6,16 +6,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dehyst._native import Array
 from dehyst.directions import Directions
 from dehyst.inertia import felt
 from dehyst.model import FEWEST_DECADES, Outcome, RecordErrors
 from dehyst.preparation import Prepared
 from dehyst.regression import Coefficients, Regression
+from dehyst.rows import epochs
 
 # Below this many times the noise an element's stiffness comes out too small.
 _LOUD = 30
 # Less creep a decade than this part of the stroke is not worth a sentence.
 _SMALLEST_DRIFT = 2e-4
+# The outer part of the limits' range at each end, and the part of one passage of it, as a triangle's, that is enough.
+_END, _PASSAGE = 0.1, 0.25
 # Voltages may leave those of training by this part of their range, and errors be so many times those of training.
 _MARGIN, _USUAL = 0.02, 2
 
@@ -58,6 +62,42 @@ def of_plain(told: Directions, regression: Regression, found: Coefficients) -> t
     if told.determined < told.of:
         return Outcome.UNDETERMINED, said
     return (Outcome.FLOOR_ACTIVE if low.size else Outcome.IDENTIFIED), said
+
+
+def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -> list[str]:
+    """Remarks about an end of the limits [V] that the samples that count reach for less than a part of one cycle.
+
+    Tops that descend pass the end in one cycle only, and in all of it: that is enough.
+    """
+    low, high = limits
+    width = _END * (high - low)
+    counted = [(_counted(item), _samples_a_cycle(item)) for item in records]
+    total, said = sum(v.size for v, _ in counted), []
+    for end, inward, words in ((high, -1, ("above", "highest")), (low, 1, ("below", "lowest"))):
+        edge = end + inward * width
+        found = [(np.count_nonzero(inward * (edge - v) > 0), cycle) for v, cycle in counted]
+        if sum(count / cycle for count, cycle in found) < _PASSAGE * _END:
+            count = sum(count for count, _ in found)
+            said.append(
+                f"Only {count} of {total} samples that count lie {words[0]} {edge:.4g} V, the {words[1]} voltage is "
+                f"{end:.4g} V: the model is little better than extrapolated there. Record loops that go there slowly."
+            )
+    return said
+
+
+def _counted(item: Prepared) -> Array:
+    """Voltages of the samples that count, and of the turns before them."""
+    parts = [
+        np.append(piece.voltage[epoch.start : epoch.stop], piece.voltage[epoch.turn])
+        for piece in item.pieces
+        for epoch in epochs(piece, item.noise)
+    ]
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _samples_a_cycle(item: Prepared) -> float:
+    cycles = [one.stop - one.start - 1 for one in item.record.cycles()]
+    return float(np.median(cycles)) if cycles else float(len(item.record))
 
 
 def of_held_out(records: Sequence[Prepared], limits: tuple[float, float], errors: Sequence[RecordErrors]) -> list[str]:

@@ -25,7 +25,7 @@ class Prepared:
     Attributes
     ----------
     record : Record
-        Without its start-up transient.
+        Without voltage glitches and its start-up transient.
     lead : Record or None
         The transient: creep remembers it.
     pieces : tuple of Record
@@ -120,8 +120,11 @@ def prepare(record: Record) -> Prepared:
     RecordError
         If it cannot be used at all.
     """
+    given = record
+    record, holes, left_out = repairs.without_glitches(given)
     record.check_usable()
-    sentences = [sentence if record.name in sentence else f"{record.name}: {sentence}"
+    sentences = [*left_out]
+    sentences += [sentence if record.name in sentence else f"{record.name}: {sentence}"
                  for sentence in record.problems() if "gap" not in sentence]  # fmt: skip
     dropped = repairs.transient(record)
     kept = record.slice(dropped, len(record)) if dropped else record
@@ -131,9 +134,9 @@ def prepare(record: Record) -> Prepared:
             f"{record.name}: the first {until:.4g} s ({dropped} samples) lie outside the loops that follow, a start-up "
             "transient or a rise from an unknown state; left out."
         )
-    pieces, gaps = repairs.split_at_gaps(kept)
+    pieces, gaps = repairs.split_at_gaps(kept, holes)
     lead = record.slice(0, dropped) if dropped > 1 else None
-    return Prepared(kept, lead, tuple(pieces), record.name, len(record), float(record.time[0]), record.noise,
+    return Prepared(kept, lead, tuple(pieces), record.name, len(given), float(given.time[0]), record.noise,
                     len(record.cycles()) >= 3, (*sentences, *gaps))  # fmt: skip
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from dehyst._native import Array
+from dehyst.glitches import Glitch, glitch_sentences, glitches
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
 from dehyst.signals import turning_points
@@ -20,8 +21,45 @@ _STEPS = 20
 _WORTH = 0.97
 # Loops of one height and rate tell a delay from hysteresis only at their turns: it has to explain much more there.
 _WORTH_OF_DELAY = 0.5
+# Displacements in a hole that lie beyond those beside it by this part of the stroke show a reversal.
+_TURN = 0.02
 # A sensor that was zeroed anew shows at once; a small gain is the model bending.
 _WORTH_OF_DATUM = 0.8
+
+
+def without_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tuple[str, ...]]:
+    """Leave out the samples of isolated voltage glitches, see `dehyst.glitches`.
+
+    Returns
+    -------
+    Record
+        The same object if there are none.
+    Mapping
+        Time [s] of the sample before each hole -> whether a reversal may lie in it, by the displacements left out.
+    tuple of str
+        A sentence for each glitch, of many glitches for some.
+    """
+    found = glitches(record.time, record.voltage, record.displacement)
+    if not found:
+        return record, {}, ()
+    keep = np.ones(len(record), dtype=bool)
+    for one in found:
+        keep[one.start : one.stop] = False
+    kept = replace(record, time=record.time[keep], voltage=record.voltage[keep],
+                   displacement=record.displacement[keep])  # fmt: skip
+    holes = dict(_hole(record, one) for one in found if len(one.neighbours) == 2)
+    return kept, holes, tuple(f"{record.name}: {said}" for said in glitch_sentences(found))
+
+
+def _hole(record: Record, glitch: Glitch) -> tuple[float, bool]:
+    """Time of the sample before, and whether the displacement turns back within a glitch."""
+    before, after = glitch.start - 1, glitch.stop
+    ends = sorted(record.displacement[[before, after]].tolist())
+    inside = record.displacement[glitch.start : glitch.stop]
+    beyond = max(ends[0] - float(inside.min()), float(inside.max()) - ends[1])
+    long = record.time[after] - record.time[before] > 1.5 * (after - before) * record.sample_time
+    hidden = bool(long) or beyond > max(_TURN * record.stroke, 6 * record.noise)
+    return float(record.time[before]), hidden
 
 
 def transient(record: Record) -> int:
@@ -53,13 +91,23 @@ def transient(record: Record) -> int:
     return int(ends[calm[0]]) + 1
 
 
-def split_at_gaps(record: Record) -> tuple[list[Record], list[str]]:
-    """Cut a record where a gap may hide a reversal; shorter gaps stay, for the model has no time. With sentences."""
+def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> tuple[list[Record], list[str]]:
+    """Cut a record where a gap may hide a reversal; shorter gaps stay, for the model has no time. With sentences.
+
+    Parameters
+    ----------
+    record : Record
+    holes : Mapping, optional
+        Of glitches that were left out, see `without_glitches`: what lies in them was measured.
+    """
     cuts, said = [0], []
-    cycle = cycle_time(record)
+    cycle, known = cycle_time(record), holes or {}
     for i, length in record.gaps():
         jump = abs(float(record.voltage[i + 1] - record.voltage[i]))
-        hidden = length > 0.2 * cycle or jump > 0.05 * float(np.ptp(record.voltage))
+        hidden = known.get(float(record.time[i]))
+        if hidden is False:
+            continue
+        hidden = hidden or length > 0.2 * cycle or jump > 0.05 * float(np.ptp(record.voltage))
         where = f"{record.name}: a gap of {length:.4g} s after {record.time[i]:.4g} s"
         if hidden:
             cuts.append(i + 1)

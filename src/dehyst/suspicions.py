@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dehyst._errors import RecordError
 from dehyst.butterfly import butterfly_of
 from dehyst.counting import counted
+from dehyst.glitches import glitch_sentences, glitches
 from dehyst.signals import FloatArray, noise_span, resolution, white_noise
 
 if TYPE_CHECKING:
@@ -56,6 +57,8 @@ def problems(record: Record) -> tuple[str, ...]:
             f"The displacement jumps away and back at {counted(len(spikes), 'sample')}, the first at "
             f"{record.time[spikes[0]]:.6g} s: take such spikes out, they spoil range and fit."
         )
+    said = glitch_sentences(glitches(record.time, record.voltage, record.displacement))
+    found += [one[0].upper() + one[1:] for one in said]
     if not 1e-9 <= record.stroke <= 1e-3:
         found.append(
             f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check the displacement's unit."

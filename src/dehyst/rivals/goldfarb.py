@@ -21,6 +21,7 @@ from dehyst.elements import MaxwellSlip, Spring
 from dehyst.model import State
 from dehyst.options import count, numbers
 from dehyst.record import Record
+from dehyst.repairs import without_glitches
 from dehyst.rivals.base import AbstractRival
 
 
@@ -85,6 +86,9 @@ class Goldfarb(AbstractRival):
             If `record` is no Record, its voltage does not rise first, the rise is too short for so many elements, or a
             break point is impossible.
         """
+        if not isinstance(record, Record):
+            raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")
+        record, _, said = without_glitches(record)
         rise, rest, height = _first_rise(record)
         rho = _equal_parts(elements, height) if breakaway is None else _given(breakaway, height, record.name)
         if len(rise[0]) < rho.size + 2:
@@ -102,13 +106,11 @@ class Goldfarb(AbstractRival):
             )
         slip = MaxwellSlip(rho, slopes[:-1] - slopes[1:])
         spring = Spring.of_slopes(rest + np.array([0.0, height]), slopes[-1:], float(volts[0]))
-        return cls(Actuator(slip, spring, State(rest, np.full(rho.size, rest)), name=record.name), remarks)
+        return cls(Actuator(slip, spring, State(rest, np.full(rho.size, rest)), name=record.name), (*said, *remarks))
 
 
 def _first_rise(record: Record) -> tuple[Branch, float, float]:
     """Branch from the first sample to the first turning point of the voltage, displacement at rest, height [m]."""
-    if not isinstance(record, Record):
-        raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")
     turns = record.reversals()
     end = int(turns[0]) if turns.size else len(record) - 1
     y, v = record.displacement[: end + 1], record.voltage[: end + 1]
