@@ -77,7 +77,10 @@ def travel(turns):
 def ends_known(actuator, turns, stiff_only=False):
     """Whether two simulations meet, by the carts alone and without the stack."""
     start = Bracket.at_rest(actuator, turns[0])
-    low, high = (actuator.simulate(turns, state=state, stack=False).state for state in (start.lower, start.upper))
+    low, high = (
+        actuator.simulate(turns, state=state, stack=False, extrapolate=True).state
+        for state in (start.lower, start.upper)
+    )
     counted = actuator.slip.stiffness > 0 if stiff_only else slice(None)
     widest = np.abs(high.carts - low.carts)[counted].max(initial=0.0)
     return max(widest, abs(high.displacement - low.displacement)) <= EXACT * range_of(actuator)

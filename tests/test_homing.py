@@ -38,7 +38,7 @@ def most_spread(actuator, homing, count, seed=0):
     rng = np.random.default_rng(seed)
     worst = 0.0
     for _ in range(count):
-        end = actuator.simulate(homing.turns, state=equilibrium(actuator, homing.turns[0], rng)).state
+        end = actuator.simulate(homing.turns, state=equilibrium(actuator, homing.turns[0], rng), extrapolate=True).state
         carts = np.abs(end.carts - homing.state.carts).max(initial=0.0)
         worst = max(worst, carts, abs(end.displacement - homing.state.displacement))
     return worst

@@ -70,8 +70,8 @@ def test_the_outermost_branch_is_where_a_long_way_ends(name, side):
     branch = Outermost(actuator)
     for v in np.linspace(*LIMITS, 23):
         y = branch.displacement(float(v), side)
-        start = actuator.turned(y - far * bench.STROKE, rising=side > 0)
-        reached = actuator.simulate([float(v)], state=start)
+        start = actuator.turned(y - far * bench.STROKE, rising=side > 0, extrapolate=True)
+        reached = actuator.simulate([float(v)], state=start, extrapolate=True)
         assert reached.displacement[0] == pytest.approx(y, abs=1e-11 * bench.STROKE)
         assert branch.voltage(y, side) == pytest.approx(v, abs=1e-9)
 
@@ -125,11 +125,14 @@ def test_in_time_no_past_is_left_farther_than_said(name, seed):
     found = _timed(name)
     start = past(actuator, seed, 0.0)
     time = found.played.time if actuator.needs_time else None
-    reached = actuator.simulate(found.played.voltage, time=time, state=start).state
+    reached = actuator.simulate(found.played.voltage, time=time, state=start, extrapolate=True).state
     assert abs(reached.displacement - found.state.displacement) <= found.left + 1e-12 * bench.STROKE
     further = DRIVE.play("", DRIVE.legs([0.0, 150.0, 20.0, 260.0, -40.0, 0.0]))
     time = further.time if actuator.needs_time else None
-    paths = [actuator.simulate(further.voltage, time=time, state=one).displacement for one in (reached, found.state)]
+    paths = [
+        actuator.simulate(further.voltage, time=time, state=one, extrapolate=True).displacement
+        for one in (reached, found.state)
+    ]
     # A mass may overshoot by as much as it was off.
     assert np.abs(paths[0] - paths[1]).max() <= (2 if actuator.dynamics else 1) * found.left + 1e-12 * bench.STROKE
 
