@@ -88,7 +88,8 @@ def _used(path: Path) -> str:
             record = dehyst.read(path)
             repr(record)
         except dehyst.DehystError as error:
-            return f"refused: {type(error).__name__}"
+            contained = "its library crashed" in str(error) or "did not come to an end" in str(error)
+            return "refused: crash or hang contained" if contained else f"refused: {type(error).__name__}"
         record.problems(), record.gaps(), record.cycles()
         try:
             prepared = prepare(record)
