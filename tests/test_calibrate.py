@@ -7,9 +7,10 @@ import pytest
 
 from dehyst import Actuator, DehystError, FileFormatError, RecordError, read
 from dehyst._errors import DeviceError
-from dehyst.calibrate import calibrate
+from dehyst.calibrate import RESULTS, calibrate
 from dehyst.excitation import Excitation
 from dehyst.excite import raised_cosine
+from dehyst.marks import written_by_dehyst
 from dehyst.plan import Plan, steps
 from dehyst.protocol import Pace, creep_of
 from dehyst.rigs.simulated import SimulatedRig
@@ -74,6 +75,7 @@ def test_everything_is_on_disk(finished):
     assert told["compensated"]["largest_percent"] == found.compensated.largest_percent
     assert set(told["sha256"]) == {f"{name}.h5" for name in (*names, "nominal", "compensated")}
     assert Actuator.load(folder / "model.json").limits is not None
+    assert all(written_by_dehyst(folder / name) for name in RESULTS)
     page = (folder / "report.html").read_text()
     assert "Measured along a path" in page
     assert "dehyst calibrate sim://play" in page

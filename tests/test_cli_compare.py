@@ -8,6 +8,7 @@ import pytest
 from test_cli import run
 
 from dehyst.files import write_record
+from dehyst.marks import written_by_dehyst
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +31,7 @@ def test_a_table_the_figures_and_a_page(folder):
     assert [one["model"] for one in found["models"]] == ["dehyst", "Duhem", "linear ratio"]
     assert found["validation"] == ["three"]
     assert "Models compared" in (folder / "page.html").read_text()
+    assert all(written_by_dehyst(folder / name) for name in ("all.json", "page.html"))
 
 
 def test_what_a_lead_told_is_said(folder):

@@ -208,7 +208,7 @@ def test_folders_that_hold_something_else_are_left_alone(tmp_path, unmeasured):
     made = export(compensator, folder)
     assert made.folder == folder
     (folder / "piezo.o").write_text("built")
-    with pytest.raises(FileFormatError, match="holds an earlier export; replace it with force"):
+    with pytest.raises(FileFormatError, match="holds an earlier export; give another name, or --force to replace it"):
         export(compensator, folder)
     export(compensator, folder, "float", force=True)
     assert "typedef float" in (folder / "dehyst_config.h").read_text()

@@ -150,16 +150,18 @@ def test_refusals(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_that_is_there_is_replaced_by_force_only(tmp_path, monkeypatch):
+def test_a_file_of_others_is_replaced_by_force_only(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", str(tmp_path / "absent" / "cc"))
     path = tmp_path / "x.fmu"
     path.write_text("mine")
-    with pytest.raises(FileFormatError, match="is there already; replace it with force"):
+    with pytest.raises(FileFormatError, match="is there already, and dehyst did not write it"):
         export_fmu(ALL["plain"], path)
     assert path.read_text() == "mine"
     with pytest.warns(SourceOnlyWarning):
         export_fmu(ALL["plain"], path, force=True)
     assert zipfile.is_zipfile(path)
+    with pytest.warns(SourceOnlyWarning):
+        export_fmu(ALL["plain"], path)
     ALL["plain"].actuator.save(tmp_path / "model.json")
     assert (
         cli("model.json", "x.fmu", "--fmu", "--force", "--limits", 0, 100, "--period", 1, cwd=tmp_path).returncode == 0
@@ -210,16 +212,19 @@ def test_the_command_line_writes_both_kinds(tmp_path):
         (["--fmu", "--name", "x"], "an FMU has its model's name"),
         (["--fmu", "--no-measure"], "an FMU has its model's name"),
         (["--fmu", "2.0", "--kind", "actuator", "--preview"], "leave out --limits, --slew, --preview"),
-        (["--fmu", "2.0", "--limits", "0", "100"], "is there already; replace it with force (--force)"),
+        (
+            ["--fmu", "2.0", "--limits", "0", "100"],
+            "dehyst did not write it; give another name, or --force to replace it",
+        ),
     ],
 )
 def test_the_command_line_refuses(tmp_path, options, words):
     ALL["plain"].actuator.save(tmp_path / "model.json")
-    (tmp_path / "x.fmu").write_text("")
+    (tmp_path / "x.fmu").write_text("mine")
     done = cli("model.json", "x.fmu", *options, cwd=tmp_path)
     assert done.returncode == 2
     assert words in done.stderr
-    assert (tmp_path / "x.fmu").read_text() == ""
+    assert (tmp_path / "x.fmu").read_text() == "mine"
 
 
 def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """Files that are written: records, columns and JSON, wholly or not at all."""
 
+import errno
 import os
 import stat
 import struct
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dehyst._errors import FileFormatError
+from dehyst.drafts import draft_of, is_draft
 from dehyst.files import read, read_json, write_atomically, write_columns, write_json, write_record
 from dehyst.record import Record
 
@@ -80,6 +82,54 @@ def test_write_atomically_refuses_folders(tmp_path):
         write_atomically(tmp_path / "absent" / "a.csv", "x")
     with pytest.raises(FileFormatError, match="this is a folder; add a file name"):
         write_atomically(tmp_path, "x")
+
+
+def test_a_file_is_on_the_disk_before_it_has_its_name_and_the_name_before_the_end(tmp_path, monkeypatch):
+    """Else a power cut leaves an empty file where the old one was."""
+    done, sync, replace = [], os.fsync, Path.replace
+
+    def settle(descriptor):
+        done.append("folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else "file")
+        assert done[-1] == "folder" or os.fstat(descriptor).st_size == 3
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", settle)
+    monkeypatch.setattr(Path, "replace", lambda one, other: done.append("rename") or replace(one, other))
+    write_atomically(tmp_path / "a.txt", "new")
+    assert done == ["file", "rename", "folder"][: 3 if sys.platform != "win32" else 2]
+
+
+def test_an_error_while_it_goes_to_the_disk_keeps_the_old_file(tmp_path, monkeypatch):
+    def fail(_):
+        raise OSError(errno.EIO, "Input/output error")
+
+    path = text(tmp_path, "old", "a.txt")
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(FileFormatError, match=r"a\.txt: cannot be written \(Input/output error\)"):
+        write_atomically(path, "new")
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a.txt", "old")]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="modes of POSIX")
+def test_a_file_keeps_its_mode_and_a_new_one_has_the_usual(tmp_path):
+    path = text(tmp_path, "old", "a.txt")
+    path.chmod(0o640)
+    before = os.umask(0o027)
+    try:
+        write_atomically(path, "new")
+        write_atomically(tmp_path / "b.txt", "new")
+    finally:
+        os.umask(before)
+    assert [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("a.txt", "b.txt")] == [0o640, 0o640]
+    path.chmod(0o604)
+    write_atomically(path, "newer")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o604
+
+
+def test_a_draft_is_short_hidden_and_known(tmp_path):
+    draft = draft_of(tmp_path / (255 * "x"))
+    assert is_draft(draft.name) and draft.name.startswith(".") and len(draft.name) < 30
+    assert not is_draft("a.tmp") and not is_draft(".dehyst-notes.tmp")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links and devices of POSIX")

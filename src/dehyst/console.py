@@ -171,7 +171,9 @@ def refuse_replacing(*outputs: Path | None) -> None:
     """Refuse to write over files of others unless there is --force: at first, and again when all is computed."""
     from dehyst.marks import demand_replaceable
 
-    force = bool(click.get_current_context().meta.get(_FORCE))
+    context = click.get_current_context()
+    # An export takes its own as an argument.
+    force = bool(context.meta.get(_FORCE) or context.params.get("force"))
     for output in outputs:
         if output is not None:
             demand_replaceable(output, force=force)

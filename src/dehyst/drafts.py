@@ -47,14 +47,15 @@ def unwritten(path: PathLike, error: OSError) -> FileFormatError:
 def write_atomically(path: PathLike, data: str | bytes) -> None:
     """Write a file wholly or not at all: a draft in its folder first, on the disk, then renamed.
 
-    A file that is there is replaced, whoever wrote it, and keeps its mode; commands look at it before (`dehyst.marks`).
+    Text is UTF-8, a lone surrogate in it an escape. A file that is there is replaced, whoever wrote it, and keeps its
+    mode; commands look at it before (`dehyst.marks`).
 
     Raises
     ------
     FileFormatError
         The folder is missing or not writable, or the path is a folder.
     """
-    content = data.encode() if isinstance(data, str) else data
+    content = data.encode(errors="backslashreplace") if isinstance(data, str) else data
     try:
         mode = mode_of(path)
         if mode is not None and stat.S_ISDIR(mode):
@@ -108,6 +109,24 @@ def settle(descriptor: int) -> None:
     except OSError as error:
         if error.errno not in _NO_SYNC:
             raise
+
+
+def settle_file(path: Path) -> None:
+    """Wait until a file that another process may have written, and its name, are on the disk.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    try:
+        descriptor = os.open(path, os.O_RDWR)
+        try:
+            settle(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise unwritten(path, error) from error
+    settle_folder(path.parent)
 
 
 def settle_folder(folder: Path) -> None:

@@ -235,29 +235,6 @@ def numbered(path: Path) -> Path:
     return next(other for other in names if not os.path.lexists(other))
 
 
-def settle(path: Path) -> None:
-    """Wait until a file and its name are on the disk; raises FileFormatError."""
-    try:
-        descriptor = os.open(path, os.O_RDWR)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-    except OSError as error:
-        raise unwritten(path, error) from error
-    _settle_folder(path.parent)
-
-
-def _settle_folder(folder: Path) -> None:
-    # Windows opens no folders, and some file systems settle none.
-    with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-
 def _lock(descriptor: int) -> None:
     """Hold a file until this process ends; raises BlockingIOError if another one does."""
     try:

@@ -22,8 +22,9 @@ from numpy.typing import ArrayLike
 
 from dehyst import hdf5
 from dehyst._errors import FileFormatError, RecordError
+from dehyst.drafts import settle_file
 from dehyst.files import PathLike, path_of, write_atomically
-from dehyst.journal import SUFFIX, Journal, numbered, room, settle
+from dehyst.journal import SUFFIX, Journal, numbered, room
 from dehyst.record import Record
 
 __all__ = ["Lot", "Recording", "numbered", "room", "salvage"]
@@ -236,7 +237,7 @@ def _salvaged(path: Path) -> Path | None:
         target = path.with_name(path.name.removesuffix(SUFFIX))
         if told.samples and _holds(target, hdf5.digest(told.columns)):
             # Its process may have been killed before the file was on the disk.
-            settle(target)
+            settle_file(target)
             journal.remove()
             return target
         meta, target = dict(told.meta), numbered(target)
@@ -270,7 +271,6 @@ def _write(
         "ended": ended or _utc(time.time()), "sha256": hdf5.digest(columns), "source": path.name,
     }  # fmt: skip
     write_atomically(path, hdf5.pack(columns, name, about, path))
-    settle(path)
 
 
 def _columns(samples: Lot) -> hdf5.Columns:

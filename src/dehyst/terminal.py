@@ -78,19 +78,11 @@ def guarded_streams() -> Iterator[None]:
     except UnprintedError as error:
         sys.exit(_unprinted(error))
     except OSError as error:
-        if _is_stuck():
+        # An error of a file has its name; that of a stream, such as click's own when it prints a help, has none.
+        if error.filename is None:
             sys.exit(_unprinted(error.strerror))
         note(error)
         sys.exit(2)
-
-
-def _is_stuck() -> bool:
-    """Whether standard output holds what it cannot get rid of."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        return True
-    return False
 
 
 def _unprinted(why: object) -> int:
