@@ -36,14 +36,21 @@ def vector(values: ArrayLike, what: str, unit: str | None = None) -> Array:
     ModelError
         If it has another number of dimensions, is not numeric, has another unit, or holds NaN or infinity.
     """
+    return spanned(values, what, unit)[0]
+
+
+def spanned(values: ArrayLike, what: str, unit: str | None = None) -> tuple[Array, float, float]:
+    """Return what `vector` does, and its least and its largest value, which are finite only if all are; NaN of none."""
     array = _doubles(values, what, unit)
     if array.ndim != 1:
         raise ModelError(f"{what}: got an array of shape {array.shape}, need one dimension")
-    finite = np.isfinite(array)
-    if not finite.all():
-        bad = np.flatnonzero(~finite)
+    if not array.size:
+        return array, math.nan, math.nan
+    low, high = float(np.minimum.reduce(array)), float(np.maximum.reduce(array))
+    if not (math.isfinite(low) and math.isfinite(high)):
+        bad = np.flatnonzero(~np.isfinite(array))
         raise ModelError(f"{what}: {bad.size} of {array.size} values are not finite, the first at index {bad[0]}")
-    return array
+    return array, low, high
 
 
 def matrix(values: ArrayLike, what: str, unit: str | None = None) -> Array:

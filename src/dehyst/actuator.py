@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from dehyst import model_file
 from dehyst._errors import ModelError
-from dehyst._native import NOTHING, Array, Core, number, vector
+from dehyst._native import NOTHING, Array, Core, number, spanned, vector
 from dehyst.computable import FARTHEST, MOST_ADDED, demand_divisors, demand_magnitudes, demand_result
 from dehyst.control_blocks import actuator_block
 from dehyst.creep import Creep, clock
@@ -232,9 +232,9 @@ class Actuator(AbstractModel):
             If the voltage is not finite or lies too far outside, the time is missing or does not fit, the state does
             not fit this actuator, or a displacement is too large to be computed.
         """
-        v, start = vector(voltage, "voltage"), self._start(state)
+        (v, low, high), start = spanned(voltage, "voltage"), self._start(state)
         if not extrapolate:
-            self._demand_voltage(v)
+            self._demand_voltage(low, high)
         if self.wide:
             y, reached = self.model.simulate(v, Course(time, load), start, stack)
             return Motion(voltage=v, displacement=y, state=reached)
@@ -282,8 +282,8 @@ class Actuator(AbstractModel):
             If the displacement is not finite or lies more than one stroke outside, the time is missing or does not fit,
             the state does not fit this actuator, or a voltage is too large to be computed.
         """
-        y, start = vector(displacement, "displacement"), self._start(state)
-        if not extrapolate:
+        (y, low, high), start = spanned(displacement, "displacement"), self._start(state)
+        if not extrapolate and self.plausible.strays(low, high):
             self._demand_displacement(y, load)
         if self.wide:
             v, reached = self.model.compensate(y, Course(time, load, velocity, acceleration), start, stack)
@@ -304,7 +304,7 @@ class Actuator(AbstractModel):
         """
         v = number(voltage, "voltage")
         if v != 0 and not extrapolate:
-            self._demand_voltage(np.array([v]))
+            self._demand_voltage(v, v)
         y = self.core.spring_inverse(v if self.transformer is None else float(self.transformer(v)))
         return State(y, np.full(len(self.slip), y))
 
@@ -517,10 +517,9 @@ class Actuator(AbstractModel):
     def _voltages(self) -> Range:
         return Range(*self.voltage_range)
 
-    def _demand_voltage(self, voltage: Array) -> None:
-        got = self._voltages.astray(voltage)
-        if got is not None:
-            raise ModelError(f"{voltage_words(got, self._voltages)}; {ANYWAY}")
+    def _demand_voltage(self, low: float, high: float) -> None:
+        if self._voltages.strays(low, high):
+            raise ModelError(f"{voltage_words((low, high), self._voltages)}; {ANYWAY}")
 
     def _demand_displacement(self, displacement: Array, load: ArrayLike | None) -> None:
         words = self.strays(displacement, load)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst.files import PathLike, unwritten
+from dehyst.drafts import PathLike, settle_folder, unwritten
 from dehyst.hdf5 import DATASETS, Columns, in_json
 
 # Behind the name of the file that is to be.
@@ -83,7 +83,7 @@ class Journal:
         try:
             _lock(descriptor)
             journal._write(f"# {head}\n{_HEADER}\n".encode())
-            _settle_folder(path.parent)
+            settle_folder(path.parent)
         except (FileFormatError, OSError) as error:
             journal.remove()
             raise (error if isinstance(error, FileFormatError) else unwritten(path, error)) from error
