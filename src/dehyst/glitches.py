@@ -233,15 +233,12 @@ class _Scale:
         for width in reversed(first):
             usual = float(steps[width + 1 : -_WIDEST].max())
             size = float(np.abs(v[:width] - v[width]).min())
-            large = (
-                size > self.least + _STEPS * usual
-                and steps[width] <= usual
-                and _FOLLOWS * self.gain * size > self.sensor
-            )
+            alone = size > self.least + _STEPS * usual and steps[width] <= _STEPS * usual
+            large = alone and _FOLLOWS * self.gain * size > self.sensor
             # Over so many samples the displacement moves by this without an excursion.
             span, near = width + 1, y[1 : 4 * _NEAR]
             moves = np.quantile(np.abs(near[span:] - near[:-span]), 0.75)
-            moved = float(np.abs(y[:width] - y[span]).max())
+            moved = float((np.sign(v[width] - v[0]) * (y[span] - y[:width])).max())
             if large and moved <= _FOLLOWS * self.gain * size + _STEPS * float(moves):
                 return [width]
         return []
@@ -249,8 +246,8 @@ class _Scale:
 
 def _noise(values: FloatArray) -> float:
     """White noise [in their unit]; where slopes, corners or steps are many, by what feels least of them."""
-    plain = (float(np.median(np.abs(np.diff(values, k)))) / 0.6745 / sqrt(comb(2 * k, k)) for k in (1, 2))
-    return min(white_noise(values), *plain)
+    spreads = ((float(np.median(np.abs(np.diff(values, k)))), comb(2 * k, k)) for k in (1, 2))
+    return min(white_noise(values), *(spread / 0.6745 / sqrt(parts) for spread, parts in spreads))
 
 
 def _digit(values: FloatArray) -> float:
@@ -268,7 +265,7 @@ def _usual_excursion(v: FloatArray, width: int) -> float:
     """How far runs of so many samples go away and come back; one of fifty goes farther."""
     steps = np.diff(v)
     there, back = steps[:-width], steps[width:]
-    far = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
+    far: FloatArray = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
     return float(np.quantile(far, 1 - 0.02 / width))
 
 
