@@ -129,7 +129,7 @@ def test_a_glitch_at_an_end_of_the_record_is_found(seed, kind, cycle, last):
     rng = np.random.default_rng(seed)
     v, y = (column[cycle:] for column in measured(rng, kind, cycle, 7 * cycle, 0))
     bad, place = v.copy(), 6 * cycle - 1 if last else 0
-    bad[place] += rng.choice([-1, 1]) * (3 * np.abs(np.diff(v)).max() + 10) * rng.uniform(1, 10)
+    bad[place] += rng.choice([-1, 1]) * (5 * np.abs(np.diff(v)).max() + 10) * rng.uniform(1, 10)
     assert samples_of(glitches(np.arange(6.0 * cycle), bad, y)) == {place}
 
 

@@ -22,6 +22,8 @@ _WIDEST, _NEAR = 5, 8
 _LEAST, _SIGMAS, _DIGITS, _TIMES = 0.02, 8.0, 1.5, 1.5
 # A glitch is larger than so many steps nearby.
 _STEPS = 1.5
+# At an end of the record, where nothing comes back, than so many of the largest steps elsewhere.
+_STEPS_AT_END = 3.0
 # The displacement follows with this part of its mean gain at least: a small excursion moves an actuator by half of
 # what the mean slope gives, and half of that can fall between two samples. A noise of which so many standard
 # deviations are larger hides it.
@@ -233,7 +235,7 @@ class _Scale:
         for width in reversed(first):
             usual = float(steps[width + 1 : -_WIDEST].max())
             size = float(np.abs(v[:width] - v[width]).min())
-            alone = size > self.least + _STEPS * usual and steps[width] <= _STEPS * usual
+            alone = size > self.least + _STEPS_AT_END * usual and steps[width] <= _STEPS * usual
             large = alone and _FOLLOWS * self.gain * size > self.sensor
             # Over so many samples the displacement moves by this without an excursion.
             span, near = width + 1, y[1 : 4 * _NEAR]
