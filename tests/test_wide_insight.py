@@ -157,8 +157,10 @@ def test_the_state_is_known_from_the_voltage_as_from_two_simulations():
     found, fit, record = looked("graded, transformer")
     when = found.knowledge[0].by_voltage
     first = round(when / record.sample_time) + 1
-    ends = [fit.actuator.turned(y, rising=up) for y, up in ((1e-3, False), (-1e-3, True))]
-    reached = [fit.actuator.simulate(record.voltage[:first], state=one).displacement[-1] for one in ends]
+    ends = [fit.actuator.turned(y, rising=up, extrapolate=True) for y, up in ((1e-3, False), (-1e-3, True))]
+    reached = [
+        fit.actuator.simulate(record.voltage[:first], state=one, extrapolate=True).displacement[-1] for one in ends
+    ]
     assert abs(reached[1] - reached[0]) < 1e-9 * bench.STROKE
 
 
