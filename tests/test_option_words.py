@@ -23,7 +23,7 @@ from dehyst.truths import PlayActuator
 SOURCES = Path(__file__).resolve().parents[1] / "src" / "dehyst"
 ARGUMENT = re.compile(r"(?<![-\w&?+])([a-z][a-z_]+)=(?!=)")
 # Arguments that no command has: their messages come from calls of the library alone.
-LIBRARY_ONLY = {"load_stiffness", "names", "closed", "stiff_only", "period", "time"}
+LIBRARY_ONLY = {"load_stiffness", "names", "closed", "stiff_only", "period", "time", "extrapolate"}
 # Texts that are no messages: the compiler's flags, addresses of instruments, HTML.
 NO_MESSAGES = re.compile(r"^-[a-zW]|://|[<>]|^\\|\\\(|^[;&]?[\w-]+=$")
 

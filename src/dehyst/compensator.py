@@ -257,7 +257,7 @@ class Compensator:
         ------
         ModelError
             If the arrays do not fit, the path lies more than one stroke outside, or a time is needed and neither `time`
-            nor `period` is given, or they disagree.
+            nor `period` is given.
         """
         wanted = vector(displacement, "displacement")
         words = "" if extrapolate else self.strays(wanted, load)

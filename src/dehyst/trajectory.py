@@ -24,8 +24,6 @@ _ROUNDING = 1e-12
 # Of the spring's knots: a miss that is worth a sentence.
 _WORTH = 1e-3
 _CURE = "give time= [s], one a sample, or make the Compensator with period= [s]"
-# Of a period: how far a step of the time may be off it, as the rounded times of a file are.
-_UNEVEN = 0.01
 # Runs of equal steps, each of which is set up anew.
 _FEW = 64
 
@@ -134,7 +132,8 @@ def follow(
 ) -> Command:
     """Voltages for a path, each clamped with the state kept true; see `Compensator.trajectory`."""
     wanted = vector(displacement, "displacement")
-    time = _timed(time, period, wanted.size)
+    if time is None and period is not None:
+        time = period * np.arange(wanted.size)
     steps = limits.steps(wanted.size, time)
     path, state = _Path(actuator, wanted, time, load, velocity, acceleration), start
     _ = path.clock  # which refuses a time that is missing or does not fit
@@ -172,28 +171,6 @@ def follow(
     if not followed and not clamped.any():
         said = (*said, _lagged(missed))
     return Command(voltage, reached, clamped, state, (*said, *_extrapolates(actuator, voltage)), missed, followed)
-
-
-def _timed(time: ArrayLike | None, period: float | None, samples: int) -> ArrayLike | None:
-    """The time of each sample: as it was given, or by the period.
-
-    Raises
-    ------
-    ModelError
-        If both are given and do not agree.
-    """
-    if period is None:
-        return time
-    if time is None:
-        return period * np.arange(samples)
-    given = vector(time, "time")
-    steps = np.diff(given)
-    if given.size == samples and np.all(steps > 0) and np.any(np.abs(steps - period) > _UNEVEN * period):
-        raise ModelError(
-            f"time: its steps are {steps.min():.6g} to {steps.max():.6g} s, but the compensator's period is "
-            f"{period:.6g} s; leave time out, or make a Compensator without period for this path"
-        )
-    return given
 
 
 def _lagged(missed: float) -> str:
