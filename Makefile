@@ -14,7 +14,7 @@ demo: $(VENV)/.report
 	$(BIN)/dehyst demo
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 check: $(VENV)/.check
 	$(BIN)/ruff check .

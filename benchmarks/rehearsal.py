@@ -18,8 +18,8 @@ from dehyst import DehystError, read
 from dehyst.recording import salvage
 
 DEHYST = (sys.executable, "-c", "from dehyst.cli import main; main(prog_name='dehyst')")
-# No command takes longer, whatever happens to it.
-_PATIENCE = 90.0
+# Seconds after which a command hangs, on however busy a machine.
+_PATIENCE = 600.0
 _PROGRESS = re.compile(r"dehyst: [a-z0-9-]+: (begins|done|failed)\b")
 _COUNTED = re.compile(r", ([\d ]+) samples")
 _TALLY = re.compile(
@@ -70,7 +70,7 @@ class Served:
         self._serving = threading.Event()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        if not self._serving.wait(30) or "pi://" not in self.lines[0][1]:
+        if not self._serving.wait(_PATIENCE) or "pi://" not in self.lines[0][1]:
             raise RuntimeError(f"dehyst rig serve: {self.lines}")
         self.address = re.search(r"pi://\S+", self.lines[0][1])[0]
 
@@ -89,8 +89,8 @@ class Served:
         """Let it end, and say."""
         if self._process.poll() is None:
             self._process.terminate()
-        self._process.wait(10)
-        self._reader.join(10)
+        self._process.wait(_PATIENCE)
+        self._reader.join(_PATIENCE)
         found = _TALLY.fullmatch(self.lines[-1][1])
         told = {key: float(value or 0) for key, value in found.groupdict().items()}
         return PutOut(**{**told, "refused": int(told["refused"]), "told": int(told["told"])})
@@ -156,7 +156,7 @@ def calibrate(
             since, journalled = time.monotonic(), _journalled(folder)
             act.do(process)
         process.wait(_PATIENCE)
-        reader.join(10)
+        reader.join(_PATIENCE)
     ended = time.monotonic()
     if served is not None and served.struck is not None:
         since = served.struck

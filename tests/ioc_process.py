@@ -43,6 +43,11 @@ for line in sys.stdin:
 """
 
 
+# Tests may run in several processes at once: each takes ports of its own remainder.
+_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+_WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+
+
 def _free_ports(count):
     """Ports that are free for UDP and TCP now; held until all are found, so that none comes twice."""
     held, ports = [], []
@@ -53,6 +58,8 @@ def _free_ports(count):
         try:
             udp.bind(("127.0.0.1", tcp.getsockname()[1]))
         except OSError:
+            continue
+        if tcp.getsockname()[1] % _WORKERS != _WORKER:
             continue
         ports.append(tcp.getsockname()[1])
     for each in held:

@@ -123,10 +123,10 @@ def test_a_record_may_be_cut_anywhere(stack, motion, seed, cuts):
     actuator, start, path = motion
     v = our.voltages_like(actuator, start, path, seed)
     for run, given_in in ((actuator.compensate, path), (actuator.simulate, v)):
-        whole = run(given_in, state=start, stack=stack)
+        whole = run(given_in, state=start, stack=stack, extrapolate=True)
         state, parts = start, []
         for part in np.split(given_in, sorted(int(cut * len(given_in)) for cut in cuts)):
-            parts.append(run(part, state=state, stack=stack))
+            parts.append(run(part, state=state, stack=stack, extrapolate=True))
             state = parts[-1].state
         metres = 1e-13 * span_with(actuator, start, whole.displacement)
         volts = 1e-13 * volts_with(actuator, whole.voltage)

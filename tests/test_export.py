@@ -556,7 +556,7 @@ def test_on_the_command_line(tmp_path):
     assert "a step: at most" in done.stdout
     late = dehyst_export("--force", "--slew", "2e4")
     assert late.returncode == 2
-    assert "give period=" in late.stderr
+    assert "give --period S" in late.stderr
     assert "memory begins at 0 um, " in done.stdout
     assert "lower the voltage slowly from its highest, never back, to " in done.stdout
     top = made.actuator.voltage(made.actuator.turned(bench.STROKE))

@@ -49,7 +49,7 @@ SAID = {
     "impatient": (130, r"stopped by Ctrl-C", SAFE, GOES_ON),
     "terminate": (143, r"stopped by SIGTERM", SAFE, GOES_ON),
     "hang-up": (129, r"stopped by SIGHUP", SAFE, GOES_ON),
-    "deaf": (1,),
+    "deaf": (0,),
     "kill": (-signal.SIGKILL,),
     "full": (2, r"\S+/look.h5.part.csv: cannot be written \(File too large\); make room there", SAFE, GOES_ON),
     "file": (2, r"\S+: cannot be made a folder \(Not a directory\); give another one with -o"),
@@ -93,6 +93,9 @@ def test_a_fault(rehearsed, name):
     if name == "full":
         # The record itself is smaller than its journal: there may be room for all that came, or not.
         found.said[:] = [line for line in found.said if not re.match(NO_ROOM, line)]
+    if not found.on_disk and GOES_ON in said:
+        # On a busy machine the fault may come before the first sample does: then there is nothing to go on from.
+        said.remove(GOES_ON)
     assert "Traceback" not in told and 'File "' not in told
     assert found.status == status, told
     assert len(found.said) == len(said), told

@@ -1,5 +1,7 @@
 """The wider class: graded elements, transformer and creep. Laws, the oracle, an ODE solver, and every refusal."""
 
+from functools import partial
+
 import bench
 import numpy as np
 import oracle
@@ -79,7 +81,8 @@ def test_a_record_may_be_cut_at_any_sample(motion, cut):
     volts, metres = scales(actuator, state, path)
     whole = actuator.compensate(path, time=time, state=state, extrapolate=True)
     for name, drive, allowance in (("compensate", path, volts), ("simulate", whole.voltage, 3 * metres)):
-        run, out = getattr(actuator, name), "voltage" if name == "compensate" else "displacement"
+        out = "voltage" if name == "compensate" else "displacement"
+        run = partial(getattr(actuator, name), extrapolate=True)
         first = run(drive[: k + 1], time=time[: k + 1], state=state)
         second = run(drive[k:], time=time[k:], state=first.state)
         joined = np.concatenate([getattr(first, out)[:-1], getattr(second, out)])

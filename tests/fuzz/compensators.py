@@ -130,7 +130,12 @@ class Life:
         """What is no number, or leads nowhere, moves nothing."""
         bad = float(self.rng.choice(HOSTILE))
         loop, before = self.compensator, self.compensator.snapshot()
-        for call in (loop.step, loop.commit, lambda x: loop.run([x]), lambda x: loop.trajectory([x], time=[0.0])):
+        for call in (
+            loop.step,
+            loop.commit,
+            lambda x: loop.run([x]),
+            lambda x: loop.trajectory([x], time=[0.0], extrapolate=True),
+        ):
             # What is refused must move nothing; what is taken, here, is forgotten again.
             try:
                 call(bad)
@@ -205,7 +210,7 @@ class Life:
         if self.rng.random() < 0.4:
             time = np.cumsum(period * self.rng.uniform(0.2, 2, n))
         try:
-            command = self.compensator.trajectory(path, time=time)
+            command = self.compensator.trajectory(path, time=time, extrapolate=bool(self.rng.random() < 0.8))
         except DehystError:
             self.note("trajectories refused")
             return
@@ -228,7 +233,7 @@ class Life:
         if self.actuator.needs_time:
             voltage = np.append(self.actuator.voltage(self.start), voltage)
             time = {"time": np.arange(voltage.size) * self.compensator.period}
-        reached = self.actuator.simulate(voltage, state=self.start, **time).state
+        reached = self.actuator.simulate(voltage, state=self.start, extrapolate=True, **time).state
         state, span = self.compensator.state, strategies.span_of(self.actuator)
         error = max(abs(reached.displacement - state.displacement),
                     np.abs(reached.carts - state.carts).max(initial=0)) / span  # fmt: skip

@@ -141,11 +141,11 @@ class Trial:
 
     def simulate(self):
         voltage = self.low + (self.high - self.low) * self.numbers.uniform(0, 1, SAMPLES)
-        if not np.isfinite(self.actuator.simulate(voltage, **self.course).displacement).all():
+        if not np.isfinite(self.actuator.simulate(voltage, extrapolate=True, **self.course).displacement).all():
             self.findings.append("simulate: not finite")
 
     def compensate(self):
-        if not np.isfinite(self.actuator.compensate(self.path, **self.course).voltage).all():
+        if not np.isfinite(self.actuator.compensate(self.path, extrapolate=True, **self.course).voltage).all():
             self.findings.append("compensate: not finite")
 
     def compensator(self):
@@ -169,7 +169,7 @@ class Trial:
         repr(loop)
 
     def follow(self):
-        command = self.compensator().trajectory(self.path, time=self.time)
+        command = self.compensator().trajectory(self.path, time=self.time, extrapolate=True)
         voltage = command.voltage
         if not (np.isfinite(voltage).all() and voltage.min() >= self.low and voltage.max() <= self.high):
             self.findings.append("trajectory: outside the limits")
