@@ -73,12 +73,17 @@ def _is_number(value):
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
+def _times(value, factor):
+    """A product; whole numbers may be too large for a float already."""
+    return value * factor if abs(value) <= sys.float_info.max else value
+
+
 def _mutate(parent, key, rng):
     value, kind = parent[key], rng.random()
     if kind < 0.35:
         parent[key] = rng.choice(VALUES)
     elif kind < 0.65 and _is_number(value):
-        parent[key] = value * rng.choice(FACTORS)
+        parent[key] = _times(value, rng.choice(FACTORS))
     elif kind < 0.75:
         del parent[key]
     elif kind < 0.85:
@@ -91,7 +96,7 @@ def _mutate(parent, key, rng):
             rng.shuffle(value)
         else:
             factor = rng.choice(SHARED)
-            parent[key] = [x * factor if _is_number(x) else x for x in value]
+            parent[key] = [_times(x, factor) if _is_number(x) else x for x in value]
     else:
         parent[key] = rng.choice(VALUES)
 
