@@ -169,6 +169,24 @@ def test_a_glitch_widens_no_limits_and_spoils_no_fit(samples, clean_fit):
     assert (command.voltage.max(), len(command.warnings)) == (200.0, 1)
 
 
+@pytest.mark.parametrize("voltage", [500.0, -300.0])
+@pytest.mark.parametrize(("first", "width"), [(1100, 6), (820, 10), (1000, 20), (1330, 20)])
+def test_a_channel_that_drops_out_for_longer_widens_no_limits(first, width, voltage, clean_fit):
+    samples = list(range(first, first + width))
+    record = with_voltage(CLEAN, samples, voltage)
+    assert samples_of(glitches(record.time, record.voltage, record.displacement)) == set(samples)
+    fit = fitted(record)
+    assert fit.actuator.limits == (0.0, 200.0)
+    assert fit.errors[0].rms == pytest.approx(clean_fit.errors[0].rms, rel=0.05)
+    assert any(f"glitch at samples {first} to {first + width - 1}" in said for said in fit.repairs)
+
+
+def test_what_lies_between_two_long_glitches_is_none():
+    samples = [*range(1020, 1030), *range(1045, 1055)]
+    record = with_voltage(CLEAN, samples, 500.0)
+    assert samples_of(glitches(record.time, record.voltage, record.displacement)) == set(samples)
+
+
 def test_the_sentence_has_sample_time_value_and_neighbours():
     fit = fitted(with_voltage(CLEAN, [1100], 500.0))
     before, after = CLEAN.voltage[1099], CLEAN.voltage[1101]

@@ -176,3 +176,13 @@ def test_numbers_of_things_agree_with_them():
     plural = re.compile(r"\w\(s\)")
     columns = {"compare_page.py", "parameters.py"}  # Seconds, in the head of a column.
     assert [text for path, text in messages() if plural.search(text) and path.name not in columns] == []
+
+
+@pytest.mark.parametrize("name", ["limits", "knots", "delay"])
+def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path):
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "x").touch()
+    command = [sys.executable, "-c", "from dehyst.cli import main; main()", "demo", "-o", name, "--no-report"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"dehyst: {name}: holds other files (x)")

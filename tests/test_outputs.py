@@ -131,6 +131,12 @@ def test_what_holds_nothing_may_be_replaced(tmp_path):
     demand_replaceable(os.devnull)
 
 
+def test_a_table_may_go_to_a_device_of_any_name(tmp_path):
+    write_columns(os.devnull, {"time_s": [0.0, 1.0]})
+    with pytest.raises(FileFormatError, match="text only"):
+        write_columns(tmp_path / "table", {"time_s": [0.0, 1.0]})
+
+
 # Every command
 
 

@@ -18,6 +18,8 @@ from test_calibrate import Heard
 from dehyst import Actuator, FileFormatError, RecordError, read
 from dehyst.calibrate import calibrate
 from dehyst.campaign import Campaign, Unwatched
+from dehyst.cli_calibrate import _left
+from dehyst.drafts import unwritten
 from dehyst.excite import staircase
 from dehyst.plan import Plan, steps
 from dehyst.protocol import Pace
@@ -382,3 +384,14 @@ def test_a_rig_of_ones_own_with_another_actuator_is_refused(tmp_path):
     after = contents(tmp_path / "out")
     assert {name: after[name] for name in before} == before
     assert set(after) - set(before) == {"records/comparisons/comparison.h5"}
+
+
+def test_only_what_can_be_mended_is_said_to_go_on(tmp_path):
+    """A full disk may have room later; a folder of another instrument stays one."""
+    (tmp_path / "records").mkdir()
+    (tmp_path / "records" / "look.h5").touch()
+    another, full = FileFormatError("holds a calibration of another"), unwritten("a.h5", OSError(28, "No space left"))
+    full.__cause__ = OSError(28, "No space left")
+    for error, goes_on in ((another, False), (full, True), (RecordError("another actuator"), False)):
+        (said,) = _left(tmp_path, error)
+        assert ("the same command goes on from there" in said) == goes_on

@@ -129,7 +129,7 @@ class Actuator(AbstractModel):
         delay = number(self.delay, "delay")
         if delay < 0:
             raise ModelError(f"delay: got {self.delay}, need 0 or more: a displacement does not lead its voltage")
-        demand_magnitudes(delay, "delay [s]", MOST_ADDED)
+        demand_magnitudes(delay, "delay [s]")
         object.__setattr__(self, "delay", delay)
 
     @property

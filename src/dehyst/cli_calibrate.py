@@ -181,11 +181,13 @@ def _stopper(error: BaseException) -> str:
 
 def _left(output: Path, error: BaseException) -> Iterator[str]:
     """Where samples are, and whether the same command may go on, as sentences."""
-    from dehyst._errors import FileFormatError, RigError
+    from dehyst._errors import RigError
 
     records = output / "records"
     if any(records.glob("*.h5*")):
-        again = not isinstance(error, Exception) or isinstance(error, RigError | FileFormatError)
+        # A full disk may have room later; a folder of another instrument stays one.
+        mended = isinstance(error, RigError) or isinstance(error.__cause__, OSError)
+        again = not isinstance(error, Exception) or mended
         yield f"what was recorded is in {records}" + ("; the same command goes on from there" if again else "")
 
 

@@ -3,11 +3,9 @@
 The core multiplies, divides and adds a model's numbers; the results must stay numbers, with room to spare for motions
 far beyond the records. So the rule is about size, in SI units, and is far wider than anything that is built:
 
-- A coordinate, a stiffness or a ratio is 1e30 at most in magnitude.
+- A coordinate, a stiffness, a ratio or a delay is 1e30 at most in magnitude.
 - What is divided by lies between 1e-30 and 1e30: the distance of two knots, a length, a time constant, a frequency.
-- What is only added or compared, a voltage limit or a delay, is 1e300 at most: the difference of two is then a number.
-
-Of plain slip elements the sums of stiffnesses and of breakaway voltages must be numbers; the core checks these.
+- A voltage limit, which is only compared, is 1e300 at most: the difference of two is then a number.
 """
 
 from __future__ import annotations

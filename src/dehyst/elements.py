@@ -73,8 +73,10 @@ class MaxwellSlip:
             )
         if np.any(kappa < 0):
             raise ModelError(
-                f"stiffness {int(np.argmin(kappa))} is {kappa.min():g} V/m; a negative one never lets go (footnote 3)"
+                f"stiffness {int(np.argmin(kappa))} is {kappa.min():g} V/m; a negative one grows without bound"
             )
+        demand_magnitudes(kappa, "stiffnesses")
+        demand_magnitudes(rho, "breakaway elongations")
         object.__setattr__(self, "breakaway", frozen(rho))
         object.__setattr__(self, "stiffness", frozen(kappa))
 
@@ -130,7 +132,7 @@ class GradedSlip:
         demand_magnitudes(rho, "breakaway elongations")
         if np.any(kappa < 0):
             i, m = np.unravel_index(int(np.argmin(kappa)), kappa.shape)
-            raise ModelError(f"stiffness {i}, {m} is {kappa.min():g} V/m; a negative one never lets go (footnote 3)")
+            raise ModelError(f"stiffness {i}, {m} is {kappa.min():g} V/m; a negative one grows without bound")
         object.__setattr__(self, "breakaway", frozen(rho))
         object.__setattr__(self, "knots", frozen(ends))
         object.__setattr__(self, "stiffness", frozen(kappa))

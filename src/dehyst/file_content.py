@@ -15,7 +15,7 @@ MOST = 500_000_000
 # A number takes as much as a double.
 _DOUBLE = 8
 _MAGIC = {b"\x89HDF\r\n\x1a\n": ".h5", b"PK\x03\x04": ".npz", b"PAR1": ".parquet", b"TDSm": ".tdms", b"MATLAB ": ".mat"}
-_RAISE = "allow more with max_bytes= (on the command line --max-size MB) if you trust the file"
+_RAISE = "allow more with max_bytes= if you trust the file"
 
 
 class Content(NamedTuple):

@@ -173,7 +173,7 @@ def write_columns(path: PathLike, columns: Mapping[str, ArrayLike]) -> None:
 
 def _lines(path: PathLike, columns: Mapping[str, ArrayLike]) -> list[str]:
     """Return a table as lines of text, the header first."""
-    if Path(path).suffix.lower() not in TEXT:
+    if Path(path).suffix.lower() not in TEXT and (Path(path).is_file() or not Path(path).exists()):
         raise FileFormatError(f"{path}: dehyst writes text only; try the suffix .csv")
     if any(set(name) & set(',;\t\n"') for name in columns):
         raise FileFormatError(f"{path}: column names {listed(tuple(columns))} hold a separator or a quote; rename them")

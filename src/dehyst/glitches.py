@@ -2,13 +2,15 @@
 
 A glitch goes away and comes back at once, within five samples. It is larger than the voltage's own steps nearby, than
 its noise, than its resolution and than what most excursions of the record are; and the displacement, now or somewhat
-later, does not go along. Where the sensor is too noisy to show that, the voltage is taken as it is.
+later, does not go along. Where the sensor is too noisy to show that, the voltage is taken as it is. A large excursion
+may last longer, up to a quarter of a cycle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from math import comb, sqrt
 
 import numpy as np
@@ -37,6 +39,8 @@ _SHORTEST = 20
 _COARSEST = 0.1
 _PASSES = 20
 _SHOWN = 5
+# Longer excursions, of a channel that drops out for one: most samples, part of a cycle, least part of the range.
+_LONGEST, _LONGEST_PART, _LEAST_LONG = 200, 0.25, 0.2
 # Candidates looked at a time.
 _BLOCK = 1 << 14
 
@@ -94,7 +98,8 @@ def glitches(time: FloatArray, voltage: FloatArray, displacement: FloatArray) ->
         scale = _Scale.of(clean, displacement)
         if scale is None:
             break
-        runs = list(scale.inner(clean, displacement)) or list(scale.outer(clean, displacement))
+        runs = scale.inner(clean, displacement) or scale.long(clean, displacement)
+        runs = runs or list(scale.outer(clean, displacement))
         if not runs:
             break
         for start, stop in runs:
@@ -137,12 +142,18 @@ class _Scale:
         Displacement that noise or resolution of the sensor explains.
     lag : int
         Samples by which the displacement may come late.
+    span : float
+        Range of the voltage [V].
+    longest : int
+        Samples that an excursion may last.
     """
 
     least: float
     gain: float
     sensor: float
     lag: int
+    span: float
+    longest: int
 
     @classmethod
     def of(cls, v: FloatArray, y: FloatArray) -> _Scale | None:
@@ -156,7 +167,8 @@ class _Scale:
         least = max(_LEAST * (high - low), _SIGMAS * _noise(v), _DIGITS * _digit(v))
         sensor = max(_SEEN * _noise(y), _digit(y))
         lag = int(np.clip(_LAG * cycle, *_LAGS))
-        return cls(least, stroke / (high - low), sensor, lag)
+        longest = int(min(_LONGEST, _LONGEST_PART * cycle))
+        return cls(least, stroke / (high - low), sensor, lag, high - low, longest)
 
     def inner(self, v: FloatArray, y: FloatArray) -> list[tuple[int, int]]:
         """First sample, and the one after the last, of glitches with neighbours on both sides."""
@@ -217,6 +229,29 @@ class _Scale:
                 bent = np.abs(_from_chord(v, before + shift, width, beside=1)).max(axis=1)
                 corner = np.maximum(corner, bent)
         return corner
+
+    def long(self, v: FloatArray, y: FloatArray) -> list[tuple[int, int]]:
+        """First sample, and the one after the last, of longer excursions: from one large jump to the next."""
+        jumps = _jumps(v, max(self.least, _LEAST_LONG * self.span)).tolist()
+        found = []
+        for before, last in pairwise(jumps):
+            if _WIDEST < last - before <= self.longest and self._stands(v, y, before, last):
+                around = v[max(before - self.longest, 0) : last + self.longest]
+                far = abs(float(np.median(v[before + 1 : last + 1])) - float(np.median(around)))
+                found.append((far, before + 1, last + 1))
+        return _apart(found)
+
+    def _stands(self, v: FloatArray, y: FloatArray, before: int, last: int) -> bool:
+        """Whether the displacement moves far less than a voltage would have it move that goes away and comes back."""
+        width, where = last - before, np.array([before])
+        away = _from_chord(v, where, width)[0]
+        side, size = float(np.sign(away[0])), float(np.abs(away).min())
+        slew = _STEPS * (width + 1) * float(_slew(v, _around(where, where + width + 1, len(v)), 0.75)[0])
+        comes_back = abs(float(v[last + 1] - v[before])) <= self.least + slew
+        large = size > max(_LEAST_LONG * self.span, slew) and bool(np.all(side * away > 0))
+        seen = _FOLLOWS * self.gain * size > self.sensor
+        along = float((side * _from_chord(y, where, width + self.lag)).max())
+        return comes_back and large and seen and along <= _FOLLOWS * self.gain * size
 
     def outer(self, v: FloatArray, y: FloatArray) -> Iterator[tuple[int, int]]:
         """The same of glitches at the record's first or last samples, which come from nowhere or go nowhere.

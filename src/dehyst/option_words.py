@@ -12,6 +12,7 @@ _RENAMED = {"slew_rate": "slew"}
 # A sentence that begins with one of these is about data, not about the option that names a column or a file.
 _DATA = {"time", "voltage", "displacement", "model", "records", "trajectory", "report", "output"}
 _TIME = re.compile(r"give time=[^;]*")
+_ANYWAY = re.compile(r"; or pass extrapolate=True[^;]*")
 
 
 class Option(NamedTuple):
@@ -38,12 +39,18 @@ def worded_for(said: str, options: dict[str, Option]) -> str:
 
     Arguments are found as `name=`, as the head of a sentence (`name: got ...`), and by an underscore in their name.
     """
+    said = _ANYWAY.sub("", said)
     if {"time", "sample_rate"} <= options.keys():
         said = _TIME.sub("give a time column (--time NAME) or --sample-rate HZ", said)
     names = "|".join(sorted(map(re.escape, options), key=len, reverse=True))
     if not names:
         return said
-    said = re.sub(rf"^(?:{names})(?:, (?:{names}))*(?=: )", lambda head: _head(head[0], options), said)
+    # A file may be called as an option is: only what is said of arguments goes on like this.
+    said = re.sub(
+        rf"^(?:{names})(?:, (?:{names}))*(?=: (?:got|need|method|it|takes|the (?!folder|file|key|number))\b)",
+        lambda head: _head(head[0], options),
+        said,
+    )
     said = re.sub(
         rf"(\b(?:give|try|or|with) )?\b({names})=(\([^)]*\)|\"[^\"]*\"|'[^']*'|[-\w.]+)?( \[[^]]*\]| in Hz)?",
         lambda found: (found[1] or "") + _set(options[found[2]], found[3], bool(found[1])) + _rest(found[3], found[4]),

@@ -8,8 +8,8 @@ import numpy as np
 
 from dehyst._native import Array
 
-# Largest magnitude over that of the range from which on a displacement is more likely in micrometres, or nanometres.
-_IN_MICROMETRES, _IN_NANOMETRES = 1e2, 1e7
+# Largest magnitude over that of the range from which on a displacement is more likely in another unit.
+_UNITS = ((1e2, "millimetres"), (3e4, "micrometres"), (3e7, "nanometres"))
 ANYWAY = "or pass extrapolate=True to compute it anyway"
 
 
@@ -41,12 +41,12 @@ def displacement_words(got: tuple[float, float], reach: Range) -> str:
     """What is wrong with displacements [m] that stray from the reach of a model."""
     ratio = max(map(abs, got)) / max(abs(reach.low), abs(reach.high), reach.high - reach.low)
     reaches = f"the model reaches {_ends(1e6 * reach.low, 1e6 * reach.high, 4)} um"
-    if ratio <= _IN_MICROMETRES:
+    if ratio <= _UNITS[0][0]:
         return (
             f"displacement: got {_ends(1e6 * got[0], 1e6 * got[1])} um, {reaches}; both count from the sensor's zero "
             "in the records that it was identified from"
         )
-    unit = "micrometres" if ratio <= _IN_NANOMETRES else "nanometres"
+    unit = [name for least, name in _UNITS if ratio > least][-1]
     return f"displacement: got {_ends(*got)} m, {reaches}; is this in {unit}? Need metres"
 
 

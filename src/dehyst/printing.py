@@ -32,8 +32,8 @@ def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
         drift, rms = 100 * error.largest_with_drift / error.stroke, 100 * error.rms_with_drift / error.stroke
         echo(
             f"{name:<{width}}  {error.role:<10} {error.samples:>8} {error.left_out:>8}"
-            f"  {error.largest_percent:>7.3f} %{error.rms_percent:>7.3f} %"
-            f"  {error.largest * 1e9:>6.0f} nm{error.rms * 1e9:>6.0f} nm  {drift:>7.3f} %{rms:>7.3f} %"
+            f"  {error.largest_percent:>7.3f} % {error.rms_percent:>7.3f} %"
+            f"  {error.largest * 1e9:>6.0f} nm {error.rms * 1e9:>6.0f} nm  {drift:>7.3f} %{rms:>7.3f} %"
         )
     if fit.trials:
         from dehyst.selection import label

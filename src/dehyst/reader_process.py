@@ -181,7 +181,7 @@ def _load_here(content: Content, most: int, own: bool) -> Loaded:
     except MemoryError as error:
         raise FileFormatError(
             f"{content.path}: reading it takes more memory than {most / 1e6:.4g} MB of numbers should; the file is "
-            "damaged, or allow more with max_bytes= (on the command line --max-size MB)"
+            "damaged, or allow more with max_bytes="
         ) from error
     except Exception as error:
         raise FileFormatError(
