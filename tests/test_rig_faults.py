@@ -245,10 +245,15 @@ def test_a_real_ctrl_c_over_a_socket():
     wave = Excitation("long", 30 - 30 * np.cos(np.linspace(0, 60, 40000)), 1000.0)
     lots = []
     with server, open_rig(f"pi://127.0.0.1:{server.port}", limits=ALLOWED) as rig:
-        timer = threading.Timer(0.4, os.kill, (os.getpid(), signal.SIGINT))
-        timer.start()
+        timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+
+        def keep(lot):
+            lots.append(lot)
+            if len(lots) == 1:
+                timer.start()
+
         with pytest.raises(KeyboardInterrupt) as caught:
-            rig.play(wave, lots.append)
+            rig.play(wave, keep)
         timer.cancel()
         assert "brought to 0 V" in caught.value.__notes__[0]
         assert rig.read().voltage == 0.0

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dehyst.record import Record, Span
 
 # Larger numbers [V, m, s] and shorter steps of time [s] are no measurement, and computing with them overflows.
-LARGEST, SHORTEST = 1e30, 1e-15
+LARGEST, SHORTEST = 1e30, 1e-30
 # A stroke [m] that no sensor shows: an atomic nucleus.
 _LEAST_STROKE = 1e-15
 # Part of the time step that rounding of large times may be, unsaid.

@@ -74,6 +74,8 @@ def guarded_streams() -> Iterator[None]:
         try:
             yield
         finally:
+            # What nobody reads any more shall not decide on the status when the program ends.
+            _flushed(sys.stderr)
             sys.stdout.flush()
     except UnprintedError as error:
         sys.exit(_unprinted(error))
@@ -83,6 +85,14 @@ def guarded_streams() -> Iterator[None]:
             sys.exit(_unprinted(error.strerror))
         note(error)
         sys.exit(2)
+
+
+def _flushed(stream: TextIO) -> None:
+    """Flush a stream, or let what it holds go nowhere."""
+    try:
+        stream.flush()
+    except OSError:
+        _silence(stream)
 
 
 def _unprinted(why: object) -> int:
