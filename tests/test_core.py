@@ -229,7 +229,7 @@ def test_a_long_decay_is_pruned_and_a_major_loop_is_forgotten():
         (lambda: ACTUATOR.turned(np.nan), "displacement: got nan, need a finite number"),
         (lambda: ACTUATOR.compensate([0], state=State(0, [0])), "got 1 carts"),
         (lambda: ACTUATOR.simulate([0], state=State(0, [5e-6, 0])), "cart 0 is"),
-        (lambda: Actuator(MaxwellSlip([1e200], [1e200]), SPRING).compensate([0]), "finite"),
+        (lambda: Actuator(MaxwellSlip([1e200], [1e200]), SPRING), "cannot be computed with"),
     ],
 )
 def test_impossible_numbers_are_refused(make, message):
