@@ -413,6 +413,8 @@ def test_models_that_floats_cannot_hold_are_refused():
         code(narrow([1e-6, 1e-6 * apart], [0, 1e-5]), "float")
     with pytest.raises(ModelError, match="float: the displacements of the spring's knots"):
         code(narrow([1e-6], [0, 1e-5, 1e-5 * apart]), "float")
+    with pytest.raises(ModelError, match="float: a number of slope is too large"):
+        code(Compensator(Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-20], [0, 1e25])), (0, 1)), "float")
     with pytest.raises(ModelError, match="float: a breakaway elongation, 1e-50, is 0 when rounded"):
         code(narrow([1e-50, 1e-6], [0, 1e-5]), "float")
     slow = dehyst.Creep([1e-2, 1e6], [1e5, 1e5])
