@@ -25,7 +25,8 @@ import dehyst
 from dehyst import Actuator, demo
 from dehyst.compare import OURS, Row, compare, contenders
 from dehyst.model import AbstractModel, Motion
-from dehyst.trials import TRIALS, Trial, simulated
+from dehyst.model_replay import simulated
+from dehyst.trials import TRIALS, Trial
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
 OUTPUT = Path(__file__).with_suffix(".json")

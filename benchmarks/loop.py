@@ -32,7 +32,7 @@ from stage import HIGHEST, PERIOD, Stage
 
 import dehyst
 from dehyst.foresight import Foresight
-from dehyst.trials import simulated
+from dehyst.model_replay import simulated
 
 OUTPUT = Path(__file__).with_suffix(".json")
 KINDS = ("feedback", "feedforward", "both")

@@ -4,7 +4,7 @@ import numpy as np
 
 from dehyst.amplifier import Extremes
 from dehyst.rigs.base import AbstractRig, Reading, Samples
-from dehyst.trajectory import Limits
+from dehyst.voltage_limits import Limits
 
 
 class FakeInstrument:

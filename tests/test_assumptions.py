@@ -17,7 +17,7 @@ import dehyst
 from dehyst import Actuator, MaxwellSlip, Outcome, Record, Spring
 from dehyst.assumptions import checks
 from dehyst.branches import Family, averaged_at, families, voltage_at
-from dehyst.model import Check, Fit, RecordErrors, Verdict
+from dehyst.fit import Check, Fit, RecordErrors, Verdict
 from dehyst.preparation import prepare
 from dehyst.returns import creep, gaps
 from dehyst.symmetry import Mirrored

@@ -33,7 +33,7 @@ from dehyst.axis import CompensatedAxis, homing
 from dehyst.homing import shortest_homing
 from dehyst.host_steps import homing_steps, towards
 from dehyst.rigs.channel_access import ChannelAccess
-from dehyst.trajectory import Limits
+from dehyst.voltage_limits import Limits
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "bluesky_scan.py"
 # Of the stroke [um]: what is left where the model is the actuator, and Channel Access carries doubles.

@@ -7,10 +7,10 @@ import pytest
 
 from dehyst import Actuator, DehystError, FileFormatError, RecordError, read
 from dehyst._errors import DeviceError
+from dehyst._io.marks import written_by_dehyst
 from dehyst.calibrate import RESULTS, calibrate
 from dehyst.excitation import Excitation
 from dehyst.excite import raised_cosine
-from dehyst.marks import written_by_dehyst
 from dehyst.plan import Plan, steps
 from dehyst.protocol import Pace, creep_of
 from dehyst.rigs.simulated import SimulatedRig

@@ -7,8 +7,8 @@ import bench
 import pytest
 from test_cli import run
 
+from dehyst._io.marks import written_by_dehyst
 from dehyst.files import write_record
-from dehyst.marks import written_by_dehyst
 
 
 @pytest.fixture(scope="module")

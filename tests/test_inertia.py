@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Dynamics, Record
-from dehyst.inertia import Inertia, derivatives, find_inertia, undone
+from dehyst.inertia import Inertia, find_inertia
+from dehyst.mass_removal import derivatives, undone
 
 PLANT = bench.plant(20, seed=2)
 STEP, PERIOD = 1e-4, 0.02

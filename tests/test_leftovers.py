@@ -7,8 +7,8 @@ import pytest
 import wide_bench
 
 from dehyst import identify
+from dehyst.fit import RecordErrors, Trace, Verdict
 from dehyst.leftovers import leftovers
-from dehyst.model import RecordErrors, Trace, Verdict
 from dehyst.report import render
 from dehyst.structure import Structure
 

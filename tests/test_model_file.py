@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import DehystError, FileFormatError, ModelError
+from dehyst._io.json_files import read_json, write_json
 from dehyst.actuator import Actuator
 from dehyst.creep import Creep
 from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.files import read_json, write_json
 from dehyst.model import State
 from dehyst.smooth import SmoothSlip
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import IdentifyError, options
+from dehyst import IdentifyError, _validation
 
 NO_NUMBERS = st.sampled_from(["3", None, [1], True, 1j, float("nan"), np.True_])
 
@@ -15,53 +15,58 @@ NO_NUMBERS = st.sampled_from(["3", None, [1], True, 1j, float("nan"), np.True_])
 @given(st.integers(-600, 600), st.integers(-5, 5), st.integers(10, 500))
 def test_a_count_is_taken_between_its_bounds_and_only_there(value, least, most):
     if least <= value <= most:
-        assert options.count(value, "cells", least, most) == value
-        assert type(options.count(np.int32(value), "cells", least, most)) is int
+        assert _validation.count(value, "cells", least, most) == value
+        assert type(_validation.count(np.int32(value), "cells", least, most)) is int
     else:
         with pytest.raises(IdentifyError, match=rf"cells: got {value}, need a whole number from {least} to {most}"):
-            options.count(value, "cells", least, most)
+            _validation.count(value, "cells", least, most)
 
 
 def test_a_count_without_end():
-    assert options.count(10**9, "starts", most=None) == 10**9
+    assert _validation.count(10**9, "starts", most=None) == 10**9
     with pytest.raises(IdentifyError, match=r"starts: got 0, need a whole number from 1$"):
-        options.count(0, "starts", most=None)
+        _validation.count(0, "starts", most=None)
 
 
 @given(st.floats(-2, 2))
 def test_a_fraction_lies_between_0_and_1(value):
     if 0 < value < 1:
-        assert options.fraction(value, "floor") == value
+        assert _validation.fraction(value, "floor") == value
     else:
         with pytest.raises(IdentifyError, match=r"floor: got .*, need a fraction between 0 and 1"):
-            options.fraction(value, "floor")
+            _validation.fraction(value, "floor")
 
 
 def test_a_fraction_may_begin_elsewhere():
-    assert options.fraction(0, "smoothing", 0.0) == 0.0
-    assert options.fraction(Fraction(1, 3), "smoothing") == pytest.approx(1 / 3)
+    assert _validation.fraction(0, "smoothing", 0.0) == 0.0
+    assert _validation.fraction(Fraction(1, 3), "smoothing") == pytest.approx(1 / 3)
     with pytest.raises(IdentifyError, match=r"floor: got 1e-07, need a number from 1e-06 to below 1"):
-        options.fraction(1e-7, "floor", 1e-6)
+        _validation.fraction(1e-7, "floor", 1e-6)
 
 
 @given(NO_NUMBERS)
 def test_what_is_no_number_is_refused_everywhere(value):
-    for check in (options.count, options.fraction, options.seconds, lambda x, name: options.between(x, name, 0, 4)):
+    for check in (
+        _validation.count,
+        _validation.fraction,
+        _validation.seconds,
+        lambda x, name: _validation.between(x, name, 0, 4),
+    ):
         with pytest.raises(IdentifyError, match=r"it: got .*, need"):
             check(value, "it")
 
 
 def test_seconds_bounds_and_words():
-    assert options.seconds(0, "delay") == 0.0
-    assert options.between(np.float64(4), "spacing", 0.5, 4) == 4.0
-    options.choice("l1", "norm", ("l1", "l2"))
-    np.testing.assert_array_equal(options.numbers((1, 2.5), "breakaway"), [1, 2.5])
+    assert _validation.seconds(0, "delay") == 0.0
+    assert _validation.between(np.float64(4), "spacing", 0.5, 4) == 4.0
+    _validation.choice("l1", "norm", ("l1", "l2"))
+    np.testing.assert_array_equal(_validation.numbers((1, 2.5), "breakaway"), [1, 2.5])
     with pytest.raises(IdentifyError, match=r"breakaway: got an array of shape \(1, 1\), need one dimension"):
-        options.numbers([[1.0]], "breakaway")
+        _validation.numbers([[1.0]], "breakaway")
     for wrong in (-1e-9, float("inf")):
         with pytest.raises(IdentifyError, match=r"delay: got .*, need a number of seconds, 0 or more"):
-            options.seconds(wrong, "delay")
+            _validation.seconds(wrong, "delay")
     with pytest.raises(IdentifyError, match=r"spacing: got 4.1, need an exponent between 0.5 and 4"):
-        options.between(4.1, "spacing", 0.5, 4, "an exponent")
+        _validation.between(4.1, "spacing", 0.5, 4, "an exponent")
     with pytest.raises(IdentifyError, match="norm: got 'l3', need one of l1, l2"):
-        options.choice("l3", "norm", ("l1", "l2"))
+        _validation.choice("l3", "norm", ("l1", "l2"))

@@ -25,10 +25,11 @@ from hypothesis import strategies as st
 import dehyst.cli
 from dehyst import Compensator, FileFormatError, Record, demo, write_record
 from dehyst._errors import LinkError
+from dehyst._io.json_files import write_json
+from dehyst._io.marks import demand_own_folder, demand_replaceable, format_of, marked, written_by_dehyst
 from dehyst.escaping import escaped
-from dehyst.files import read_table, write_columns, write_json
+from dehyst.files import read_table, write_columns
 from dehyst.fmu import SourceOnlyWarning, export_fmu
-from dehyst.marks import demand_own_folder, demand_replaceable, format_of, marked, written_by_dehyst
 from dehyst.page import document
 
 PROGRAM = [sys.executable, "-c", "from dehyst.cli import main; main()"]

@@ -13,8 +13,9 @@ import pytest
 
 from dehyst import experiment, paper, paper_tables
 from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst._io.json_files import read_json
 from dehyst.actuator import Actuator
-from dehyst.files import read_json, read_table
+from dehyst.files import read_table
 from dehyst.paper_tables import MODELS
 
 pytestmark = pytest.mark.slow

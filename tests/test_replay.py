@@ -16,10 +16,10 @@ from rehearsal import DEHYST, Served
 from test_calibrate import Heard
 
 from dehyst import Actuator, FileFormatError, RecordError, read
+from dehyst._io.drafts import unwritten
 from dehyst.calibrate import calibrate
 from dehyst.campaign import Campaign, Unwatched
 from dehyst.cli_calibrate import _left
-from dehyst.drafts import unwritten
 from dehyst.excite import staircase
 from dehyst.plan import Plan, steps
 from dehyst.protocol import Pace

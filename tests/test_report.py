@@ -11,7 +11,7 @@ from dehyst import plot, report
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst.actuator import Actuator
 from dehyst.elements import MaxwellSlip, Spring
-from dehyst.model import Check, Fit, Outcome, RecordErrors, Trace, Verdict
+from dehyst.fit import Check, Fit, Outcome, RecordErrors, Trace, Verdict
 
 HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$ " + "long_" * 60
 VOID = {"meta", "br", "hr", "img", "link", "input"}

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from dehyst._errors import RecordError
 from dehyst.edge import Bridge, Edge, Point, highest, least_blend, least_seconds
+from dehyst.lissajous import Lissajous
 from dehyst.scan import Path
-from dehyst.scans import Lissajous, Raster, Spiral, Steps, Triangle
+from dehyst.scans import Raster, Spiral, Triangle
+from dehyst.steps import Steps
 
 UM = 1e-6
 ROUNDINGS = st.sampled_from(["parabola", "cosine"])

@@ -8,11 +8,11 @@ import pytest
 
 import dehyst
 from dehyst import Outcome, Record
+from dehyst._io.json_files import finite
 from dehyst.advice import advise
 from dehyst.directions import directions
 from dehyst.evidence import Evidence
 from dehyst.excite import Drive, raised_cosine
-from dehyst.files import finite
 from dehyst.insight import insight
 from dehyst.latitude import latitude
 from dehyst.regression import Regression

@@ -23,9 +23,9 @@ from dehyst import (
     Spring,
     excite,
 )
+from dehyst._validation import numbers
 from dehyst.cli import main
 from dehyst.drive import Drive
-from dehyst.options import numbers
 from dehyst.rigs.samples import Inspection, Samples
 from dehyst.scans import Triangle
 from dehyst.units import plain

@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from dehyst import Creep, Dynamics, GradedSlip, RecordError, SmoothSlip, Transformer
 from dehyst.approach import approach_to, follow
 from dehyst.compensator import Compensator
+from dehyst.lissajous import Lissajous
 from dehyst.scan import Limits
-from dehyst.scans import Lissajous, Spiral, Steps, Triangle
+from dehyst.scans import Spiral, Triangle
 from dehyst.steady import steady_state
+from dehyst.steps import Steps
 from dehyst.wave_table import wave_table
 
 UM = 1e-6

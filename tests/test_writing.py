@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dehyst._errors import FileFormatError
-from dehyst.drafts import draft_of, is_draft
-from dehyst.files import read, read_json, write_atomically, write_columns, write_json, write_record
+from dehyst._io.drafts import draft_of, is_draft, write_atomically
+from dehyst._io.json_files import read_json, write_json
+from dehyst.files import read, write_columns, write_record
 from dehyst.record import Record
 
 

@@ -21,8 +21,9 @@ from dehyst.creep import Creep
 from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
 from dehyst.files import read, write_record
+from dehyst.fit import Fit, Outcome, RecordErrors, Trace
 from dehyst.identify import identify
-from dehyst.model import Fit, Motion, Outcome, RecordErrors, State, Trace
+from dehyst.model import Motion, State
 from dehyst.physical import Physical
 from dehyst.record import Record
 from dehyst.smooth import SmoothSlip

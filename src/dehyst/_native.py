@@ -2,95 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dehyst import _core
 from dehyst._errors import ModelError
-from dehyst.units import plain
+from dehyst._types import Array
 
-Array = NDArray[np.float64]
 NOTHING: Array = np.zeros(0)
 NOTHING.flags.writeable = False
-
-
-def untimely(time: Array, samples: int) -> str:
-    """Why times are none of so many samples: how many there are, or where they do not increase."""
-    if time.size != samples:
-        return f"time: got {time.size} values for {samples} samples, need one a sample"
-    first = int(np.argmax(np.diff(time) <= 0)) + 1
-    before, after = time[first - 1], time[first]
-    return f"time: got {after:.9g} s after {before:.9g} s at value {first}, need strictly increasing times"
-
-
-def vector(values: ArrayLike, what: str, unit: str | None = None) -> Array:
-    """Return `values` as a contiguous one-dimensional array of finite doubles; quantities in `unit`, see `plain`.
-
-    Raises
-    ------
-    ModelError
-        If it has another number of dimensions, is not numeric, has another unit, or holds NaN or infinity.
-    """
-    return spanned(values, what, unit)[0]
-
-
-def spanned(values: ArrayLike, what: str, unit: str | None = None) -> tuple[Array, float, float]:
-    """Return what `vector` does, and its least and its largest value, which are finite only if all are; NaN of none."""
-    array = _doubles(values, what, unit)
-    if array.ndim != 1:
-        raise ModelError(f"{what}: got an array of shape {array.shape}, need one dimension")
-    if not array.size:
-        return array, math.nan, math.nan
-    low, high = float(np.minimum.reduce(array)), float(np.maximum.reduce(array))
-    if not (math.isfinite(low) and math.isfinite(high)):
-        bad = np.flatnonzero(~np.isfinite(array))
-        raise ModelError(f"{what}: {bad.size} of {array.size} values are not finite, the first at index {bad[0]}")
-    return array, low, high
-
-
-def matrix(values: ArrayLike, what: str, unit: str | None = None) -> Array:
-    """Return `values` as a contiguous two-dimensional array of finite doubles; raises as `vector` does."""
-    array = _doubles(values, what, unit)
-    if array.ndim != 2:
-        raise ModelError(f"{what}: got an array of shape {array.shape}, need two dimensions")
-    if not np.isfinite(array).all():
-        raise ModelError(f"{what}: {np.count_nonzero(~np.isfinite(array))} of {array.size} values are not finite")
-    return array
-
-
-def _doubles(values: ArrayLike, what: str, unit: str | None) -> Array:
-    numbers = plain(values, what, unit)
-    try:
-        given = np.asarray(numbers)
-        if given.dtype.kind not in "iuf" and given.size:
-            raise TypeError
-        return np.array(given, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"{what}: got {type(values).__name__}, need an array of numbers") from error
-
-
-def number(value: object, what: str, unit: str | None = None) -> float:
-    """Return `value` as a finite float; a quantity in `unit`, see `plain`.
-
-    Raises
-    ------
-    ModelError
-        If it is no number, has another unit, or is NaN or infinite.
-    """
-    found = plain(value, what, unit)
-    if isinstance(found, Real) and not isinstance(found, bool):
-        try:
-            as_float = float(found)
-        except OverflowError:
-            as_float = math.inf
-        if math.isfinite(as_float):
-            return as_float
-    raise ModelError(f"{what}: got {value!r}, need a finite number")
 
 
 class _Rebuilt:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from dehyst import _rivals
 from dehyst._errors import ModelError
-from dehyst._native import Array
+from dehyst._types import Array
 
 
 class PlayCore:

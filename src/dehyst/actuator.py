@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -12,18 +12,20 @@ from numpy.typing import ArrayLike
 
 from dehyst import model_file
 from dehyst._errors import ModelError
-from dehyst._native import NOTHING, Array, Core, number, spanned, vector
-from dehyst.computable import FARTHEST, MOST_ADDED, demand_divisors, demand_magnitudes, demand_result
+from dehyst._io.drafts import PathLike
+from dehyst._io.json_files import read_json, write_json
+from dehyst._native import NOTHING, Core
+from dehyst._types import Array
+from dehyst._validation import interval, number, spanned, vector
+from dehyst.computable import FARTHEST, demand_divisors, demand_magnitudes, demand_result
 from dehyst.control_blocks import actuator_block
 from dehyst.creep import Creep, clock
 from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import AbstractModel, Motion, State
 from dehyst.physical import Physical, charge, physical
 from dehyst.plausibility import ANYWAY, Range, displacement_words, voltage_words
 from dehyst.smooth import SmoothSlip
-from dehyst.units import plain
 from dehyst.wide import Course, WideModel, least_slope
 
 if TYPE_CHECKING:
@@ -34,22 +36,6 @@ if TYPE_CHECKING:
 _REST = 1e9
 # Smooth elements forget slowly where they were.
 _VISITS = 60
-
-
-def interval(limits: Sequence[float]) -> tuple[float, float]:
-    """Check voltage limits [V].
-
-    Raises
-    ------
-    ModelError
-        If they are not two finite numbers, the lower one first.
-    """
-    pair = plain(limits, "limits")
-    ends = [number(end, "limits") for end in pair] if isinstance(pair, Sequence | np.ndarray) else []
-    if len(ends) != 2 or ends[0] >= ends[1]:
-        raise ModelError(f"limits: got {limits}, need two finite voltages, the lower one first")
-    demand_magnitudes(ends, "limits [V]", MOST_ADDED)
-    return ends[0], ends[1]
 
 
 @dataclass(frozen=True, eq=False)

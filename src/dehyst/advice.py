@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst.actuator import interval
+from dehyst._validation import interval
 from dehyst.directions import directions
 from dehyst.evidence import Evidence
 from dehyst.excite import Drive, Excitation, descending_tops, minor_loop, raised_cosine, reversal_curves

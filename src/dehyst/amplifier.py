@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._errors import DeviceError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
-from dehyst.trajectory import Limits
 from dehyst.truths import Truth
 from dehyst.virtual import ModelledActuator
+from dehyst.voltage_limits import Limits
 
 # Share of a servo period that a jump of the voltage takes.
 _JUMP = 1e-3

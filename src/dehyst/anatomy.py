@@ -7,7 +7,7 @@ from math import pi
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.creep import Creep
 from dehyst.dynamics import Dynamics

@@ -6,7 +6,7 @@ from math import ceil, inf, sqrt
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.compensator import Compensator
 from dehyst.edge import Bridge, Point
 from dehyst.excitation import positive, refuse_long

@@ -8,16 +8,16 @@ from math import sqrt
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.branches import Family, families
 from dehyst.counting import counted
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring
-from dehyst.model import Check, RecordErrors, Verdict, may_creep
+from dehyst.fit import Check, RecordErrors, Verdict, may_creep
 from dehyst.preparation import Prepared
-from dehyst.record import white_noise
 from dehyst.returns import creep, gaps
 from dehyst.rows import epochs
+from dehyst.signals import white_noise
 from dehyst.symmetry import RISK, Mirrored
 
 # What is smaller, in % of the range, is of no consequence: a record of 50 samples a cycle is read no better.

@@ -10,7 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 from dehyst._errors import DeviceError, MissingExtraError, ModelError, RigError
-from dehyst._native import NOTHING, number
+from dehyst._native import NOTHING
+from dehyst._validation import number
 from dehyst.actuator import Actuator
 from dehyst.compensator import Compensator
 from dehyst.homing import shortest_homing
@@ -18,7 +19,7 @@ from dehyst.host_steps import homing_steps, towards
 from dehyst.reach import led_to
 from dehyst.rigs.epics import PvNames
 from dehyst.rigs.samples import ASTRAY
-from dehyst.trajectory import Limits
+from dehyst.voltage_limits import Limits
 
 try:
     from bluesky.plan_stubs import stop, wait_for

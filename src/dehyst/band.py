@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.excitation import Excitation
 from dehyst.homing import shortest_homing

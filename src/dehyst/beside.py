@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from dehyst._native import Array, smooth_elongations, strains
+from dehyst._native import smooth_elongations, strains
+from dehyst._types import Array
 from dehyst.creep import Creep, clock
 from dehyst.record import Record
 from dehyst.structure import Grid

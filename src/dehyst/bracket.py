@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, number, stops, vector
+from dehyst._native import stops
+from dehyst._types import Array, Mask
+from dehyst._validation import number, vector
 from dehyst.actuator import Actuator
 from dehyst.elements import MaxwellSlip
 from dehyst.model import State
 from dehyst.outermost import Outermost
 
 Counts = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 # Of the range: well above rounding, well below anything a sensor sees.
 _TOLERANCE = 1e-12
 _CHUNK = 4096

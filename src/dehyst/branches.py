@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.record import Record
 
 # Turning points nearer to one another than this part of the stroke are the same.

@@ -8,12 +8,12 @@ import numpy as np
 
 from dehyst import program
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.branches import Branch, families, voltage_at
 from dehyst.counting import counted
 from dehyst.elements import MaxwellSlip, Spring, parts_in_segments
-from dehyst.model import Outcome
+from dehyst.fit import Outcome
 from dehyst.record import Record
 from dehyst.settings import Direction
 

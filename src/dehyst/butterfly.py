@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dehyst.signals import FloatArray, turning_points, white_noise
+from dehyst._types import Array
+from dehyst.signals import turning_points, white_noise
 
 # Legs of this part of the range of the voltage are looked at, in so many bins of it.
 _WHOLE = 0.9
@@ -26,7 +27,7 @@ class Butterfly(NamedTuple):
     high: float
 
 
-def butterfly_of(voltage: FloatArray, displacement: FloatArray) -> Butterfly | None:
+def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
     """Look for a fall and a rise on the line midway between the rising and the falling legs; None if not both.
 
     On that line hysteresis, a delay, creep and a drift from leg to leg take opposite signs and cancel.
@@ -65,9 +66,7 @@ def butterfly_of(voltage: FloatArray, displacement: FloatArray) -> Butterfly | N
     return Butterfly(fall, float(climbed.max()), low, high)
 
 
-def _means(
-    voltage: FloatArray, displacement: FloatArray, edges: FloatArray, legs: list[slice]
-) -> tuple[FloatArray, FloatArray]:
+def _means(voltage: Array, displacement: Array, edges: Array, legs: list[slice]) -> tuple[Array, Array]:
     """Mean displacement [m] of legs in bins of the voltage, and how many samples each has."""
     if not legs:
         return np.zeros(_BINS), np.zeros(_BINS)

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from dehyst._errors import IdentifyError, ModelError
+from dehyst._io.drafts import PathLike
+from dehyst._io.json_files import finite, write_json
 from dehyst.campaign import Campaign, Unwatched, Watcher
 from dehyst.excitation import Excitation
-from dehyst.files import PathLike, finite, write_json
+from dehyst.fit import Fit
 from dehyst.identify import identify
 from dehyst.insight import Insight, insight
-from dehyst.model import Fit
 from dehyst.plan import Plan, steps
 from dehyst.protocol import Creep, creep_of
 from dehyst.record import Record

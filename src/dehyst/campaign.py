@@ -10,9 +10,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from dehyst._errors import FileFormatError, RecordError
-from dehyst._native import Array
+from dehyst._io.drafts import PathLike, unwritten
+from dehyst._io.json_files import read_json, write_json
+from dehyst._types import Array
 from dehyst.excitation import Excitation
-from dehyst.files import PathLike, read, read_json, unwritten, write_json
+from dehyst.files import read
 from dehyst.hdf5 import digest
 from dehyst.record import Record
 from dehyst.recording import Recording, numbered, room, salvage

@@ -43,7 +43,7 @@ from dehyst.terminal import echo, echo_json, progress_line, worded
 from dehyst.version import __version__
 
 if TYPE_CHECKING:
-    from dehyst.model import Check
+    from dehyst.fit import Check
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

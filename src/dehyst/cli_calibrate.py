@@ -78,9 +78,9 @@ def calibrate(
 
 def _refuse_replacing(folder: Path) -> None:
     """Refuse a folder in which results would replace files of others."""
+    from dehyst._io.marks import format_of
     from dehyst.calibrate import RESULTS
     from dehyst.campaign import FORMAT
-    from dehyst.marks import format_of
 
     if format_of(folder / "campaign.json") != FORMAT:
         refuse_replacing(*(folder / name for name in RESULTS))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst._io.json_files import finite
 from dehyst.console import (
     PATH,
     ManyToValidate,
@@ -19,7 +20,6 @@ from dehyst.console import (
     refuse_overwriting,
     refuse_replacing,
 )
-from dehyst.files import finite
 from dehyst.terminal import echo, echo_json, progress_line
 
 if TYPE_CHECKING:
@@ -51,9 +51,9 @@ def compare(
 
     Without a RECORD, those of the first --truth are taken. Status 1 if our own model fails.
     """
+    from dehyst._io.json_files import write_json
     from dehyst.compare import OURS
     from dehyst.compare import compare as run
-    from dehyst.files import write_json
 
     refuse_overwriting([*records, *validate], output, report)
     chosen = _chosen(only)

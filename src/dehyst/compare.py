@@ -13,17 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.identify import identify
 from dehyst.metrics import largest, percent, rms
 from dehyst.model import AbstractModel, Motion
+from dehyst.model_replay import simulated, timed
 from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.record import Record
 from dehyst.rivals import RIVALS, Identification
 from dehyst.rows import epochs
 from dehyst.threads import one_thread
-from dehyst.trials import Tracking, Trial, simulated, timed, trial
+from dehyst.trials import Tracking, Trial, trial
 from dehyst.verify import told, without_offset
 
 OURS = "dehyst"

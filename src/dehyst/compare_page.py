@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from os import PathLike
 
+from dehyst._io.drafts import write_atomically
 from dehyst.compare import OURS, Comparison, Score
-from dehyst.files import write_atomically
 from dehyst.page import Row, document, escape, length, number, table
 from dehyst.trials import Tracking
 

@@ -11,15 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, CoreError, Held, Loop, checked, number, vector
-from dehyst.actuator import Actuator, interval
+from dehyst._native import CoreError, Held, Loop, checked
+from dehyst._types import Array
+from dehyst._validation import interval, number, vector
+from dehyst.actuator import Actuator
 from dehyst.control_blocks import compensator_block, labels
 from dehyst.foresight import Foresight
 from dehyst.model import State
 from dehyst.plausibility import ANYWAY
 from dehyst.reach import brought, reach_of
 from dehyst.snapshot import Snapshot, key_of
-from dehyst.trajectory import Command, Limits, follow
+from dehyst.trajectory import Command, follow
+from dehyst.voltage_limits import Limits
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array
+from dehyst._types import Array
 
 LEAST, MOST, MOST_ADDED = 1e-30, 1e30, 1e300
 # The core's DEHYST_FARTHEST: no displacement lies farther away.

@@ -19,7 +19,7 @@ from dehyst.terminal import echo, echo_json, guarded_streams, note, worded
 
 if TYPE_CHECKING:
     from dehyst.actuator import Actuator
-    from dehyst.files import Table
+    from dehyst.loaders import Table
     from dehyst.model import State
     from dehyst.record import Record
 
@@ -169,7 +169,7 @@ def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
 
 def refuse_replacing(*outputs: Path | None) -> None:
     """Refuse to write over files of others unless there is --force: at first, and again when all is computed."""
-    from dehyst.marks import demand_replaceable
+    from dehyst._io.marks import demand_replaceable
 
     context = click.get_current_context()
     # An export takes its own as an argument.
@@ -213,7 +213,7 @@ def path_of(trajectory: Path, wanted: str | None, max_bytes: float = MOST) -> tu
 def read_model(path: Path) -> Actuator:
     """Read a model, and warn of one that was not found to be of use."""
     from dehyst.actuator import Actuator
-    from dehyst.model import Outcome
+    from dehyst.fit import Outcome
 
     actuator = Actuator.load(path)
     outcome = getattr(Outcome, str(actuator.provenance.get("outcome")), None)

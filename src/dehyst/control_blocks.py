@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 
 from dehyst._errors import MissingExtraError, ModelError
-from dehyst._native import Array, CoreError, Loop, number
+from dehyst._native import CoreError, Loop
+from dehyst._types import Array
+from dehyst._validation import number
 from dehyst.model import State
 from dehyst.plausibility import Range, voltage_words
 from dehyst.wide import WideModel

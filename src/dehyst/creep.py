@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, steps, strains, untimely, vector
+from dehyst._native import steps, strains
+from dehyst._types import Array
+from dehyst._validation import untimely, vector
 from dehyst.computable import demand_divisors, demand_magnitudes, demand_result
 from dehyst.elements import frozen
 

@@ -9,14 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._io.drafts import PathLike
+from dehyst._io.json_files import write_json
+from dehyst._io.marks import demand_own_folder, make_own_folder
+from dehyst._types import Array
 from dehyst.compensator import Compensator
 from dehyst.excite import Drive, descending_tops, raised_cosine
-from dehyst.files import PathLike, write_columns, write_json, write_record
+from dehyst.files import write_columns, write_record
+from dehyst.fit import Fit
 from dehyst.identify import identify
-from dehyst.marks import demand_own_folder, make_own_folder
 from dehyst.metrics import largest, percent, rms
-from dehyst.model import Fit
 from dehyst.record import Record
 from dehyst.truths import PlayActuator
 from dehyst.verification import wanted_path

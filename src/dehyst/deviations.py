@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst import highs
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.absolutes import Pair, interior
 from dehyst.problem import OPTIMAL, Problem
 

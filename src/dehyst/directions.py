@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst import program
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.record import Record
 from dehyst.regression import Regression
 from dehyst.rows import Rows, collect

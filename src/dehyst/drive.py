@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from dehyst._errors import ModelError, RecordError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.excitation import Excitation, positive, refuse_long, volts
 from dehyst.units import plain
 

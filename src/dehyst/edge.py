@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 
 Rounding: TypeAlias = Literal["parabola", "cosine"]
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, matrix, vector
+from dehyst._types import Array
+from dehyst._validation import matrix, vector
 from dehyst.computable import demand_curve, demand_divisors, demand_magnitudes
 
 

@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst import program
 from dehyst._errors import ModelError
-from dehyst._native import Array, number, vector
+from dehyst._types import Array
+from dehyst._validation import number, vector
 from dehyst.actuator import Actuator
 from dehyst.elements import GradedSlip
 from dehyst.model import State
 from dehyst.outermost import Outermost
 
-Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 ROUNDING = 1e-12

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.directions import Directions, directions
 from dehyst.elements import MaxwellSlip, Spring

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array, Progress
 from dehyst.actuator import Actuator
 from dehyst.breakpoints import Loop, loops_of
 from dehyst.compensator import Compensator
@@ -24,7 +24,6 @@ from dehyst.rivals.goldfarb import Goldfarb
 from dehyst.settings import Method
 from dehyst.truths import PlayActuator
 
-Progress = Callable[[str], None]
 # The paper names the major loop's peak only; those of the two minor loops are a choice, in the ratio 10 : 7 : 3.5.
 PEAKS = {"major": 200.0, "medium": 140.0, "small": 70.0}
 PRE_ENERGISED = 100.0

@@ -10,15 +10,15 @@ from string import Template
 from typing import NamedTuple
 
 from dehyst._errors import FileFormatError, ModelError
+from dehyst._io.drafts import PathLike, draft_of, path_of, settle, settle_folder, unwritten
 from dehyst.compensator import Compensator
-from dehyst.drafts import draft_of, settle, settle_folder
-from dehyst.files import PathLike, path_of, shipped, unwritten
 from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL, STRICT, Footprint, run, sizes
 from dehyst.golden import Golden, golden, trace_header
 from dehyst.header import Number, demand_compensator, model_header, size_header
 from dehyst.naming import DEFAULT, demand_name, file_of, name_in, printable, text_of
 from dehyst.operations import Operations, worst_case
 from dehyst.outset import Outset
+from dehyst.shipped_files import shipped
 from dehyst.version import __version__
 
 __all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "sizes", "worst_case"]

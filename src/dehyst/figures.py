@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dehyst import plot
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.experiment import DRIVE, ELEMENTS, ENERGISED, PEAKS, RELAXED, Experiment, midpoints
 from dehyst.paper_tables import physical, subscript
 from dehyst.plot import INK, Drawing

@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import os
 import re
-import stat
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from math import isfinite
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,36 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst import hdf5
-from dehyst._errors import DehystError, FileFormatError
-from dehyst.drafts import PathLike, unwritten, write_atomically
+from dehyst._errors import FileFormatError
+from dehyst._io.drafts import PathLike, write_atomically
+from dehyst._io.marks import marked
+from dehyst._io.reading import reading_errors
+from dehyst._types import Array
 from dehyst.file_content import MOST, bytes_allowed, content_of
 from dehyst.formats import LOADERS
 from dehyst.loaders import TEXT, UNITS, Table, listed
-from dehyst.marks import marked
 from dehyst.reader_process import load
 from dehyst.record import Record
-from dehyst.signals import FloatArray
-
-__all__ = [
-    "PathLike",
-    "Table",
-    "finite",
-    "path_of",
-    "read",
-    "read_json",
-    "read_table",
-    "shipped",
-    "time_of",
-    "unwritten",
-    "write_atomically",
-    "write_columns",
-    "write_hdf5",
-    "write_json",
-    "write_record",
-]
-
-# A model has some hundred numbers, a calibration's results some ten thousand.
-_MOST_JSON = 100_000_000
 
 
 def read(
@@ -98,7 +72,7 @@ def read(
     return Record(time_of(table, len(v), time, sample_rate), v, y, name or called, stored.meta if stored else meta)
 
 
-def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> FloatArray:
+def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> Array:
     """Return the time [s] of each sample: the table's column, or the index over the sample rate [Hz]."""
     if sample_rate is None:
         return table.column("time", wanted)
@@ -118,7 +92,7 @@ def read_table(path: PathLike, *, max_bytes: float = MOST) -> Table:
 def _loaded(path: Path, max_bytes: float, own: bool) -> tuple[Table, hdf5.Stored | None]:
     """Read a file once; its columns and, if `own` is asked for and dehyst wrote it, name and meta."""
     most = bytes_allowed(max_bytes)
-    with _reading(path, path.suffix):
+    with reading_errors(path, path.suffix):
         if path.suffix.lower() not in LOADERS and not path.is_fifo() and not path.is_dir():
             raise FileFormatError(f"{path}: unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}")
         content = content_of(path, most)
@@ -184,117 +158,3 @@ def _lines(path: PathLike, columns: Mapping[str, ArrayLike]) -> list[str]:
     delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
     rows = zip(*(map(repr, array.tolist()) for array in arrays), strict=True)
     return [delimiter.join(columns), *map(delimiter.join, rows)]
-
-
-def read_json(path: PathLike) -> dict[str, Any]:
-    """Read a JSON object, strictly: what `write_json` wrote comes back exactly, and nothing is guessed.
-
-    Raises
-    ------
-    FileFormatError
-        No such file, a device or a pipe, more than 100 MB, not UTF-8, no valid JSON, another thing than an object, a
-        key that is there twice in one object, NaN, Infinity, or a number too large for a float.
-    """
-    path = Path(path)
-
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        keys = [key for key, _ in pairs]
-        if len(set(keys)) < len(keys):
-            twice = next(key for i, key in enumerate(keys) if key in keys[:i])
-            raise FileFormatError(f"{path}: the key '{twice}' is there twice in one object; remove one of the two")
-        return dict(pairs)
-
-    def number(digits: str) -> float | int:
-        if not isfinite(float(digits)):
-            short = digits if len(digits) <= 30 else f"{digits[:30]}..."
-            raise FileFormatError(f"{path}: the number {short} is too large for a float; correct it")
-        return float(digits) if set(digits) & set(".eE") else int(digits)
-
-    def constant(word: str) -> float:
-        raise FileFormatError(f"{path}: holds {word}, but every number must be finite; correct it")
-
-    with _reading(path, "JSON"):
-        _demand_regular(path, _MOST_JSON)
-        try:
-            text = path.read_bytes().decode("utf-8-sig")
-            data = json.loads(
-                text, object_pairs_hook=unique, parse_float=number, parse_int=number, parse_constant=constant
-            )
-        except UnicodeDecodeError as error:
-            raise FileFormatError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from error
-        except json.JSONDecodeError as error:
-            raise FileFormatError(
-                f"{path}: line {error.lineno}, column {error.colno}: no valid JSON ({error.msg}); correct it there, or "
-                "write the file again if it was cut off"
-            ) from error
-    if not isinstance(data, dict):
-        raise FileFormatError(f"{path}: holds a JSON {type(data).__name__}, but an object {{...}} is needed")
-    return data
-
-
-def write_json(path: PathLike, data: Mapping[str, Any]) -> None:
-    """Write an object as JSON with its keys in the order given; raises FileFormatError for NaN, inf and other types."""
-    try:
-        text = json.dumps(dict(data), indent=1, allow_nan=False)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise FileFormatError(
-            f"{path}: cannot be told in JSON ({error}); use text, finite numbers, booleans, None, lists and dicts"
-        ) from error
-    write_atomically(path, text + "\n")
-
-
-def finite(value: Any) -> Any:
-    """The same with null for numbers that JSON has not."""
-    if isinstance(value, dict):
-        return {key: finite(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [finite(entry) for entry in value]
-    return None if isinstance(value, float) and not abs(value) <= sys.float_info.max else value
-
-
-def path_of(value: object) -> Path:
-    """A path, or FileFormatError if it is none."""
-    if not isinstance(value, str | os.PathLike) or not isinstance(name := os.fspath(value), str) or "\0" in name:
-        raise FileFormatError(f"got {value!r}, need the name of a file or a folder; give a path")
-    return Path(name)
-
-
-def shipped(name: str) -> str:
-    """A text file that comes with the package; in an editable install the core's lie apart."""
-    for root in sys.modules["dehyst"].__path__:
-        path = Path(root) / "firmware" / name
-        if path.is_file():
-            return path.read_text(encoding="utf-8")
-    raise FileFormatError(f"firmware/{name}: not found beside the package; install dehyst again")
-
-
-def _demand_regular(path: Path, most: int) -> None:
-    """Refuse what may never end, before it is opened, and a file of more bytes than `most`."""
-    found = path.stat()
-    if stat.S_ISDIR(found.st_mode):
-        raise IsADirectoryError
-    if not stat.S_ISREG(found.st_mode):
-        raise FileFormatError(f"{path}: is a device, a pipe or a socket; give the name of a file")
-    if found.st_size > most:
-        raise FileFormatError(
-            f"{path}: has {found.st_size / 1e6:.0f} MB, but such a file has {most / 1e6:g} MB at most; check the name"
-        )
-
-
-@contextmanager
-def _reading(path: Path, kind: str) -> Iterator[None]:
-    """Turn what goes wrong while a file of this kind is read into FileFormatError."""
-    try:
-        yield
-    except DehystError:
-        raise
-    except FileNotFoundError as error:
-        raise FileFormatError(f"{path}: no such file; check the name and the folder") from error
-    except IsADirectoryError as error:
-        raise FileFormatError(f"{path}: this is a folder; give one of the files in it") from error
-    except PermissionError as error:
-        raise FileFormatError(f"{path}: no permission to read it; check the file's mode") from error
-    except Exception as error:  # every library has its own errors for broken content
-        raise FileFormatError(
-            f"{path}: not a readable {kind} file ({type(error).__name__}: {error}); check that the suffix fits"
-        ) from error

@@ -10,10 +10,10 @@ import numpy as np
 
 from dehyst import program
 from dehyst._errors import ModelError, RecordError
-from dehyst._native import Array
+from dehyst._types import Array, Mask
 from dehyst.actuator import Actuator
 from dehyst.elements import segment_of
-from dehyst.equilibria import ROUNDING, Equilibria, Indices, Mask, demand_actuator, size_of
+from dehyst.equilibria import ROUNDING, Equilibria, Indices, demand_actuator, size_of
 from dehyst.metrics import rms
 from dehyst.model import State
 from dehyst.record import Record

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.excite import Drive, raised_cosine
 from dehyst.metrics import percent
 from dehyst.truths import PlayActuator

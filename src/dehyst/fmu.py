@@ -17,13 +17,14 @@ from pathlib import Path
 from typing import get_args
 
 from dehyst._errors import FileFormatError, ModelError
+from dehyst._io.drafts import PathLike, path_of, write_atomically
+from dehyst._io.marks import demand_replaceable
 from dehyst.compensator import Compensator
 from dehyst.export import SOURCES, code
-from dehyst.files import PathLike, path_of, shipped, write_atomically
 from dehyst.fmu_description import Description, Kind, Version
 from dehyst.footprint import run
 from dehyst.header import demand_compensator
-from dehyst.marks import demand_replaceable
+from dehyst.shipped_files import shipped
 from dehyst.version import __version__
 
 _SPOKEN = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}

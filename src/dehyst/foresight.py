@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 
 _WHOLE = 1e-9

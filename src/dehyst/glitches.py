@@ -16,7 +16,8 @@ from math import comb, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst.signals import FloatArray, resolution, white_noise
+from dehyst._types import Array, Mask
+from dehyst.signals import resolution, white_noise
 
 # Most samples of a glitch, and neighbours on each side that show the slew.
 _WIDEST, _NEAR = 5, 8
@@ -44,7 +45,6 @@ _LONGEST, _LONGEST_PART, _LEAST_LONG = 200, 0.25, 0.2
 # Candidates looked at a time.
 _BLOCK = 1 << 14
 
-Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 
@@ -77,7 +77,7 @@ class Glitch:
         return f"voltage glitch at sample{last} ({self.time:.6g} s): {self.voltage:.6g} V {beside}"
 
 
-def glitches(time: FloatArray, voltage: FloatArray, displacement: FloatArray) -> tuple[Glitch, ...]:
+def glitches(time: Array, voltage: Array, displacement: Array) -> tuple[Glitch, ...]:
     """Find the isolated glitches of a voltage.
 
     Parameters
@@ -120,7 +120,7 @@ def glitch_sentences(found: tuple[Glitch, ...]) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _described(time: FloatArray, voltage: FloatArray, clean: FloatArray, bad: Mask) -> Iterator[Glitch]:
+def _described(time: Array, voltage: Array, clean: Array, bad: Mask) -> Iterator[Glitch]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(np.int8), [0]])))
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         far = start + int(np.argmax(np.abs(voltage[start:stop] - clean[start:stop])))
@@ -156,7 +156,7 @@ class _Scale:
     longest: int
 
     @classmethod
-    def of(cls, v: FloatArray, y: FloatArray) -> _Scale | None:
+    def of(cls, v: Array, y: Array) -> _Scale | None:
         """By what glitches do not move: quantiles; None of a voltage that stands still."""
         low, middle, high = np.quantile(v, [0.01, 0.5, 0.99]).tolist()
         if not low < high:
@@ -170,7 +170,7 @@ class _Scale:
         longest = int(min(_LONGEST, _LONGEST_PART * cycle))
         return cls(least, stroke / (high - low), sensor, lag, high - low, longest)
 
-    def inner(self, v: FloatArray, y: FloatArray) -> list[tuple[int, int]]:
+    def inner(self, v: Array, y: Array) -> list[tuple[int, int]]:
         """First sample, and the one after the last, of glitches with neighbours on both sides."""
         jumps = _jumps(v, self.least)
         if jumps.size < 2:
@@ -184,7 +184,7 @@ class _Scale:
         return _apart(found)
 
     def _followed_not(
-        self, v: FloatArray, y: FloatArray, before: Indices, width: int, usual: float
+        self, v: Array, y: Array, before: Indices, width: int, usual: float
     ) -> list[tuple[float, int, int]]:
         """How far away they go, start and stop of glitches so wide, among the excursions after samples `before`."""
         after = before + width + 1
@@ -206,7 +206,7 @@ class _Scale:
         far = size + 0.1 * np.abs(inside - level[:, None]).min(axis=1)
         return [(d, a + 1, a + 1 + width) for d, a in zip(far.tolist(), before.tolist(), strict=True)]
 
-    def _follows(self, v: FloatArray, y: FloatArray, before: Indices, away: FloatArray, slew: FloatArray) -> Mask:
+    def _follows(self, v: Array, y: Array, before: Indices, away: Array, slew: Array) -> Mask:
         """Whether the displacement goes along with excursions (k, width) that start after the samples `before`.
 
         The part of the excursion in it, now or later, beyond what a corner of the voltage nearby makes.
@@ -221,7 +221,7 @@ class _Scale:
         corner = np.maximum(corner, self._corner(_without_pulses(v), before, width))
         return np.asarray(follows * size > self.gain * (_FOLLOWS * size + _STEEP * corner), dtype=np.bool_)
 
-    def _corner(self, v: FloatArray, before: Indices, width: int, beyond: int = -1) -> FloatArray:
+    def _corner(self, v: Array, before: Indices, width: int, beyond: int = -1) -> Array:
         """What the voltage lies off chords (k,) [V], more than so many samples away."""
         corner = np.zeros(before.size)
         for shift in range(-self.lag, self.lag + 1):
@@ -230,7 +230,7 @@ class _Scale:
                 corner = np.maximum(corner, bent)
         return corner
 
-    def long(self, v: FloatArray, y: FloatArray) -> list[tuple[int, int]]:
+    def long(self, v: Array, y: Array) -> list[tuple[int, int]]:
         """First sample, and the one after the last, of longer excursions: from one large jump to the next."""
         jumps = _jumps(v, max(self.least, _LEAST_LONG * self.span)).tolist()
         found = []
@@ -241,7 +241,7 @@ class _Scale:
                 found.append((far, before + 1, last + 1))
         return _apart(found)
 
-    def _stands(self, v: FloatArray, y: FloatArray, before: int, last: int) -> bool:
+    def _stands(self, v: Array, y: Array, before: int, last: int) -> bool:
         """Whether the displacement moves far less than a voltage would have it move that goes away and comes back."""
         width, where = last - before, np.array([before])
         away = _from_chord(v, where, width)[0]
@@ -253,7 +253,7 @@ class _Scale:
         along = float((side * _from_chord(y, where, width + self.lag)).max())
         return comes_back and large and seen and along <= _FOLLOWS * self.gain * size
 
-    def outer(self, v: FloatArray, y: FloatArray) -> Iterator[tuple[int, int]]:
+    def outer(self, v: Array, y: Array) -> Iterator[tuple[int, int]]:
         """The same of glitches at the record's first or last samples, which come from nowhere or go nowhere.
 
         They are beyond all other steps of the record: a step at its end may be one that the displacement, a little
@@ -263,7 +263,7 @@ class _Scale:
             yield from ((0, width) for width in self._at_start(v, y))
             yield from ((len(v) - width, len(v)) for width in self._at_start(v[::-1], y[::-1]))
 
-    def _at_start(self, v: FloatArray, y: FloatArray) -> list[int]:
+    def _at_start(self, v: Array, y: Array) -> list[int]:
         """How many samples at the start are a glitch, if any are."""
         steps = np.abs(np.diff(v))
         first = [int(k) + 1 for k in _jumps(v[: _WIDEST + 1], self.least)]
@@ -281,32 +281,32 @@ class _Scale:
         return []
 
 
-def _noise(values: FloatArray) -> float:
+def _noise(values: Array) -> float:
     """White noise [in their unit]; where slopes, corners or steps are many, by what feels least of them."""
     spreads = ((float(np.median(np.abs(np.diff(values, k)))), comb(2 * k, k)) for k in (1, 2))
     return min(white_noise(values), *(spread / 0.6745 / sqrt(parts) for spread, parts in spreads))
 
 
-def _digit(values: FloatArray) -> float:
+def _digit(values: Array) -> float:
     """The resolution, in the unit of the values; a signal that moves in few large steps is not told by its digits."""
     step, part = resolution(values)
     return step if part <= _COARSEST else 0.0
 
 
-def _jumps(v: FloatArray, least: float) -> Indices:
+def _jumps(v: Array, least: float) -> Indices:
     """Samples from which the voltage steps by more than that."""
     return np.flatnonzero(np.abs(np.diff(v)) > least)
 
 
-def _usual_excursion(v: FloatArray, width: int) -> float:
+def _usual_excursion(v: Array, width: int) -> float:
     """How far runs of so many samples go away and come back; one of fifty goes farther."""
     steps = np.diff(v)
     there, back = steps[:-width], steps[width:]
-    far: FloatArray = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
+    far: Array = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
     return float(np.quantile(far, 1 - 0.02 / width))
 
 
-def _without_pulses(v: FloatArray) -> FloatArray:
+def _without_pulses(v: Array) -> Array:
     """The voltage with its steps, but without what comes back within the width of a glitch."""
     from scipy.ndimage import median_filter
 
@@ -319,7 +319,7 @@ def _around(before: Indices, after: Indices, size: int) -> Indices:
     return np.clip(np.hstack([before[:, None] - offsets[::-1], after[:, None] + offsets]), 0, size - 1)
 
 
-def _slew(v: FloatArray, around: Indices, share: float) -> FloatArray:
+def _slew(v: Array, around: Indices, share: float) -> Array:
     """Step of the voltage beside excursions (k,) [V] that this share of the steps does not surpass."""
     steps = np.abs(np.diff(v[around], axis=1))
     # Not the step across, nor those that the ends of the record repeat.
@@ -328,7 +328,7 @@ def _slew(v: FloatArray, around: Indices, share: float) -> FloatArray:
     return np.nanquantile(np.where(own, steps, np.nan), share, axis=1)
 
 
-def _from_chord(values: FloatArray, before: Indices, width: int, beside: int = 0) -> FloatArray:
+def _from_chord(values: Array, before: Indices, width: int, beside: int = 0) -> Array:
     """What samples (k, width) after those `before` lie off the chord over them, or over so many more on each side."""
     last, span = len(values) - 1, width + 1 + 2 * beside
     left, right = (values[np.clip(i, 0, last)] for i in (before - beside, before + width + 1 + beside))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.compensator import Clamps, ClampWarning, Compensator
 
 # Shares of the reach that turning points may lie beyond it: such wishes are clamped.

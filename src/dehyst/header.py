@@ -8,7 +8,8 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import NOTHING, Array
+from dehyst._native import NOTHING
+from dehyst._types import Array
 from dehyst.compensator import Compensator
 from dehyst.naming import in_comment
 from dehyst.outset import Outset

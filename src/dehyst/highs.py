@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,10 @@ from itertools import pairwise
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, number
-from dehyst.actuator import Actuator, interval
-from dehyst.bracket import Bracket, Mask, first_move_error, least_width, moves_on
+from dehyst._types import Array, Mask
+from dehyst._validation import interval, number
+from dehyst.actuator import Actuator
+from dehyst.bracket import Bracket, first_move_error, least_width, moves_on
 from dehyst.drive import Drive
 from dehyst.elements import GradedSlip
 from dehyst.excitation import Excitation

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from dehyst.homing import Homing
-from dehyst.trajectory import Limits
+from dehyst.voltage_limits import Limits
 
 
 def towards(wish: float, present: float, limits: Limits, period: float) -> float:

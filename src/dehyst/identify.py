@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -10,16 +10,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst import breakpoints, judgement, refinement, repairs
+from dehyst import breakpoints, judgement, nuisances, refinement, repairs
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
+from dehyst._types import Array, Progress
 from dehyst.actuator import Actuator
 from dehyst.assumptions import checks
 from dehyst.directions import directions, probed
 from dehyst.elements import MaxwellSlip, Spring
+from dehyst.fit import Fit, Outcome, RecordErrors, Trace
 from dehyst.inertia import Inertia
 from dehyst.leftovers import leftovers
-from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.program import Norm
 from dehyst.record import Record
@@ -36,7 +36,6 @@ from dehyst.version import __version__
 from dehyst.wide_regression import WideRegression
 from dehyst.wider import Wider
 
-Progress = Callable[[str], None]
 # A model that misses its own training records by more of the range than this is of no use.
 _USELESS_PERCENT = 5.0
 # Of the spring, by default.
@@ -314,7 +313,7 @@ class _Job:
             stream = self._stream(grid, delay, few, knots=31, slope_floor=0.01)
             return replace(stream.regression, drifting=drifting)
 
-        return repairs.find_delay(build, longest, sample)
+        return nuisances.find_delay(build, longest, sample)
 
     def _can_drift(self) -> list[int]:
         return [q for q, item in enumerate(self.training) if item.can_drift and self.settings.drift]
@@ -349,10 +348,10 @@ class _Job:
 
     def _with_datums(self, regression: Regression) -> Regression:
         others = [q for q in range(len(self.training)) if q != self.widest and not self.settings.shared_datum]
-        return repairs.with_datums(regression, others, self.stroke)
+        return nuisances.with_datums(regression, others, self.stroke)
 
     def _with_drifts(self, regression: Regression) -> Regression:
-        return replace(regression, drifting=repairs.find_drifts(regression, self._can_drift()))
+        return replace(regression, drifting=nuisances.find_drifts(regression, self._can_drift()))
 
     def _actuator(self, rho: Array, regression: Regression, found: Coefficients) -> Actuator:
         reference = regression.rows.epoch[regression.rows.record == self.widest].max()

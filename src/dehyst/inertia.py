@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.dynamics import Dynamics
-from dehyst.record import Record
 from dehyst.wide_regression import WideRegression
 
-# Derivatives are those of the fourth-order polynomial through this many neighbours.
-_WINDOW, _ORDER = 9, 4
 # Inertia must lower the RMS residual to this part, or it is left out.
 _WORTH = 0.8
 _EVALUATIONS = 90
@@ -65,25 +62,6 @@ class Inertia:
 def felt(seconds: float, sample_time: float) -> float:
     """A delay or lag [s] that a search found; 0 below a hundredth of a sample, for a search rarely ends at 0 itself."""
     return seconds if seconds >= _FELT * sample_time else 0.0
-
-
-def undone(piece: Record, dynamics: Dynamics | None) -> Record:
-    """A piece whose displacement is w, what the resonance had to follow: y + 2 zeta / omega y' + y'' / omega^2."""
-    if dynamics is None:
-        return piece
-    velocity, acceleration = derivatives(piece)
-    omega, zeta = dynamics.frequency, dynamics.damping
-    return replace(piece, displacement=piece.displacement + 2 * zeta / omega * velocity + acceleration / omega**2)
-
-
-def derivatives(piece: Record) -> tuple[Array, Array]:
-    """Velocity [m/s] and acceleration [m/s2] (n,) of the measured displacement."""
-    from scipy.signal import savgol_filter
-
-    first, second = (
-        savgol_filter(piece.displacement, _WINDOW, _ORDER, deriv=k, delta=piece.sample_time) for k in (1, 2)
-    )
-    return first, second
 
 
 def find_inertia(

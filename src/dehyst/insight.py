@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, vector
-from dehyst.actuator import Actuator, interval
+from dehyst._types import Array, Progress
+from dehyst._validation import interval, vector
+from dehyst.actuator import Actuator
 from dehyst.advice import Suggestion, advise
 from dehyst.band import Band, homed
 from dehyst.cautions import beyond, misfit_of, not_homed, of_another
@@ -25,8 +26,6 @@ from dehyst.latitude import Latitude, latitude
 from dehyst.record import Record
 from dehyst.threads import one_thread
 from dehyst.wide_insight import WideInsight, look
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)

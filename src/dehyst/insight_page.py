@@ -8,7 +8,7 @@ from os import PathLike
 import numpy as np
 
 from dehyst import plot_insight
-from dehyst.files import write_atomically
+from dehyst._io.drafts import write_atomically
 from dehyst.insight import Insight
 from dehyst.page import Row, document, escape, figure, length, number, panel, table
 from dehyst.trust_page import state, trajectory, verdict

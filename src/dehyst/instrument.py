@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import DeviceError
-from dehyst._native import Array, vector
-from dehyst.actuator import Actuator, interval
+from dehyst._types import Array
+from dehyst._validation import interval, vector
+from dehyst.actuator import Actuator
 from dehyst.amplifier import Amplifier, Extremes
-from dehyst.trajectory import Limits
 from dehyst.truths import Truth
 from dehyst.truths.clock import Sensor
 from dehyst.virtual import fingerprint
+from dehyst.voltage_limits import Limits
 
 __all__ = ["Extremes", "Instrument"]
 

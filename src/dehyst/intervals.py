@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import IdentifyError, ModelError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.evidence import Evidence
 from dehyst.model import State

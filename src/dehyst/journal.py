@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst.drafts import PathLike, settle_folder, unwritten
+from dehyst._io.drafts import PathLike, settle_folder, unwritten
 from dehyst.hdf5 import DATASETS, Columns, in_json
 
 # Behind the name of the file that is to be.

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.directions import Directions
+from dehyst.fit import FEWEST_DECADES, Outcome, RecordErrors
 from dehyst.inertia import felt
-from dehyst.model import FEWEST_DECADES, Outcome, RecordErrors
 from dehyst.preparation import Prepared
 from dehyst.regression import Coefficients, Regression
 from dehyst.rows import epochs

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from dehyst import program
 from dehyst._errors import IdentifyError
-from dehyst._native import Array, stops
+from dehyst._native import stops
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.evidence import Evidence
 from dehyst.model import State

@@ -14,10 +14,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.anatomy import Slopes
-from dehyst.model import Check, RecordErrors, Trace, Verdict, may_creep
+from dehyst.fit import Check, RecordErrors, Trace, Verdict, may_creep
 from dehyst.signals import turning_points
 from dehyst.symmetry import RISK
 

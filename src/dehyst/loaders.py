@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst.signals import FloatArray
+from dehyst._types import Array
 
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60},
@@ -42,7 +42,7 @@ class Column:
     """
 
     name: str
-    data: FloatArray
+    data: Array
     unit: str = ""
     fault: str = ""
     foreign: bool = False
@@ -82,7 +82,7 @@ class Table:
         """Tell whether exactly one column is the `quantity` by its name and unit."""
         return len(self._candidates(quantity)) == 1
 
-    def column(self, quantity: str, wanted: str | None = None) -> FloatArray:
+    def column(self, quantity: str, wanted: str | None = None) -> Array:
         """Return one column in SI units.
 
         Parameters

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, number
+from dehyst._types import Array
+from dehyst._validation import number
 from dehyst.creep import Creep
 from dehyst.dynamics import Dynamics
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer

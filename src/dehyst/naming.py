@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from dehyst._errors import ModelError
-from dehyst.files import shipped
+from dehyst.shipped_files import shipped
 
 DEFAULT = "piezo"
 # Files whose words an export renames; the core is the same for all.

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.problem import TINY
 
 _RIDGES = 10.0 ** np.arange(-15, 1, 2)

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.elements import GradedSlip, on_curve
 

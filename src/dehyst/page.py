@@ -7,8 +7,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import TypeAlias
 
+from dehyst._io.marks import GENERATOR
 from dehyst.escaping import escaped
-from dehyst.marks import GENERATOR
 from dehyst.plot import length_unit
 
 Row: TypeAlias = "Sequence[str | tuple[str, str]]"

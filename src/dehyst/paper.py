@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from dehyst import experiment, paper_tables
+from dehyst._io.drafts import PathLike, write_atomically
+from dehyst._io.json_files import write_json
+from dehyst._io.marks import demand_own_folder, make_own_folder
 from dehyst.experiment import Experiment
-from dehyst.files import PathLike, write_atomically, write_columns, write_json
-from dehyst.marks import demand_own_folder, make_own_folder
+from dehyst.files import write_columns
 from dehyst.paper_tables import MODELS, PAPER
 
 # By this file a folder is known as one of the paper's.

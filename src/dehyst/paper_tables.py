@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.experiment import CYCLES, DRIVE, PEAKS, PLANS, PRE_ENERGISED, Experiment, Plan, Trial
 from dehyst.floors import chord_error, parabola_chord_error, symmetric_width_floor
 from dehyst.physical import Physical

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, number
+from dehyst._types import Array
+from dehyst._validation import number
 from dehyst.elements import MaxwellSlip, Spring
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 
 # Largest magnitude over that of the range from which on a displacement is more likely in another unit.
 _UNITS = ((1e2, "millimetres"), (3e4, "micrometres"), (3e7, "nanometres"))

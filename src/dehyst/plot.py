@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dehyst._errors import MissingExtraError
-from dehyst._native import Array
+from dehyst._io.drafts import write_atomically
+from dehyst._types import Array
 from dehyst.elements import MaxwellSlip, Spring
-from dehyst.files import write_atomically
-from dehyst.model import Trace
+from dehyst.fit import Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.band import Band
 from dehyst.directions import Directions
 from dehyst.insight import Insight

@@ -10,7 +10,7 @@ import numpy as np
 
 from dehyst import repairs
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.creep import Creep
 from dehyst.record import Record
 from dehyst.rows import epochs

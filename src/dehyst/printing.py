@@ -9,8 +9,8 @@ from dehyst.escaping import escaped
 from dehyst.terminal import echo, worded
 
 if TYPE_CHECKING:
+    from dehyst.fit import Fit
     from dehyst.insight import Insight
-    from dehyst.model import Fit
     from dehyst.paper import Paper
     from dehyst.wide_insight import WideInsight
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
+from dehyst._types import Array
 
 # Largest relative duality gap of an optimum.
 OPTIMAL = 1e-6

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dehyst import highs
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.highs import Program, linear_program, linear_programs
 from dehyst.problem import TINY, Answer, Problem, failed, inequalities
 from dehyst.reduction import Blocks, Whole, least_absolute

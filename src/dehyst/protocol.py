@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.drive import Drive, Leg
 from dehyst.excitation import Excitation, positive
 from dehyst.excite import descending_tops, raised_cosine, staircase

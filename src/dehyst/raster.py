@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from dehyst._errors import RecordError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.edge import Bridge, Point, Rounding, Travel
 from dehyst.excitation import refuse_long
 from dehyst.scan import Limits, Scan, between, counted, one_of, whole

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import ModelError, RecordError
+from dehyst._types import Array
 from dehyst.counting import counted
-from dehyst.signals import FloatArray, interpolate, noise_span, outer_extreme, turning_points, white_noise
+from dehyst.signals import interpolate, noise_span, outer_extreme, turning_points, white_noise
 from dehyst.suspicions import problems, refuse_implausible, refuse_not_finite, refuse_not_rising, refuse_unusable
 from dehyst.units import plain
 
-__all__ = ["FloatArray", "Record", "Span", "white_noise"]
+__all__ = ["Array", "Record", "Span", "white_noise"]
 
 Span: TypeAlias = "slice[int, int, None]"
 
@@ -45,9 +46,9 @@ class Record:
         beyond 1e30, time not rising.
     """
 
-    time: FloatArray
-    voltage: FloatArray
-    displacement: FloatArray
+    time: Array
+    voltage: Array
+    displacement: Array
     name: str = "record"
     meta: Mapping[str, Any] = field(default_factory=dict)
 
@@ -137,7 +138,7 @@ class Record:
         """
         if signal not in ("voltage", "displacement"):
             raise RecordError(f"record '{self.name}': no signal '{signal}'; try 'voltage' or 'displacement'")
-        values: FloatArray = getattr(self, signal)
+        values: Array = getattr(self, signal)
         if band is None:
             band = max(0.02 * float(np.ptp(values)), noise_span(values))
         if not (isfinite(band) and band >= 0.0):
@@ -215,7 +216,7 @@ class Record:
         refuse_unusable(self, min_samples, min_cycles)
 
 
-def _frozen_column(raw: object, column: str, name: str) -> FloatArray:
+def _frozen_column(raw: object, column: str, name: str) -> Array:
     try:
         given = plain(raw, column)
     except ModelError as error:
@@ -230,7 +231,7 @@ def _frozen_column(raw: object, column: str, name: str) -> FloatArray:
     return values
 
 
-def _is_frozen(raw: object) -> TypeGuard[FloatArray]:
+def _is_frozen(raw: object) -> TypeGuard[Array]:
     """Whether nobody can write to an array, as to another record's: a long record is not copied with every slice."""
     if not isinstance(raw, np.ndarray) or raw.dtype != np.float64 or raw.flags.writeable:
         return False

@@ -22,8 +22,7 @@ from numpy.typing import ArrayLike
 
 from dehyst import hdf5
 from dehyst._errors import FileFormatError, RecordError
-from dehyst.drafts import settle_file
-from dehyst.files import PathLike, path_of, write_atomically
+from dehyst._io.drafts import PathLike, path_of, settle_file, write_atomically
 from dehyst.journal import SUFFIX, Journal, numbered, room
 from dehyst.record import Record
 

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.deviations import Deviations, dual_value, least_absolute_deviations
 from dehyst.problem import OPTIMAL, TINY, Answer, Problem, failed
 

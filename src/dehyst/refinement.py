@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.composition import coefficients_of, grid_of, parts
 from dehyst.metrics import rms

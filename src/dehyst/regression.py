@@ -16,7 +16,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.elements import parts_in_segments, segment_of
 from dehyst.metrics import rms
 from dehyst.program import Norm, Solution, solve, triangle_of

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 
 from dehyst import plot
-from dehyst._native import Array
+from dehyst._io.drafts import write_atomically
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.compare import Comparison
 from dehyst.compare_page import comparison_sections
 from dehyst.elements import GradedSlip, MaxwellSlip
-from dehyst.files import write_atomically
+from dehyst.fit import Fit, Outcome, RecordErrors, Trace
 from dehyst.followed_page import followed_sections
 from dehyst.insight import Insight
 from dehyst.insight_page import sections
-from dehyst.model import Fit, Outcome, RecordErrors, Trace
 from dehyst.page import MINUS, Row, document, escape, figure, length, number, panel, table
 from dehyst.parts_page import made_of
 from dehyst.selection import label

@@ -11,9 +11,10 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
-from dehyst.record import Record, white_noise
+from dehyst._types import Array
+from dehyst.record import Record
 from dehyst.rows import epochs
+from dehyst.signals import white_noise
 
 _MOST_AT_TURN = 16
 # Fewer samples than this make no line.

@@ -11,7 +11,7 @@ from math import exp
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.dynamics import Dynamics
 from dehyst.inertia import felt

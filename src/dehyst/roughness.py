@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.structure import Grid
 
 

@@ -13,8 +13,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array, stops
-from dehyst.record import Record, white_noise
+from dehyst._native import stops
+from dehyst._types import Array
+from dehyst.record import Record
+from dehyst.signals import white_noise
 
 _SHORTEST_EPOCH = 16
 # Samples whose elongations are in memory at a time.

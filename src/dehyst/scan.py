@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, RecordError
-from dehyst._native import Array, number, vector
+from dehyst._types import Array
+from dehyst._validation import number, vector
 from dehyst.edge import Point, Travel
 from dehyst.excitation import positive, refuse_long
 

@@ -126,7 +126,7 @@ def _lissajous(given: dict[str, Any], rate: float | None) -> Scan:
     from math import radians
 
     from dehyst._errors import RecordError
-    from dehyst.scans import Lissajous
+    from dehyst.lissajous import Lissajous
 
     (x, a), (y, b) = _middles(given)
     if "phase" in given:
@@ -140,7 +140,7 @@ def _lissajous(given: dict[str, Any], rate: float | None) -> Scan:
 
 def _steps(given: dict[str, Any], rate: float | None) -> Scan:
     from dehyst._errors import RecordError
-    from dehyst.scans import Steps
+    from dehyst.steps import Steps
 
     try:
         levels = tuple(float(level) * _MICRO for level in given.pop("levels").split(","))

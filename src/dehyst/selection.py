@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.metrics import rms
 from dehyst.signals import turning_points
 from dehyst.structure import Structure

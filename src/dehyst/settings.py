@@ -8,9 +8,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst import options
+from dehyst import _validation
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.program import NORMS, Norm
 
 Method = Literal["record", "breakpoints", "antisymmetric"]
@@ -42,21 +42,23 @@ class Settings:
     branch: Direction = "descending"
 
     def __post_init__(self) -> None:
-        options.choice(self.method, "method", METHODS)
-        options.choice(self.norm, "norm", NORMS)
-        options.demand(self.branch in ("descending", "ascending"), "branch", self.branch, "'descending' or 'ascending'")
+        _validation.choice(self.method, "method", METHODS)
+        _validation.choice(self.norm, "norm", NORMS)
+        _validation.demand(
+            self.branch in ("descending", "ascending"), "branch", self.branch, "'descending' or 'ascending'"
+        )
         if self.elements is not None:
-            options.count(self.elements, "elements")
+            _validation.count(self.elements, "elements")
         if self.knots is not None:
-            options.count(self.knots, "knots", least=2)
-        options.fraction(self.slope_floor, "slope_floor")
+            _validation.count(self.knots, "knots", least=2)
+        _validation.fraction(self.slope_floor, "slope_floor")
         if self.delay is not None:
-            options.seconds(self.delay, "delay")
+            _validation.seconds(self.delay, "delay")
         if self.breakaway is not None:
             self._check_breakaway(self.breakaway)
 
     def _check_breakaway(self, breakaway: ArrayLike) -> None:
-        rho = options.numbers(breakaway, "breakaway")
+        rho = _validation.numbers(breakaway, "breakaway")
         if self.elements is not None:
             raise IdentifyError("got both elements and breakaway, need one of them")
         if self.method != "record":

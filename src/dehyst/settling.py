@@ -8,7 +8,7 @@ from math import ceil, log
 import numpy as np
 
 from dehyst._errors import RecordError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.approach import follow
 from dehyst.compensator import Compensator

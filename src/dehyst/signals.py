@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import comb, log, sqrt
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray: TypeAlias = NDArray[np.float64]
+from dehyst._types import Array
 
 # A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
 _ORDER = 6
@@ -20,7 +19,7 @@ _NEIGHBOURS = 4
 _STRETCHES, _STRETCH = 16, 1 << 17
 
 
-def white_noise(values: FloatArray) -> float:
+def white_noise(values: Array) -> float:
     """Estimate the standard deviation of white noise on a smooth, evenly sampled signal.
 
     The median absolute difference of order 6, so that the signal itself, its corners and outliers do not count; of a
@@ -46,13 +45,13 @@ def white_noise(values: FloatArray) -> float:
     return spread / 0.6744897501960817 / sqrt(comb(2 * _ORDER, _ORDER))
 
 
-def noise_span(values: FloatArray) -> float:
+def noise_span(values: Array) -> float:
     """Return what the white noise on a signal spans from peak to peak, with some margin; in its unit."""
     # White noise spans 2 sqrt(2 ln n) deviations: 6 of them are surpassed again and again in a long record.
     return max(6.0, 2.2 * sqrt(2.0 * log(len(values)))) * white_noise(values)
 
 
-def interpolate(x: FloatArray, y: FloatArray, asked: FloatArray, kind: str) -> FloatArray:
+def interpolate(x: Array, y: Array, asked: Array, kind: str) -> Array:
     """Return the signal y(x) at the places `asked`; kind is "linear" or "pchip"."""
     if kind == "linear":
         return np.interp(asked, x, y)
@@ -62,7 +61,7 @@ def interpolate(x: FloatArray, y: FloatArray, asked: FloatArray, kind: str) -> F
     return np.concatenate(parts)
 
 
-def _pchip(x: FloatArray, y: FloatArray, asked: FloatArray) -> FloatArray:
+def _pchip(x: Array, y: Array, asked: Array) -> Array:
     """Interpolate by those samples only that bear on the places asked: its slopes know a neighbour on each side."""
     from scipy.interpolate import PchipInterpolator
 
@@ -71,7 +70,7 @@ def _pchip(x: FloatArray, y: FloatArray, asked: FloatArray) -> FloatArray:
     return np.asarray(PchipInterpolator(x[first:last], y[first:last])(asked), dtype=np.float64)
 
 
-def turning_points(values: FloatArray, band: float) -> NDArray[np.intp]:
+def turning_points(values: Array, band: float) -> NDArray[np.intp]:
     """Find the extremes from which the signal goes back by more than `band`, see `Record.reversals`."""
     kept = np.concatenate(([0], *_extremes(values), [len(values) - 1]))
     turns: list[int] = []
@@ -93,25 +92,25 @@ def turning_points(values: FloatArray, band: float) -> NDArray[np.intp]:
     return kept[turns]
 
 
-def _extremes(values: FloatArray) -> Iterator[NDArray[np.intp]]:
+def _extremes(values: Array) -> Iterator[NDArray[np.intp]]:
     """Inner local extremes and samples of plateaus: only they can be turning points or complete a way back."""
     for begin in range(0, len(values) - 2, _BLOCK):
         steps = np.sign(np.diff(values[begin : begin + _BLOCK + 2]))
         yield np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + begin + 1
 
 
-def _numbered(values: FloatArray, places: NDArray[np.intp]) -> Iterator[tuple[int, float]]:
+def _numbered(values: Array, places: NDArray[np.intp]) -> Iterator[tuple[int, float]]:
     """Values at places, with their number; Python's numbers take four times the room of NumPy's: some at a time."""
     for begin in range(0, len(places), _BLOCK):
         yield from enumerate(values[places[begin : begin + _BLOCK]].tolist(), begin)
 
 
-def outer_extreme(leg: FloatArray) -> int:
+def outer_extreme(leg: Array) -> int:
     """Offset of the sample of a leg that lies farthest from its first one, a turning point."""
     return int(np.argmax(np.abs(leg - leg[0])))
 
 
-def resolution(values: FloatArray) -> tuple[float, float]:
+def resolution(values: Array) -> tuple[float, float]:
     """Return the smallest step between neighbours and its part of the range; zeros unless many neighbours are equal."""
     steps, span = np.abs(np.diff(values)), float(np.ptp(values))
     moving = steps[steps > 1e-12 * span]

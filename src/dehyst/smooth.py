@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, smooth_elongations, vector
+from dehyst._native import smooth_elongations
+from dehyst._types import Array
+from dehyst._validation import vector
 from dehyst.computable import demand_divisors, demand_magnitudes
 from dehyst.elements import frozen
 

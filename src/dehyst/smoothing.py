@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
-from dehyst.record import Record, white_noise
+from dehyst._types import Array
+from dehyst.record import Record
 from dehyst.repairs import cycle_time
-from dehyst.signals import turning_points
+from dehyst.signals import turning_points, white_noise
 
 # Turns of the voltage below this part of its range, or below its noise, are none; a hold moves less than a tenth of it
 # in this many samples.

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 
 from dehyst import model_file
 from dehyst._errors import ModelError
-from dehyst._native import Array, vector
+from dehyst._io.drafts import PathLike
+from dehyst._io.json_files import read_json, write_json
+from dehyst._types import Array
+from dehyst._validation import vector
 from dehyst.actuator import Actuator
-from dehyst.files import PathLike, read_json, write_json
 from dehyst.model import State
 
 FORMAT = "dehyst-loop"

@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.edge import Edge, Rounding, Travel
 from dehyst.excitation import positive
 from dehyst.scan import Limits, Scan, above, length, one_of, samples_of, set_positive, share, whole

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.active_set import Quadratic
 from dehyst.problem import OPTIMAL, TINY, Answer, Problem, failed, spread
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.model import State
 from dehyst.scan import Path

@@ -9,7 +9,7 @@ from typing import Generic, final
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.program import Norm, solve_blocks
 from dehyst.regression import AbstractRegression, Coefficients, Found, Regression
 from dehyst.rows import RowSource

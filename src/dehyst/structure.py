@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst import options
+from dehyst import _validation
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.elements import segment_of
 
 # Lengths of smooth elements as parts of the stroke, each with both closings: they forget over a few lengths, so that
@@ -64,10 +64,10 @@ class Structure:
     def __post_init__(self) -> None:
         for name, least, most in (("elements", 1, 500), ("grades", 1, 50), ("knots", 2, 500), ("transformer", 0, 200),
                                   ("creep", 0, 50)):  # fmt: skip
-            options.count(getattr(self, name), name, least, most)
-        options.between(self.spacing, "spacing", 0.5, 4, "an exponent")
-        options.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
-        options.between(self.smoothing, "smoothing", 0, 1, "a number")
+            _validation.count(getattr(self, name), name, least, most)
+        _validation.between(self.spacing, "spacing", 0.5, 4, "an exponent")
+        _validation.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
+        _validation.between(self.smoothing, "smoothing", 0, 1, "a number")
         if self.transformer == 1:
             raise IdentifyError("transformer: got 1, need 0 or two segments at least: one is a straight line")
 

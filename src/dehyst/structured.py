@@ -8,13 +8,15 @@ from functools import cached_property
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.beside import Beside
-from dehyst.inertia import Inertia, find_inertia, undone
+from dehyst.inertia import Inertia, find_inertia
+from dehyst.mass_removal import undone
+from dehyst.nuisances import worthwhile
 from dehyst.preparation import Prepared
 from dehyst.program import Norm
 from dehyst.record import Record
-from dehyst.repairs import cycle_time, worthwhile
+from dehyst.repairs import cycle_time
 from dehyst.rows import RowSource
 from dehyst.selection import Trial, held_out_error, select
 from dehyst.signals import turning_points

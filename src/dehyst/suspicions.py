@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import RecordError
+from dehyst._types import Array
 from dehyst.butterfly import butterfly_of
 from dehyst.counting import counted
 from dehyst.glitches import glitch_sentences, glitches
-from dehyst.signals import FloatArray, noise_span, resolution, white_noise
+from dehyst.signals import noise_span, resolution, white_noise
 
 if TYPE_CHECKING:
     from dehyst.record import Record, Span
@@ -93,7 +94,7 @@ def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
     refuse_leading(record, cycles)
 
 
-def refuse_not_finite(values: FloatArray, column: str, unit: str, name: str) -> None:
+def refuse_not_finite(values: Array, column: str, unit: str, name: str) -> None:
     """Raise when a value of the `column` is NaN or infinite."""
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
@@ -103,7 +104,7 @@ def refuse_not_finite(values: FloatArray, column: str, unit: str, name: str) -> 
         )
 
 
-def refuse_implausible(values: FloatArray, column: str, unit: str, name: str) -> None:
+def refuse_implausible(values: Array, column: str, unit: str, name: str) -> None:
     """Raise when a value of the `column` is larger than any measured: its powers would overflow."""
     if (largest := max(-values.min(), values.max())) > LARGEST:
         i = int(np.argmax(np.abs(values)))
@@ -113,7 +114,7 @@ def refuse_implausible(values: FloatArray, column: str, unit: str, name: str) ->
         )
 
 
-def refuse_not_rising(time: FloatArray, name: str) -> None:
+def refuse_not_rising(time: Array, name: str) -> None:
     """Raise when a time [s] is not above the one before."""
     steps = np.diff(time)
     bad = np.flatnonzero(steps < SHORTEST)
@@ -137,7 +138,7 @@ def refuse_not_rising(time: FloatArray, name: str) -> None:
     )
 
 
-def rounding(time: FloatArray) -> float:
+def rounding(time: Array) -> float:
     """What the largest of these times is rounded to [s]."""
     return float(np.spacing(max(-time.min(), time.max())))
 

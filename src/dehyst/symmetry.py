@@ -16,7 +16,7 @@ from math import sqrt
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.branches import Branch, Family, averaged_at
 
 # Noise alone surpasses a floor with this probability.

@@ -12,8 +12,8 @@ from typing import Any, TextIO
 
 import click
 
+from dehyst._io.json_files import finite
 from dehyst.escaping import escaped
-from dehyst.files import finite
 from dehyst.option_words import in_words_of
 
 

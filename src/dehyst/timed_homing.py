@@ -17,7 +17,8 @@ from math import pi
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, number
+from dehyst._types import Array
+from dehyst._validation import number
 from dehyst.actuator import Actuator
 from dehyst.bracket import Bracket, moves_on
 from dehyst.drive import Drive, Leg

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.metrics import rms
 from dehyst.program import triangle_of
 from dehyst.record import Record

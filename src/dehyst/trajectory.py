@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst._errors import ModelError
-from dehyst._native import Array, Held, number, untimely, vector
-from dehyst.actuator import Actuator, interval
+from dehyst._native import Held
+from dehyst._types import Array, Mask
+from dehyst._validation import vector
+from dehyst.actuator import Actuator
 from dehyst.model import Motion, State
+from dehyst.voltage_limits import TIME_NEEDED, Limits
 from dehyst.wide import Course
 
-Mask = NDArray[np.bool_]
 _CHUNK = 64
 _ANY = float(np.finfo(np.float64).max)
 # What `Loop.trace` calls an offer that was not clamped.
@@ -23,7 +24,6 @@ _WISHED = 1
 _ROUNDING = 1e-12
 # Of the spring's knots: a miss that is worth a sentence.
 _WORTH = 1e-3
-_CURE = "give time= [s], one a sample, or make the Compensator with period= [s]"
 # Runs of equal steps, each of which is set up anew.
 _FEW = 64
 
@@ -58,64 +58,6 @@ class Command:
     warnings: tuple[str, ...]
     missed: float
     followed: bool
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What a voltage must keep to.
-
-    Parameters
-    ----------
-    low, high : float
-        Lowest and highest voltage [V].
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s] between samples; default: not limited.
-
-    Raises
-    ------
-    ModelError
-        If they are no interval, or the slew rate is not positive.
-    """
-
-    low: float
-    high: float
-    slew_rate: float | None = None
-
-    def __post_init__(self) -> None:
-        low, high = interval((self.low, self.high))
-        object.__setattr__(self, "low", low)
-        object.__setattr__(self, "high", high)
-        if self.slew_rate is not None:
-            slew_rate = number(self.slew_rate, "slew_rate")
-            if slew_rate <= 0:
-                raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
-            object.__setattr__(self, "slew_rate", slew_rate)
-
-    @property
-    def words(self) -> str:
-        """For a sentence."""
-        return f"{self.low:.6g} to {self.high:.6g} V"
-
-    def nearest(self, voltage: float) -> float:
-        """The voltage [V], or the limit that it is beyond."""
-        return min(max(voltage, self.low), self.high)
-
-    def steps(self, size: int, time: ArrayLike | None) -> Array:
-        """Largest voltage step before each sample."""
-        if self.slew_rate is None:
-            return np.full(size, np.inf)
-        if time is None:
-            raise ModelError(f"a slew rate needs the time of each sample; {_CURE}")
-        t = vector(time, "time")
-        if t.size != size or np.any(np.diff(t) <= 0):
-            raise ModelError(untimely(t, size))
-        return np.concatenate([[np.inf], self.slew_rate * np.diff(t)])[:size]
-
-    def allowed(self, voltage: Array, before: float, steps: Array) -> Array:
-        """The wish, clipped; right up to the first sample that is changed."""
-        previous = np.concatenate([[before], voltage[:-1]])
-        # Limits come last: slew may not push a voltage out of them.
-        return np.clip(np.clip(voltage, previous - steps, previous + steps), self.low, self.high)
 
 
 def follow(
@@ -228,7 +170,7 @@ class _Path:
     @cached_property
     def clock(self) -> tuple[NDArray[np.int64], Array]:
         """Runs of equal steps, see `WideModel.clock`."""
-        return self.actuator.model.clock(self.time, self.wanted.size, _CURE)
+        return self.actuator.model.clock(self.time, self.wanted.size, TIME_NEEDED)
 
     @cached_property
     def course(self) -> dict[str, Array | None]:

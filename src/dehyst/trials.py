@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import Array
-from dehyst.actuator import Actuator
+from dehyst._types import Array
 from dehyst.excite import Drive, Excitation, descending_tops, raised_cosine, staircase
 from dehyst.metrics import largest, percent, rms
-from dehyst.model import AbstractModel, Motion
+from dehyst.model import AbstractModel
+from dehyst.model_replay import beginning, simulated, timed
 from dehyst.record import Record
 from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator, Truth
 
@@ -163,29 +162,3 @@ def trial(name: str) -> Trial:
     if name not in TRIALS:
         raise ModelError(f"no virtual actuator '{name}'; try {', '.join(TRIALS)}")
     return TRIALS[name]
-
-
-def timed(model: AbstractModel, time: Array) -> dict[str, Any]:
-    """The keywords `time` and `extrapolate` for a model that has them: records may go farther than those of its fit."""
-    given = {"time": time, "extrapolate": True}
-    return {name: value for name, value in given.items() if name in inspect.signature(model.simulate).parameters}
-
-
-def beginning(model: AbstractModel, voltage: Array) -> Any:
-    """Where a model starts before a voltage (n,): its own default, or of an actuator the end of its loop nearest by.
-
-    A start far away would set a mass swinging. What creeps has stood relaxed, as before the records: what it does long
-    after depends on where it stood.
-    """
-    if not isinstance(model, Actuator) or not voltage.size:
-        return None
-    if model.creep is not None:
-        return model.relaxed(float(voltage[0]), extrapolate=True)
-    low, high = (float(end) for end in model.spring.displacement[[0, -1]])
-    ends = [model.turned(high), model.turned(low, rising=False)]
-    return min(ends, key=lambda state: abs(model.voltage(state) - float(voltage[0])))
-
-
-def simulated(model: AbstractModel, voltage: Array, time: Array) -> Motion:
-    """The motion that a voltage causes from its `beginning`."""
-    return model.simulate(voltage, state=beginning(model, voltage), **timed(model, time))

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.compensator import Compensator
 from dehyst.excitation import Excitation
 from dehyst.metrics import largest, percent, rms
+from dehyst.model_replay import simulated
 from dehyst.record import Record
-from dehyst.trajectory import Limits
-from dehyst.trials import simulated
+from dehyst.voltage_limits import Limits
 
 # Turning points of the path to follow, as fractions of the stroke: nine of them, no two alike.
 TURNS = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)

@@ -8,17 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import Array, stops
+from dehyst._native import stops
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.beside import Beside
 from dehyst.composition import coefficients_of, grid_of
-from dehyst.inertia import derivatives, undone
+from dehyst.fit import RecordErrors, Trace
+from dehyst.mass_removal import derivatives, undone
 from dehyst.metrics import largest
-from dehyst.model import Motion, RecordErrors, State, Trace
+from dehyst.model import Motion, State
+from dehyst.nuisances import find_datum
 from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.record import Record
 from dehyst.regression import Coefficients, Regression
-from dehyst.repairs import find_datum
 from dehyst.rows import Epoch, RowSource
 from dehyst.smoothing import without_jitter
 from dehyst.stream import Stream

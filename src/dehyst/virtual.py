@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, untimely, vector
+from dehyst._types import Array
+from dehyst._validation import untimely, vector
 from dehyst.actuator import Actuator
 from dehyst.model import State
 from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator, Truth

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import ModelError, RecordError
-from dehyst._native import Array
-from dehyst.actuator import Actuator, interval
+from dehyst._types import Array
+from dehyst._validation import interval
+from dehyst.actuator import Actuator
 from dehyst.approach import approach_to
 from dehyst.compensator import Compensator
 from dehyst.drive import Drive

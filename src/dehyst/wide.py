@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import NOTHING, Array, Held, Pace, WideCore, strains, vector
+from dehyst._native import NOTHING, Held, Pace, WideCore, strains
+from dehyst._types import Array
+from dehyst._validation import vector
 from dehyst.computable import FARTHEST, demand_divisors, demand_result
 from dehyst.creep import Creep, clock
 from dehyst.dynamics import Dynamics

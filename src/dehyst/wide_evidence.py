@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.beside import Beside
 from dehyst.composition import coefficients_of, grid_of
 from dehyst.creep import Creep
 from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.inertia import undone
+from dehyst.mass_removal import undone
 from dehyst.metrics import rms
 from dehyst.record import Record
 from dehyst.rows import RowSource

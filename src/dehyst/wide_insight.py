@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.band import Band, homed, rise, risen
 from dehyst.cautions import beyond, misfit_of, not_homed, of_another

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.elements import parts_in_segments, segment_of
 from dehyst.program import Norm, Solution, solve
 from dehyst.regression import AbstractRegression

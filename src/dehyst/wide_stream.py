@@ -9,7 +9,7 @@ from typing import final
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.program import Norm, solve_blocks
 from dehyst.stream import AbstractStream
 from dehyst.wide_regression import WideCoefficients, WideRegression

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from dehyst._errors import DehystError, MissingExtraError, RigError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.instrument import Instrument
 from dehyst.version import __version__
 

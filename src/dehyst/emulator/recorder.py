@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.emulator.refusals import Error, counted, demand, lines, numeral, whole
 from dehyst.instrument import Instrument
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.emulator.refusals import CommandError, Error, counted, demand, real, whole
 from dehyst.instrument import Instrument
 

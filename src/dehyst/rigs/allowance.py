@@ -6,7 +6,7 @@ import numpy as np
 
 from dehyst._errors import RecordError, RigError
 from dehyst.excitation import Excitation
-from dehyst.trajectory import Limits
+from dehyst.voltage_limits import Limits
 
 # A rig that nobody gave a slew rate takes this part of a second for its whole range.
 _SHORTEST_SWEEP = 0.1

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import DeviceError, ModelError, RecordError, RigError
-from dehyst._native import Array, number
+from dehyst._types import Array
+from dehyst._validation import number
 from dehyst.compensator import ClampWarning
 from dehyst.excitation import Excitation
 from dehyst.host_steps import towards
@@ -25,7 +26,7 @@ from dehyst.rigs.interrupts import shielded
 from dehyst.rigs.leaf import finite, leafs_own, reading_of
 from dehyst.rigs.samples import ASTRAY, Inspection, Listener, Reading, Samples
 from dehyst.rigs.watch import SensorWatch
-from dehyst.trajectory import Limits
+from dehyst.voltage_limits import Limits
 
 __all__ = ["AbstractRig", "Listener", "Reading", "Samples"]
 

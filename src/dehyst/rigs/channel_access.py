@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from dehyst._errors import DeviceError, LinkError, MissingExtraError
-from dehyst._native import Array
+from dehyst._types import Array
 
 # ECA_TIMEOUT of Channel Access.
 _TIMED_OUT = 80

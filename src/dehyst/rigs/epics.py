@@ -9,11 +9,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
 from dehyst._errors import DeviceError, LinkError, RigError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.rigs.base import AbstractRig, Reading, Samples
 from dehyst.rigs.channel_access import ChannelAccess
 from dehyst.rigs.host_timed import HIGHEST_RATE, host_timed
-from dehyst.trajectory import Limits
+from dehyst.voltage_limits import Limits
 
 # Seconds between two looks at a wave; reading samples may take this share of the time at most.
 _LOOK, _SHARE = 0.1, 0.1

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dehyst._errors import LinkError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.rigs import gcs
 
 _HEADER = re.compile(r"#\s*([A-Z_]+)(\d*)\s*=\s*(.*)")

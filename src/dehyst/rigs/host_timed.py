@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.rigs.base import AbstractRig, Reading, Samples
 
 # Hz that a host and a round trip keep.

@@ -12,9 +12,9 @@ from urllib.parse import parse_qsl, urlsplit
 import numpy as np
 
 from dehyst._errors import DeviceError, LinkError, MissingExtraError, RigError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.rigs.base import AbstractRig, Reading, Samples
-from dehyst.trajectory import Limits
+from dehyst.voltage_limits import Limits
 
 # Seconds from one look at what has come to the next, and without anything new until it is called silent.
 _POLL, _PATIENCE = 0.05, 5.0

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from dehyst._errors import DeviceError, LinkError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.rigs import gcs
 from dehyst.rigs.base import AbstractRig, Reading, Samples
 from dehyst.rigs.gcs_array import position_and_voltage, table

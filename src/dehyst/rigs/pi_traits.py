@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst.rigs import gcs
 from dehyst.rigs.gcs_client import GcsClient
-from dehyst.trajectory import Limits
+from dehyst.voltage_limits import Limits
 
 # Parameters of the public list.
 _SERVO_PERIOD, _WAVE_POINTS, _RECORD_POINTS = 0x0E000200, 0x13000004, 0x16000200

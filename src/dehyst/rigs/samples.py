@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dehyst._errors import DeviceError, LinkError, ModelError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.units import plain
 
 # By so much of the range a voltage that is read back may differ from the one that was sent.

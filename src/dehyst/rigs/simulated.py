@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from typing import Any
 
 from dehyst._errors import DeviceError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.actuator import Actuator
 from dehyst.instrument import Instrument
 from dehyst.rigs.base import AbstractRig, Reading, Samples
-from dehyst.trajectory import Limits
 from dehyst.truths import Truth
 from dehyst.virtual import ModelledActuator
+from dehyst.voltage_limits import Limits
 
 # A wave comes in so many lots, for progress to be seen.
 _LOTS = 100

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dehyst._errors import SensorError
-from dehyst._native import Array
+from dehyst._types import Array
 
 # No piezo actuator stands still, to the last digit of a reading, while its voltage crosses so much of its range.
 _DEAD = 0.2

@@ -7,7 +7,7 @@ from typing import Self
 
 from numpy.typing import ArrayLike
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.rivals.base import AbstractRival
 from dehyst.rivals.plays import PlayBank, PlayState
 from dehyst.rivals.training import Training

@@ -7,7 +7,8 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from dehyst._native import Array, vector
+from dehyst._types import Array
+from dehyst._validation import vector
 from dehyst.computable import demand_result
 from dehyst.model import AbstractModel, Motion
 

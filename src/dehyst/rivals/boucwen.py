@@ -16,9 +16,10 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst import _native_fields, options
+from dehyst import _native_fields, _validation
 from dehyst._errors import ModelError
-from dehyst._native import Array, number, vector
+from dehyst._types import Array
+from dehyst._validation import number, vector
 from dehyst.metrics import rms
 from dehyst.program import Solution, solve
 from dehyst.record import Record
@@ -157,8 +158,8 @@ class BoucWen(AbstractRival):
         IdentifyError
             If no sample counts, or an option is impossible.
         """
-        options.count(starts, "starts", most=None)
-        options.fraction(slope_floor, "slope_floor")
+        _validation.count(starts, "starts", most=None)
+        _validation.fraction(slope_floor, "slope_floor")
         begins = np.random.default_rng(seed).uniform(_LEAST, _MOST, (starts, 3))
 
         def solved(ready: Training) -> tuple[BoucWen, float]:

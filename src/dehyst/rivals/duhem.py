@@ -18,9 +18,10 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
-from dehyst import _native_fields, options
+from dehyst import _native_fields, _validation
 from dehyst._errors import IdentifyError, ModelError
-from dehyst._native import Array, number, vector
+from dehyst._types import Array
+from dehyst._validation import number, vector
 from dehyst.record import Record
 from dehyst.rivals.base import AbstractRival
 from dehyst.rivals.fitting import least_missing
@@ -153,8 +154,8 @@ class Duhem(AbstractRival):
         IdentifyError
             If no sample counts, or an option is impossible.
         """
-        options.count(degree, "degree", most=_HIGHEST_DEGREE)
-        options.fraction(slope_floor, "slope_floor")
+        _validation.count(degree, "degree", most=_HIGHEST_DEGREE)
+        _validation.fraction(slope_floor, "slope_floor")
 
         def solved(ready: Training) -> tuple[Duhem, float]:
             rate = _searched(ready.thinned(_SEARCH_ROWS), degree, slope_floor)

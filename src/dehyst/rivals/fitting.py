@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dehyst import repairs
 from dehyst._errors import IdentifyError
+from dehyst.nuisances import searched_delay, worthwhile
 from dehyst.preparation import Prepared, as_list, prepare
 from dehyst.record import Record
 from dehyst.regression import Regression
@@ -146,7 +147,7 @@ def _estimated(items: list[Prepared], widest: int, able: Sequence[int]) -> float
     def cost(delay: float) -> float:
         return _missed(_ready(items, widest, delay, able))
 
-    return repairs.searched_delay(cost, longest, sample, plain.played(lambda v: v), plain.stroke)
+    return searched_delay(cost, longest, sample, plain.played(lambda v: v), plain.stroke)
 
 
 def _drifting(items: list[Prepared], widest: int, lag: float, able: Sequence[int]) -> tuple[int, ...]:
@@ -156,4 +157,4 @@ def _drifting(items: list[Prepared], widest: int, lag: float, able: Sequence[int
         return _missed(_ready(items, widest, lag, drifting))
 
     low, high = items[widest].span()
-    return repairs.worthwhile(cost, able, high - low) if able else ()
+    return worthwhile(cost, able, high - low) if able else ()

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
-from dehyst.options import count, fraction, numbers
+from dehyst._types import Array
+from dehyst._validation import count, fraction, numbers
 from dehyst.record import Record
 from dehyst.rivals.bank_rival import AbstractBankRival
 from dehyst.rivals.fitting import least_missing

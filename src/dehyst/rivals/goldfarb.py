@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
+from dehyst._types import Array
+from dehyst._validation import count, numbers
 from dehyst.actuator import Actuator
 from dehyst.branches import Branch, voltage_at
 from dehyst.elements import MaxwellSlip, Spring
 from dehyst.model import State
-from dehyst.options import count, numbers
 from dehyst.record import Record
 from dehyst.repairs import without_glitches
 from dehyst.rivals.base import AbstractRival

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import Array
 from dehyst._native_plays import PlayCore
+from dehyst._types import Array
 from dehyst.rivals.plays import PlayBank, PlayState
 
 

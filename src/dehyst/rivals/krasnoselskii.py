@@ -13,8 +13,8 @@ from typing import final
 
 import numpy as np
 
-from dehyst._native import Array
-from dehyst.options import count, fraction
+from dehyst._types import Array
+from dehyst._validation import count, fraction
 from dehyst.record import Record
 from dehyst.rivals.bank_rival import AbstractBankRival
 from dehyst.rivals.fitting import least_missing

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, vector
+from dehyst._types import Array
+from dehyst._validation import count, fraction, vector
 from dehyst.elements import on_curve
 from dehyst.metrics import rms
-from dehyst.options import count, fraction
 from dehyst.record import Record
 from dehyst.rivals.base import AbstractRival
 from dehyst.rivals.fitting import least_missing

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.metrics import rms
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, number
+from dehyst._types import Array
+from dehyst._validation import number
 from dehyst.metrics import rms
 from dehyst.model import State
 from dehyst.record import Record

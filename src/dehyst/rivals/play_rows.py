@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
 from dehyst._native_plays import play_outputs
+from dehyst._types import Array
 from dehyst.record import Record
 from dehyst.rivals.least_squares import Solved, nonnegative, ramps
 from dehyst.rivals.training import Training

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, number, vector
 from dehyst._native_plays import PlayCore
+from dehyst._types import Array
+from dehyst._validation import number, vector
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,10 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst import _native_fields, options
+from dehyst import _native_fields, _validation
 from dehyst._errors import ModelError
-from dehyst._native import Array, number
+from dehyst._types import Array
+from dehyst._validation import number
 from dehyst.metrics import rms
 from dehyst.program import solve
 from dehyst.record import Record
@@ -167,9 +168,9 @@ class Preisach(AbstractRival):
         IdentifyError
             If no sample counts, or an option is impossible.
         """
-        n = options.count(cells, "cells", 2, _MOST_CELLS)
-        options.fraction(smoothing, "smoothing", 0.0)
-        options.fraction(slope_floor, "slope_floor", 1e-6)
+        n = _validation.count(cells, "cells", 2, _MOST_CELLS)
+        _validation.fraction(smoothing, "smoothing", 0.0)
+        _validation.fraction(slope_floor, "slope_floor", 1e-6)
 
         def solved(ready: Training) -> tuple[Preisach, float]:
             few = ready.thinned(_MOST_ROWS)
@@ -202,8 +203,8 @@ class Preisach(AbstractRival):
         IdentifyError
             If there are fewer than three curves, or an option is impossible.
         """
-        n = options.count(cells, "cells", 2, _MOST_CELLS)
-        options.fraction(slope_floor, "slope_floor", 1e-6)
+        n = _validation.count(cells, "cells", 2, _MOST_CELLS)
+        _validation.fraction(slope_floor, "slope_floor", 1e-6)
 
         def solved(ready: Training) -> tuple[Preisach, float]:
             table = everett_table(ready, n, slope_floor * ready.stroke / n)

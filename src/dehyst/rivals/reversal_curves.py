@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._errors import IdentifyError
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.record import Record
 from dehyst.rivals.training import Training
 

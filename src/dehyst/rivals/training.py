@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import Array
+from dehyst._types import Array
 from dehyst.record import Record
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, vector
+from dehyst._types import Array
+from dehyst._validation import vector
 from dehyst.truths.clock import Clock, Sensor
 
 # Share of the highest voltage that one step of the Runge-Kutta rule goes.

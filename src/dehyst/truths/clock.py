@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, vector
+from dehyst._types import Array
+from dehyst._validation import vector
 
 
 class Truth(Protocol):

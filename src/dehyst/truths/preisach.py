@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import Array, vector
+from dehyst._types import Array
+from dehyst._validation import vector
 from dehyst.truths.clock import Sensor
 
 # The relays' plane, in units of the highest voltage: beyond it only the reversible share moves.

@@ -15,7 +15,7 @@ from math import isfinite
 from pathlib import Path
 
 from dehyst._errors import FileFormatError
-from dehyst.drafts import PathLike, is_draft, mode_of, unwritten
+from dehyst._io.drafts import PathLike, is_draft, mode_of, unwritten
 from dehyst.version import __version__
 
 GENERATOR = f"dehyst {__version__}"

@@ -138,3 +138,10 @@ def settle_folder(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def path_of(value: object) -> Path:
+    """A path, or FileFormatError if it is none."""
+    if not isinstance(value, str | os.PathLike) or not isinstance(name := os.fspath(value), str) or "\0" in name:
+        raise FileFormatError(f"got {value!r}, need the name of a file or a folder; give a path")
+    return Path(name)

@@ -1,0 +1,1 @@
+"""Files and folders: read strictly, written wholly or not at all."""

@@ -1,0 +1,28 @@
+"""Errors of reading a file, as one sentence each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from dehyst._errors import DehystError, FileFormatError
+
+
+@contextmanager
+def reading_errors(path: Path, kind: str) -> Iterator[None]:
+    """Turn what goes wrong while a file of this kind is read into FileFormatError."""
+    try:
+        yield
+    except DehystError:
+        raise
+    except FileNotFoundError as error:
+        raise FileFormatError(f"{path}: no such file; check the name and the folder") from error
+    except IsADirectoryError as error:
+        raise FileFormatError(f"{path}: this is a folder; give one of the files in it") from error
+    except PermissionError as error:
+        raise FileFormatError(f"{path}: no permission to read it; check the file's mode") from error
+    except Exception as error:  # every library has its own errors for broken content
+        raise FileFormatError(
+            f"{path}: not a readable {kind} file ({type(error).__name__}: {error}); check that the suffix fits"
+        ) from error

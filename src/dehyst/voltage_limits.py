@@ -1,0 +1,73 @@
+"""The voltages and slew rate that a compensator keeps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import interval, number, untimely, vector
+
+# What a missing time of each sample can be mended with.
+TIME_NEEDED = "give time= [s], one a sample, or make the Compensator with period= [s]"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a voltage must keep to.
+
+    Parameters
+    ----------
+    low, high : float
+        Lowest and highest voltage [V].
+    slew_rate : float, optional
+        Largest abs(dv/dt) [V/s] between samples; default: not limited.
+
+    Raises
+    ------
+    ModelError
+        If they are no interval, or the slew rate is not positive.
+    """
+
+    low: float
+    high: float
+    slew_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        low, high = interval((self.low, self.high))
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+        if self.slew_rate is not None:
+            slew_rate = number(self.slew_rate, "slew_rate")
+            if slew_rate <= 0:
+                raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
+            object.__setattr__(self, "slew_rate", slew_rate)
+
+    @property
+    def words(self) -> str:
+        """For a sentence."""
+        return f"{self.low:.6g} to {self.high:.6g} V"
+
+    def nearest(self, voltage: float) -> float:
+        """The voltage [V], or the limit that it is beyond."""
+        return min(max(voltage, self.low), self.high)
+
+    def steps(self, size: int, time: ArrayLike | None) -> Array:
+        """Largest voltage step before each sample."""
+        if self.slew_rate is None:
+            return np.full(size, np.inf)
+        if time is None:
+            raise ModelError(f"a slew rate needs the time of each sample; {TIME_NEEDED}")
+        t = vector(time, "time")
+        if t.size != size or np.any(np.diff(t) <= 0):
+            raise ModelError(untimely(t, size))
+        return np.concatenate([[np.inf], self.slew_rate * np.diff(t)])[:size]
+
+    def allowed(self, voltage: Array, before: float, steps: Array) -> Array:
+        """The wish, clipped; right up to the first sample that is changed."""
+        previous = np.concatenate([[before], voltage[:-1]])
+        # Limits come last: slew may not push a voltage out of them.
+        return np.clip(np.clip(voltage, previous - steps, previous + steps), self.low, self.high)
