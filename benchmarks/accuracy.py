@@ -3,7 +3,7 @@
 Three parts; without one named, all:
 
 main      ours: the demo's virtual actuator, and every method on the measured records
-tracking  every model of `dehyst compare` on every virtual actuator of `dehyst.trials`: fitted to its records once, then
+tracking every model of `dehyst compare` on every virtual actuator of `tracking_trials`: fitted to its records once, then
           compensated along random paths, a path for each seed
 measured  every model on the measured records: fitted to the major loop and the first ramps, judged on the other ramps;
           ours a second time, told no more of what went before these than the others are
@@ -22,11 +22,12 @@ from pathlib import Path
 from typing import Any
 
 import dehyst
-from dehyst import Actuator, demo
-from dehyst.compare import OURS, Row, compare, contenders
-from dehyst.model import AbstractModel, Motion
-from dehyst.model_replay import simulated
-from dehyst.trials import TRIALS, Trial
+from dehyst import Actuator
+from dehyst.baselines.comparison import OURS, Row, compare, contenders
+from dehyst.baselines.tracking_trials import TRIALS, Trial
+from dehyst.model.base import AbstractModel, Motion
+from dehyst.model.replay import simulated
+from dehyst.studies import demo
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
 OUTPUT = Path(__file__).with_suffix(".json")
@@ -103,8 +104,10 @@ def compared_on(one: Trial, name: str, identification: Any, seeds: int) -> dict:
         try:
             error = one.track(kept[0], seed)
             found["tracking"][str(seed)] = {
-                "largest_percent": error.largest, "rms_percent": error.rms, "beyond_voltage_percent": error.beyond
-            }  # fmt: skip
+                "largest_percent": error.largest,
+                "rms_percent": error.rms,
+                "beyond_voltage_percent": error.beyond,
+            }
         except FAILURES as failure:
             found["said"] = f"{found['said'] or ''} Seed {seed}: {failure}".strip()
     return found
@@ -114,16 +117,19 @@ def on_measured(folder: Path, name: str, identification: Any) -> tuple[Row, floa
     """Trained on what comes before a hold, every model is taken over that again and predicts what comes after it."""
     major, ramps = p885(folder)
     lead = float(ramps.time[SPLIT] - ramps.time[0])
-    found = compare([major, ramps[:SPLIT].with_name("first ramps")], validate=ramps, lead=lead,
-                    models={name: identification})  # fmt: skip
+    found = compare(
+        [major, ramps[:SPLIT].with_name("first ramps")], validate=ramps, lead=lead, models={name: identification}
+    )
     return found.rows[0], found.stroke
 
 
 def show(title: str, errors: list[dict]) -> None:
     print(f"\n{title:<46}  largest %    RMS %   with its drift")
     for error in errors:
-        print(f"  {error['record']:<28}{error['role']:<16}{error['largest_percent']:10.3f}{error['rms_percent']:10.3f}"
-              f"{error['largest_with_drift_percent']:10.3f}{error['rms_with_drift_percent']:8.3f}")  # fmt: skip
+        print(
+            f"  {error['record']:<28}{error['role']:<16}{error['largest_percent']:10.3f}{error['rms_percent']:10.3f}"
+            f"{error['largest_with_drift_percent']:10.3f}{error['rms_with_drift_percent']:8.3f}"
+        )
 
 
 def show_main(results: dict) -> None:
@@ -148,8 +154,10 @@ def worst(row: dict | None) -> tuple[float, float] | None:
 def held_out(row: dict | None) -> list[tuple[float, float] | None]:
     """With one constant removed and without."""
     errors = [error for error in (row or {}).get("errors", ()) if error["role"] == "validation"]
-    return [(errors[0][f"largest{way}_percent"], errors[0][f"rms{way}_percent"]) if errors else None
-            for way in ("", "_without_constant")]  # fmt: skip
+    return [
+        (errors[0][f"largest{way}_percent"], errors[0][f"rms{way}_percent"]) if errors else None
+        for way in ("", "_without_constant")
+    ]
 
 
 def show_compared(tracking: dict, rows: dict) -> None:
@@ -169,8 +177,13 @@ def show_compared(tracking: dict, rows: dict) -> None:
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Measure accuracy; see the top of this file.")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
-    parser.add_argument("--only", action="append", metavar="MODEL", choices=list(entrants()),
-                        help="of tracking and measured; may be repeated")  # fmt: skip
+    parser.add_argument(
+        "--only",
+        action="append",
+        metavar="MODEL",
+        choices=list(entrants()),
+        help="of tracking and measured; may be repeated",
+    )
     parser.add_argument("--truth", action="append", choices=list(TRIALS), help="of tracking; may be repeated")
     parser.add_argument("--seeds", type=int, default=3, help="paths for each virtual actuator; default: 3")
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the measured records")
@@ -187,8 +200,12 @@ def main() -> None:
     parts, data = given.parts or PARTS, given.data.is_dir()
     results = json.loads(given.output.read_text()) if given.output.exists() else {}
     rivals = results.setdefault("compared", {"tracking": {}, "measured": {}})
-    rivals |= {"asked": {truth: {"largest_percent": a, "rms_percent": b}
-                         for truth, (a, b) in (ASKED | {"measured": ASKED_MEASURED}).items()}}  # fmt: skip
+    rivals |= {
+        "asked": {
+            truth: {"largest_percent": a, "rms_percent": b}
+            for truth, (a, b) in (ASKED | {"measured": ASKED_MEASURED}).items()
+        }
+    }
     if not data:
         print(f"no measured data in {given.data.name}: left out; the README's table keeps needing them")
     if "main" in parts:

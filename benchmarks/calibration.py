@@ -33,8 +33,13 @@ def measure(actuator: str, link: str, speed: float) -> dict:
             port = _port(told)
             rig = f"epics://{PREFIX}" if epics else f"pi://127.0.0.1:{port}"
             began = time.monotonic()
-            done = subprocess.run([DEHYST, "calibrate", rig, "-o", f"{folder}/out", "--json"], stdout=subprocess.PIPE,
-                                  text=True, env=os.environ | LOCAL, check=False)  # fmt: skip
+            done = subprocess.run(
+                [DEHYST, "calibrate", rig, "-o", f"{folder}/out", "--json"],
+                stdout=subprocess.PIPE,
+                text=True,
+                env=os.environ | LOCAL,
+                check=False,
+            )
             seconds = time.monotonic() - began
         finally:
             server.terminate()
@@ -43,10 +48,18 @@ def measure(actuator: str, link: str, speed: float) -> dict:
     found = json.loads(done.stdout)
     low, high = map(float, re.search(r"put out (\S+) to (\S+) V", said).groups())
     return {
-        "actuator": actuator, "link": link, "speed": speed, "seconds": seconds, "status": done.returncode,
-        "records": found["records"], "nominal": found["nominal"], "compensated": found["compensated"],
-        "stroke_m": found["stroke_m"], "limits_V": found["limits_V"], "put_out_V": [low, high],
-    }  # fmt: skip
+        "actuator": actuator,
+        "link": link,
+        "speed": speed,
+        "seconds": seconds,
+        "status": done.returncode,
+        "records": found["records"],
+        "nominal": found["nominal"],
+        "compensated": found["compensated"],
+        "stroke_m": found["stroke_m"],
+        "limits_V": found["limits_V"],
+        "put_out_V": [low, high],
+    }
 
 
 def _port(told: Path) -> int:
@@ -64,8 +77,10 @@ def main() -> None:
     for case in CASES:
         one = measure(*case)
         results.append(one)
-        print(f"{one['actuator']:10s}{one['link']:8s}{one['speed']:6g}{one['seconds']:9.1f}"
-              f"{one['nominal']['largest_percent']:11.3f}{one['compensated']['largest_percent']:15.3f}")  # fmt: skip
+        print(
+            f"{one['actuator']:10s}{one['link']:8s}{one['speed']:6g}{one['seconds']:9.1f}"
+            f"{one['nominal']['largest_percent']:11.3f}{one['compensated']['largest_percent']:15.3f}"
+        )
     OUTPUT.write_text(json.dumps({"calibrations": results}, indent=1) + "\n")
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import dehyst
-from dehyst.evidence import Evidence
-from dehyst.intervals import resample
+from dehyst.uncertainty.bootstrap import resample
+from dehyst.uncertainty.evidence import Evidence
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import bench
@@ -27,9 +27,15 @@ PREDICTED = (1, 0.1, 0.85, 0.3, 0.7, 0.45, 0.9, 0.2, 0.5)
 
 
 def coverage(
-    elements: int = 5, norm: str = "l2", noise: float = NOISES[0], *,
-    repeats: int = REPEATS, resamples: int = 100, samples: int = 100, first_seed: int = 0,
-) -> dict:  # fmt: skip
+    elements: int = 5,
+    norm: str = "l2",
+    noise: float = NOISES[0],
+    *,
+    repeats: int = REPEATS,
+    resamples: int = 100,
+    samples: int = 100,
+    first_seed: int = 0,
+) -> dict:
     """Shares of the numbers that lie in their intervals: over all repeats, and of the worst and best single number.
 
     `noise` is in parts of the stroke, `samples` a leg of the record. The spring counts at its knots less the first.
@@ -47,8 +53,15 @@ def coverage(
     held: dict[str, list[np.ndarray]] = {"stiffness": [], "spring": [], "prediction": []}
     for seed in range(first_seed, first_seed + repeats):
         record = bench.driven(plant, voltage, noise=noise * bench.STROKE, seed=seed, state=top)
-        fit = dehyst.identify(record, breakaway=plant.slip.breakaway[:-1], norm=norm, delay=0.0, drift=False,
-                              knots=elements + 1, slope_floor=0.05)  # fmt: skip
+        fit = dehyst.identify(
+            record,
+            breakaway=plant.slip.breakaway[:-1],
+            norm=norm,
+            delay=0.0,
+            drift=False,
+            knots=elements + 1,
+            slope_floor=0.05,
+        )
         found = resample(Evidence.of(fit.actuator, record), level=LEVEL, repeats=resamples, seed=seed)
         # The knots lie where the noisy record ends.
         spring = plant.spring(fit.actuator.spring.displacement)
@@ -75,10 +88,21 @@ def main() -> None:
         start = time.perf_counter()
         found = coverage(elements, norm, noise)
         seconds = time.perf_counter() - start
-        results.append({"elements": elements, "norm": norm, "noise": noise, "level": LEVEL, "repeats": REPEATS,
-                        "seconds": seconds, **found})  # fmt: skip
-        shares = "  ".join(f"{name} {100 * one['share']:5.1f} % ({100 * one['least']:.0f} to {100 * one['most']:.0f})"
-                           for name, one in found.items())  # fmt: skip
+        results.append(
+            {
+                "elements": elements,
+                "norm": norm,
+                "noise": noise,
+                "level": LEVEL,
+                "repeats": REPEATS,
+                "seconds": seconds,
+                **found,
+            }
+        )
+        shares = "  ".join(
+            f"{name} {100 * one['share']:5.1f} % ({100 * one['least']:.0f} to {100 * one['most']:.0f})"
+            for name, one in found.items()
+        )
         print(f"  N = {elements:<3} {norm}  noise {100 * noise:g} % of the stroke:  {shares}", flush=True)
     Path(__file__).with_suffix(".json").write_text(json.dumps(results, indent=1) + "\n")
 

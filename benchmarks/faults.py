@@ -123,12 +123,24 @@ CASES = (
     Case("narrow", "Its limits are narrower than it tells", struck("narrow")),
     Case("beyond", "A protocol asks for more than its limits", beyond),
     Case("wide", "`--limits` wider than its own", lambda folder: against(folder, _HURRIED, "--limits", "-50", "300")),
-    Case("astray", "Somebody left it at 150 V, `--limits 0 100`",
-         left("SVO 1 0", "SVA 1 150", options=("--limits", "0", "100"))),
+    Case(
+        "astray",
+        "Somebody left it at 150 V, `--limits 0 100`",
+        left("SVO 1 0", "SVA 1 150", options=("--limits", "0", "100")),
+    ),
     Case("servo", "Its servo was left on, and then the link is lost", left("SVO 1 1")),
-    Case("playing", "Somebody's wave is still being played, later Ctrl-C",
-         left("WAV 1 X SIN_P 20000 150 0 20000 0 10000", "WSL 1 1", "WGC 1 1", "WTR 1 20 0", "WGO 1 1",
-              act=sent(INTERRUPT))),
+    Case(
+        "playing",
+        "Somebody's wave is still being played, later Ctrl-C",
+        left(
+            "WAV 1 X SIN_P 20000 150 0 20000 0 10000",
+            "WSL 1 1",
+            "WGC 1 1",
+            "WTR 1 20 0",
+            "WGO 1 1",
+            act=sent(INTERRUPT),
+        ),
+    ),
     Case("saturate", "The sensor saturates", struck("saturate")),
     Case("unplug", "The sensor's cable comes off in mid-wave", struck("unplug")),
     Case("dead", "The sensor was never plugged in", struck("unplug@0s")),
@@ -137,12 +149,18 @@ CASES = (
     Case("terminate", "SIGTERM in mid-wave", lambda folder: against(folder, _SLOW, act=sent(TERMINATE))),
     Case("hang-up", "The terminal is closed", lambda folder: against(folder, _SLOW, act=sent(HANG_UP))),
     Case("deaf", "Nobody reads its messages any more", lambda folder: against(folder, _FAST, deaf=True)),
-    Case("kill", "`kill -9` in mid-wave, then the same again",
-         lambda folder: against(folder, _FAST, act=sent(KILL), again=True)),
-    Case("full", "The disk is full, and then is not",
-         lambda folder: against(folder, _FAST, largest_file=_FULL, again=True)),
+    Case(
+        "kill",
+        "`kill -9` in mid-wave, then the same again",
+        lambda folder: against(folder, _FAST, act=sent(KILL), again=True),
+    ),
+    Case(
+        "full",
+        "The disk is full, and then is not",
+        lambda folder: against(folder, _FAST, largest_file=_FULL, again=True),
+    ),
     Case("file", "The output folder is a file", not_a_folder),
-)  # fmt: skip
+)
 
 
 def rehearse(case: Case) -> Outcome:

@@ -7,11 +7,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dehyst import demo
+from dehyst.studies import demo
 
 MEASURED, OURS = "#0072b2", "#d55e00"
-STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "dehyst",
-         "axes.linewidth": 0.7, "legend.frameon": False}  # fmt: skip
+STYLE = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "svg.hashsalt": "dehyst",
+    "axes.linewidth": 0.7,
+    "legend.frameon": False,
+}
 
 
 def loops(axes: Axes, found: demo.Demo) -> None:

@@ -31,8 +31,8 @@ import stage
 from stage import HIGHEST, PERIOD, Stage
 
 import dehyst
-from dehyst.foresight import Foresight
-from dehyst.model_replay import simulated
+from dehyst.control.preview import Foresight
+from dehyst.model.replay import simulated
 
 OUTPUT = Path(__file__).with_suffix(".json")
 KINDS = ("feedback", "feedforward", "both")
@@ -251,22 +251,42 @@ def measure(model: dehyst.Actuator, errors: list[dict]) -> tuple[dict, dict]:
     print("larger gains", json.dumps(harder), flush=True)
     for size, amplitude in AMPLITUDES.items():
         responses[size] = {kind: response(bench, kind, amplitude) for kind in KINDS}
-        bands[size] = {kind: {"down_3_dB_Hz": bandwidth(found, -3.0), "up_3_dB_Hz": bandwidth(found, 3.0, rising=True),
-                              "swept_to_Hz": found[-1][0]}
-                       for kind, found in responses[size].items()}  # fmt: skip
+        bands[size] = {
+            kind: {
+                "down_3_dB_Hz": bandwidth(found, -3.0),
+                "up_3_dB_Hz": bandwidth(found, 3.0, rising=True),
+                "swept_to_Hz": found[-1][0],
+            }
+            for kind, found in responses[size].items()
+        }
         print(size, json.dumps(bands[size]), flush=True)
     rejections = {kind: rejection(bench, kind) for kind in KINDS}
     rejecting = {kind: bandwidth(found, -3.0, rising=True) for kind, found in rejections.items()}
     print("disturbances", json.dumps(rejecting), flush=True)
     dynamics = model.dynamics
-    about = {"resonance_Hz": dynamics.frequency / (2 * np.pi), "damping": dynamics.damping, "delay_s": model.delay,
-             "steepest": steepest(model), "period_s": PERIOD, "samples_ahead": bench.foresight.ahead,
-             "errors": errors}  # fmt: skip
+    about = {
+        "resonance_Hz": dynamics.frequency / (2 * np.pi),
+        "damping": dynamics.damping,
+        "delay_s": model.delay,
+        "steepest": steepest(model),
+        "period_s": PERIOD,
+        "samples_ahead": bench.foresight.ahead,
+        "errors": errors,
+    }
     true = {"resonance_Hz": Stage.resonance, "damping": Stage.damping, "delay_s": Stage.late * PERIOD}
     integral = {kind: {"gain_per_sample": gain, "gain_per_s": gain / PERIOD} for kind, gain in bench.gains.items()}
-    found = {"stage": true, "identified": about, "integral": integral, "margin_dB": 20 * np.log10(MARGIN),
-             "tracking": tracking, "larger_gains": harder, "bandwidth": bands, "rejecting_to_Hz": rejecting,
-             "response": responses, "rejection": rejections}  # fmt: skip
+    found = {
+        "stage": true,
+        "identified": about,
+        "integral": integral,
+        "margin_dB": 20 * np.log10(MARGIN),
+        "tracking": tracking,
+        "larger_gains": harder,
+        "bandwidth": bands,
+        "rejecting_to_Hz": rejecting,
+        "response": responses,
+        "rejection": rejections,
+    }
     return found, shown
 
 

@@ -12,8 +12,14 @@ from matplotlib.figure import Figure
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "loop.svg"
 COLOURS = {"feedback": "#0072b2", "feedforward": "#d55e00", "both": "#009e73"}
 NAMES = {"feedback": "integral feedback", "feedforward": "feedforward", "both": "both"}
-STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "dehyst",
-         "axes.linewidth": 0.7, "legend.frameon": False}  # fmt: skip
+STYLE = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "svg.hashsalt": "dehyst",
+    "axes.linewidth": 0.7,
+    "legend.frameon": False,
+}
 SHOWN = 0.7
 
 
@@ -30,10 +36,19 @@ def followed(axes: Axes, shown: dict, time: np.ndarray) -> None:
 def errors(axes: Axes, shown: dict, time: np.ndarray) -> None:
     for kind in ("feedforward", "both"):
         largest = np.abs(shown[kind]).max()
-        axes.plot(time, shown[kind][: time.size], color=COLOURS[kind], lw=1,
-                  label=f"{NAMES[kind]}: at most {largest:.2f} % in 4 s")  # fmt: skip
-    axes.plot([], [], color=COLOURS["feedback"],
-              label=f"integral feedback: at most {np.abs(shown['feedback']).max():.0f} %, not drawn")  # fmt: skip
+        axes.plot(
+            time,
+            shown[kind][: time.size],
+            color=COLOURS[kind],
+            lw=1,
+            label=f"{NAMES[kind]}: at most {largest:.2f} % in 4 s",
+        )
+    axes.plot(
+        [],
+        [],
+        color=COLOURS["feedback"],
+        label=f"integral feedback: at most {np.abs(shown['feedback']).max():.0f} %, not drawn",
+    )
     axes.axhline(0, color="0.6", lw=0.5, zorder=0)
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.45 * (high - low))

@@ -1,14 +1,14 @@
-"""The paper's experiment on a virtual actuator, beside the paper's numbers. Writes `paper.json`."""
+"""The paper's experiment on a virtual actuator, beside the paper's numbers. Writes `run.json`."""
 
 import json
 from pathlib import Path
 
-from dehyst import paper
+from dehyst.studies.paper import run
 
 
 def main() -> None:
-    found = paper.run(print).as_dict()
-    target = Path(__file__).with_name("paper.json")
+    found = run.run(print).as_dict()
+    target = Path(__file__).with_name("run.json")
     target.write_text(json.dumps(found, indent=1) + "\n")
     print(target.name)
 

@@ -29,8 +29,11 @@ def accuracy(data: dict) -> list[str]:
             "| with its drift: largest, RMS % |",
             "| --- | --- | --- | --- |",
         ]
-        names = {"record": "trained on both", "held out": "trained on major and 4500 rows of ramps",
-                 "breakpoints": "the paper's method, both"}  # fmt: skip
+        names = {
+            "record": "trained on both",
+            "held out": "trained on major and 4500 rows of ramps",
+            "breakpoints": "the paper's method, both",
+        }
         for key, what in names.items():
             for error in data["measured"][key]["errors"]:
                 role = "" if error["role"] == "training" else " (validation)"
@@ -63,9 +66,13 @@ def rivals(data: dict) -> list[str]:
     """Every model on every virtual actuator, the worst of its paths, and what it predicts of the measured stage."""
     compared, truths = data["compared"], ("play", "creep", "preisach", "boucwen")
     asked = [pair(compared["asked"][one]) for one in (*truths, "measured")]
-    rows = ["", "| Largest and RMS error, % of the stroke | plays, asymmetric | the same, creeping | Preisach "
-            "| Bouc-Wen, resonating | measured, predicted |", "| --- | --- | --- | --- | --- | --- |",
-            f"| asked of dehyst | {' | '.join(asked)} |"]  # fmt: skip
+    rows = [
+        "",
+        "| Largest and RMS error, % of the stroke | plays, asymmetric | the same, creeping | Preisach "
+        "| Bouc-Wen, resonating | measured, predicted |",
+        "| --- | --- | --- | --- | --- | --- |",
+        f"| asked of dehyst | {' | '.join(asked)} |",
+    ]
     names = dict.fromkeys([*compared["tracking"]["play"], *compared["measured"]])
     for name in sorted(names, key=lambda name: not name.startswith("dehyst")):
         cells = [pair(worst(compared["tracking"][truth].get(name))) for truth in truths]
@@ -87,10 +94,16 @@ def pair(error: dict | None) -> str:
 
 
 def speed(data: dict) -> list[str]:
-    rows = ["", "| Time a sample, in units of `numpy.interp` on the same array | N = 10 | N = 100 | N = 1000 |",
-            "| --- | --- | --- | --- |"]  # fmt: skip
-    for path, what in (("slow", "swept loops"), ("noisy", "the same, a reversal at every other sample"),
-                       ("random", "uniformly distributed samples")):  # fmt: skip
+    rows = [
+        "",
+        "| Time a sample, in units of `numpy.interp` on the same array | N = 10 | N = 100 | N = 1000 |",
+        "| --- | --- | --- | --- |",
+    ]
+    for path, what in (
+        ("slow", "swept loops"),
+        ("noisy", "the same, a reversal at every other sample"),
+        ("random", "uniformly distributed samples"),
+    ):
         rows += [f"| {job}, {what} | {ratios(data, path, job)} |" for job in ("compensate", "simulate")]
     for path, what in (("slow", "swept loops"), ("noisy", "the same, a reversal at every other sample")):
         for job in ("compensate", "simulate"):
@@ -105,8 +118,12 @@ def ratios(data: dict, path: str, job: str) -> str:
 
 def steps(latency: dict, size: dict) -> list[str]:
     """What a step in a loop takes: N = 10, from Python, in C and on a microcontroller."""
-    rows = ["", "| A step of the loop, N = 10 | from Python | in C | of `run` | `numpy.interp` a sample "
-            "| C over `numpy.interp` |", "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
+    rows = [
+        "",
+        "| A step of the loop, N = 10 | from Python | in C | of `run` | `numpy.interp` a sample "
+        "| C over `numpy.interp` |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
     for path, what in (("swept", "swept"), ("reversing", "reversing at every step")):
         one = latency["plain"]["paths"][path]
         rows.append(

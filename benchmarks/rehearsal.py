@@ -15,9 +15,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 from dehyst import DehystError, read
-from dehyst.recording import salvage
+from dehyst.records.recording import salvage
 
-DEHYST = (sys.executable, "-c", "from dehyst.cli import main; main(prog_name='dehyst')")
+DEHYST = (sys.executable, "-c", "from dehyst.cli.commands import main; main(prog_name='dehyst')")
 # Seconds after which a command hangs, on however busy a machine.
 _PATIENCE = 600.0
 _PROGRESS = re.compile(r"dehyst: [a-z0-9-]+: (begins|done|failed)\b")
@@ -129,9 +129,14 @@ def sent(*numbers: int) -> Act:
 
 
 def calibrate(
-    address: str, folder: Path, *options: str, act: Act | None = None, largest_file: int | None = None,
-    served: Served | None = None, deaf: bool = False,
-) -> Outcome:  # fmt: skip
+    address: str,
+    folder: Path,
+    *options: str,
+    act: Act | None = None,
+    largest_file: int | None = None,
+    served: Served | None = None,
+    deaf: bool = False,
+) -> Outcome:
     """Run `dehyst calibrate` to its end.
 
     `largest_file` [bytes] makes a full disk of any; `deaf` closes the pipe that it speaks into, once it has begun.

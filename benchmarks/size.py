@@ -25,10 +25,10 @@ import scipy.linalg
 import scipy.optimize  # noqa: F401
 
 import dehyst
-from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.export import code, sizes
-from dehyst.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL
-from dehyst.structure import Structure
+from dehyst.exports.firmware import code, sizes
+from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL
+from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.model.structure import Structure
 
 SIZES = (100_000, 1_000_000, 10_000_000)
 OUTPUT = Path(__file__).parent / "size.json"
@@ -92,10 +92,18 @@ def measure(samples: int, norm: str, structure: str) -> dict[str, object]:
 
     fit = dehyst.identify(made, norm=norm, structure=WIDE if wide else "paper", progress=tell)  # type: ignore[arg-type]
     error = fit.errors[0]
-    return {"samples": len(made), "structure": structure, "norm": norm,
-            "seconds": round(time.perf_counter() - begun, 1), "cpu_seconds": round(time.process_time() - used, 1),
-            "peak_MiB": round(peak() - before), "gap": fit.gap, "status": fit.status,
-            "largest_percent": error.largest_percent, "rms_percent": 100 * error.rms / error.stroke}  # fmt: skip
+    return {
+        "samples": len(made),
+        "structure": structure,
+        "norm": norm,
+        "seconds": round(time.perf_counter() - begun, 1),
+        "cpu_seconds": round(time.process_time() - used, 1),
+        "peak_MiB": round(peak() - before),
+        "gap": fit.gap,
+        "status": fit.status,
+        "largest_percent": error.largest_percent,
+        "rms_percent": 100 * error.rms / error.stroke,
+    }
 
 
 def small(wide: bool) -> dehyst.Compensator:
@@ -108,20 +116,27 @@ def small(wide: bool) -> dehyst.Compensator:
     volts = np.linspace(-20, 120, 8)
     graded = GradedSlip(rho, np.linspace(0, STROKE, 5), stiffness[:, None] * np.linspace(0.9, 1, 4))
     made = dehyst.Actuator(
-        graded, spring, transformer=Transformer(volts, volts - 6 * np.sin(np.pi * volts / 100)),
-        creep=dehyst.Creep(np.geomspace(0.01, 10, 4), np.full(4, 2e5)), dynamics=dehyst.Dynamics(6e3, 0.05, 2e6),
+        graded,
+        spring,
+        transformer=Transformer(volts, volts - 6 * np.sin(np.pi * volts / 100)),
+        creep=dehyst.Creep(np.geomspace(0.01, 10, 4), np.full(4, 2e5)),
+        dynamics=dehyst.Dynamics(6e3, 0.05, 2e6),
         smooth=dehyst.SmoothSlip(STROKE * np.array([0.05, 0.2]), np.array([0.5, 0.8]), np.array([1e6, 5e5])),
-    )  # fmt: skip
+    )
     return dehyst.Compensator(made, (0, 100), period=1e-4)
 
 
 def firmware() -> list[dict[str, object]]:
     """Bytes of both for each processor and number type."""
     both, arm = ("double", "float"), "arm-none-eabi-gcc"
-    processors = (("x86-64", "gcc", ("-O2",), both), ("x86-64", "gcc", ("-Os", "-flto"), both),
-                  ("Cortex-M4", arm, CORTEX_M4, both), ("Cortex-M4", arm, CORTEX_M4_SMALL, both),
-                  ("Cortex-M4F", arm, CORTEX_M4F, ("float",)),
-                  ("Cortex-M4F", arm, CORTEX_M4F_SMALL, ("float",)))  # fmt: skip
+    processors = (
+        ("x86-64", "gcc", ("-O2",), both),
+        ("x86-64", "gcc", ("-Os", "-flto"), both),
+        ("Cortex-M4", arm, CORTEX_M4, both),
+        ("Cortex-M4", arm, CORTEX_M4_SMALL, both),
+        ("Cortex-M4F", arm, CORTEX_M4F, ("float",)),
+        ("Cortex-M4F", arm, CORTEX_M4F_SMALL, ("float",)),
+    )
     found: list[dict[str, object]] = []
     for structure in ("plain", "wide"):
         for processor, compiler, flags, numbers in processors:
@@ -130,8 +145,16 @@ def firmware() -> list[dict[str, object]]:
                     for name, text in code(small(structure == "wide"), number).items():
                         (Path(folder) / name).write_text(text)
                     taken = sizes(folder, compiler, flags)
-                found.append({"structure": structure, "elements": 10, "processor": processor, "number": number,
-                              "flags": " ".join(flags), **taken._asdict()})  # fmt: skip
+                found.append(
+                    {
+                        "structure": structure,
+                        "elements": 10,
+                        "processor": processor,
+                        "number": number,
+                        "flags": " ".join(flags),
+                        **taken._asdict(),
+                    }
+                )
                 print(found[-1], flush=True)
     return found
 

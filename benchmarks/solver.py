@@ -17,9 +17,9 @@ import scipy.linalg
 import scipy.optimize  # noqa: F401
 
 from dehyst._native import stops
-from dehyst.elements import parts_in_segments
-from dehyst.program import solve
-from dehyst.threads import one_thread
+from dehyst._threads import one_thread
+from dehyst.identification.solvers.program import solve
+from dehyst.model.elements import parts_in_segments
 
 ROWS = 100_000
 SEEDS = 3
@@ -44,9 +44,16 @@ def measure(kind: str, count: int, inequalities: int, noise: float, seed: int) -
     lower = c @ np.full(count, 0.5) - 0.3 * np.abs(rng.normal(size=inequalities))
     begun, used = time.perf_counter(), time.process_time()
     found = solve(np.ones((ROWS, 1)), a, b, norm="l1", constraints=(c, lower) if inequalities else None)
-    return {"columns": f"{kind}, {count}", "inequalities": inequalities, "noise": noise, "seed": seed,
-            "seconds": round(time.perf_counter() - begun, 2), "cpu_seconds": round(time.process_time() - used, 2),
-            "gap": found.gap, "status": found.status}  # fmt: skip
+    return {
+        "columns": f"{kind}, {count}",
+        "inequalities": inequalities,
+        "noise": noise,
+        "seed": seed,
+        "seconds": round(time.perf_counter() - begun, 2),
+        "cpu_seconds": round(time.process_time() - used, 2),
+        "gap": found.gap,
+        "status": found.status,
+    }
 
 
 def main() -> None:
@@ -58,9 +65,12 @@ def main() -> None:
                     for seed in range(SEEDS):
                         found.append(measure(kind, count, inequalities, noise, seed))
                         print(found[-1], flush=True)
-    summary = {"largest_seconds": max(row["seconds"] for row in found),
-               "largest_cpu_seconds": max(row["cpu_seconds"] for row in found),
-               "largest_gap": max(row["gap"] for row in found), "target": TARGET}  # fmt: skip
+    summary = {
+        "largest_seconds": max(row["seconds"] for row in found),
+        "largest_cpu_seconds": max(row["cpu_seconds"] for row in found),
+        "largest_gap": max(row["gap"] for row in found),
+        "target": TARGET,
+    }
     print(summary)
     Path(__file__).with_suffix(".json").write_text(json.dumps({"summary": summary, "rows": found}, indent=1) + "\n")
 

@@ -143,8 +143,10 @@ def main() -> None:
         noisy = max(results["noisy"][f"{job} {n}"]["ratio"] for n in COUNTS)
         spread = 100 * (max(ratios) / min(ratios) - 1)
         summary[job] = {"largest_ratio": max(ratios), "target": target, "spread_percent": spread, "noisy_ratio": noisy}
-        print(f"\n{job}: at most {max(ratios):.2f} times np.interp (target {target:g}), {noisy:.2f} on the noisy path; "
-              f"N = 10, 100, 1000 within {spread:.0f} % of one another (target 25)")  # fmt: skip
+        print(
+            f"\n{job}: at most {max(ratios):.2f} times np.interp (target {target:g}), {noisy:.2f} on the noisy path; "
+            f"N = 10, 100, 1000 within {spread:.0f} % of one another (target 25)"
+        )
     Path(__file__).with_suffix(".json").write_text(json.dumps({"summary": summary, "paths": results}, indent=1) + "\n")
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import dehyst
-from dehyst.excite import Drive, descending_tops, raised_cosine, staircase
-from dehyst.truths import PlayActuator
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms.standard import Drive, descending_tops, raised_cosine, staircase
 
 PERIOD = 1e-4
 HIGHEST = 200.0
@@ -53,8 +53,10 @@ class Stage:
         old, new = self.under_way[:2]
         y, rate = self.motion
         a, b, c, d = self.phi
-        self.motion = (a * y + b * rate + self.before[0] * old + self.after[0] * new,
-                       c * y + d * rate + self.before[1] * old + self.after[1] * new)  # fmt: skip
+        self.motion = (
+            a * y + b * rate + self.before[0] * old + self.after[0] * new,
+            c * y + d * rate + self.before[1] * old + self.after[1] * new,
+        )
         return self.motion[0]
 
 
@@ -64,8 +66,9 @@ def records(seed: int = 0) -> list[dehyst.Record]:
     The slow ones are kept at every tenth sample: more would outweigh those in which the stage swings.
     """
     stage, made = Stage(seed), []
-    runs = {f"{one:g} Hz": (descending_tops(HIGHEST, drive=driven(one)), 10 if one == SLOW else 1)
-            for one in (SLOW, *FAST)}  # fmt: skip
+    runs = {
+        f"{one:g} Hz": (descending_tops(HIGHEST, drive=driven(one)), 10 if one == SLOW else 1) for one in (SLOW, *FAST)
+    }
     runs["staircase"] = staircase(HIGHEST, steps=10, hold=HOLD, back=True, drive=driven(SLOW)), 10
     for name, (one, every) in runs.items():
         y = stage.measured(stage.drive(one.voltage))

@@ -20,9 +20,9 @@ from bluesky.plans import list_scan
 from ophyd_async.core import init_devices
 
 import dehyst
-from dehyst.axis import CompensatedAxis, homing
-from dehyst.excite import Drive, descending_tops
-from dehyst.rigs.epics import EpicsRig
+from dehyst.instruments.bluesky_axis import CompensatedAxis, homing
+from dehyst.instruments.epics import EpicsRig
+from dehyst.waveforms.standard import Drive, descending_tops
 
 POINTS = 13
 

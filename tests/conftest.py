@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from dehyst.threads import one_thread
+from dehyst._threads import one_thread
 
 # A runner in the background may ignore Ctrl-C and a hang-up, and its children then would: the tests mean them.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -111,9 +111,14 @@ class CompiledCore:
     def run(self, actuator, state, path):
         """Return (samples, 4): voltages and displacements by the stack, then by the carts, bit for bit."""
         numbers = [
-            actuator.slip.breakaway, actuator.slip.stiffness, actuator.spring.displacement, actuator.spring.voltage,
-            [state.displacement], state.carts, path,
-        ]  # fmt: skip
+            actuator.slip.breakaway,
+            actuator.slip.stiffness,
+            actuator.spring.displacement,
+            actuator.spring.voltage,
+            [state.displacement],
+            state.carts,
+            path,
+        ]
         sizes = f"{len(actuator.slip)} {actuator.spring.displacement.size} {len(path)}\n"
         text = sizes + "\n".join(float(x).hex() for x in np.concatenate(numbers))
         command = [str(self.folder / "main")]
@@ -135,7 +140,7 @@ def fmus(tmp_path_factory):
     import fmpy
     from fmu_rig import ALL
 
-    from dehyst.fmu import export_fmu
+    from dehyst.exports.fmu import export_fmu
 
     folder, known = tmp_path_factory.mktemp("fmu"), {}
 

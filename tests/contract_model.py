@@ -12,18 +12,19 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Record, SmoothSlip, Spring, Transformer, excite
-from dehyst.model import AbstractModel, Motion
-from dehyst.rivals.boucwen import BoucWen
-from dehyst.rivals.duhem import Duhem
-from dehyst.rivals.generalised import Generalised
-from dehyst.rivals.goldfarb import Goldfarb
-from dehyst.rivals.krasnoselskii import Krasnoselskii
-from dehyst.rivals.kuhnen import Kuhnen
-from dehyst.rivals.linear import Linear
-from dehyst.rivals.prandtl import Prandtl
-from dehyst.rivals.preisach import Preisach
-from dehyst.truths import PlayActuator
+from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Record, SmoothSlip, Spring, Transformer
+from dehyst.baselines.bouc_wen import BoucWen
+from dehyst.baselines.duhem import Duhem
+from dehyst.baselines.generalized_prandtl_ishlinskii import Generalised
+from dehyst.baselines.goldfarb_celanovic import Goldfarb
+from dehyst.baselines.krasnoselskii_pokrovskii import Krasnoselskii
+from dehyst.baselines.linear import Linear
+from dehyst.baselines.modified_prandtl_ishlinskii import Kuhnen
+from dehyst.baselines.prandtl_ishlinskii import Prandtl
+from dehyst.baselines.preisach import Preisach
+from dehyst.model.base import AbstractModel, Motion
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import standard
 
 VOLTS = 100.0
 
@@ -87,7 +88,7 @@ def smooth():
 @cache
 def fitted(kind, **options):
     """Return a rival identified from loops of falling tops up to 100 V."""
-    voltage = excite.descending_tops(VOLTS, steps=5, drive=excite.Drive(sample_rate=1.0)).voltage
+    voltage = standard.descending_tops(VOLTS, steps=5, drive=standard.Drive(sample_rate=1.0)).voltage
     y = PlayActuator(highest=VOLTS).drive(voltage)
     return kind.fit(Record(np.arange(y.size), voltage, y), delay=0.0, **options)
 

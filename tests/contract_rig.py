@@ -22,10 +22,10 @@ from fake_rig import FakeRig
 
 from dehyst import ClampWarning
 from dehyst._errors import DeviceError, RecordError, RigError, SensorError
-from dehyst.excitation import Excitation
-from dehyst.rigs.nidaqmx import NiRig
-from dehyst.rigs.simulated import SimulatedRig
-from dehyst.truths import PlayActuator
+from dehyst.instruments.nidaqmx import NiRig
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms.excitation import Excitation
 
 LOW, HIGH = -20.0, 100.0
 # A ramp goes on so often [s].
@@ -59,10 +59,17 @@ def fake(longest=None, **options):
 @contextmanager
 def daq_card(**options):
     """Open a rig on a fake card in a time of its own."""
-    with fake_nidaqmx.installed((LOW / fake_nidaqmx.GAIN, HIGH / fake_nidaqmx.GAIN)) as card, NiRig(
-        "Dev1/ao0", "Dev1/ai0", gain=fake_nidaqmx.GAIN, scale=1e6 * fake_nidaqmx.SCALE, clock=lambda: card.now,
-        **options,
-    ) as rig:  # fmt: skip
+    with (
+        fake_nidaqmx.installed((LOW / fake_nidaqmx.GAIN, HIGH / fake_nidaqmx.GAIN)) as card,
+        NiRig(
+            "Dev1/ao0",
+            "Dev1/ai0",
+            gain=fake_nidaqmx.GAIN,
+            scale=1e6 * fake_nidaqmx.SCALE,
+            clock=lambda: card.now,
+            **options,
+        ) as rig,
+    ):
         rig._wait = card.wait
         yield rig, card
 
@@ -263,11 +270,13 @@ def raising(kind, *about):
 @pytest.mark.parametrize(
     ("stop", "kind"),
     [
-        (raising(ValueError, "the disk is full"), ValueError), (raising(KeyboardInterrupt), KeyboardInterrupt),
-        (interrupted, KeyboardInterrupt), (raising(SystemExit, 143), SystemExit),
+        (raising(ValueError, "the disk is full"), ValueError),
+        (raising(KeyboardInterrupt), KeyboardInterrupt),
+        (interrupted, KeyboardInterrupt),
+        (raising(SystemExit, 143), SystemExit),
     ],
     ids=["error", "raised Ctrl-C", "Ctrl-C", "exit"],
-)  # fmt: skip
+)
 def test_what_listening_raises_stops_the_wave(bench, candidate, stop, kind):
     rig, instrument = bench(longest=120)
     asked, heard = excitation(rig, 0, 80, 70, 90, 0), []

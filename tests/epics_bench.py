@@ -6,8 +6,8 @@ from contextlib import contextmanager
 import pytest
 from ioc_process import IocProcess
 
-from dehyst.amplifier import Extremes
-from dehyst.rigs.epics import EpicsRig
+from dehyst.instruments.epics import EpicsRig
+from dehyst.virtual.amplifier import Extremes
 
 LOW, HIGH = -20.0, 100.0
 _IOCS = {}
@@ -41,9 +41,12 @@ def by_channel_access(longest=65536, **options):
         pytest.importorskip(library, reason=f"{library} is not installed: EPICS cannot be served, or not be used")
     if longest not in _IOCS:
         _IOCS[longest] = IocProcess(
-            actuator={"highest": HIGH, "noise": 1e-10}, limits=(LOW, HIGH), speed=2.0, wave_points=longest,
+            actuator={"highest": HIGH, "noise": 1e-10},
+            limits=(LOW, HIGH),
+            speed=2.0,
+            wave_points=longest,
             record_points=longest,
-        )  # fmt: skip
+        )
     instrument = RemoteInstrument(_IOCS[longest])
     with EpicsRig.connect(_IOCS[longest].prefix, **options) as rig:
         yield rig, instrument

@@ -1,7 +1,7 @@
 """A controller and a connected device of our own making, around a virtual bench: for odd controllers and for faults."""
 
-from dehyst.instrument import Instrument
-from dehyst.truths import PlayActuator
+from dehyst.virtual import PlayActuator
+from dehyst.virtual.bench import Instrument
 
 IDENTITY = "Fake Instruments, F-1.CD, 0001, 1.0"
 WAVES = ["WAV", "WAV?", "WSL", "WGC", "WTR", "WGO", "WGO?", "DRC", "DRL?", "DRR?", "RTR", "DRT", "SPA?", "TNR?", "HDR?"]
@@ -136,17 +136,27 @@ class FakeController:
         return head + [f"{1e6 * y!r} {v!r}" for y, v in zip(displacement.tolist(), voltage.tolist(), strict=True)]
 
     def on_spa_asked(self, item, parameter):
-        known = {0x0E000200: self.bench.servo_period, 0x13000004: self.bench.wave_points,
-                 0x16000200: 2 * self.bench.record_points}  # fmt: skip
+        known = {
+            0x0E000200: self.bench.servo_period,
+            0x13000004: self.bench.wave_points,
+            0x16000200: 2 * self.bench.record_points,
+        }
         return [f"{item} {parameter}={known[int(parameter, 16)]!r}"]
 
     def on_tnr_asked(self):
         return ["2"]
 
     def on_hdr_asked(self):
-        return ["#RecordOptions", "1=Target Position of axis", "2=Current Position of axis",
-                "7=Control Voltage of output chan", "16=Voltage of output chan", "#TriggerOptions", "0=default",
-                "end of help"]  # fmt: skip
+        return [
+            "#RecordOptions",
+            "1=Target Position of axis",
+            "2=Current Position of axis",
+            "7=Control Voltage of output chan",
+            "16=Voltage of output chan",
+            "#TriggerOptions",
+            "0=default",
+            "end of help",
+        ]
 
 
 def text_of(lines):

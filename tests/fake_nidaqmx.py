@@ -12,7 +12,7 @@ from unittest import mock
 
 import numpy as np
 
-from dehyst.amplifier import Extremes
+from dehyst.virtual.amplifier import Extremes
 
 TIMEBASE = 1e8
 # Of the amplifier [V/V], and of the sensor [m/V].
@@ -136,8 +136,9 @@ class Task:
             raise DaqError("Physical channel specified does not exist on this device.", -200170)
         self.inputs.append(physical_channel)
 
-    def cfg_samp_clk_timing(self, rate, source="", active_edge=None, sample_mode=AcquisitionType.FINITE,
-                            samps_per_chan=1000):  # fmt: skip
+    def cfg_samp_clk_timing(
+        self, rate, source="", active_edge=None, sample_mode=AcquisitionType.FINITE, samps_per_chan=1000
+    ):
         self._demand()
         assert sample_mode is AcquisitionType.FINITE
         if not 1 <= rate <= 250_000 or samps_per_chan < 2:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from dehyst.amplifier import Extremes
-from dehyst.rigs.base import AbstractRig, Reading, Samples
-from dehyst.voltage_limits import Limits
+from dehyst.control.limits import Limits
+from dehyst.instruments.base import AbstractRig, Reading, Samples
+from dehyst.virtual.amplifier import Extremes
 
 
 class FakeInstrument:

@@ -10,8 +10,8 @@ import pytest
 import wide_bench
 
 from dehyst import Compensator, Dynamics
-from dehyst.export import SOURCES, code
-from dehyst.footprint import CORTEX_M4F, STRICT
+from dehyst.exports.firmware import SOURCES, code
+from dehyst.exports.footprint import CORTEX_M4F, STRICT
 
 LIMITS = (10.0, 150.0)
 SEED, MULTIPLIER, INCREMENT = 88172645463325252, 6364136223846793005, 1442695040888963407

@@ -101,8 +101,11 @@ class IocProcess:
         self.process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, self.prefix, json.dumps(options)],
             env={**os.environ, "EPICS_CAS_SERVER_PORT": str(self.port)},
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         atexit.register(self.kill)
         said = self._line("ready")
         self.seconds = time.perf_counter() - began

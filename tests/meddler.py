@@ -8,8 +8,8 @@ from contextlib import suppress
 
 from fake_gcs import text_of
 
-from dehyst.rigs.gcs_link import TcpLink
-from dehyst.rigs.pi import PiRig
+from dehyst.instruments.gcs_link import TcpLink
+from dehyst.instruments.pi import PiRig
 
 KINDS = ("drop", "truncate", "garble", "replay", "inject", "double", "delay", "number", "nonsense", "close", "space")
 _LIES = ["nan", "inf", "1e999", "-1e300", "1000000", "-99999", "", "1=2=3", "0x10", "--1", "1,5", "\u00b5"]

@@ -5,11 +5,11 @@ from contextlib import contextmanager
 from fake_gcs import Clock
 from meddler import PipeLink, QuickRig
 
-from dehyst.emulator.controller import Controller
-from dehyst.emulator.server import Server
-from dehyst.instrument import Instrument
-from dehyst.rigs.pi import PiRig
-from dehyst.truths import PlayActuator
+from dehyst.instruments.pi import PiRig
+from dehyst.virtual import PlayActuator
+from dehyst.virtual.bench import Instrument
+from dehyst.virtual.emulator.gcs_controller import Controller
+from dehyst.virtual.emulator.gcs_server import Server
 
 LOW, HIGH = -20.0, 100.0
 
@@ -32,9 +32,12 @@ class Locked:
 def _instrument(longest, **options):
     # A controller divides its recorder between two tables.
     return Instrument(
-        PlayActuator(highest=HIGH, noise=1e-10), limits=(LOW, HIGH), wave_points=longest, record_points=2 * longest,
+        PlayActuator(highest=HIGH, noise=1e-10),
+        limits=(LOW, HIGH),
+        wave_points=longest,
+        record_points=2 * longest,
         **options,
-    )  # fmt: skip
+    )
 
 
 @contextmanager

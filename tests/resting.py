@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dehyst import State
 from dehyst._native import stops
-from dehyst.bracket import Bracket
+from dehyst.control.state_bounds import Bracket
 
 EXACT = 1e-12
 PLANT = bench.plant(10, seed=4)

@@ -3,10 +3,10 @@
 import pytest
 
 from dehyst._errors import DehystError, RigError
-from dehyst.rigs import open_rig
-from dehyst.rigs.pi import PiRig
-from dehyst.rigs.simulated import SimulatedRig
-from dehyst.truths import PlayActuator
+from dehyst.instruments import open_rig
+from dehyst.instruments.pi import PiRig
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.virtual import PlayActuator
 
 
 def test_addresses_go_to_their_rigs(monkeypatch):
@@ -16,7 +16,7 @@ def test_addresses_go_to_their_rigs(monkeypatch):
         seen.append((where, asked))
         return SimulatedRig(PlayActuator(), limits=asked["limits"])
 
-    monkeypatch.setattr("dehyst.rigs.epics.EpicsRig.connect", connect)
+    monkeypatch.setattr("dehyst.instruments.epics.EpicsRig.connect", connect)
     monkeypatch.setattr(PiRig, "connect", connect)
     limits = {"limits": (0.0, 5.0), "slew_rate": None}
     for address in (
@@ -42,23 +42,31 @@ def test_addresses_go_to_their_rigs(monkeypatch):
 
 def test_addresses_that_are_none(tmp_path):
     for address, why in [
-        ("pi://", "need pi://host:port"), ("pi://h:99999", "no address"), ("pi://h:1/a/b", "need pi://host"),
-        ("gpib://7", "no kind of rig called 'gpib'"), ("rubbish", "no address of a rig"), ("a.py:", "no address"),
-        ("epics://", "need the prefix"), ("sim://", "need play"), ("missing.py:make", "no such file"),
-    ]:  # fmt: skip
+        ("pi://", "need pi://host:port"),
+        ("pi://h:99999", "no address"),
+        ("pi://h:1/a/b", "need pi://host"),
+        ("gpib://7", "no kind of rig called 'gpib'"),
+        ("rubbish", "no address of a rig"),
+        ("a.py:", "no address"),
+        ("epics://", "need the prefix"),
+        ("sim://", "need play"),
+        ("missing.py:make", "no such file"),
+    ]:
         with pytest.raises(RigError, match=why):
             open_rig(address)
     own = tmp_path / "own_rig_of_mine.py"
     for text, why in [
-        ("make = 3", "has no function 'make'"), ("def make(**_): return 3", "gave a int, need an AbstractRig"),
+        ("make = 3", "has no function 'make'"),
+        ("def make(**_): return 3", "gave a int, need an AbstractRig"),
         ("def make(): pass", "it is called with limits= and slew_rate="),
-        ("1/0", "ZeroDivisionError"), ("x y", "SyntaxError"),
-    ]:  # fmt: skip
+        ("1/0", "ZeroDivisionError"),
+        ("x y", "SyntaxError"),
+    ]:
         own.write_text(text)
         with pytest.raises(RigError, match=why):
             open_rig(f"{own}:make")
     own.write_text(
-        "from fake_gcs import FakeController, FakeDevice\nfrom dehyst.rigs.pi import PiRig\n"
+        "from fake_gcs import FakeController, FakeDevice\nfrom dehyst.instruments.pi import PiRig\n"
         "def make(limits, slew_rate):\n"
         "    return PiRig.of_device(FakeDevice(FakeController()), limits=limits, slew_rate=slew_rate)\n"
     )
@@ -73,7 +81,7 @@ def test_addresses_that_are_none(tmp_path):
 def test_a_rig_that_does_not_keep_to_what_was_asked_is_refused(tmp_path, asked, why):
     own = tmp_path / "rig_that_forgets.py"
     own.write_text(
-        "from dehyst.rigs.simulated import SimulatedRig\nfrom dehyst.truths import PlayActuator\n"
+        "from dehyst.instruments.simulated import SimulatedRig\nfrom dehyst.virtual.modelled import PlayActuator\n"
         "def make(**asked):\n    return SimulatedRig(PlayActuator())\n"
     )
     with pytest.raises(RigError, match=f"{why}.*pass limits= and slew_rate= on"):
@@ -83,7 +91,7 @@ def test_a_rig_that_does_not_keep_to_what_was_asked_is_refused(tmp_path, asked, 
 def test_a_rig_that_was_never_made_is_told(tmp_path):
     own = tmp_path / "rig_half_made.py"
     own.write_text(
-        "from dehyst.rigs.simulated import SimulatedRig\n"
+        "from dehyst.instruments.simulated import SimulatedRig\n"
         "class Half(SimulatedRig):\n    def __init__(self): pass\n"
         "def make(**asked):\n    return Half()\n"
     )

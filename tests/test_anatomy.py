@@ -8,9 +8,9 @@ import pytest
 import wide_bench
 
 from dehyst import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.anatomy import Slopes, bend, parts_of, resonance, step_response
-from dehyst.parts_page import made_of
-from dehyst.structure import Structure
+from dehyst.model.structure import Structure
+from dehyst.model.summary import Slopes, bend, parts_of, resonance, step_response
+from dehyst.report.parts_section import made_of
 
 EVERYTHING = Structure(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True)
 

@@ -15,13 +15,13 @@ from strategies import SEEDS, make_slip
 
 import dehyst
 from dehyst import Actuator, MaxwellSlip, Outcome, Record, Spring
-from dehyst.assumptions import checks
-from dehyst.branches import Family, averaged_at, families, voltage_at
-from dehyst.fit import Check, Fit, RecordErrors, Verdict
-from dehyst.preparation import prepare
-from dehyst.returns import creep, gaps
-from dehyst.symmetry import Mirrored
-from dehyst.truths import PlayActuator
+from dehyst.identification.diagnostics.assumptions import checks
+from dehyst.identification.diagnostics.branches import Family, averaged_at, families, voltage_at
+from dehyst.identification.diagnostics.closure import creep, gaps
+from dehyst.identification.diagnostics.symmetry import Mirrored
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.model.fit import Check, Fit, RecordErrors, Verdict
+from dehyst.virtual import PlayActuator
 
 HOLDS, FAILS, UNKNOWN = Verdict.HOLDS, Verdict.FAILS, Verdict.UNKNOWN
 NAMES = ("Assumption I", "Assumption II", "Anti-symmetry", "Symmetry of the width", "Loop closure", "No drift")
@@ -53,7 +53,7 @@ def largest(distances, loop):
 
 
 def driven(truth, tops, samples=400):
-    """The record of raised cosines from 0 V, by a truth of `dehyst.truths`."""
+    """The record of raised cosines from 0 V, by a truth of `dehyst.virtual`."""
     shape = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(1, samples + 1) / samples)
     voltage = np.concatenate([[0.0], *(truth.highest * top * shape for top in tops)])
     return Record(np.arange(voltage.size) / 4.0, voltage, truth.drive(voltage), "play")
@@ -260,9 +260,13 @@ def test_a_fit_holds_its_checks_as_json():
     told = json.loads(json.dumps(fit.as_dict(), allow_nan=False))["checks"]
     assert [item["name"] for item in told] == list(NAMES)
     assert told[3] == {
-        "name": "Symmetry of the width", "verdict": "FAILS", "value": fit.checks[3].value,
-        "floor": fit.checks[3].floor, "unit": "% of range", "sentence": fit.checks[3].sentence,
-    }  # fmt: skip
+        "name": "Symmetry of the width",
+        "verdict": "FAILS",
+        "value": fit.checks[3].value,
+        "floor": fit.checks[3].floor,
+        "unit": "% of range",
+        "sentence": fit.checks[3].sentence,
+    }
     assert Fit(None, Outcome.FAILED).as_dict()["checks"] == []
 
 
@@ -399,8 +403,9 @@ def test_only_cycles_in_a_known_state_must_close():
     # Carts that stood anywhere are caught by each wider loop: its first cycle stays open, with no drift at all.
     y = bench.path((0, 0.4, 0, 0.4, 0, 0.7, 0, 0.7, 0, 1, 0, 1, 0))
     start = bench.record(CURVED, y, state=bench.any_state(CURVED, 0.0, 3))
-    record = bench.driven(CURVED, start.voltage[0] + np.ptp(start.voltage) * y / bench.STROKE,
-                          state=bench.any_state(CURVED, 0.0, 3))  # fmt: skip
+    record = bench.driven(
+        CURVED, start.voltage[0] + np.ptp(start.voltage) * y / bench.STROKE, state=bench.any_state(CURVED, 0.0, 3)
+    )
     ends = [record.displacement[cycle.stop - 1] - record.displacement[cycle.start] for cycle in record.cycles()]
     assert np.abs(ends).max() > 1e-3 * bench.STROKE
     open_by, noises = gaps(record, 0.0)
@@ -455,15 +460,22 @@ def test_a_verdicts_words():
     assert [verdict.value for verdict in Verdict] == ["holds", "does not hold", "not known"]
     check = Check("x", UNKNOWN, None, None, "%", "Nothing.")
     assert check.as_dict() == {
-        "name": "x", "verdict": "UNKNOWN", "value": None, "floor": None, "unit": "%", "sentence": "Nothing."
-    }  # fmt: skip
+        "name": "x",
+        "verdict": "UNKNOWN",
+        "value": None,
+        "floor": None,
+        "unit": "%",
+        "sentence": "Nothing.",
+    }
     assert isinstance(families(bench.loops(CURVED, bench.MAJOR))[0], Family)
 
 
 @pytest.mark.skipif(not (DATA / "major.csv").exists(), reason=f"the measured data are not in {DATA}")
 def test_a_measured_actuator():
-    records = [dehyst.read(DATA / f"{name}.csv", voltage="drive_V", displacement="displacement_um")
-               for name in ("major", "ramps")]  # fmt: skip
+    records = [
+        dehyst.read(DATA / f"{name}.csv", voltage="drive_V", displacement="displacement_um")
+        for name in ("major", "ramps")
+    ]
     found = by_name(dehyst.identify(records, structure="paper").checks)
     assert [found[name].verdict for name in NAMES[:4]] == [HOLDS, HOLDS, FAILS, FAILS]
     # As in the paper (Fig. 3), far from anti-symmetric; the width's share is small, but the class cannot follow it.

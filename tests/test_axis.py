@@ -29,11 +29,11 @@ from ophyd_async.core import init_devices
 
 from dehyst import Compensator, Creep, MissingExtraError, ModelError
 from dehyst._errors import DeviceError, RigError
-from dehyst.axis import CompensatedAxis, homing
-from dehyst.homing import shortest_homing
-from dehyst.host_steps import homing_steps, towards
-from dehyst.rigs.channel_access import ChannelAccess
-from dehyst.voltage_limits import Limits
+from dehyst.control.homing import shortest_homing
+from dehyst.control.limits import Limits
+from dehyst.control.ramps import homing_steps, towards
+from dehyst.instruments.bluesky_axis import CompensatedAxis, homing
+from dehyst.instruments.channel_access import ChannelAccess
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "bluesky_scan.py"
 # Of the stroke [um]: what is left where the model is the actuator, and Channel Access carries doubles.
@@ -99,8 +99,11 @@ def read_into(axis, found):
 
 
 @given(
-    wish=st.floats(-50, 250), present=st.floats(0, 200), slew=st.floats(1, 1e4), period=st.floats(1e-3, 1.0),
-)  # fmt: skip
+    wish=st.floats(-50, 250),
+    present=st.floats(0, 200),
+    slew=st.floats(1, 1e4),
+    period=st.floats(1e-3, 1.0),
+)
 def test_a_step_keeps_limits_and_slew_rate(wish, present, slew, period):
     limits = Limits(0.0, 200.0, slew)
     step = towards(wish, present, limits, period)
@@ -170,7 +173,10 @@ def test_it_is_a_motor_in_a_scan(homed, engine):
     assert np.all(np.diff([event["data"]["axis-voltage"] for event in events]) > 0)
     keys = described[0]["data_keys"]
     assert {name: keys[name]["units"] for name in keys} == {
-        "axis-wanted": "um", "axis-voltage": "V", "axis-position": "um"}  # fmt: skip
+        "axis-wanted": "um",
+        "axis-voltage": "V",
+        "axis-position": "um",
+    }
     assert described[0]["hints"]["axis"]["fields"] == ["axis-position"]
 
 
@@ -370,8 +376,10 @@ def test_an_actuator_that_creeps(engine, tmp_path, monkeypatch, overhead):
     with IocProcess(model=str(tmp_path / "model.json"), simulated_clock=True) as process:
         axis = made(process, actuator, slew_rate=1000.0)
         clock = SimulatedClock(process, overhead)
-        monkeypatch.setattr("dehyst.axis.time", clock)
-        monkeypatch.setattr("dehyst.axis.asyncio", SimpleNamespace(**{**vars(asyncio), "sleep": clock.sleep}))
+        monkeypatch.setattr("dehyst.instruments.bluesky_axis.time", clock)
+        monkeypatch.setattr(
+            "dehyst.instruments.bluesky_axis.asyncio", SimpleNamespace(**{**vars(asyncio), "sleep": clock.sleep})
+        )
         engine(homing(axis))
         low, high = axis.reach
         for share, pause in ((0.3, 0.0), (0.8, 1.0), (0.4, 0.3), (0.6, 0.0)):
@@ -395,9 +403,9 @@ def test_impossible_numbers_are_refused(actuator, options):
 
 def test_without_ophyd(monkeypatch):
     monkeypatch.setitem(sys.modules, "ophyd_async.core", None)
-    monkeypatch.delitem(sys.modules, "dehyst.axis")
+    monkeypatch.delitem(sys.modules, "dehyst.instruments.bluesky_axis")
     with pytest.raises(MissingExtraError, match=r"pip install 'dehyst\[bluesky\]'"):
-        import dehyst.axis  # noqa: F401
+        import dehyst.instruments.bluesky_axis  # noqa: F401
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 
 import dehyst
 from dehyst import Actuator, IdentifyError, MaxwellSlip, Outcome, Record, Spring
-from dehyst.breakpoints import closed_form, linear_program, loops_of
+from dehyst.identification.paper_methods import closed_form, linear_program, loops_of
 
 N = 10
 PLANT = bench.plant(N, seed=1)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from dehyst import Record, RecordError
-from dehyst.butterfly import butterfly_of
-from dehyst.demo import record_loops
-from dehyst.truths import BoucWenActuator, PlayActuator
+from dehyst.records.butterfly import butterfly_of
+from dehyst.studies.demo import record_loops
+from dehyst.virtual import BoucWenActuator, PlayActuator
 
 COERCIVE = 60.0
 

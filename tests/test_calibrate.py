@@ -8,13 +8,14 @@ import pytest
 from dehyst import Actuator, DehystError, FileFormatError, RecordError, read
 from dehyst._errors import DeviceError
 from dehyst._io.marks import written_by_dehyst
-from dehyst.calibrate import RESULTS, calibrate
-from dehyst.excitation import Excitation
-from dehyst.excite import raised_cosine
-from dehyst.plan import Plan, steps
-from dehyst.protocol import Pace, creep_of
-from dehyst.rigs.simulated import SimulatedRig
-from dehyst.truths import PlayActuator
+from dehyst.instruments.calibration.experiment import RESULTS, calibrate
+from dehyst.instruments.calibration.plan import Plan, steps
+from dehyst.instruments.calibration.protocol import Pace, creep_of
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.report.report import write_calibration
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms.excitation import Excitation
+from dehyst.waveforms.standard import raised_cosine
 
 
 class Heard:
@@ -43,7 +44,7 @@ class Heard:
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench") / "play"
     rig, heard = SimulatedRig(PlayActuator()), Heard()
-    return calibrate(rig, folder, watcher=heard, command="dehyst calibrate sim://play"), folder, rig, heard
+    return calibrate(rig, folder, watcher=heard), folder, rig, heard
 
 
 def test_the_model_takes_the_hysteresis_out(finished):
@@ -62,7 +63,7 @@ def test_what_was_put_out_kept_the_limits(finished):
     assert rig.instrument.log.refused == 0
 
 
-def test_everything_is_on_disk(finished):
+def test_everything_is_on_disk(finished, tmp_path):
     found, folder, rig, heard = finished
     names = [one.name for one in (*found.training, *found.held_out)]
     assert names == ["look", "loops", "others"]
@@ -76,7 +77,8 @@ def test_everything_is_on_disk(finished):
     assert set(told["sha256"]) == {f"{name}.h5" for name in (*names, "nominal", "compensated")}
     assert Actuator.load(folder / "model.json").limits is not None
     assert all(written_by_dehyst(folder / name) for name in RESULTS)
-    page = (folder / "report.html").read_text()
+    write_calibration(tmp_path / "report.html", found, command="dehyst calibrate sim://play")
+    page = (tmp_path / "report.html").read_text()
     assert "Measured along a path" in page
     assert "dehyst calibrate sim://play" in page
 
@@ -222,8 +224,17 @@ def test_steps_send_nothing_and_fit_the_limits():
     rig = SimulatedRig(PlayActuator(), limits=(10, 120), slew_rate=300)
     told = steps(rig, Plan())
     assert [step.name for step in told] == [
-        "comparison", "look", "loops", "fast", "stairs", "more-1", "more-2", "others", "nominal", "compensated"
-    ]  # fmt: skip
+        "comparison",
+        "look",
+        "loops",
+        "fast",
+        "stairs",
+        "more-1",
+        "more-2",
+        "others",
+        "nominal",
+        "compensated",
+    ]
     for step in told:
         if step.excitation is not None:
             low, high = step.excitation.voltage_range

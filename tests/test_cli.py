@@ -11,13 +11,13 @@ import pytest
 
 import dehyst
 from dehyst import Actuator
-from dehyst.files import read_table, write_columns, write_record
-from dehyst.truths import PlayActuator
+from dehyst.records.files import read_table, write_columns, write_record
+from dehyst.virtual import PlayActuator
 
 
 def run(*arguments, cwd=None):
     """Exit status, standard output and standard error of a dehyst command."""
-    command = [sys.executable, "-c", "from dehyst.cli import main; main()", *map(str, arguments)]
+    command = [sys.executable, "-c", "from dehyst.cli.commands import main; main()", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=600, check=False)
     assert "Traceback" not in done.stderr, done.stderr
     return done.returncode, done.stdout, done.stderr
@@ -27,7 +27,7 @@ def run(*arguments, cwd=None):
 def folder(tmp_path_factory):
     """A folder with two records, a model of the structure they ask for, one of the paper's, and a path."""
     target = tmp_path_factory.mktemp("cli")
-    from dehyst import demo
+    from dehyst.studies import demo
 
     training, validation = demo.record_loops(PlayActuator(plays=60))
     write_record(target / "loops.csv", training)
@@ -189,10 +189,13 @@ def test_validate_takes_every_name_up_to_the_next_option(folder, names):
 
 
 KINDS = {
-    "raised-cosine": ["200", "100"], "descending-tops": ["200"], "reversal-curves": ["200"],
-    "minor-loop": ["-10", "50", "--highest", "100", "--base", "-20"], "staircase": ["200", "--hold", "5"],
+    "raised-cosine": ["200", "100"],
+    "descending-tops": ["200"],
+    "reversal-curves": ["200"],
+    "minor-loop": ["-10", "50", "--highest", "100", "--base", "-20"],
+    "staircase": ["200", "--hold", "5"],
     "homing": ["200"],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -225,10 +228,13 @@ def test_homing_of_a_model_is_certified(folder):
     assert "either a highest voltage or --model" in err
 
 
-@pytest.mark.parametrize(("model", "told"), [
-    ("paper.json", "Known of the stiffnesses: 19 of 19 directions"),
-    ("model.json", "Their turning points tell 9 of 9 directions of plain elements"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("model", "told"),
+    [
+        ("paper.json", "Known of the stiffnesses: 19 of 19 directions"),
+        ("model.json", "Their turning points tell 9 of 9 directions of plain elements"),
+    ],
+)
 def test_insight_of_loops_that_tell_all_finds_nothing_to_beware_of(folder, model, told):
     arguments = [model, "loops.csv", "--trajectory", "path.csv", "-o", "band.csv", "--report", "i.html"]
     status, out, err = run("insight", *arguments, "--repeats", "20", cwd=folder)
@@ -272,8 +278,9 @@ def scaled(folder, factor):
     table = read_table(folder / "loops.csv")
     columns = [table.column("time"), table.column("voltage"), factor * 1e6 * table.column("displacement")]
     name = f"times-{factor}.csv"
-    np.savetxt(folder / name, np.column_stack(columns), delimiter=",", header="time_s,voltage_V,displacement_um",
-               comments="")  # fmt: skip
+    np.savetxt(
+        folder / name, np.column_stack(columns), delimiter=",", header="time_s,voltage_V,displacement_um", comments=""
+    )
     return name
 
 
@@ -284,10 +291,13 @@ def test_insight_of_another_actuators_record_says_so_first(folder, factor):
     assert out.startswith("BEWARE: The model misses these records by up to")
 
 
-@pytest.mark.parametrize(("limits", "said"), [
-    ((0, 50), ["CLAMPED", "does not make the state known"]),
-    ((-100, 400), ["beyond those of the records"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [
+        ((0, 50), ["CLAMPED", "does not make the state known"]),
+        ((-100, 400), ["beyond those of the records"]),
+    ],
+)
 def test_insight_beyond_reach_is_something_to_beware_of(folder, limits, said):
     arguments = ["--limits", *map(str, limits), "--repeats", "20", "--trajectory", "path.csv", "--json"]
     status, out, _ = run("insight", "model.json", "loops.csv", *arguments, cwd=folder)
@@ -299,14 +309,17 @@ def test_insight_beyond_reach_is_something_to_beware_of(folder, limits, said):
         assert found["trajectory"]["all_m"] >= found["trajectory"]["clamped_m"] > 1e-6
 
 
-@pytest.mark.parametrize(("arguments", "said"), [
-    (["--level", "2", "--repeats", "0"], "level: got 2.0"),
-    (["--repeats", "5"], "repeats: got 5, need 20 at least"),
-    (["--repeats", "0", "--trajectory", "path.csv"], "repeats: got 0 and a trajectory"),
-    (["--wanted", "x"], "--wanted: got 'x' and no trajectory"),
-    (["--limits", "nan", "100"], "limits: got nan"),
-    (["-o", "band.csv"], "-o: got no trajectory"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--level", "2", "--repeats", "0"], "level: got 2.0"),
+        (["--repeats", "5"], "repeats: got 5, need 20 at least"),
+        (["--repeats", "0", "--trajectory", "path.csv"], "repeats: got 0 and a trajectory"),
+        (["--wanted", "x"], "--wanted: got 'x' and no trajectory"),
+        (["--limits", "nan", "100"], "limits: got nan"),
+        (["-o", "band.csv"], "-o: got no trajectory"),
+    ],
+)
 def test_impossible_options_of_insight_are_named(folder, arguments, said):
     status, _, err = run("insight", "model.json", "loops.csv", *arguments, cwd=folder)
     assert status == 2

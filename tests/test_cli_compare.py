@@ -8,7 +8,7 @@ import pytest
 from test_cli import run
 
 from dehyst._io.marks import written_by_dehyst
-from dehyst.files import write_record
+from dehyst.records.files import write_record
 
 
 @pytest.fixture(scope="module")
@@ -21,8 +21,23 @@ def folder(tmp_path_factory):
 
 
 def test_a_table_the_figures_and_a_page(folder):
-    status, out, err = run("compare", "tops.csv", "--validate", "three.csv", "--only", "dehyst", "--only", "duhem",
-                           "--only", "Linear Ratio", "-o", "all.json", "--report", "page.html", cwd=folder)  # fmt: skip
+    status, out, err = run(
+        "compare",
+        "tops.csv",
+        "--validate",
+        "three.csv",
+        "--only",
+        "dehyst",
+        "--only",
+        "duhem",
+        "--only",
+        "Linear Ratio",
+        "-o",
+        "all.json",
+        "--report",
+        "page.html",
+        cwd=folder,
+    )
     assert (status, err) == (0, "")
     for name in ("dehyst", "Duhem", "linear ratio"):
         assert re.search(rf"^{name} +\d+\.\d+ +\d+\.\d+ +\d+\.\d+ +\d+\.\d+ .* \d+$", out, re.M), out
@@ -59,13 +74,16 @@ def test_a_virtual_actuator_needs_no_record(folder):
     assert 5 < found["models"][0]["tracking"]["play"]["largest_percent"] < 20
 
 
-@pytest.mark.parametrize(("arguments", "said"), [
-    ([], "neither records nor a virtual actuator"),
-    (["tops.csv", "--only", "crystal"], "--only: no model 'crystal'; try dehyst"),
-    (["tops.csv", "--validate", "three.csv", "--lead", "-2"], "lead: got -2"),
-    (["tops.csv", "-o", "tops.csv"], "is an input of this command too"),
-    (["tops.csv", "--truth", "glass"], "'glass' is not one of"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "neither records nor a virtual actuator"),
+        (["tops.csv", "--only", "crystal"], "--only: no model 'crystal'; try dehyst"),
+        (["tops.csv", "--validate", "three.csv", "--lead", "-2"], "lead: got -2"),
+        (["tops.csv", "-o", "tops.csv"], "is an input of this command too"),
+        (["tops.csv", "--truth", "glass"], "'glass' is not one of"),
+    ],
+)
 def test_wrong_input_is_named(folder, arguments, said):
     status, _, err = run("compare", *arguments, cwd=folder)
     assert status == 2

@@ -43,9 +43,21 @@ def test_a_named_scan_takes_the_place_of_a_file(folder):
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
 def test_a_wave_table_its_start_up_and_its_homing_make_the_actuator_follow(folder, model):
     status, out, _ = run(
-        "compensate", model, *TRIANGLE, "--homing", "--present", 20, "--cycle", "table.csv", "--cycles", 60, "-o",
-        "o.csv", "--json", cwd=folder,
-    )  # fmt: skip
+        "compensate",
+        model,
+        *TRIANGLE,
+        "--homing",
+        "--present",
+        20,
+        "--cycle",
+        "table.csv",
+        "--cycles",
+        60,
+        "-o",
+        "o.csv",
+        "--json",
+        cwd=folder,
+    )
     told = json.loads(out)
     assert status == 0 and told["clamped"] == 0 and told["frequency_Hz"] == pytest.approx(10)
     rows = np.loadtxt(folder / "o.csv", delimiter=",", skiprows=1).T
@@ -73,10 +85,13 @@ def test_an_axis_of_a_raster_and_steps(folder):
     assert run("compensate", "model.json", *steps, "-o", "s.csv", cwd=folder)[0] == 0
 
 
-@pytest.mark.parametrize("kind", [
-    ("spiral", "--frequency", 1, "--revolutions", 3, "--constant", "angular", "--y-low", 1, "--y-high", 11),
-    ("lissajous", "--frequency", 2, "--ratio", 3, 4, "--phase", 0, "--y-low", 5, "--y-high", 6),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "kind",
+    [
+        ("spiral", "--frequency", 1, "--revolutions", 3, "--constant", "angular", "--y-low", 1, "--y-high", 11),
+        ("lissajous", "--frequency", 2, "--ratio", 3, 4, "--phase", 0, "--y-low", 5, "--y-high", 6),
+    ],
+)
 def test_two_axes_in_the_middle_of_what_is_given(folder, kind):
     name, *more = kind
     given = ("--scan", name, "--low", 2, "--high", 12, *more, "--axis", "y")
@@ -93,47 +108,63 @@ def test_what_is_clamped_ends_with_status_1(folder):
     assert "CLAMPED: the steady cycle cannot be reached within the limits" in err
 
 
-@pytest.mark.parametrize("arguments, said", [
-    ((), "compensate: got neither of TRAJECTORY and --scan, need one"),
-    (("path.csv", *TRIANGLE), "compensate: got both of TRAJECTORY and --scan"),
-    (("path.csv", "--low", 2), "--low: got it with a TRAJECTORY, need --scan for it"),
-    (("path.csv", "--homing"), "--homing: got it with a TRAJECTORY"),
-    ((*TRIANGLE, "--time", "t"), "--time: got it with --scan, which has no columns"),
-    ((*TRIANGLE, "--homing"), "--homing: got it without --cycle; give --cycle TABLE.csv"),
-    ((*TRIANGLE, "--cycle", "t.csv", "--present", 3), "--present: got it without --homing"),
-    ((*TRIANGLE, "--cycle", "t.csv", "--homing", "--start", "top"), "--start: got it with --homing"),
-    ((*TRIANGLE, "--cycle", "o.csv"), "is the name of two outputs"),
-    ((*TRIANGLE, "--cycle", "model.json"), "is an input of this command too"),
-    ((*TRIANGLE, "--lines", 3), "--lines: got 3 with --scan triangle, which takes --low"),
-    ((*TRIANGLE[:-2],), "--scan triangle: got no --frequency, need --low, --high, --frequency"),
-    ((*TRIANGLE, "--axis", "y"), "--axis: got 'y', need 'x'"),
-    ((*TRIANGLE, "--cycles", 0, "--turns", 2), "--turns: got 2, need a share"),
-    ((*TRIANGLE, "--acceleration", 1000), "--acceleration: got 1000 um/s^2, with which 10 um take"),
-    (("--scan", "triangle", "--low", 12, "--high", 2, "--frequency", 10), "--low, --high: got 12 and 2 um, need"),
-    (("--scan", "triangle", "--low", 2, "--high", 12e6, "--frequency", 10),
-     "--high: got 1.2e+07 um, need 1e+06 um at most; give micrometres, such as 5"),
-    (("--scan", "steps", "--levels", "2,2", "--dwell", 0.1, "--edge", 1), "--levels: got 2 um twice in a row"),
-    (("--scan", "steps", "--levels", "2", "--dwell", 0.1, "--edge", 1), "--levels: got 2 um alone, need two"),
-    (("--scan", "steps", "--levels", "2,6", "--dwell", 0.1), "--edge: got none, and no acceleration"),
-    (("--scan", "steps", "--levels", "2,6", "--dwell", 0.1, "--edge", 1e-3, "--acceleration", 10),
-     "--edge: got 0.001 s for 4 um, which takes 1.52 s at least within 10 um/s^2; try"),
-    (("--scan", "lissajous", "--low", 2, "--high", 12, "--frequency", 1, "--phase", 1e9),
-     "--phase: got 1e+09, need an angle in degrees, -36000 to 36000"),
-    ((*TRIANGLE, "--sample-rate", 20), "--sample-rate: got 20 Hz, 1 sample for 0.05 s"),
-    ((*TRIANGLE, "--sample-rate", 1e8), "--scan: got 10000000 rows a period at 1e+08 Hz, need 5e+06 at most; try a"),
-    ((*TRIANGLE, "--limits", 5, 2), "--limits: got (5.0, 2.0), need"),
-    (("--scan", "raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 100_000),
-     "--scan: got 40000400 rows a period at 4000 Hz, need 5e+06 at most; try a lower --sample-rate, or a scan of"),
-    ((*TRIANGLE, "--slew", -2), "--slew: got -2.0, need"),
-    ((*TRIANGLE, "--cycles", -1), "--cycles: got -1, need a whole number, 0 or more"),
-    ((*TRIANGLE, "--cycle", "t.csv", "--start-up", -1), "--start-up: got -1, need a whole number, 0 or more"),
-    ((*TRIANGLE, "--cycle", "t.csv", "--tolerance", -1), "--tolerance: got -1, need a length above 0 in um"),
-    ((*TRIANGLE, "--cycle", "t.csv", "--approach", -1), "--approach: got -1, need a number above 0"),
-    ((*TRIANGLE, "--cycle", "t.csv", "--homing", "--present", 900), "--present: got 900 V, but the limits are -50"),
-    (("--scan", "steps", "--levels", "2,x", "--dwell", 1), "--levels: could not convert string to float: 'x'"),
-    (("--scan", "spiral", "--low", 2, "--high", 12, "--frequency", 1, "--revolutions", 3, "--y-high", 20),
-     "--y-low, --y-high: got 18 um, but x has 10 um"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        ((), "compensate: got neither of TRAJECTORY and --scan, need one"),
+        (("path.csv", *TRIANGLE), "compensate: got both of TRAJECTORY and --scan"),
+        (("path.csv", "--low", 2), "--low: got it with a TRAJECTORY, need --scan for it"),
+        (("path.csv", "--homing"), "--homing: got it with a TRAJECTORY"),
+        ((*TRIANGLE, "--time", "t"), "--time: got it with --scan, which has no columns"),
+        ((*TRIANGLE, "--homing"), "--homing: got it without --cycle; give --cycle TABLE.csv"),
+        ((*TRIANGLE, "--cycle", "t.csv", "--present", 3), "--present: got it without --homing"),
+        ((*TRIANGLE, "--cycle", "t.csv", "--homing", "--start", "top"), "--start: got it with --homing"),
+        ((*TRIANGLE, "--cycle", "o.csv"), "is the name of two outputs"),
+        ((*TRIANGLE, "--cycle", "model.json"), "is an input of this command too"),
+        ((*TRIANGLE, "--lines", 3), "--lines: got 3 with --scan triangle, which takes --low"),
+        ((*TRIANGLE[:-2],), "--scan triangle: got no --frequency, need --low, --high, --frequency"),
+        ((*TRIANGLE, "--axis", "y"), "--axis: got 'y', need 'x'"),
+        ((*TRIANGLE, "--cycles", 0, "--turns", 2), "--turns: got 2, need a share"),
+        ((*TRIANGLE, "--acceleration", 1000), "--acceleration: got 1000 um/s^2, with which 10 um take"),
+        (("--scan", "triangle", "--low", 12, "--high", 2, "--frequency", 10), "--low, --high: got 12 and 2 um, need"),
+        (
+            ("--scan", "triangle", "--low", 2, "--high", 12e6, "--frequency", 10),
+            "--high: got 1.2e+07 um, need 1e+06 um at most; give micrometres, such as 5",
+        ),
+        (("--scan", "steps", "--levels", "2,2", "--dwell", 0.1, "--edge", 1), "--levels: got 2 um twice in a row"),
+        (("--scan", "steps", "--levels", "2", "--dwell", 0.1, "--edge", 1), "--levels: got 2 um alone, need two"),
+        (("--scan", "steps", "--levels", "2,6", "--dwell", 0.1), "--edge: got none, and no acceleration"),
+        (
+            ("--scan", "steps", "--levels", "2,6", "--dwell", 0.1, "--edge", 1e-3, "--acceleration", 10),
+            "--edge: got 0.001 s for 4 um, which takes 1.52 s at least within 10 um/s^2; try",
+        ),
+        (
+            ("--scan", "lissajous", "--low", 2, "--high", 12, "--frequency", 1, "--phase", 1e9),
+            "--phase: got 1e+09, need an angle in degrees, -36000 to 36000",
+        ),
+        ((*TRIANGLE, "--sample-rate", 20), "--sample-rate: got 20 Hz, 1 sample for 0.05 s"),
+        (
+            (*TRIANGLE, "--sample-rate", 1e8),
+            "--scan: got 10000000 rows a period at 1e+08 Hz, need 5e+06 at most; try a",
+        ),
+        ((*TRIANGLE, "--limits", 5, 2), "--limits: got (5.0, 2.0), need"),
+        (
+            ("--scan", "raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 100_000),
+            "--scan: got 40000400 rows a period at 4000 Hz, need 5e+06 at most; try a lower --sample-rate, or a scan of",
+        ),
+        ((*TRIANGLE, "--slew", -2), "--slew: got -2.0, need"),
+        ((*TRIANGLE, "--cycles", -1), "--cycles: got -1, need a whole number, 0 or more"),
+        ((*TRIANGLE, "--cycle", "t.csv", "--start-up", -1), "--start-up: got -1, need a whole number, 0 or more"),
+        ((*TRIANGLE, "--cycle", "t.csv", "--tolerance", -1), "--tolerance: got -1, need a length above 0 in um"),
+        ((*TRIANGLE, "--cycle", "t.csv", "--approach", -1), "--approach: got -1, need a number above 0"),
+        ((*TRIANGLE, "--cycle", "t.csv", "--homing", "--present", 900), "--present: got 900 V, but the limits are -50"),
+        (("--scan", "steps", "--levels", "2,x", "--dwell", 1), "--levels: could not convert string to float: 'x'"),
+        (
+            ("--scan", "spiral", "--low", 2, "--high", 12, "--frequency", 1, "--revolutions", 3, "--y-high", 20),
+            "--y-low, --y-high: got 18 um, but x has 10 um",
+        ),
+    ],
+)
 def test_wrong_options_end_with_status_2_and_a_sentence(folder, arguments, said):
     before = (folder / "model.json").read_bytes()
     status, out, err = run("compensate", "model.json", *arguments, "-o", "o.csv", cwd=folder)
@@ -152,11 +183,14 @@ def test_a_long_homing_is_told_before_it_is_written(folder):
     assert first[0] == pytest.approx(told["homing_s"], abs=1e-9)
 
 
-@pytest.mark.parametrize("arguments, said", [
-    (("--start-up", 10_000_000), "--start-up: got 10000000, 4e+09 samples of start-up, need 12500 at most"),
-    (("--cycles", 100_000_000), "--cycles: got 100000000, 4e+10 rows, need 12500 at most"),
-    (("--cycles", 12_500), "5e+06 rows at most; try a lower --sample-rate"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (("--start-up", 10_000_000), "--start-up: got 10000000, 4e+09 samples of start-up, need 12500 at most"),
+        (("--cycles", 100_000_000), "--cycles: got 100000000, 4e+10 rows, need 12500 at most"),
+        (("--cycles", 12_500), "5e+06 rows at most; try a lower --sample-rate"),
+    ],
+)
 def test_files_that_no_one_can_use_are_not_written(folder, arguments, said):
     table = () if "--cycles" in arguments and arguments[1] > 12_500 else ("--cycle", "no-table.csv")
     status, out, err = run("compensate", "model.json", *TRIANGLE, *table, *arguments, "-o", "no.csv", cwd=folder)

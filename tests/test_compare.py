@@ -9,14 +9,14 @@ import pytest
 
 import dehyst
 from dehyst import FileFormatError, Fit, IdentifyError, ModelError, Outcome, Record, RecordError
-from dehyst.compare import OURS, Comparison, Row, compare, contenders, parameters_of, speeds
-from dehyst.compare_page import comparison_sections, write_comparison
-from dehyst.model import AbstractModel
-from dehyst.report import render
-from dehyst.rivals import RIVALS
-from dehyst.rivals.linear import Linear
-from dehyst.rows import epochs
-from dehyst.trials import TRIALS, Trial, trial
+from dehyst.baselines import RIVALS
+from dehyst.baselines.comparison import OURS, Comparison, Row, compare, contenders, parameters_of, speeds
+from dehyst.baselines.linear import Linear
+from dehyst.baselines.tracking_trials import TRIALS, Trial, trial
+from dehyst.identification.preprocessing.regressors import epochs
+from dehyst.model.base import AbstractModel
+from dehyst.report.comparison_section import comparison_sections, write_comparison
+from dehyst.report.report import render
 
 PLANT = bench.plant()
 
@@ -67,8 +67,10 @@ def test_figures_are_those_of_the_residual_by_hand(records):
 
 
 def test_the_lead_is_played_and_not_counted(records):
-    whole, cut = (compare(records[0], validate=records[1], lead=lead, models={"truth": plant}).rows[0].scores[1]
-                  for lead in (0, 6.0))  # fmt: skip
+    whole, cut = (
+        compare(records[0], validate=records[1], lead=lead, models={"truth": plant}).rows[0].scores[1]
+        for lead in (0, 6.0)
+    )
     assert cut.samples < whole.samples
     assert cut.samples == np.count_nonzero(records[1].time >= 6.0)
     assert cut.samples + cut.left_out == len(records[1])
@@ -137,10 +139,16 @@ def test_what_each_was_told_is_said(records):
 
 
 def test_the_delay_of_a_model_is_taken_off(records):
-    late = Record(records[0].time, records[0].voltage, np.interp(records[0].time - 0.02, records[0].time,
-                  records[0].displacement), "late")  # fmt: skip
-    both = [compare(late, models={"truth": lambda _, lag=lag: dehyst.Actuator(PLANT.slip, PLANT.spring, delay=lag)})
-            for lag in (0.0, 0.02)]  # fmt: skip
+    late = Record(
+        records[0].time,
+        records[0].voltage,
+        np.interp(records[0].time - 0.02, records[0].time, records[0].displacement),
+        "late",
+    )
+    both = [
+        compare(late, models={"truth": lambda _, lag=lag: dehyst.Actuator(PLANT.slip, PLANT.spring, delay=lag)})
+        for lag in (0.0, 0.02)
+    ]
     assert both[1].rows[0].scores[0].rms < 0.1 * both[0].rows[0].scores[0].rms
 
 
@@ -160,8 +168,12 @@ def test_a_rival_that_fails_gets_a_row_with_its_sentence(records):
     }
     found = compare(records[0], models={**{name: fails(error) for name, error in errors.items()}, "truth": plant})
     assert [row.said for row in found.rows] == [
-        "got no relaxed rise", "division by zero", "RuntimeError", "singular matrix", "",
-    ]  # fmt: skip
+        "got no relaxed rise",
+        "division by zero",
+        "RuntimeError",
+        "singular matrix",
+        "",
+    ]
     assert all(row.scores == () and row.simulate is None for row in found.rows[:-1])
     assert json.loads(json.dumps(found.as_dict()))["models"][1]["said"] == "division by zero"
 

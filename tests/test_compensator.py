@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, Creep, Dynamics, ModelError, Snapshot, State
-from dehyst.homing import shortest_homing
+from dehyst.control.homing import shortest_homing
 
 PLANT = bench.plant(10, seed=4)
 PERIOD = 1 / wide.RATE
@@ -31,9 +31,12 @@ MOVING = {
     "inertia": {"dynamics": Dynamics(2 * np.pi * 30, 0.03)},
     "series": {"dynamics": Dynamics(2 * np.pi * 30, 0.03, 2e6)},
     "lag": {"lag": 5 * PERIOD},
-    "all that moves": {"dynamics": Dynamics(2 * np.pi * 30, 0.03, 2e6), "lag": 3 * PERIOD,
-                       "creep": Creep([0.05, 5.0], [3e5, 3e5])},
-}  # fmt: skip
+    "all that moves": {
+        "dynamics": Dynamics(2 * np.pi * 30, 0.03, 2e6),
+        "lag": 3 * PERIOD,
+        "creep": Creep([0.05, 5.0], [3e5, 3e5]),
+    },
+}
 PLANTS |= {name: replace(PLANT, **parts) for name, parts in MOVING.items()}
 
 
@@ -60,8 +63,10 @@ def replayed(actuator, start, voltage, period=PERIOD):
 
 def gap(one, other):
     """The largest difference [m] of two states."""
-    differences = [np.abs(np.subtract(getattr(one, part), getattr(other, part))).max(initial=0.0)
-                   for part in ("carts", "creep", "smooth")]  # fmt: skip
+    differences = [
+        np.abs(np.subtract(getattr(one, part), getattr(other, part))).max(initial=0.0)
+        for part in ("carts", "creep", "smooth")
+    ]
     return max(abs(one.displacement - other.displacement), *differences)
 
 
@@ -157,8 +162,10 @@ def through_saturation(actuator, limits, turns=(0.3, 1, 0.2, 0.6, 0.3)):
     # The memory that is true leaves saturation later: less has been reached, and less is held back.
     left = max(int(np.flatnonzero((sent <= limits[0]) | (sent >= limits[1]))[-1]) for sent in (tight, clipped)) + 1
     assert 200 < left < 300
-    return [np.abs(actuator.simulate(sent, state=start).displacement - path)[left:].max() / bench.STROKE * 100
-            for sent in (tight, clipped)]  # fmt: skip
+    return [
+        np.abs(actuator.simulate(sent, state=start).displacement - path)[left:].max() / bench.STROKE * 100
+        for sent in (tight, clipped)
+    ]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -293,8 +300,11 @@ def test_a_snapshot_goes_on_bit_for_bit(name, tmp_path):
 def test_a_snapshot_of_another_loop_is_refused(tmp_path):
     compensator = Compensator(PLANT, FREE, period=1e-3)
     compensator.snapshot().save(tmp_path / "loop.json")
-    for other in (Compensator(bench.plant(10, seed=5), FREE, period=1e-3), Compensator(PLANT, FREE, period=2e-3),
-                  Compensator(PLANT, FREE, period=1e-3, preview=True)):  # fmt: skip
+    for other in (
+        Compensator(bench.plant(10, seed=5), FREE, period=1e-3),
+        Compensator(PLANT, FREE, period=2e-3),
+        Compensator(PLANT, FREE, period=1e-3, preview=True),
+    ):
         with pytest.raises(ModelError, match="of another actuator, period or preview"):
             other.restore(Snapshot.load(tmp_path / "loop.json"))
     renamed = replace(PLANT, name="the same under another name", limits=(0, 1))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog, nnls
 
 from dehyst import IdentifyError
-from dehyst.program import NORMS, solve
+from dehyst.identification.solvers.program import NORMS, solve
 
 
 def problem(seed, free=2, positive=7, rows=50, limits=6):
@@ -28,8 +28,9 @@ def reference(norm, f, p, b, c, low):
     wide = np.hstack([np.zeros((len(c), f.shape[1])), -c, np.zeros((len(c), t.shape[1]))])
     cost = np.concatenate([np.zeros(a.shape[1]), np.ones(t.shape[1])])
     bounds = [(None, None)] * f.shape[1] + [(0, None)] * (p.shape[1] + t.shape[1])
-    answer = linprog(cost, np.vstack([np.hstack([a, -t]), np.hstack([-a, -t]), wide]), np.concatenate([b, -b, -low]),
-                     bounds=bounds)  # fmt: skip
+    answer = linprog(
+        cost, np.vstack([np.hstack([a, -t]), np.hstack([-a, -t]), wide]), np.concatenate([b, -b, -low]), bounds=bounds
+    )
     assert answer.status == 0
     return answer.fun
 

@@ -77,7 +77,7 @@ def tight(actuator, path, **options):
 
 @pytest.mark.parametrize("preview", [False, True])
 @pytest.mark.parametrize("name", ACTUATORS)
-@pytest.mark.filterwarnings("ignore::dehyst.compensator.ClampWarning")
+@pytest.mark.filterwarnings("ignore::dehyst.control.compensator.ClampWarning")
 def test_a_compensators_block_is_its_run_bit_for_bit(name, preview):
     actuator, path = ACTUATORS[name](), wanted()
     compensator = tight(actuator, path, preview=preview)
@@ -105,7 +105,7 @@ def test_without_time_an_actuators_block_is_its_simulation_bit_for_bit(name):
 
 
 @pytest.mark.parametrize("kind", ["compensator", "actuator"])
-@pytest.mark.filterwarnings("ignore::dehyst.compensator.ClampWarning")
+@pytest.mark.filterwarnings("ignore::dehyst.control.compensator.ClampWarning")
 def test_the_functions_depend_on_their_arguments_alone(kind):
     actuator, path = ACTUATORS["dynamics, lag, delay"](), wanted(200)
     compensator = tight(actuator, path, preview=True)
@@ -128,8 +128,19 @@ def test_the_functions_depend_on_their_arguments_alone(kind):
 
 def test_every_state_has_a_name():
     actuator = replace(_made(dynamics=SWING, lag=0.004, delay=0.0125), slip=bench.plant(2).slip, state=None)
-    names = ["w", "cart[0]", "cart[1]", *(f"creep[{j}]" for j in range(4)), "y", "y_rate", "push", "sent", "acting",
-             "wished[0]", "wished[1]"]  # fmt: skip
+    names = [
+        "w",
+        "cart[0]",
+        "cart[1]",
+        *(f"creep[{j}]" for j in range(4)),
+        "y",
+        "y_rate",
+        "push",
+        "sent",
+        "acting",
+        "wished[0]",
+        "wished[1]",
+    ]
     block = actuator.to_control(period=PERIOD)
     assert block.state_labels == names
     block = Compensator(actuator, ANY, period=PERIOD, preview=True).to_control()
@@ -173,7 +184,7 @@ def test_compensator_and_actuator_are_one_within_limits(name):
     bench.assert_close(found.outputs, path, 1e-12 * bench.STROKE)
 
 
-@pytest.mark.filterwarnings("ignore::dehyst.compensator.ClampWarning")
+@pytest.mark.filterwarnings("ignore::dehyst.control.compensator.ClampWarning")
 def test_beyond_limits_they_are_the_actuator_under_the_clamped_voltage():
     actuator, path = ACTUATORS["all"](), wanted(300)
     compensator = tight(actuator, path)
@@ -193,10 +204,15 @@ def test_a_loop_of_blocks_is_the_loop_written_out():
     integral = control.ss(1.0, gain, 1.0, 0.0, PERIOD, inputs="error", outputs="added", name="integral")
     blocks = compensator.to_control(), actuator.to_control(period=PERIOD)
     loop = control.interconnect(
-        [integral, *blocks, control.summing_junction(["asked", "-displacement"], "error"),
-         control.summing_junction(["asked", "added"], "wanted")],
-        inputs="asked", outputs="displacement",
-    )  # fmt: skip
+        [
+            integral,
+            *blocks,
+            control.summing_junction(["asked", "-displacement"], "error"),
+            control.summing_junction(["asked", "added"], "wanted"),
+        ],
+        inputs="asked",
+        outputs="displacement",
+    )
     start = [0.0, *blocks[0].start, *blocks[1].start]
     found = control.input_output_response(loop, PERIOD * np.arange(path.size), path, start).outputs
     added, y, sent = 0.0, [], [actuator.voltage()]

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_instrument import Hand
 
-from dehyst.emulator.controller import _WORDS, Controller
-from dehyst.instrument import Instrument
-from dehyst.truths import PlayActuator
+from dehyst.virtual import PlayActuator
+from dehyst.virtual.bench import Instrument
+from dehyst.virtual.emulator.gcs_controller import _WORDS, Controller
 
 
 @pytest.fixture
@@ -72,14 +72,37 @@ def test_an_unknown_query_has_no_answer_and_its_error_stays_until_asked_for(cont
 @pytest.mark.parametrize(
     ("line", "error"),
     [
-        ("SVA 1 130", 302), ("SVA 1 nan", 25), ("SVA 1 inf", 25), ("SVA 1 1_0", 25), ("SVA 1 1,5", 25),
-        ("SVA 1", 26), ("SVA 1 2 3", 24), ("SVA 2 5", 15), ("SVR 1 -21", 302), ("MOV 1 5", 5), ("WGO 1 1", 75),
-        ("WAV 9 X PNT 1 1 0", 17), ("WAV 1 X PNT 1 3 0 1", 26), ("WAV 1 X PNT 1 1 0 1", 24),
-        ("WAV 1 X PNT 1 1 121", 302), ("WAV 1 X NOSE 1 1", 17), ("WAV 1", 26), ("DRC 3 1 2", 57), ("DRC 1 1 99", 58),
-        ("DRC 1 B 2", 15), ("RTR 0", 17), ("SVO 1 2", 17), ("STP", 10), ("HLT 1", 10), ("HLT 7", 15),
-        ("WAV 1 X SIN_P 10 5 0 10 0 0", 17), ("WTR 1 0 1", 17), ("WSL 1 9", 17), ("x" * 70000, 3),
+        ("SVA 1 130", 302),
+        ("SVA 1 nan", 25),
+        ("SVA 1 inf", 25),
+        ("SVA 1 1_0", 25),
+        ("SVA 1 1,5", 25),
+        ("SVA 1", 26),
+        ("SVA 1 2 3", 24),
+        ("SVA 2 5", 15),
+        ("SVR 1 -21", 302),
+        ("MOV 1 5", 5),
+        ("WGO 1 1", 75),
+        ("WAV 9 X PNT 1 1 0", 17),
+        ("WAV 1 X PNT 1 3 0 1", 26),
+        ("WAV 1 X PNT 1 1 0 1", 24),
+        ("WAV 1 X PNT 1 1 121", 302),
+        ("WAV 1 X NOSE 1 1", 17),
+        ("WAV 1", 26),
+        ("DRC 3 1 2", 57),
+        ("DRC 1 1 99", 58),
+        ("DRC 1 B 2", 15),
+        ("RTR 0", 17),
+        ("SVO 1 2", 17),
+        ("STP", 10),
+        ("HLT 1", 10),
+        ("HLT 7", 15),
+        ("WAV 1 X SIN_P 10 5 0 10 0 0", 17),
+        ("WTR 1 0 1", 17),
+        ("WSL 1 9", 17),
+        ("x" * 70000, 3),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_done_is_refused_by_number_and_nothing_put_out(controller, line, error):
     assert error_after(controller, line) == error
     assert controller.instrument.log.highest == controller.instrument.log.lowest == 0
@@ -148,10 +171,16 @@ def test_a_wave_is_played_and_its_record_read_in_the_array_of_gcs(controller, ha
     assert controller.answer("WGO?") == "1=0\n"
     header, rows = controller.answer("DRR? 1 200 1 2").split("# END_HEADER \n")
     assert header.splitlines() == [
-        "# REM Recorded by an emulated controller of dehyst ", "# VERSION = 1 ", "# TYPE = 1 ", "# SEPARATOR = 32 ",
-        "# DIM = 2 ", "# SAMPLE_TIME = 0.001 ", "# NDATA = 200 ", "# NAME0 = Current Position of axis1 ",
+        "# REM Recorded by an emulated controller of dehyst ",
+        "# VERSION = 1 ",
+        "# TYPE = 1 ",
+        "# SEPARATOR = 32 ",
+        "# DIM = 2 ",
+        "# SAMPLE_TIME = 0.001 ",
+        "# NDATA = 200 ",
+        "# NAME0 = Current Position of axis1 ",
         "# NAME1 = Voltage of output chn1 ",
-    ]  # fmt: skip
+    ]
     table = np.array([line.split() for line in rows.splitlines()], dtype=float)
     np.testing.assert_array_equal(table[:, 1], values)
     _, _, displacement = controller.instrument.samples()
@@ -211,8 +240,30 @@ def test_a_controller_may_tell_wider_limits_than_it_has(hand):
 
 
 COMMANDS = st.sampled_from([*sorted(_WORDS), "", "\x05", "FOO", "PNT"])
-ARGUMENTS = st.sampled_from(["1", "2", "0", "-1", "1e999", "nan", "0x10", "X", "&", "PNT", "SIN_P", "300", "5.5", "é",
-                             "٣", "LIN", "RAMP", "ALL", "99999999999999999999", "1e-300"])  # fmt: skip
+ARGUMENTS = st.sampled_from(
+    [
+        "1",
+        "2",
+        "0",
+        "-1",
+        "1e999",
+        "nan",
+        "0x10",
+        "X",
+        "&",
+        "PNT",
+        "SIN_P",
+        "300",
+        "5.5",
+        "é",
+        "٣",
+        "LIN",
+        "RAMP",
+        "ALL",
+        "99999999999999999999",
+        "1e-300",
+    ]
+)
 LINES = st.one_of(
     st.builds(lambda name, rest: " ".join([name, *rest]), COMMANDS, st.lists(ARGUMENTS, max_size=9)), st.text()
 )

@@ -12,13 +12,14 @@ import h5py
 import numpy as np
 import pytest
 
-from dehyst import DehystError, FileFormatError, RecordError, files, read
-from dehyst.campaign import Campaign, Unwatched
-from dehyst.hdf5 import digest
-from dehyst.protocol import Pace
-from dehyst.recording import salvage
-from dehyst.rigs.simulated import SimulatedRig
-from dehyst.truths import PlayActuator
+from dehyst import DehystError, FileFormatError, RecordError, read
+from dehyst.instruments.calibration.protocol import Pace
+from dehyst.instruments.calibration.session import Campaign, Unwatched
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.records import files
+from dehyst.records.hdf5 import digest
+from dehyst.records.recording import salvage
+from dehyst.virtual import PlayActuator
 
 LOOK = Pace(0, 200, 200.0, hold=0.5).look()
 RECORD = "records/look.h5"
@@ -335,7 +336,7 @@ REFUSED = {
     "records a file": (records_a_file, "cannot be made a folder"),
     "set-aside a file": (aside_a_file, r"set-aside: is a file where a folder is needed"),
     "comparisons a file": (lambda folder: (folder / "records/comparisons").write_text("x"), "comparisons: is a file"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", REFUSED)

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, Spring
-from dehyst.directions import directions
-from dehyst.record import Record
-from dehyst.regression import Regression
-from dehyst.rows import collect
+from dehyst.identification.diagnostics.identifiability import directions
+from dehyst.identification.preprocessing.regressors import collect
+from dehyst.identification.regression.regression import Regression
+from dehyst.records.record import Record
 
 PLANT = bench.plant()
 RHO = PLANT.slip.breakaway

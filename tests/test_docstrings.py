@@ -25,8 +25,15 @@ def bound(tree):
     """All names that are bound or used as an attribute, an argument or a key in a tree."""
     names = set()
     for node in ast.walk(tree):
-        for kind, field in ((ast.Name, "id"), (ast.Attribute, "attr"), (ast.arg, "arg"), (ast.keyword, "arg"),
-                            (ast.alias, "asname"), (ast.alias, "name"), (DEFINITIONS, "name")):  # fmt: skip
+        for kind, field in (
+            (ast.Name, "id"),
+            (ast.Attribute, "attr"),
+            (ast.arg, "arg"),
+            (ast.keyword, "arg"),
+            (ast.alias, "asname"),
+            (ast.alias, "name"),
+            (DEFINITIONS, "name"),
+        ):
             if isinstance(node, kind):
                 names.add(getattr(node, field))
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
@@ -49,8 +56,13 @@ def members():
         own = {part.name for part in node.body if isinstance(part, DEFINITIONS)}
         own |= {part.target.id for part in node.body if isinstance(part, ast.AnnAssign)}
         own |= {target.id for part in node.body if isinstance(part, ast.Assign) for target in part.targets}
-        own |= {part.attr for part in ast.walk(node) if isinstance(part, ast.Attribute)
-                and isinstance(part.ctx, ast.Store) and getattr(part.value, "id", "") == "self"}  # fmt: skip
+        own |= {
+            part.attr
+            for part in ast.walk(node)
+            if isinstance(part, ast.Attribute)
+            and isinstance(part.ctx, ast.Store)
+            and getattr(part.value, "id", "") == "self"
+        }
         bases = {getattr(base, "id", getattr(base, "attr", "")) for base in node.bases} & classes.keys()
         return own.union(*(of(base) for base in bases))
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, ModelError, Spring, State, Transformer
-from dehyst.dynamics import exponential
+from dehyst.model.dynamics import exponential
 
 OMEGA = 2 * np.pi * 1000
 RHO = 0.5e-6 * np.arange(1, 11)
@@ -74,8 +74,10 @@ def test_the_resonance_is_that_of_the_stuck_elements():
     np.testing.assert_allclose(y, 0.5 / (K + 2e7) * (1 - np.cos(seen * time)), atol=2e-7 * y.max())
 
 
-@pytest.mark.parametrize("slip", [MaxwellSlip([5e-7, 1e-6], [3e6, 2e6]),
-                                  GradedSlip([5e-7, 1e-6], [2e-6, 4e-6, 6e-6], [[3e6, 1e6], [2e6, 3e6]])])  # fmt: skip
+@pytest.mark.parametrize(
+    "slip",
+    [MaxwellSlip([5e-7, 1e-6], [3e6, 2e6]), GradedSlip([5e-7, 1e-6], [2e-6, 4e-6, 6e-6], [[3e6, 1e6], [2e6, 3e6]])],
+)
 def test_against_runge_and_kutta(slip):
     """Theory section 9 as it stands: an ODE in (y, y') whose right side solves for w; carts follow at whole steps."""
     from scipy.optimize import brentq
@@ -147,8 +149,9 @@ def follow(actuator, n, *, given):
 @pytest.mark.parametrize("given", [True, False], ids=["derivatives", "spline"])
 def test_simulating_the_feedforward_converges_at_second_order(slip, lag, series, given):
     """With hysteresis, transformer, creep and a load that begins as a preload."""
-    actuator = Actuator(slip, CURVE, transformer=TAU, creep=CREEP, dynamics=Dynamics(OMEGA, 0.05, series), lag=lag,
-                        load_stiffness=5e6)  # fmt: skip
+    actuator = Actuator(
+        slip, CURVE, transformer=TAU, creep=CREEP, dynamics=Dynamics(OMEGA, 0.05, series), lag=lag, load_stiffness=5e6
+    )
     errors = [follow(actuator, n, given=given) for n in (800, 1600, 3200, 6400)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert np.all(orders > 1.9), (errors, orders)
@@ -158,8 +161,9 @@ def test_simulating_the_feedforward_converges_at_second_order(slip, lag, series,
 @given(motion=our.wider_motions(max_samples=120), seed=our.SEEDS)
 def test_a_slow_load_shifts_what_has_no_mass(motion, seed):
     actuator, state, time, path = motion
-    loaded = Actuator(actuator.slip, actuator.spring, transformer=actuator.transformer, creep=actuator.creep,
-                      load_stiffness=2e6)  # fmt: skip
+    loaded = Actuator(
+        actuator.slip, actuator.spring, transformer=actuator.transformer, creep=actuator.creep, load_stiffness=2e6
+    )
     load = 2e6 * our.span_of(actuator) * np.random.default_rng(seed).normal(size=path.size)
     sent = loaded.compensate(path + load / 2e6, time=time, load=load, state=state, extrapolate=True)
     # w is the path again, but for the rounding of the sum and its difference.
@@ -180,9 +184,15 @@ def test_a_slow_load_shifts_what_has_no_mass(motion, seed):
 def test_the_stack_moves_a_mass_as_the_carts_do(motion, series):
     actuator, state, time, path = motion
     volts = actuator.compensate(path, time=time, state=state, extrapolate=True).voltage
-    moving = Actuator(actuator.slip, actuator.spring, transformer=actuator.transformer, creep=actuator.creep,
-                      dynamics=Dynamics(6.0 / np.median(np.diff(time)) if time.size > 1 else 1.0, 0.3,
-                                        series * actuator.spring.slopes.min()))  # fmt: skip
+    moving = Actuator(
+        actuator.slip,
+        actuator.spring,
+        transformer=actuator.transformer,
+        creep=actuator.creep,
+        dynamics=Dynamics(
+            6.0 / np.median(np.diff(time)) if time.size > 1 else 1.0, 0.3, series * actuator.spring.slopes.min()
+        ),
+    )
     one, two = (
         moving.simulate(volts, time=time, state=state, stack=stack, extrapolate=True) for stack in (True, False)
     )
@@ -255,7 +265,7 @@ MOVING, LOADED = Actuator(PLAIN, CURVE, dynamics=MASS), Actuator(PLAIN, CURVE, l
         (lambda: MOVING.compensate([0.0], time=[0], acceleration=[]), "acceleration: got 0 values for 1 samples"),
         (lambda: Actuator(PLAIN, CURVE, State(0, np.zeros(10), motion=[0, 0])), "this actuator has no dynamics"),
     ],
-)  # fmt: skip
+)
 def test_refusals(make, message):
     with pytest.raises(ModelError, match=message):
         make()

@@ -18,10 +18,10 @@ from ioc_process import IocProcess, port
 
 from dehyst import ClampWarning, MissingExtraError, RecordError
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
-from dehyst.excitation import Excitation
-from dehyst.rigs.channel_access import ChannelAccess
-from dehyst.rigs.epics import EpicsRig, PvNames
-from dehyst.truths import PlayActuator
+from dehyst.instruments.channel_access import ChannelAccess
+from dehyst.instruments.epics import EpicsRig, PvNames
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms.excitation import Excitation
 
 POINTS = 2000
 
@@ -167,8 +167,9 @@ def test_an_ioc_without_waves_is_told_and_used(ioc):
 def test_a_laboratorys_own_names(ioc):
     names = PvNames(time=None, identity=None, error=None, low=None, high=None, slew=None).without_waves()
     front, _, rest = ioc.prefix.partition("H")
-    names = replace(names, joint="H", voltage=f"{rest}:VOLTAGE", readback=f"{rest}:VOLTAGE:RBV",
-                    position=f"{rest}:POSITION")  # fmt: skip
+    names = replace(
+        names, joint="H", voltage=f"{rest}:VOLTAGE", readback=f"{rest}:VOLTAGE:RBV", position=f"{rest}:POSITION"
+    )
     with EpicsRig.connect(front, names=names) as rig:
         # From the limits of the voltage's record.
         assert (rig.limits.low, rig.limits.high) == (0.0, 200.0)

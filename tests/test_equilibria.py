@@ -16,10 +16,10 @@ from scipy.optimize import linprog
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Record, RecordError, Spring, State
 from dehyst._native import stops
-from dehyst.equilibria import Equilibria, shift, sliding_order
-from dehyst.first_rise import state_from_first_rise
-from dehyst.metrics import largest, percent, rms
-from dehyst.truths import PlayActuator
+from dehyst.records.metrics import largest, percent, rms
+from dehyst.uncertainty.initial_state import state_from_first_rise
+from dehyst.uncertainty.rest_states import Equilibria, shift, sliding_order
+from dehyst.virtual import PlayActuator
 
 SOME = our.actuators(1, 20)
 KINDS = ("random", "vertex")
@@ -327,8 +327,10 @@ def test_a_relaxed_actuator_and_a_pre_energised_one(seed, noise):
     actuator = bench.plant(10, seed=seed)
     relaxed = actuator.relaxed()
     before = actuator.simulate(raised_cosine([100.0]), state=relaxed).state
-    rested, energised = (state_from_first_rise(actuator, measured(actuator, state, noise=noise, seed=seed))
-                         for state in (relaxed, before))  # fmt: skip
+    rested, energised = (
+        state_from_first_rise(actuator, measured(actuator, state, noise=noise, seed=seed))
+        for state in (relaxed, before)
+    )
     assert rested.relaxed
     assert not energised.relaxed
     assert energised.rms_relaxed > 50 * (energised.rms + NM)

@@ -9,9 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dehyst import Record, RecordError, excitation
+from dehyst import Record, RecordError
 from dehyst._native import stops
-from dehyst.excite import (
+from dehyst.records.signals import turning_points
+from dehyst.waveforms import excitation
+from dehyst.waveforms.standard import (
     Drive,
     descending_tops,
     homing,
@@ -20,7 +22,6 @@ from dehyst.excite import (
     reversal_curves,
     staircase,
 )
-from dehyst.signals import turning_points
 
 KINDS = {
     "raised cosine": partial(raised_cosine, [200.0, 80.0], cycles=2),

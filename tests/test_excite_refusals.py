@@ -6,8 +6,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from dehyst import ModelError, RecordError, excitation
-from dehyst.excite import (
+from dehyst import ModelError, RecordError
+from dehyst.waveforms import excitation
+from dehyst.waveforms.standard import (
     Drive,
     Excitation,
     descending_tops,

@@ -23,9 +23,9 @@ from firmware import KINDS, need, written
 
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, FileFormatError, MaxwellSlip, ModelError, Spring
-from dehyst.export import SOURCES, code, export, sizes, worst_case
-from dehyst.footprint import CORTEX_M4, CORTEX_M4F, STRICT
-from dehyst.golden import Call, golden
+from dehyst.exports.firmware import SOURCES, code, export, sizes, worst_case
+from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4F, STRICT
+from dehyst.exports.golden_trace import Call, golden
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -40,7 +40,7 @@ def make(folder, *arguments):
 @pytest.fixture
 def unmeasured(monkeypatch):
     """An export that does not take the time to measure bytes."""
-    monkeypatch.setattr("dehyst.export._PROCESSORS", {})
+    monkeypatch.setattr("dehyst.exports.firmware._PROCESSORS", {})
 
 
 def pythons(compensator, samples, every):
@@ -241,7 +241,7 @@ def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch, number, advice):
     def fail(*_):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr("dehyst.export._readme", fail)
+    monkeypatch.setattr("dehyst.exports.firmware._readme", fail)
     with pytest.raises(FileFormatError, match=rf"cannot be written \({os.strerror(number)}\); .*{advice}"):
         export(firmware.plain(), tmp_path / "c", measure=False)
     assert list(tmp_path.iterdir()) == []
@@ -280,8 +280,8 @@ def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
     def fail(*_):
         raise AssertionError("compiled")
 
-    monkeypatch.setattr("dehyst.export.run", fail)
-    monkeypatch.setattr("dehyst.export.sizes", fail)
+    monkeypatch.setattr("dehyst.exports.firmware.run", fail)
+    monkeypatch.setattr("dehyst.exports.firmware.sizes", fail)
     for number in ("double", "float"):
         made = export(firmware.plain(), tmp_path / number, number, measure=False)
         assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not asked for")
@@ -346,8 +346,28 @@ def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path, unmeas
         np.testing.assert_array_equal(column, compensator.run(wishes))
 
 
-@pytest.mark.parametrize("name", ["", "7x", "a-b", "ü", "_x", "dehyst_x", "Dehyst", "double", "class", "loop", "model",
-                                  "trace", "stdio", "Check", "main", "a" * 41, None])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "7x",
+        "a-b",
+        "ü",
+        "_x",
+        "dehyst_x",
+        "Dehyst",
+        "double",
+        "class",
+        "loop",
+        "model",
+        "trace",
+        "stdio",
+        "Check",
+        "main",
+        "a" * 41,
+        None,
+    ],
+)
 def test_names_that_mean_something_else_are_refused(tmp_path, name):
     with pytest.raises(ModelError, match=r"^name: got "):
         export(firmware.plain(), tmp_path / "c", name=name)

@@ -53,7 +53,7 @@ SAID = {
     "kill": (-signal.SIGKILL,),
     "full": (2, r"\S+/look.h5.part.csv: cannot be written \(File too large\); make room there", SAFE, GOES_ON),
     "file": (2, r"\S+: cannot be made a folder \(Not a directory\); give another one with -o"),
-}  # fmt: skip
+}
 NO_ROOM = r"\S+/look.h5: cannot be written .* The first \d+ of \d+ samples are in \S+/look.h5.part.csv"
 # Nobody spoke to the controller, or nothing was sent; or it was not dehyst that left it where it is.
 SILENT = ("taken", "beyond", "file", "narrow")
@@ -65,8 +65,11 @@ UNCOUNTED = ("kill", "full")
 @pytest.fixture(scope="module")
 def rehearsed(request):
     """Each fault that is asked for, rehearsed while others wait for answers that do not come."""
-    asked = [item.callspec.params["name"] for item in request.session.items
-             if item.path == request.path and "rehearsed" in item.fixturenames]  # fmt: skip
+    asked = [
+        item.callspec.params["name"]
+        for item in request.session.items
+        if item.path == request.path and "rehearsed" in item.fixturenames
+    ]
     cases = {case.name: case for case in faults.CASES}
     with ThreadPoolExecutor(4) as pool:
         yield {name: pool.submit(faults.rehearse, cases[name]) for name in asked}

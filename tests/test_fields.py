@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from strategies import SEEDS
 
-from dehyst import IdentifyError, ModelError, Record, State, excite
-from dehyst.excite import Drive
-from dehyst.metrics import largest, rms
-from dehyst.rivals.boucwen import BoucWen, Lag
-from dehyst.rivals.duhem import Duhem, Point
-from dehyst.truths import BoucWenActuator, PlayActuator
+from dehyst import IdentifyError, ModelError, Record, State
+from dehyst.baselines.bouc_wen import BoucWen, Lag
+from dehyst.baselines.duhem import Duhem, Point
+from dehyst.records.metrics import largest, rms
+from dehyst.virtual import BoucWenActuator, PlayActuator
+from dehyst.waveforms import standard
+from dehyst.waveforms.standard import Drive
 
 VOLTS = 100.0
 STROKE = 1e-5
@@ -47,8 +48,15 @@ def integrated(slope, voltage, start):
     out = [start]
     for v0, v1 in pairwise(voltage):
         sign = np.sign(v1 - v0)
-        found = solve_ivp(lambda v, x, s=sign: slope(v, x[0], s), (v0, v1), [out[-1]], rtol=1e-11, atol=1e-13,
-                          method="DOP853", max_step=2.0)  # fmt: skip
+        found = solve_ivp(
+            lambda v, x, s=sign: slope(v, x[0], s),
+            (v0, v1),
+            [out[-1]],
+            rtol=1e-11,
+            atol=1e-13,
+            method="DOP853",
+            max_step=2.0,
+        )
         out.append(float(found.y[0, -1]))
     return np.array(out)
 
@@ -161,7 +169,10 @@ def test_fits_are_seeded():
 def test_as_good_as_their_literature(fit, own, other):
     """Largest error in % of the stroke on held-out loops; the ratio of the ends alone misses by 10 % and more."""
     drive = Drive(sample_rate=4.0)
-    tops, others = excite.descending_tops(200, drive=drive), excite.raised_cosine([200, 150, 90], cycles=2, drive=drive)
+    tops, others = (
+        standard.descending_tops(200, drive=drive),
+        standard.raised_cosine([200, 150, 90], cycles=2, drive=drive),
+    )
     for truth, most in ((BoucWenActuator(seed=2), own), (PlayActuator(seed=2), other)):
         model = fit(Record(tops.time, tops.voltage, truth.drive(tops.voltage, time=tops.time)))
         truth.relax()
@@ -172,36 +183,42 @@ def test_as_good_as_their_literature(fit, own, other):
 
 
 def test_a_lag_that_the_model_explains_is_not_taken_for_a_delay():
-    truth, tops = BoucWenActuator(seed=2), excite.descending_tops(200, drive=Drive(sample_rate=4.0))
+    truth, tops = BoucWenActuator(seed=2), standard.descending_tops(200, drive=Drive(sample_rate=4.0))
     record = Record(tops.time, tops.voltage, truth.drive(tops.voltage, time=tops.time))
     assert BoucWen.fit(record, starts=30).delay == 0.0
 
 
-@pytest.mark.parametrize(("make", "said"), [
-    (lambda: BoucWen(1.2, 1, 1, (0, 1), [0, 1, 0, 0]), "voltage would pull back"),
-    (lambda: BoucWen(0.9, 1, -0.5, (0, 1), [0, 1, 0, 0]), "voltage would pull back"),
-    (lambda: BoucWen(0.5, 1, 1, (0, 1), [0, 1, -1, 0]), "does not increase from 0 to 1"),
-    (lambda: BoucWen(0.5, 1, 1, (1, 0), [0, 1, 0, 0]), "need an interval and four coefficients"),
-    (lambda: BoucWen(0.5, 1, 1, (0, 1), [0, 1, 0]), "need an interval and four coefficients"),
-    (lambda: boucwen(0).simulate([1.0], state=Point(0, 0)), "need a Lag"),
-    (lambda: boucwen(0).compensate([0.0], state=Lag(0.0, 1e3)), "need a Lag whose hidden part"),
-    (lambda: Duhem((0, 1), 0.0, [0, 1], [1]), "a rate above 0"),
-    (lambda: Duhem((1, 0), 1.0, [0, 1], [1]), "need an interval"),
-    (lambda: Duhem((0, 1), 5.0, [0, 1], [0.1]), "displacement would fall somewhere"),
-    (lambda: duhem(0).simulate([1.0], state=State(0, [])), "need a Point"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: BoucWen(1.2, 1, 1, (0, 1), [0, 1, 0, 0]), "voltage would pull back"),
+        (lambda: BoucWen(0.9, 1, -0.5, (0, 1), [0, 1, 0, 0]), "voltage would pull back"),
+        (lambda: BoucWen(0.5, 1, 1, (0, 1), [0, 1, -1, 0]), "does not increase from 0 to 1"),
+        (lambda: BoucWen(0.5, 1, 1, (1, 0), [0, 1, 0, 0]), "need an interval and four coefficients"),
+        (lambda: BoucWen(0.5, 1, 1, (0, 1), [0, 1, 0]), "need an interval and four coefficients"),
+        (lambda: boucwen(0).simulate([1.0], state=Point(0, 0)), "need a Lag"),
+        (lambda: boucwen(0).compensate([0.0], state=Lag(0.0, 1e3)), "need a Lag whose hidden part"),
+        (lambda: Duhem((0, 1), 0.0, [0, 1], [1]), "a rate above 0"),
+        (lambda: Duhem((1, 0), 1.0, [0, 1], [1]), "need an interval"),
+        (lambda: Duhem((0, 1), 5.0, [0, 1], [0.1]), "displacement would fall somewhere"),
+        (lambda: duhem(0).simulate([1.0], state=State(0, [])), "need a Point"),
+    ],
+)
 def test_impossible_models_are_refused(make, said):
     with pytest.raises(ModelError, match=said):
         make()
 
 
-@pytest.mark.parametrize(("fit", "options", "said"), [
-    (BoucWen.fit, {"starts": 0}, "starts: got 0"),
-    (BoucWen.fit, {"slope_floor": 2}, "slope_floor: got 2"),
-    (Duhem.fit, {"degree": 0}, "degree: got 0"),
-    (Duhem.fit, {"slope_floor": 0}, "slope_floor: got 0"),
-    (Duhem.fit, {"delay": "x"}, "delay: got 'x'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("fit", "options", "said"),
+    [
+        (BoucWen.fit, {"starts": 0}, "starts: got 0"),
+        (BoucWen.fit, {"slope_floor": 2}, "slope_floor: got 2"),
+        (Duhem.fit, {"degree": 0}, "degree: got 0"),
+        (Duhem.fit, {"slope_floor": 0}, "slope_floor: got 0"),
+        (Duhem.fit, {"delay": "x"}, "delay: got 'x'"),
+    ],
+)
 def test_impossible_options_are_refused(fit, options, said):
     with pytest.raises(IdentifyError, match=said):
         fit(bench.loops(bench.plant(), bench.MAJOR), **options)

@@ -14,8 +14,8 @@ import pytest
 import scipy.io
 
 from dehyst._errors import FileFormatError, MissingExtraError, RecordError
-from dehyst.files import read, read_table, write_columns, write_record
-from dehyst.record import Record
+from dehyst.records.files import read, read_table, write_columns, write_record
+from dehyst.records.record import Record
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
 T = np.arange(30) * 0.01
@@ -105,8 +105,12 @@ def test_units_in_attributes_and_properties(tmp_path):
 def test_a_tdms_waveform_brings_its_own_time(tmp_path):
     step = {"wf_increment": 0.01}
     with nptdms.TdmsWriter(tmp_path / "w.tdms") as file:
-        file.write_segment([nptdms.ChannelObject("g", name, data, step)
-                            for name, data in (("voltage_V", V), ("displacement_um", Y * 1e6))])  # fmt: skip
+        file.write_segment(
+            [
+                nptdms.ChannelObject("g", name, data, step)
+                for name, data in (("voltage_V", V), ("displacement_um", Y * 1e6))
+            ]
+        )
     assert_same(read(tmp_path / "w.tdms"))
 
 

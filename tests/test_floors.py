@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dehyst import identify
-from dehyst.experiment import virtual_actuator
-from dehyst.floors import MajorLoop, chord_error, parabola_chord_error, symmetric_width_floor
-from dehyst.record import Record
+from dehyst.records.record import Record
+from dehyst.studies.paper.error_floors import MajorLoop, chord_error, parabola_chord_error, symmetric_width_floor
+from dehyst.studies.paper.experiment import virtual_actuator
 
 
 def loop_of(rising, falling):

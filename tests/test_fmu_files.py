@@ -32,8 +32,8 @@ from fmu_rig import (
 )
 
 from dehyst import Compensator, FileFormatError, ModelError
-from dehyst.console import start_state
-from dehyst.fmu import SourceOnlyWarning, export_fmu
+from dehyst.cli.common import start_state
+from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -171,7 +171,7 @@ def test_a_file_of_others_is_replaced_by_force_only(tmp_path, monkeypatch):
 
 
 def cli(*arguments, cwd):
-    command = [sys.executable, "-c", "from dehyst.cli import main; main()", "export", *map(str, arguments)]
+    command = [sys.executable, "-c", "from dehyst.cli.commands import main; main()", "export", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=600, check=False)
     assert "Traceback" not in done.stderr, done.stderr
     return done

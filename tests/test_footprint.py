@@ -7,8 +7,8 @@ import pytest
 from firmware import KINDS, need, written
 
 from dehyst import Actuator, Compensator, FileFormatError, MaxwellSlip
-from dehyst.export import sizes, worst_case
-from dehyst.footprint import CORTEX_M4, CORTEX_M4F, CORTEX_M4F_SMALL
+from dehyst.exports.firmware import sizes, worst_case
+from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4F, CORTEX_M4F_SMALL
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 

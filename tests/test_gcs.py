@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import LinkError, RigError
-from dehyst.rigs import gcs, gcs_array, gcs_errors
+from dehyst.instruments import gcs_array, gcs_errors, gcs_syntax
 
 VOLTAGES = st.floats(-1e6, 1e6, allow_nan=False)
 FINITE = st.floats(-1e15, 1e15, allow_nan=False)
@@ -19,42 +19,51 @@ NAMES = st.text(st.sampled_from(string.ascii_letters + string.digits + "_-"), mi
 
 def array_text(columns, sample_time=5e-5, names=("Current Position of axis 1", "Voltage of output chan 1")):
     head = [
-        "# REM a recorder", "#", "# VERSION = 1", "# TYPE = 1", "# SEPARATOR = 32", f"# DIM = {len(columns)}",
-        f"# SAMPLE_TIME = {sample_time!r}", f"# NDATA = {len(columns[0])}", "#",
-        *(f"# NAME{index} = {name}" for index, name in enumerate(names)), "#", "# END_HEADER",
-    ]  # fmt: skip
+        "# REM a recorder",
+        "#",
+        "# VERSION = 1",
+        "# TYPE = 1",
+        "# SEPARATOR = 32",
+        f"# DIM = {len(columns)}",
+        f"# SAMPLE_TIME = {sample_time!r}",
+        f"# NDATA = {len(columns[0])}",
+        "#",
+        *(f"# NAME{index} = {name}" for index, name in enumerate(names)),
+        "#",
+        "# END_HEADER",
+    ]
     return head + [" ".join(map(repr, row)) for row in zip(*columns, strict=True)]
 
 
 @given(VOLTAGES)
 def test_a_voltage_is_sent_to_a_microvolt(value):
-    text = gcs.volts(value)
+    text = gcs_syntax.volts(value)
     assert abs(float(text) - value) <= 0.5000001e-6
     assert not set(text) - set("-.0123456789")
-    assert gcs.real(text) == float(text)
+    assert gcs_syntax.real(text) == float(text)
 
 
 @given(VOLTAGES, st.floats(0, 1e3), st.floats(0, 1e3))
 def test_rounding_never_leaves_the_limits(value, below, above):
     low, high = value - below, value + above
-    assert low <= float(gcs.volts(value, low, high)) <= high
+    assert low <= float(gcs_syntax.volts(value, low, high)) <= high
 
 
 @given(VOLTAGES)
 def test_a_limit_itself_is_sent_exactly_where_it_must_be(limit):
-    assert float(gcs.volts(limit, limit, limit)) == limit
+    assert float(gcs_syntax.volts(limit, limit, limit)) == limit
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 100.0001, -0.1])
 def test_what_is_not_within_limits_is_no_text(value):
     with pytest.raises(RigError, match="nothing was sent"):
-        gcs.volts(value, 0.0, 100.0)
+        gcs_syntax.volts(value, 0.0, 100.0)
 
 
 @given(st.lists(VOLTAGES, min_size=1, max_size=400), st.integers(60, 600))
 def test_a_wave_arrives_whole_in_lines_that_fit(wave, longest):
-    texts = [gcs.volts(value) for value in wave]
-    lines = list(gcs.wave_points(3, texts, longest))
+    texts = [gcs_syntax.volts(value) for value in wave]
+    lines = list(gcs_syntax.wave_points(3, texts, longest))
     assert all(len(line) <= longest for line in lines)
     words = [line.split() for line in lines]
     assert all(word[:2] == ["WAV", "3"] and word[3:5] == ["PNT", "1"] for word in words)
@@ -65,93 +74,120 @@ def test_a_wave_arrives_whole_in_lines_that_fit(wave, longest):
 
 def test_a_point_that_fits_no_line_is_refused():
     with pytest.raises(RigError, match="allow longer lines"):
-        list(gcs.wave_points(1, ["1.0"], 10))
+        list(gcs_syntax.wave_points(1, ["1.0"], 10))
 
 
 @pytest.mark.parametrize("argument", ["1\nSVA 1 9", "a b", "", "é", "1 "])
 def test_an_argument_cannot_smuggle_a_command(argument):
     with pytest.raises(RigError, match="need one word"):
-        gcs.command("SVA", argument)
+        gcs_syntax.command("SVA", argument)
 
 
 @given(st.lists(LINE, min_size=1, max_size=8))
 def test_the_framing_comes_back(lines):
     lines = [line.strip() for line in lines]
     answer = " \n".join(lines) + "\n"
-    assert gcs.lines_of(answer) == lines
+    assert gcs_syntax.lines_of(answer) == lines
     raw = [line + b"\n" for line in answer.encode().split(b"\n")[:-1]]
-    assert [gcs.line_of(line) for line in raw] == [(t, i < len(lines) - 1) for i, t in enumerate(lines)]
+    assert [gcs_syntax.line_of(line) for line in raw] == [(t, i < len(lines) - 1) for i, t in enumerate(lines)]
 
 
 @pytest.mark.parametrize("raw", [b"1=2", b"1=\x002\n", b"1=\xff\n", b"\x7f\n", b""])
 def test_a_line_of_other_bytes_is_refused(raw):
     with pytest.raises(LinkError, match="printable"):
-        gcs.line_of(raw)
+        gcs_syntax.line_of(raw)
 
 
 def test_an_answer_whose_lines_do_not_go_on_is_refused():
     with pytest.raises(LinkError, match="space before every line feed"):
-        gcs.lines_of("1=2\n2=3\n")
+        gcs_syntax.lines_of("1=2\n2=3\n")
 
 
 @given(st.dictionaries(NAMES, FINITE, min_size=1, max_size=6))
 def test_values_come_back_in_the_order_asked(told):
     lines = [f"{key}={value!r}" for key, value in told.items()]
     keys = list(reversed(told))
-    assert gcs.values(lines, keys) == [told[key] for key in keys]
+    assert gcs_syntax.values(lines, keys) == [told[key] for key in keys]
 
 
 @pytest.mark.parametrize(
     "lines",
-    [["1=nan"], ["1=inf"], ["1=1e999"], ["1=1_0"], ["1="], ["=1"], ["1"], [""], [], ["1=2", "1=2"], ["2=1"],
-     ["1=2", "2=3"], ["1=0x10"], ["1=2 3"], ["1=1,5"], ["1=\u0661"]],
-)  # fmt: skip
+    [
+        ["1=nan"],
+        ["1=inf"],
+        ["1=1e999"],
+        ["1=1_0"],
+        ["1="],
+        ["=1"],
+        ["1"],
+        [""],
+        [],
+        ["1=2", "1=2"],
+        ["2=1"],
+        ["1=2", "2=3"],
+        ["1=0x10"],
+        ["1=2 3"],
+        ["1=1,5"],
+        ["1=\u0661"],
+    ],
+)
 def test_what_is_no_value_is_refused(lines):
     with pytest.raises(LinkError, match="got"):
-        gcs.values(lines, ["1"])
+        gcs_syntax.values(lines, ["1"])
 
 
 @pytest.mark.parametrize("lines", [["1=1.5"], ["1=-1"], ["1=nan"]])
 def test_what_is_no_count_is_refused(lines):
     with pytest.raises(LinkError, match="got"):
-        gcs.counts(lines, ["1"])
+        gcs_syntax.counts(lines, ["1"])
 
 
 def test_a_parameter_is_told_by_either_number():
-    assert gcs.parameter(["1 0x0E000200=0.00005"], "1", 0x0E000200) == 5e-5
-    assert gcs.parameter(["1 234881536=5.0000e-05"], "1", 0x0E000200) == 5e-5
+    assert gcs_syntax.parameter(["1 0x0E000200=0.00005"], "1", 0x0E000200) == 5e-5
+    assert gcs_syntax.parameter(["1 234881536=5.0000e-05"], "1", 0x0E000200) == 5e-5
     for lines in (["2 0x0E000200=1"], ["1 0x0E000201=1"], ["0x0E000200=1"], ["1 0xZ=1"], ["1 0x0E000200="], []):
         with pytest.raises(LinkError, match="got"):
-            gcs.parameter(lines, "1", 0x0E000200)
+            gcs_syntax.parameter(lines, "1", 0x0E000200)
 
 
 def test_lists_are_read():
     lines = [
-        "The following commands are valid:", "#5 Request Motion Status", "*IDN? Get Device Identification",
-        "ERR? Get Error Number", "SVA {<AxisID> <Amplitude>} Set", "WAV <WaveTableID> ...", "VOL? [{<ID>}]",
+        "The following commands are valid:",
+        "#5 Request Motion Status",
+        "*IDN? Get Device Identification",
+        "ERR? Get Error Number",
+        "SVA {<AxisID> <Amplitude>} Set",
+        "WAV <WaveTableID> ...",
+        "VOL? [{<ID>}]",
         "end of help",
-    ]  # fmt: skip
-    assert {"#5", "*IDN?", "ERR?", "SVA", "WAV", "VOL?"} == gcs.commands(lines)
-    assert gcs.names(["X", "Y"]) == ["X", "Y"]
-    assert gcs.parameters(["0x0E000200=0 1 FLOAT Servo Update Time", "end of help"]) == {
+    ]
+    assert {"#5", "*IDN?", "ERR?", "SVA", "WAV", "VOL?"} == gcs_syntax.commands(lines)
+    assert gcs_syntax.names(["X", "Y"]) == ["X", "Y"]
+    assert gcs_syntax.parameters(["0x0E000200=0 1 FLOAT Servo Update Time", "end of help"]) == {
         0x0E000200: "0 1 FLOAT Servo Update Time"
     }
     for refused in (["a b"], ["1", "1"], [""], []):
         with pytest.raises(LinkError, match="axes"):
-            gcs.names(refused)
+            gcs_syntax.names(refused)
     with pytest.raises(LinkError, match="commands"):
-        gcs.commands(["nothing here"])
+        gcs_syntax.commands(["nothing here"])
 
 
 def test_record_options_are_found_by_their_words():
     lines = [
-        "#RecordOptions", "1=Target Position of axis", "2=Current Position of axis", "7=Control Voltage of output chan",
-        "16=Voltage of output chan", "#TriggerOptions", "0=Voltage of output chan", "end of help",
-    ]  # fmt: skip
-    assert gcs.options(lines) == (2, 16)
-    assert gcs.options([line for line in lines if not line.startswith("16")]) == (2, 7)
-    assert gcs.options(lines[:3]) is None
-    assert gcs.options([]) is None
+        "#RecordOptions",
+        "1=Target Position of axis",
+        "2=Current Position of axis",
+        "7=Control Voltage of output chan",
+        "16=Voltage of output chan",
+        "#TriggerOptions",
+        "0=Voltage of output chan",
+        "end of help",
+    ]
+    assert gcs_syntax.options(lines) == (2, 16)
+    assert gcs_syntax.options([line for line in lines if not line.startswith("16")]) == (2, 7)
+    assert gcs_syntax.options(lines[:3]) is None
+    assert gcs_syntax.options([]) is None
 
 
 @given(
@@ -186,10 +222,21 @@ def test_an_array_cut_anywhere_is_refused():
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("# NDATA = 3", "# NDATA = 4"), ("# DIM = 2", "# DIM = 3"), ("# TYPE = 1", "# TYPE = 2"), ("5e-05", "0"),
-     ("5e-05", "nan"), ("= 32", "= 65"), ("# SEPARATOR = 32", "junk"), ("# VERSION = 1", "# TYPE = 1"),
-     ("2.0 5.0", "2.0"), ("2.0 5.0", "2.0 nan"), ("2.0 5.0", "2.0 5.0 1"), ("2.0 5.0", "2.0 5.0e")],
-)  # fmt: skip
+    [
+        ("# NDATA = 3", "# NDATA = 4"),
+        ("# DIM = 2", "# DIM = 3"),
+        ("# TYPE = 1", "# TYPE = 2"),
+        ("5e-05", "0"),
+        ("5e-05", "nan"),
+        ("= 32", "= 65"),
+        ("# SEPARATOR = 32", "junk"),
+        ("# VERSION = 1", "# TYPE = 1"),
+        ("2.0 5.0", "2.0"),
+        ("2.0 5.0", "2.0 nan"),
+        ("2.0 5.0", "2.0 5.0 1"),
+        ("2.0 5.0", "2.0 5.0e"),
+    ],
+)
 def test_an_array_with_a_fault_is_refused(old, new):
     lines = array_text([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     assert any(old in line for line in lines)
@@ -200,12 +247,20 @@ def test_an_array_with_a_fault_is_refused(old, new):
 @given(st.lists(LINE, max_size=12), st.binary(max_size=60))
 def test_garbage_raises_nothing_else_than_a_link_error(lines, raw):
     readers = [
-        lambda: gcs.values(lines, ["1"]), lambda: gcs.counts(lines, ["1", "2"]), lambda: gcs.names(lines),
-        lambda: gcs.commands(lines), lambda: gcs.options(lines), lambda: gcs.parameters(lines),
-        lambda: gcs.pairs(lines), lambda: gcs.parameter(lines, "1", 7), lambda: gcs.single(lines),
+        lambda: gcs_syntax.values(lines, ["1"]),
+        lambda: gcs_syntax.counts(lines, ["1", "2"]),
+        lambda: gcs_syntax.names(lines),
+        lambda: gcs_syntax.commands(lines),
+        lambda: gcs_syntax.options(lines),
+        lambda: gcs_syntax.parameters(lines),
+        lambda: gcs_syntax.pairs(lines),
+        lambda: gcs_syntax.parameter(lines, "1", 7),
+        lambda: gcs_syntax.single(lines),
         lambda: gcs_array.table(lines, 3, 2),
-        lambda: gcs.line_of(raw), lambda: gcs.lines_of(raw.decode("latin-1")), lambda: [gcs.integer(x) for x in lines],
-    ]  # fmt: skip
+        lambda: gcs_syntax.line_of(raw),
+        lambda: gcs_syntax.lines_of(raw.decode("latin-1")),
+        lambda: [gcs_syntax.integer(x) for x in lines],
+    ]
     for read in readers:
         try:
             read()

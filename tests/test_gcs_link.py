@@ -7,8 +7,8 @@ import time
 import pytest
 
 from dehyst._errors import LinkError
-from dehyst.rigs.gcs_link import TcpLink
-from dehyst.rigs.pi import PiRig
+from dehyst.instruments.gcs_link import TcpLink
+from dehyst.instruments.pi import PiRig
 
 
 class Ear:
@@ -32,11 +32,16 @@ class Ear:
 
 @pytest.mark.parametrize(
     ("answer", "why"),
-    [(b"", "got nothing in 0.1 s.*is it a GCS controller"), (None, "closed the connection|lost"),
-     (b"HTTP/1.0 400 Bad Request\r\n", "web server"), (b"\x00\x01\n", "printable ASCII"),
-     (b"x" * 70000, "without a line"),
-     (b"x", "got b'x' in"), (b"a,b \n" * 500000, "more than|too long|printable|GCS controller")],
-)  # fmt: skip
+    [
+        (b"", "got nothing in 0.1 s.*is it a GCS controller"),
+        (None, "closed the connection|lost"),
+        (b"HTTP/1.0 400 Bad Request\r\n", "web server"),
+        (b"\x00\x01\n", "printable ASCII"),
+        (b"x" * 70000, "without a line"),
+        (b"x", "got b'x' in"),
+        (b"a,b \n" * 500000, "more than|too long|printable|GCS controller"),
+    ],
+)
 def test_who_is_no_controller_is_found_out(answer, why):
     ear = Ear(answer)
     with pytest.raises(LinkError, match=why) as caught:

@@ -13,14 +13,14 @@ from test_cli import run
 
 import dehyst
 from dehyst import Actuator, Compensator, Record
-from dehyst.calibrate import _ends
-from dehyst.compare import compare
-from dehyst.files import write_record
-from dehyst.first_rise import state_from_first_rise
-from dehyst.glitches import glitches
-from dehyst.preparation import prepare
-from dehyst.rivals import Goldfarb
-from dehyst.structure import Structure
+from dehyst.baselines import Goldfarb
+from dehyst.baselines.comparison import compare
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.instruments.calibration.experiment import _ends
+from dehyst.model.structure import Structure
+from dehyst.records.files import write_record
+from dehyst.records.glitches import glitches
+from dehyst.uncertainty.initial_state import state_from_first_rise
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
 PLANTS = [bench.plant(10, share=share, seed=i) for i, share in enumerate((0.1, 0.4, 0.7))]
@@ -90,10 +90,16 @@ DIGITS = st.sampled_from([0.0, 1e-4, 1e-2, 6e-2])
 
 
 @given(
-    seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(KINDS), cycle=st.integers(10, 500),
-    cycles=st.floats(3, 8), lag=st.sampled_from([0, 0.5, 1, 3.3]), noise=NOISES, digits=DIGITS,
-    sensor=st.sampled_from([0.0, 1e-4, 1e-2]), sensor_digits=st.sampled_from([0.0, 1e-4, 1e-2]),
-)  # fmt: skip
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from(KINDS),
+    cycle=st.integers(10, 500),
+    cycles=st.floats(3, 8),
+    lag=st.sampled_from([0, 0.5, 1, 3.3]),
+    noise=NOISES,
+    digits=DIGITS,
+    sensor=st.sampled_from([0.0, 1e-4, 1e-2]),
+    sensor_digits=st.sampled_from([0.0, 1e-4, 1e-2]),
+)
 def test_a_record_without_glitches_loses_nothing(seed, kind, cycle, cycles, lag, noise, digits, sensor, sensor_digits):
     rng = np.random.default_rng(seed)
     size = max(80, int(cycle * cycles))
@@ -103,10 +109,15 @@ def test_a_record_without_glitches_loses_nothing(seed, kind, cycle, cycles, lag,
 
 
 @given(
-    seed=st.integers(0, 2**32 - 1), kind=st.sampled_from((*SMOOTH, "staircase", "square")), cycle=st.integers(40, 500),
-    lag=st.sampled_from([0, 0.5, 1, 3.3]), count=st.integers(1, 4), noise=st.sampled_from([0.0, 1e-4, 1e-3]),
-    width=st.integers(1, 3), sensor=st.sampled_from([0.0, 1e-4, 1e-3]),
-)  # fmt: skip
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from((*SMOOTH, "staircase", "square")),
+    cycle=st.integers(40, 500),
+    lag=st.sampled_from([0, 0.5, 1, 3.3]),
+    count=st.integers(1, 4),
+    noise=st.sampled_from([0.0, 1e-4, 1e-3]),
+    width=st.integers(1, 3),
+    sensor=st.sampled_from([0.0, 1e-4, 1e-3]),
+)
 def test_glitches_above_slew_and_noise_are_found_and_only_they(seed, kind, cycle, lag, count, noise, width, sensor):
     rng = np.random.default_rng(seed)
     size = 6 * cycle + 200

@@ -11,7 +11,7 @@ from strategies import SEEDS
 
 import dehyst
 from dehyst import Actuator, IdentifyError, MaxwellSlip, Record, Spring, State
-from dehyst.rivals.goldfarb import Goldfarb
+from dehyst.baselines.goldfarb_celanovic import Goldfarb
 
 N = 10
 HEIGHT = 16e-6
@@ -122,8 +122,16 @@ def test_the_rise_is_met_at_every_break_point_that_is_kept_and_never_below(seed,
     np.testing.assert_allclose(model[kept], measured[kept], atol=1e-9 * v[-1], rtol=0)
     assert np.all(model >= measured - 1e-9 * v[-1])
     # The least concave curve above points, by its definition: the highest chord over each place.
-    chords = [[np.interp(x, [a, b], [p, q]) for a, p in zip(places, measured, strict=True) if a <= x
-               for b, q in zip(places, measured, strict=True) if b >= x] for x in places[:4]]  # fmt: skip
+    chords = [
+        [
+            np.interp(x, [a, b], [p, q])
+            for a, p in zip(places, measured, strict=True)
+            if a <= x
+            for b, q in zip(places, measured, strict=True)
+            if b >= x
+        ]
+        for x in places[:4]
+    ]
     np.testing.assert_allclose(model[:4], [max(c) for c in chords], atol=1e-9 * v[-1], rtol=0)
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dehyst._errors import FileFormatError, MissingExtraError
-from dehyst.files import read, write_hdf5
-from dehyst.record import Record
+from dehyst.records.files import read, write_hdf5
+from dehyst.records.record import Record
 
 words = st.text(st.sampled_from('ab"\\/\n\0é\u2028\ud800\U0001f600 '), max_size=6)
 values = st.recursive(
@@ -50,8 +50,10 @@ def test_layout_and_hash_for_other_programs(tmp_path):
     write_hdf5(tmp_path / "a.hdf5", record)
     with h5py.File(tmp_path / "a.hdf5") as file:
         assert {name: file[name].attrs["unit"] for name in file} == {
-            "time_s": "s", "voltage_V": "V", "displacement_m": "m",
-        }  # fmt: skip
+            "time_s": "s",
+            "voltage_V": "V",
+            "displacement_m": "m",
+        }
         assert all(file[name].dtype == "<f8" for name in file)
         stored = b"".join(file[name][()].tobytes() for name in ("time_s", "voltage_V", "displacement_m"))
         assert file.attrs["sha256"] == hashlib.sha256(stored).hexdigest()

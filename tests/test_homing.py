@@ -23,14 +23,24 @@ from resting import (
 )
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Spring, identify
-from dehyst.bracket import least_range
-from dehyst.homing import shortest_homing
+from dehyst.control.homing import shortest_homing
+from dehyst.control.state_bounds import least_range
 
 BENCH_LIMITS = [
-    ((0, 200), 0, None), ((0, 260), 0, None), ((-40, 200), 0, None), ((-100, 120), 0, None), ((-300, 0), 0, None),
-    ((-300, 300), 0, None), ((-50, 250), 100, None), ((0, 200), 100, None), ((0, 200), 200, None),
-    ((0, 250), 60, 20), ((0, 250), 20, 60), ((-200, 400), -50, 350), ((-200, 400), 350, -50),
-]  # fmt: skip
+    ((0, 200), 0, None),
+    ((0, 260), 0, None),
+    ((-40, 200), 0, None),
+    ((-100, 120), 0, None),
+    ((-300, 0), 0, None),
+    ((-300, 300), 0, None),
+    ((-50, 250), 100, None),
+    ((0, 200), 100, None),
+    ((0, 200), 200, None),
+    ((0, 250), 60, 20),
+    ((0, 250), 20, 60),
+    ((-200, 400), -50, 350),
+    ((-200, 400), 350, -50),
+]
 
 
 def most_spread(actuator, homing, count, seed=0):
@@ -228,8 +238,10 @@ def test_an_identified_actuator_homes_within_its_own_limits():
     assert homing.certified
     assert within(homing, (low, high), low, None)
     # The plant homes by it too, to what the model is off: the waveform is just long enough for the model.
-    ends = [PLANT.simulate(homing.turns, state=equilibrium(PLANT, low, np.random.default_rng(i))).state.displacement
-            for i in range(100)]  # fmt: skip
+    ends = [
+        PLANT.simulate(homing.turns, state=equilibrium(PLANT, low, np.random.default_rng(i))).state.displacement
+        for i in range(100)
+    ]
     assert np.ptp(ends) <= 1e-6 * bench.STROKE
 
 

@@ -20,11 +20,11 @@ import pytest
 import scipy.io
 
 import dehyst
-from dehyst import reader_process
 from dehyst._errors import FileFormatError, RecordError
-from dehyst.files import read, read_table, write_hdf5
-from dehyst.loaders import Column
-from dehyst.record import Record
+from dehyst.records.files import read, read_table, write_hdf5
+from dehyst.records.formats import reader_process
+from dehyst.records.formats.columns import Column
+from dehyst.records.record import Record
 
 N = 200
 T = np.arange(N) * 1e-3
@@ -100,8 +100,11 @@ def test_what_points_elsewhere_is_set_aside_while_the_file_has_the_column(tmp_pa
             file[f"run/{name}"] = values
         file["old/displacement_um"] = h5py.ExternalLink("other.h5", "x")
     assert read(tmp_path / "a.h5").displacement == pytest.approx(Y)
-    refused(tmp_path / "a.h5", "'old/displacement_um': is an external link to 'other.h5'",
-            displacement="old/displacement_um")  # fmt: skip
+    refused(
+        tmp_path / "a.h5",
+        "'old/displacement_um': is an external link to 'other.h5'",
+        displacement="old/displacement_um",
+    )
 
 
 def test_links_that_go_in_circles_come_to_an_end(tmp_path):
@@ -244,9 +247,13 @@ def test_headers_are_taken_apart_in_linear_time(run):
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: repr(run[:2]))
 def test_hostile_cells_take_no_time(tmp_path, run):
     began = clock.process_time()
-    for content in (f"{HEAD},x [{run}y\n" + BODY.replace("\n", ",0\n"), f"time_s voltage_V{run}x\n1 2\n",
-                    f"{HEAD},{run}\n" + BODY.replace("\n", f",{run}\n", 3), f"{HEAD}\n{run}\n{run}%\n{BODY}",
-                    f"{HEAD}\n" + "\n".join([run] * 20) + "%"):  # fmt: skip
+    for content in (
+        f"{HEAD},x [{run}y\n" + BODY.replace("\n", ",0\n"),
+        f"time_s voltage_V{run}x\n1 2\n",
+        f"{HEAD},{run}\n" + BODY.replace("\n", f",{run}\n", 3),
+        f"{HEAD}\n{run}\n{run}%\n{BODY}",
+        f"{HEAD}\n" + "\n".join([run] * 20) + "%",
+    ):
         try:
             read(text(tmp_path, content))
         except dehyst.DehystError as error:
@@ -290,12 +297,12 @@ def test_a_library_that_crashes_or_stops_is_contained(tmp_path, monkeypatch, suf
     """A stand-in for the library, for which file does it changes with its version."""
     script = tmp_path / "sitecustomize.py"
     script.write_text(
-        "import dehyst.formats as f, os, signal\n"
+        "import dehyst.records.formats.loaders as f, os, signal\n"
         f"def stop(data, allowance):\n"
         f"    if {suffix == '.mat'}: os.kill(os.getpid(), signal.SIGSEGV)\n"
         "    while True: pass\n"
         f"f.LOADERS['{suffix}'] = f.LOADERS['{suffix}']._replace(load=stop)\n"
-        "import dehyst.reader_process as r; r._SECONDS = 1\n"
+        "import dehyst.records.formats.reader_process as r; r._SECONDS = 1\n"
     )
     reader_process.close()
     with monkeypatch.context() as patch:
@@ -350,9 +357,12 @@ def read_sha(content):
 @pytest.mark.parametrize("suffix", [".h5", ".npz", ".mat", ".parquet"])
 def test_a_pipe_without_a_suffix_is_known_by_its_first_bytes(tmp_path, suffix):
     whole = tmp_path / f"whole{suffix}"
-    {".h5": lambda: write_hdf5(whole, Record(T, V, Y, "own")), ".npz": lambda: np.savez(whole, **NAMED),
-     ".mat": lambda: scipy.io.savemat(whole, NAMED),
-     ".parquet": lambda: pq.write_table(pa.table(NAMED), whole)}[suffix]()  # fmt: skip
+    {
+        ".h5": lambda: write_hdf5(whole, Record(T, V, Y, "own")),
+        ".npz": lambda: np.savez(whole, **NAMED),
+        ".mat": lambda: scipy.io.savemat(whole, NAMED),
+        ".parquet": lambda: pq.write_table(pa.table(NAMED), whole),
+    }[suffix]()
     os.mkfifo(tmp_path / "pipe")
     writer = sent(tmp_path / "pipe", whole.read_bytes())
     record = read(tmp_path / "pipe")
@@ -365,8 +375,9 @@ def test_a_pipe_that_never_ends(tmp_path):
     os.mkfifo(tmp_path / "a.csv")
     endless = subprocess.Popen(["sh", "-c", f"exec cat /dev/zero > '{tmp_path / 'a.csv'}'"])
     try:
-        refused(tmp_path / "a.csv", r"a\.csv: the file has at least 10 MB, more than the 10 MB that are read",
-                max_bytes=1e7)  # fmt: skip
+        refused(
+            tmp_path / "a.csv", r"a\.csv: the file has at least 10 MB, more than the 10 MB that are read", max_bytes=1e7
+        )
     finally:
         endless.kill()
         endless.wait()
@@ -380,13 +391,21 @@ def test_devices_are_refused(tmp_path, device):
 
 def test_the_command_line_takes_pipes_and_limits(tmp_path):
     program = (
-        [sys.executable, "-m", "dehyst.cli"] if not (b := Path(sys.executable).with_name("dehyst")).exists() else [b]
+        [sys.executable, "-m", "dehyst.cli.commands"]
+        if not (b := Path(sys.executable).with_name("dehyst")).exists()
+        else [b]
     )
     path = text(tmp_path, f"{HEAD}\n{BODY}")
     with path.open("rb") as stream:
         command = [*program, "compare", "/dev/stdin", "--max-size", "0.001"]
-        done = subprocess.run(["sh", "-c", 'cat | "$0" "$@"', *command], stdin=stream, capture_output=True, text=True,
-                              check=False, timeout=60)  # fmt: skip
+        done = subprocess.run(
+            ["sh", "-c", 'cat | "$0" "$@"', *command],
+            stdin=stream,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "more than the 1000 bytes that are read" in done.stderr

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst import IdentifyError, Outcome, Record, RecordError, deviations, highs, reduction
-from dehyst.absolutes import Pair
-from dehyst.program import NORMS
-from dehyst.regression import Regression
-from dehyst.rows import collect
-from dehyst.structure import Structure
+from dehyst import IdentifyError, Outcome, Record, RecordError
+from dehyst.identification.preprocessing.regressors import collect
+from dehyst.identification.regression.regression import Regression
+from dehyst.identification.solvers import highs, least_absolute, least_absolute_blocks
+from dehyst.identification.solvers.l1_interior_point import Pair
+from dehyst.identification.solvers.program import NORMS
+from dehyst.model.structure import Structure
 
 PLANT = bench.plant(10)
 TOPS = bench.loops(PLANT, bench.DESCENDING_TOPS, name="tops")
@@ -209,7 +210,7 @@ def break_solver(monkeypatch):
     """Let the interior point fail, and HiGHS say that it was stopped before it found the optimum."""
     solved = highs.minimum
     nothing = lambda problem, pull: Pair(0 * pull, 0 * problem.goal, 0 * problem.lower, 0)  # noqa: E731
-    monkeypatch.setattr(deviations, "interior", nothing)
+    monkeypatch.setattr(least_absolute, "interior", nothing)
 
     def stopped(*arguments, **options):
         return replace(solved(*arguments, **options), optimal=False, status="HiGHS: time limit")
@@ -237,13 +238,13 @@ def test_a_solver_that_fails_raises_or_is_told(monkeypatch, options):
 
 def test_a_wider_program_that_fails_raises_or_is_told(monkeypatch):
     """What a solver leaves behind need not be an actuator."""
-    solved = reduction.least_absolute_deviations
+    solved = least_absolute_blocks.least_absolute_deviations
 
     def asleep(problem, pull, unit):
         found = solved(problem, pull, unit)
         return replace(found, x=np.full(found.x.size, -1.0), optimal=False, status="asleep")
 
-    monkeypatch.setattr(reduction, "least_absolute_deviations", asleep)
+    monkeypatch.setattr(least_absolute_blocks, "least_absolute_deviations", asleep)
     structure = Structure(elements=10, grades=4)
     with pytest.raises(IdentifyError, match=r"Not identified: .* asleep"):
         dehyst.identify(TOPS, structure=structure)

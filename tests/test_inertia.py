@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Dynamics, Record
-from dehyst.inertia import Inertia, find_inertia
-from dehyst.mass_removal import derivatives, undone
+from dehyst.identification.dynamics_search import Inertia, find_inertia
+from dehyst.identification.preprocessing.dynamics import derivatives, undone
 
 PLANT = bench.plant(20, seed=2)
 STEP, PERIOD = 1e-4, 0.02
@@ -67,8 +67,10 @@ def test_what_the_resonance_had_to_follow_comes_back():
     actuator = with_dynamics(300.0, 0.05)
     made = driven(actuator)
     expected = driven(replace(actuator, dynamics=None)).displacement
-    seen, left = (np.abs(y - expected)[10:-10].max() / np.ptp(expected)
-                  for y in (made.displacement, undone(made, actuator.dynamics).displacement))  # fmt: skip
+    seen, left = (
+        np.abs(y - expected)[10:-10].max() / np.ptp(expected)
+        for y in (made.displacement, undone(made, actuator.dynamics).displacement)
+    )
     assert seen > 0.04
     assert left < 1e-3
 

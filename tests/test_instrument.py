@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, DehystError, ModelError
 from dehyst._errors import DeviceError
-from dehyst.amplifier import Extremes
-from dehyst.creep import Creep
-from dehyst.dynamics import Dynamics
-from dehyst.instrument import Instrument
-from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator
-from dehyst.virtual import ModelledActuator, virtual_actuator
+from dehyst.model.creep import Creep
+from dehyst.model.dynamics import Dynamics
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.virtual.amplifier import Extremes
+from dehyst.virtual.bench import Instrument
+from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
 
 PERIOD = 5e-5
 TRUTHS = {

@@ -11,10 +11,10 @@ import pytest
 
 import dehyst
 from dehyst import IdentifyError, Outcome
-from dehyst.elements import MaxwellSlip
-from dehyst.evidence import Evidence
-from dehyst.intervals import Intervals, resample
-from dehyst.latitude import latitude
+from dehyst.model.elements import MaxwellSlip
+from dehyst.uncertainty.bootstrap import Intervals, resample
+from dehyst.uncertainty.evidence import Evidence
+from dehyst.uncertainty.feasible_set import latitude
 
 TOPS = (1, 0, *(turn for top in (1, 0.8, 0.6, 0.4, 0.2) for turn in (top, 0, top, 0)))
 MAJOR = (1, 0) * 5
@@ -30,8 +30,9 @@ def recorded(turns=TOPS, *, noise=NOISE, seed=0, samples=60):
 
 
 def identified(record, norm="l2"):
-    return dehyst.identify(record, breakaway=PLANT.slip.breakaway[:-1], norm=norm, delay=0.0, drift=False, knots=6,
-                           slope_floor=0.05).actuator  # fmt: skip
+    return dehyst.identify(
+        record, breakaway=PLANT.slip.breakaway[:-1], norm=norm, delay=0.0, drift=False, knots=6, slope_floor=0.05
+    ).actuator
 
 
 @cache
@@ -131,8 +132,10 @@ def test_without_noise_intervals_are_a_point():
 
 def test_the_spread_is_how_much_more_least_absolute_deviations_scatter():
     # The second way: the same other records, identified by both norms. Of white noise alone it would be sqrt(pi / 2).
-    scatter = {norm: np.std([identified(recorded(seed=seed), norm).slip.stiffness for seed in range(1, 81)], axis=0)
-               for norm in ("l1", "l2")}  # fmt: skip
+    scatter = {
+        norm: np.std([identified(recorded(seed=seed), norm).slip.stiffness for seed in range(1, 81)], axis=0)
+        for norm in ("l1", "l2")
+    }
     ratio = np.sqrt(np.mean((scatter["l1"] / scatter["l2"]) ** 2))
     assert resample(evidence(norm="l1"), repeats=20).spread == pytest.approx(ratio, rel=0.15)
     assert resample(evidence(norm="l2"), repeats=20).spread == 1
@@ -172,8 +175,12 @@ def test_noise_says_nothing_of_open_directions_but_latitude_does():
 
 def test_what_is_known_of_a_major_loop_is_held():
     found = resample(evidence(MAJOR), repeats=60)
-    sums = np.array([[a.slip.stiffness[0] + a.slip.stiffness[3], a.slip.stiffness[1] + a.slip.stiffness[2]]
-                     for a in found.actuators])  # fmt: skip
+    sums = np.array(
+        [
+            [a.slip.stiffness[0] + a.slip.stiffness[3], a.slip.stiffness[1] + a.slip.stiffness[2]]
+            for a in found.actuators
+        ]
+    )
     centre = evidence(MAJOR).actuator.slip.stiffness
     true, model = (np.array([k[0] + k[3], k[1] + k[2]]) for k in (TRUTH, centre))
     assert np.abs(true - (2 * model - sums.mean(axis=0))).max() < 4 * sums.std(axis=0).max()
@@ -181,20 +188,24 @@ def test_what_is_known_of_a_major_loop_is_held():
 
 def test_many_records_are_resampled_each_by_itself():
     records = [recorded(seed=1), recorded((1, 0, 1, 0, 0.5, 0, 0.5, 0), seed=2)]
-    fit = dehyst.identify(records, breakaway=PLANT.slip.breakaway[:-1], norm="l2", delay=0.0, drift=False, knots=6,
-                          slope_floor=0.05)  # fmt: skip
+    fit = dehyst.identify(
+        records, breakaway=PLANT.slip.breakaway[:-1], norm="l2", delay=0.0, drift=False, knots=6, slope_floor=0.05
+    )
     assert fit.outcome is Outcome.IDENTIFIED
     found = resample(Evidence.of(fit.actuator, records), repeats=60)
     assert (np.abs(found.stiffness.mean(axis=0) - TRUTH) < 2 * widths(found)).all()
 
 
-@pytest.mark.parametrize(("options", "said"), [
-    ({"level": 0.0}, "got level 0.0 and 100 repeats"),
-    ({"level": 1.0}, "got level 1.0 and 100 repeats"),
-    ({"level": 90}, "got level 90 and 100 repeats"),
-    ({"level": float("nan")}, "need a level between 0 and 1"),
-    ({"repeats": 19}, "got level 0.9 and 19 repeats, need a level between 0 and 1 and at least 20 repeats"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"level": 0.0}, "got level 0.0 and 100 repeats"),
+        ({"level": 1.0}, "got level 1.0 and 100 repeats"),
+        ({"level": 90}, "got level 90 and 100 repeats"),
+        ({"level": float("nan")}, "need a level between 0 and 1"),
+        ({"repeats": 19}, "got level 0.9 and 19 repeats, need a level between 0 and 1 and at least 20 repeats"),
+    ],
+)
 def test_refusals(options, said):
     with pytest.raises(IdentifyError, match=said):
         resample(evidence(), **options)

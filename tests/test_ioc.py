@@ -12,9 +12,9 @@ aioca = pytest.importorskip("aioca", reason="aioca is not installed: there is no
 from ioc_process import IocProcess  # noqa: E402
 
 from dehyst._errors import RigError  # noqa: E402
-from dehyst.emulator.ioc import serve_ioc  # noqa: E402
-from dehyst.instrument import Instrument  # noqa: E402
-from dehyst.truths import PlayActuator  # noqa: E402
+from dehyst.virtual import PlayActuator  # noqa: E402
+from dehyst.virtual.bench import Instrument  # noqa: E402
+from dehyst.virtual.emulator.epics_ioc import serve_ioc  # noqa: E402
 
 LOOP = asyncio.new_event_loop()
 
@@ -59,12 +59,20 @@ def played(ioc, wave, period=1e-3):
 @pytest.mark.parametrize(
     ("name", "unit", "low", "high"),
     [
-        ("VOLTAGE", "V", 0.0, 200.0), ("VOLTAGE:RBV", "V", 0.0, 0.0), ("POSITION", "um", 0.0, 0.0),
-        ("TIME", "s", 0.0, 0.0), ("LIMIT:LOW", "V", 0.0, 0.0), ("LIMIT:HIGH", "V", 0.0, 0.0), ("SLEW", "V/s", 0.0, 0.0),
-        ("WAVE:PERIOD", "s", 0.0, 0.0), ("WAVE:VOLTAGE", "V", 0.0, 0.0), ("REC:TIME", "s", 0.0, 0.0),
-        ("REC:VOLTAGE", "V", 0.0, 0.0), ("REC:POSITION", "um", 0.0, 0.0),
+        ("VOLTAGE", "V", 0.0, 200.0),
+        ("VOLTAGE:RBV", "V", 0.0, 0.0),
+        ("POSITION", "um", 0.0, 0.0),
+        ("TIME", "s", 0.0, 0.0),
+        ("LIMIT:LOW", "V", 0.0, 0.0),
+        ("LIMIT:HIGH", "V", 0.0, 0.0),
+        ("SLEW", "V/s", 0.0, 0.0),
+        ("WAVE:PERIOD", "s", 0.0, 0.0),
+        ("WAVE:VOLTAGE", "V", 0.0, 0.0),
+        ("REC:TIME", "s", 0.0, 0.0),
+        ("REC:VOLTAGE", "V", 0.0, 0.0),
+        ("REC:POSITION", "um", 0.0, 0.0),
     ],
-)  # fmt: skip
+)
 def test_numbers_have_units_digits_and_limits(ioc, name, unit, low, high):
     value = get(ioc, name, format=aioca.FORMAT_CTRL)
     assert value.units == unit

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst.judgement import repaired
-from dehyst.record import Record
+from dehyst.identification.diagnostics.messages import repaired
+from dehyst.records.record import Record
 
 SAMPLE = 1e-3
 PLANT = bench.plant(10, seed=4)
@@ -28,8 +28,13 @@ def drifting(turns, share):
     return Record(made.time, made.voltage, made.displacement + drift, "made")
 
 
-@pytest.mark.parametrize(("turns", "why"), [((*bench.MAJOR, 1, 0), "too short a time to tell a rate of creep"),
-                                            (bench.DESCENDING_TOPS, "which is more than creep")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("turns", "why"),
+    [
+        ((*bench.MAJOR, 1, 0), "too short a time to tell a rate of creep"),
+        (bench.DESCENDING_TOPS, "which is more than creep"),
+    ],
+)
 def test_a_drift_that_cannot_be_creep_is_not_called_so(turns, why):
     """Told as a rate, it was 200 % of the range a decade."""
     fit = dehyst.identify(drifting(turns, 0.8), structure="paper", elements=10, delay=0.0, throw=False)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, Spring, State
 from dehyst._native import stops
-from dehyst.metrics import loop_area
+from dehyst.records.metrics import loop_area
 
 EXACT = 1e-12
 KM, T, KE = 1.4e6, 0.042, 8.82e4
@@ -290,8 +290,10 @@ def test_superposition(motion, seed):
     mine, share = np.random.default_rng(seed).random(len(slip)) < 0.5, 0.3
     whole, halves = compensated(actuator, path, state), 0
     for chosen, part in ((mine, share), (~mine, 1 - share)):
-        half = Actuator(MaxwellSlip(slip.breakaway[chosen], slip.stiffness[chosen]),
-                        Spring(spring.displacement, part * spring.voltage))  # fmt: skip
+        half = Actuator(
+            MaxwellSlip(slip.breakaway[chosen], slip.stiffness[chosen]),
+            Spring(spring.displacement, part * spring.voltage),
+        )
         halves = halves + compensated(half, path, State(state.displacement, state.carts[chosen]))
     elongations, _ = stops(slip.breakaway, state.carts, path)
     volts = EXACT * (our.volts_of(actuator) + np.ptp(np.append(whole, 0)))

@@ -7,10 +7,10 @@ import pytest
 import wide_bench
 
 from dehyst import identify
-from dehyst.fit import RecordErrors, Trace, Verdict
-from dehyst.leftovers import leftovers
-from dehyst.report import render
-from dehyst.structure import Structure
+from dehyst.identification.diagnostics.residuals import leftovers
+from dehyst.model.fit import RecordErrors, Trace, Verdict
+from dehyst.model.structure import Structure
+from dehyst.report.report import render
 
 STROKE = 10e-6
 PLANT = wide_bench.plant(wide_bench.STRUCTURES["graded, transformer"])
@@ -66,8 +66,10 @@ def test_what_is_small_does_not_matter():
 
 def test_a_transformer_left_out_shows_in_the_middle_or_the_width():
     record = PLANT.record(noise=1e-9)
-    right, poor = (identify(record, structure=one, delay=0.0) for one in (
-        Structure(elements=6, grades=3, knots=7, transformer=5), Structure(elements=6, grades=2, knots=2)))  # fmt: skip
+    right, poor = (
+        identify(record, structure=one, delay=0.0)
+        for one in (Structure(elements=6, grades=3, knots=7, transformer=5), Structure(elements=6, grades=2, knots=2))
+    )
     good = {check.name: check for check in leftovers(right.actuator, right.traces, right.errors)}
     bad = {check.name: check for check in leftovers(poor.actuator, poor.traces, poor.errors)}
     assert all(check.verdict is Verdict.HOLDS for check in good.values())

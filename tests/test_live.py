@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from dehyst.live import display, picture
+from dehyst.cli.live import display, picture
 
 
 class Lot(NamedTuple):
@@ -106,8 +106,10 @@ def test_a_picture_is_drawn_while_it_runs_and_stays(clock):
     assert "▶ look" in text
     # The last picture is drawn over the one before, and stays.
     assert [line.rstrip() for line in text.rpartition("\x1b[2K")[2].splitlines()[:3]] == [
-        "✓ look  0.0 s, 10 samples", "✓ loops 0.0 s, 10 samples", "  20 samples on disk     12.160 V      1.2160 um",
-    ]  # fmt: skip
+        "✓ look  0.0 s, 10 samples",
+        "✓ loops 0.0 s, 10 samples",
+        "  20 samples on disk     12.160 V      1.2160 um",
+    ]
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])

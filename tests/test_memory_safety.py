@@ -24,7 +24,7 @@ from dehyst import (
     Spring,
     Transformer,
 )
-from dehyst.computable import FARTHEST, LEAST, MOST
+from dehyst._computable import FARTHEST, LEAST, MOST
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -175,9 +175,12 @@ def test_a_state_whose_voltage_is_no_number_begins_no_loop():
 
 
 MOVING = replace(
-    PLAIN, creep=Creep([0.1], [1e5]), dynamics=Dynamics(2e3, 0.1, 1e6), lag=1e-3,
+    PLAIN,
+    creep=Creep([0.1], [1e5]),
+    dynamics=Dynamics(2e3, 0.1, 1e6),
+    lag=1e-3,
     smooth=SmoothSlip([1e-7], [1.0], [1e5]),
-)  # fmt: skip
+)
 
 
 @pytest.mark.parametrize("actuator", [PLAIN, MOVING], ids=["plain", "moving"])
@@ -220,8 +223,18 @@ def test_a_damaged_snapshot_is_refused_whole_or_goes_on_within_limits(where, bad
     assert np.isfinite([state.displacement, *state.carts, *state.creep, *state.smooth, *state.motion]).all()
 
 
-@pytest.mark.parametrize("changes", [{"rest": "123"}, {"rest": [[1.0]]}, {"counts": (0, -1, 0)}, {"counts": (0, 0)},
-                                     {"counts": 5}, {"counts": (0, 0, 2**70)}, {"state": None}])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"rest": "123"},
+        {"rest": [[1.0]]},
+        {"counts": (0, -1, 0)},
+        {"counts": (0, 0)},
+        {"counts": 5},
+        {"counts": (0, 0, 2**70)},
+        {"state": None},
+    ],
+)
 def test_what_is_no_snapshot_is_refused_when_it_is_made(changes):
     snapshot = Compensator(PLAIN).snapshot()
     with pytest.raises(ModelError):

@@ -5,16 +5,23 @@ import pytest
 from anatomies import NEEDING_TIME, PARTS, STROKE, anatomy
 
 from dehyst import Compensator, DehystError, ModelError
-from dehyst.reach import reach_of
+from dehyst.control.reachable import reach_of
 
 PERIOD = 1e-3
 N = 50
 PATH = STROKE * (0.5 + 0.2 * np.sin(np.linspace(0, 4, N)))
 TIME = PERIOD * np.arange(N)
 WRONG_TIMES = {
-    "short": TIME[1:], "long": np.append(TIME, 1.0), "falling": TIME[::-1], "repeated": np.zeros(N), "none": [],
-    "not finite": np.where(TIME > 0.01, np.nan, TIME), "a column": TIME[:, None], "words": ["soon"] * N, "number": 1.0,
-}  # fmt: skip
+    "short": TIME[1:],
+    "long": np.append(TIME, 1.0),
+    "falling": TIME[::-1],
+    "repeated": np.zeros(N),
+    "none": [],
+    "not finite": np.where(TIME > 0.01, np.nan, TIME),
+    "a column": TIME[:, None],
+    "words": ["soon"] * N,
+    "number": 1.0,
+}
 
 
 def calls(actuator, **time):

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from dehyst._errors import DehystError, FileFormatError, ModelError
 from dehyst._io.json_files import read_json, write_json
-from dehyst.actuator import Actuator
-from dehyst.creep import Creep
-from dehyst.dynamics import Dynamics
-from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model import State
-from dehyst.smooth import SmoothSlip
+from dehyst.model.actuator import Actuator
+from dehyst.model.base import State
+from dehyst.model.creep import Creep
+from dehyst.model.dynamics import Dynamics
+from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.model.smooth_slip import SmoothSlip
 
 # Wide enough for every exponent, narrow enough that no difference overflows.
 numbers = st.floats(-1e300, 1e300)
@@ -120,9 +120,13 @@ def wide():
 def test_wider_parts_come_back_exactly(tmp_path):
     actuator = wide()
     back = through_a_file(actuator, tmp_path / "a.json")
-    for part, fields in (("slip", ("breakaway", "knots", "stiffness")), ("transformer", ("voltage", "drive")),
-                         ("creep", ("time_constants", "stiffness")), ("smooth", ("length", "closing", "stiffness")),
-                         ("state", ("carts", "creep", "smooth", "motion"))):  # fmt: skip
+    for part, fields in (
+        ("slip", ("breakaway", "knots", "stiffness")),
+        ("transformer", ("voltage", "drive")),
+        ("creep", ("time_constants", "stiffness")),
+        ("smooth", ("length", "closing", "stiffness")),
+        ("state", ("carts", "creep", "smooth", "motion")),
+    ):
         for name in fields:
             one, two = (getattr(getattr(a, part), name) for a in (actuator, back))
             assert one.shape == two.shape
@@ -202,9 +206,22 @@ def test_keys_state_their_units(tmp_path):
     write_json(tmp_path / "a.json", made().as_dict())
     data = json.loads((tmp_path / "a.json").read_text(encoding="ascii"))
     assert list(data) == [
-        "format", "version", "name", "slip", "spring", "transformer", "creep", "smooth", "dynamics",
-        "load_stiffness_N_per_m", "lag_s", "state", "limits", "delay_s", "provenance",
-    ]  # fmt: skip
+        "format",
+        "version",
+        "name",
+        "slip",
+        "spring",
+        "transformer",
+        "creep",
+        "smooth",
+        "dynamics",
+        "load_stiffness_N_per_m",
+        "lag_s",
+        "state",
+        "limits",
+        "delay_s",
+        "provenance",
+    ]
     assert list(data["slip"]) == ["breakaway_m", "stiffness_V_per_m"]
     assert list(data["spring"]) == ["displacement_m", "voltage_V"]
     assert list(data["state"]) == ["displacement_m", "carts_m", "creep_m", "smooth_m", "motion"]
@@ -228,8 +245,12 @@ def changed(where, value):
     return data
 
 
-PLACES = [f"{part}.{key}" for part, inner in made().as_dict().items() if part not in ("provenance", "name")
-          for key in (inner if isinstance(inner, dict) else ())]  # fmt: skip
+PLACES = [
+    f"{part}.{key}"
+    for part, inner in made().as_dict().items()
+    if part not in ("provenance", "name")
+    for key in (inner if isinstance(inner, dict) else ())
+]
 
 
 @pytest.mark.parametrize("key", [key for key in made().as_dict() if key not in ("format", "version")])

@@ -9,8 +9,8 @@ import pytest
 from fake_nidaqmx import RegenerationMode, installed
 
 from dehyst._errors import DeviceError, LinkError, MissingExtraError, RigError
-from dehyst.excitation import Excitation
-from dehyst.rigs.nidaqmx import NiRig
+from dehyst.instruments.nidaqmx import NiRig
+from dehyst.waveforms.excitation import Excitation
 
 UP = Excitation("up", np.linspace(0, 50, 101), 1000.0)
 
@@ -152,7 +152,12 @@ def test_addresses(card):
     assert rig.read().voltage == pytest.approx(30.0)
     assert rig.read().displacement == pytest.approx(3e-6)
     assert NiRig.of("ni://Dev1/ao0,ai0?gain=10&scale=2&monitor=ai1&monitor_gain=20").read().voltage == 60.0
-    for bad in ("ni://Dev1/ao0,ai0", "ni://Dev1/ao0?gain=1&scale=1", "ni:///ao0,ai0?gain=1&scale=1",
-                "ni://Dev1/ao0,ai0?gain=1&scale=1&speed=2", "ni://Dev1/ao0,ai0?gain=ten&scale=1"):  # fmt: skip
+    for bad in (
+        "ni://Dev1/ao0,ai0",
+        "ni://Dev1/ao0?gain=1&scale=1",
+        "ni:///ao0,ai0?gain=1&scale=1",
+        "ni://Dev1/ao0,ai0?gain=1&scale=1&speed=2",
+        "ni://Dev1/ao0,ai0?gain=ten&scale=1",
+    ):
         with pytest.raises(RigError, match=r"need ni://Dev1/ao0,ai0\?gain=10"):
             NiRig.of(bad)

@@ -12,13 +12,13 @@ import pytest
 from anatomies import anatomy
 
 import dehyst
-from dehyst import demo
-from dehyst.cli import main
-from dehyst.console import came_from, start_state, start_within
-from dehyst.counting import counted
-from dehyst.files import write_record
-from dehyst.option_words import in_options, in_words_of, options_of
-from dehyst.truths import PlayActuator
+from dehyst._text import counted
+from dehyst.cli.commands import main
+from dehyst.cli.common import came_from, start_state, start_within
+from dehyst.cli.option_words import in_options, in_words_of, options_of
+from dehyst.records.files import write_record
+from dehyst.studies import demo
+from dehyst.virtual import PlayActuator
 
 SOURCES = Path(__file__).resolve().parents[1] / "src" / "dehyst"
 ARGUMENT = re.compile(r"(?<![-\w&?+])([a-z][a-z_]+)=(?!=)")
@@ -144,7 +144,7 @@ def folder(tmp_path_factory):
     ],
 )
 def test_messages_of_commands_name_options(folder, line, shown):
-    command = [sys.executable, "-c", "from dehyst.cli import main; main()", *line.split()]
+    command = [sys.executable, "-c", "from dehyst.cli.commands import main; main()", *line.split()]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
     assert shown in done.stderr
@@ -153,9 +153,11 @@ def test_messages_of_commands_name_options(folder, line, shown):
 
 def test_the_help_of_knots_is_what_is_done():
     shown = subprocess.run(
-        [sys.executable, "-c", "from dehyst.cli import main; main()", "identify", "--help"],
-        capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
+        [sys.executable, "-c", "from dehyst.cli.commands import main; main()", "identify", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
     assert "[default: N + 1, at most 41]" in " ".join(shown.split())
     record = demo.record_loops(PlayActuator(plays=60))[0]
     for elements, knots in ((20, 21), (50, 41)):
@@ -182,7 +184,7 @@ def test_numbers_of_things_agree_with_them():
 def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path):
     (tmp_path / name).mkdir()
     (tmp_path / name / "x").touch()
-    command = [sys.executable, "-c", "from dehyst.cli import main; main()", "demo", "-o", name, "--no-report"]
+    command = [sys.executable, "-c", "from dehyst.cli.commands import main; main()", "demo", "-o", name, "--no-report"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith(f"dehyst: {name}: holds other files (x)")

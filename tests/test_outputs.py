@@ -22,17 +22,18 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-import dehyst.cli
-from dehyst import Compensator, FileFormatError, Record, demo, write_record
+import dehyst.cli.commands
+from dehyst import Compensator, FileFormatError, Record, write_record
 from dehyst._errors import LinkError
 from dehyst._io.json_files import write_json
 from dehyst._io.marks import demand_own_folder, demand_replaceable, format_of, marked, written_by_dehyst
-from dehyst.escaping import escaped
-from dehyst.files import read_table, write_columns
-from dehyst.fmu import SourceOnlyWarning, export_fmu
-from dehyst.page import document
+from dehyst._text import escaped
+from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
+from dehyst.records.files import read_table, write_columns
+from dehyst.report.html import document
+from dehyst.studies import demo
 
-PROGRAM = [sys.executable, "-c", "from dehyst.cli import main; main()"]
+PROGRAM = [sys.executable, "-c", "from dehyst.cli.commands import main; main()"]
 NASTY = "a\x1b]0;owned\x07\r\nb\u202ec"
 SAID = r"a\x1b]0;owned\x07\r\nb\u202ec"
 UNSAFE = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069]")
@@ -141,7 +142,7 @@ def test_a_table_may_go_to_a_device_of_any_name(tmp_path):
 # Every command
 
 
-def commands(group=dehyst.cli.main, names=()):
+def commands(group=dehyst.cli.commands.main, names=()):
     """Names and object of every command."""
     for name, one in group.commands.items():
         if isinstance(one, click.Group):
@@ -184,10 +185,22 @@ def call(names, one, parameter, target):
 def test_all_outputs_are_looked_at():
     found = {f"{' '.join(one.values[0])} {one.values[2].name}" for one in writing()}
     assert found >= {
-        "identify output", "identify report", "simulate output", "compensate output", "compensate cycle",
-        "insight output", "insight report", "compare output", "compare report", "demo output", "paper output",
-        "calibrate output", "export directory", "excite staircase output", "excite homing output",
-    }  # fmt: skip
+        "identify output",
+        "identify report",
+        "simulate output",
+        "compensate output",
+        "compensate cycle",
+        "insight output",
+        "insight report",
+        "compare output",
+        "compare report",
+        "demo output",
+        "paper output",
+        "calibrate output",
+        "export directory",
+        "excite staircase output",
+        "excite homing output",
+    }
 
 
 @pytest.mark.parametrize(("names", "one", "parameter"), [one for one in writing() if one.values[0][0] not in FOLDERS])
@@ -195,11 +208,11 @@ def test_no_command_replaces_a_file_of_others(tmp_path, monkeypatch, names, one,
     monkeypatch.chdir(tmp_path)
     (tmp_path / "precious.csv").write_text("mine")
     arguments = call(names, one, parameter, "precious.csv")
-    done = CliRunner().invoke(dehyst.cli.main, arguments)
+    done = CliRunner().invoke(dehyst.cli.commands.main, arguments)
     assert done.exit_code == 2, done.output
     assert "precious.csv: is there already, and dehyst did not write it" in done.stderr
     assert (tmp_path / "precious.csv").read_text() == "mine"
-    forced = CliRunner().invoke(dehyst.cli.main, [*arguments, "--force"])
+    forced = CliRunner().invoke(dehyst.cli.commands.main, [*arguments, "--force"])
     assert "did not write it" not in forced.stderr and "No such option" not in forced.stderr
 
 
@@ -210,7 +223,7 @@ def test_no_command_writes_into_a_folder_of_others(folder, monkeypatch, names, o
     target.mkdir()
     (target / "report.html").write_text("mine")
     arguments = ["model.json" if word == "absent-model" else word for word in call(names, one, parameter, "precious")]
-    done = CliRunner().invoke(dehyst.cli.main, arguments)
+    done = CliRunner().invoke(dehyst.cli.commands.main, arguments)
     assert done.exit_code == 2, done.output
     assert re.search("holds other files .report.html|report.html: is there already", done.stderr), done.stderr
     assert [path.name for path in target.iterdir()] == ["report.html"]
@@ -254,11 +267,11 @@ def test_force_replaces_no_input(folder):
 
 
 def test_a_file_that_appears_while_a_command_computes_is_not_replaced(tmp_path, monkeypatch):
-    from dehyst import excite
+    from dehyst.waveforms import standard
 
-    made, output = excite.raised_cosine, tmp_path / "v.csv"
-    monkeypatch.setattr(excite, "raised_cosine", lambda *a, **k: output.write_text("mine") and made(*a, **k))
-    done = CliRunner().invoke(dehyst.cli.main, ["excite", "raised-cosine", "10", "-o", str(output)])
+    made, output = standard.raised_cosine, tmp_path / "v.csv"
+    monkeypatch.setattr(standard, "raised_cosine", lambda *a, **k: output.write_text("mine") and made(*a, **k))
+    done = CliRunner().invoke(dehyst.cli.commands.main, ["excite", "raised-cosine", "10", "-o", str(output)])
     assert done.exit_code == 2 and "dehyst did not write it" in done.stderr
     assert output.read_text() == "mine"
 
@@ -318,10 +331,13 @@ def test_a_name_of_255_bytes_is_written_and_a_longer_one_refused(tmp_path):
 FULL = Path("/dev/full")
 full = pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
 PRINTING = [
-    ["--help"], ["--version"], ["excite", "staircase", "--help"], ["excite", "raised-cosine", "10", "-o", "v.csv"],
+    ["--help"],
+    ["--version"],
+    ["excite", "staircase", "--help"],
+    ["excite", "raised-cosine", "10", "-o", "v.csv"],
     ["excite", "raised-cosine", "10", "-o", "v.csv", "--json"],
     ["simulate", "model.json", "voltage.csv", "-o", "o.csv"],
-]  # fmt: skip
+]
 
 
 @full
@@ -373,21 +389,27 @@ def test_a_full_device_as_output_is_a_sentence(folder):
     (folder / "full.csv").symlink_to(FULL)
     status, out, err = run("excite", "raised-cosine", "10", "-o", "full.csv", cwd=folder)
     assert (status, out) == (2, "")
-    assert err == "dehyst: full.csv: cannot be written (No space left on device); make room there, or name a place " \
-                  "that has some\n"  # fmt: skip
+    assert (
+        err == "dehyst: full.csv: cannot be written (No space left on device); make room there, or name a place "
+        "that has some\n"
+    )
     assert (folder / "full.csv").is_symlink()
 
 
 def test_ctrl_c_is_a_sentence():
     code = (
-        "import os, signal, time, dehyst.demo\n"
-        "dehyst.demo.run = lambda tell: os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)\n"
-        "from dehyst.cli import main; main()"
+        "import os, signal, time, dehyst.studies.demo\n"
+        "dehyst.studies.demo.run = lambda tell: os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)\n"
+        "from dehyst.cli.commands import main; main()"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, "demo"], capture_output=True, text=True, timeout=100, check=False,
+        [sys.executable, "-c", code, "demo"],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+    )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "dehyst: stopped by Ctrl-C\n")
 
 
@@ -423,10 +445,12 @@ def test_every_command_refuses_a_device_as_its_model(folder, monkeypatch):
     monkeypatch.chdir(folder)
     (folder / "r.csv").write_text("time_s,voltage_V,displacement_um\n0,1,1\n1,2,2\n")
     for command in (
-        ["compensate", "/dev/zero", "path.csv", "-o", "o.csv"], ["insight", "/dev/zero", "r.csv"],
-        ["export", "/dev/zero", "c"], ["excite", "homing", "--model", "/dev/zero", "-o", "o.csv"],
-    ):  # fmt: skip
-        done = CliRunner().invoke(dehyst.cli.main, command)
+        ["compensate", "/dev/zero", "path.csv", "-o", "o.csv"],
+        ["insight", "/dev/zero", "r.csv"],
+        ["export", "/dev/zero", "c"],
+        ["excite", "homing", "--model", "/dev/zero", "-o", "o.csv"],
+    ):
+        done = CliRunner().invoke(dehyst.cli.commands.main, command)
         assert done.exit_code == 2 and "/dev/zero: is a device, a pipe or a socket" in done.stderr, command
 
 
@@ -465,7 +489,7 @@ def test_errors_are_one_line():
 def loops(tmp_path_factory):
     """The text of a record that a model can be identified from quickly."""
     path = tmp_path_factory.mktemp("loops") / "loops.csv"
-    write_record(path, demo.record_loops(dehyst.truths.PlayActuator(plays=60))[0])
+    write_record(path, demo.record_loops(dehyst.virtual.PlayActuator(plays=60))[0])
     return path.read_text()
 
 
@@ -524,6 +548,6 @@ def test_names_that_are_no_utf8_and_streams_of_ascii(tmp_path, loops):
 
 
 def test_commands_print_by_one_door():
-    source = Path(dehyst.cli.__file__).parent
+    source = Path(dehyst.cli.commands.__file__).parent
     for path in (*source.glob("cli*.py"), source / "console.py", source / "printing.py"):
         assert not re.search(r"click\.s?echo|\bprint\(|sys\.std(out|err)\.write", path.read_text()), path.name

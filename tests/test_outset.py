@@ -7,8 +7,8 @@ import pytest
 from firmware import KINDS
 
 from dehyst import Compensator
-from dehyst.export import export
-from dehyst.outset import Outset
+from dehyst.exports.firmware import export
+from dehyst.exports.start import Outset
 
 
 @pytest.mark.parametrize("kind", ["plain", "all", "moving"])

@@ -11,12 +11,13 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from dehyst import experiment, paper, paper_tables
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst._io.json_files import read_json
-from dehyst.actuator import Actuator
-from dehyst.files import read_table
-from dehyst.paper_tables import MODELS
+from dehyst.model.actuator import Actuator
+from dehyst.records.files import read_table
+from dehyst.studies.paper import experiment, tables
+from dehyst.studies.paper import run as paper
+from dehyst.studies.paper.tables import MODELS
 
 pytestmark = pytest.mark.slow
 FIGURES = [f"fig{n:02d}" for n in range(3, 13)]
@@ -164,8 +165,15 @@ def test_the_page_stands_alone_and_refers_to_nothing_missing(page, folder):
 
 def test_the_page_names_every_discrepancy(page):
     words = re.sub(r"\s+", " ", "".join(page.text))
-    for part in ("Where this differs from the paper, and why", "T/km = 30 nm/V", "strongly negative", "k₁₀",
-                 "10.1115/1.2192819", "directions of the stiffnesses", "Rayleigh"):  # fmt: skip
+    for part in (
+        "Where this differs from the paper, and why",
+        "T/km = 30 nm/V",
+        "strongly negative",
+        "k₁₀",
+        "10.1115/1.2192819",
+        "directions of the stiffnesses",
+        "Rayleigh",
+    ):
         assert part in words
     assert not re.search(r"\bnan\b|\{|\}|None", words)
 
@@ -214,7 +222,7 @@ def test_the_rival_needs_a_relaxed_start(numbers):
 
 
 def test_physical_constants_are_the_papers(result):
-    p = paper_tables.physical(result.asymmetric, "breakpoints")
+    p = tables.physical(result.asymmetric, "breakpoints")
     keq = 8.82e4 * 1.4e6 / (8.82e4 + 1.4e6)
     assert p.equivalent_stiffness == pytest.approx(keq, rel=1e-12)
     model = result.asymmetric.trials["breakpoints"].actuator
@@ -282,7 +290,7 @@ def test_without_matplotlib_nothing_is_written(monkeypatch, result, tmp_path):
 
 
 def test_running_it_does_not_load_matplotlib():
-    code = "import sys, dehyst.paper; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, dehyst.studies.paper.run; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

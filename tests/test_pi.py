@@ -10,8 +10,8 @@ from meddler import PipeLink, QuickRig
 
 from dehyst import ClampWarning
 from dehyst._errors import DeviceError, LinkError, RecordError, RigError
-from dehyst.excitation import Excitation
-from dehyst.rigs.pi import PiRig
+from dehyst.instruments.pi import PiRig
+from dehyst.waveforms.excitation import Excitation
 
 
 def quick(controller, **options):
@@ -129,9 +129,13 @@ def test_without_a_wave_generator_or_recorder_the_host_plays(lacking):
 
 @pytest.mark.parametrize(
     ("told", "why"),
-    [({"TNR?": ["1"]}, "recorder tables"), ({"HDR?": ["#RecordOptions", "2=Current Position"]}, "cannot record both"),
-     ({"SPA?": None}, "does not tell the parameters 0x0e000200"), ({"SPA?": lambda a: [f"1 {a[1]}=0"]}, "0x0e000200")],
-)  # fmt: skip
+    [
+        ({"TNR?": ["1"]}, "recorder tables"),
+        ({"HDR?": ["#RecordOptions", "2=Current Position"]}, "cannot record both"),
+        ({"SPA?": None}, "does not tell the parameters 0x0e000200"),
+        ({"SPA?": lambda a: [f"1 {a[1]}=0"]}, "0x0e000200"),
+    ],
+)
 def test_half_a_recorder_is_none(told, why):
     with pytest.warns(UserWarning, match=why):
         quick(FakeController(told=told))
@@ -157,7 +161,7 @@ def test_an_older_syntax_version_is_that_of_gcs_2():
         ({}, [], {"limits": (200.0, 300.0)}, RigError, "nothing is left"),
         ({"VOL?": ["1=nan"]}, [], {}, LinkError, "sent '\\[?.?VOL. 1.*got '1=nan'|need a finite number"),
     ],
-)  # fmt: skip
+)
 def test_odd_controllers_are_refused_with_a_reason(told, without, options, error, why):
     controller = FakeController(told=told, without=without)
     with pytest.raises(error, match=why) as caught, warnings.catch_warnings():

@@ -6,23 +6,24 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dehyst import IdentifyError, ModelError, Record, RecordError, excite
-from dehyst.rivals.base import AbstractRival
-from dehyst.rivals.boucwen import BoucWen
-from dehyst.rivals.duhem import Duhem
-from dehyst.rivals.fitting import training as made_ready
-from dehyst.rivals.generalised import Generalised
-from dehyst.rivals.goldfarb import Goldfarb
-from dehyst.rivals.krasnoselskii import Krasnoselskii
-from dehyst.rivals.kuhnen import Kuhnen
-from dehyst.rivals.least_squares import differences, ramps
-from dehyst.rivals.linear import Linear
-from dehyst.rivals.play_rows import PlayRows, from_anywhere, lowpassed
-from dehyst.rivals.plays import PlayBank
-from dehyst.rivals.prandtl import Prandtl
-from dehyst.rivals.preisach import Preisach
-from dehyst.trials import TRIALS
-from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst import IdentifyError, ModelError, Record, RecordError
+from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.bouc_wen import BoucWen
+from dehyst.baselines.duhem import Duhem
+from dehyst.baselines.fitting import training as made_ready
+from dehyst.baselines.generalized_prandtl_ishlinskii import Generalised
+from dehyst.baselines.goldfarb_celanovic import Goldfarb
+from dehyst.baselines.krasnoselskii_pokrovskii import Krasnoselskii
+from dehyst.baselines.linear import Linear
+from dehyst.baselines.modified_prandtl_ishlinskii import Kuhnen
+from dehyst.baselines.nonnegative_fit import differences, ramps
+from dehyst.baselines.play_bank import PlayBank
+from dehyst.baselines.play_regressors import PlayRows, from_anywhere, lowpassed
+from dehyst.baselines.prandtl_ishlinskii import Prandtl
+from dehyst.baselines.preisach import Preisach
+from dehyst.baselines.tracking_trials import TRIALS
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.waveforms import standard
 
 RIVALS = [Prandtl, Kuhnen, Generalised, Krasnoselskii]
 VOLTS, STROKE = 200.0, 16e-6
@@ -66,16 +67,20 @@ def missed(found, truth, seed=1, seconds=0.05):
     path = 0.03 * STROKE + 0.93 * STROKE / VOLTS * wander(seed + 1)
     sent = found.compensate(path, state=start, time=after).voltage
     track = truth.drive(sent, time=after, measured=False) - path
-    return [100 * norm / truth.stroke for e in (free - free.mean(), track - track.mean())
-            for norm in (np.abs(e).max(), np.sqrt(np.mean(e**2)))]  # fmt: skip
+    return [
+        100 * norm / truth.stroke
+        for e in (free - free.mean(), track - track.mean())
+        for norm in (np.abs(e).max(), np.sqrt(np.mean(e**2)))
+    ]
 
 
 def training(kind, **options):
     """Falling tops at two speeds, and a staircase where there is creep."""
-    records = [recorded(kind(seed=i, **options).drive, through(TOPS, 100 + 100 * i), seconds=0.02 + 0.03 * i)
-               for i in range(2)]  # fmt: skip
+    records = [
+        recorded(kind(seed=i, **options).drive, through(TOPS, 100 + 100 * i), seconds=0.02 + 0.03 * i) for i in range(2)
+    ]
     if options:
-        stairs = excite.staircase(VOLTS, steps=5, hold=60.0, ramp=1.0, drive=excite.Drive(sample_rate=20.0))
+        stairs = standard.staircase(VOLTS, steps=5, hold=60.0, ramp=1.0, drive=standard.Drive(sample_rate=20.0))
         voltage = np.concatenate([through((0, 1, 0, 1, 0), 200), stairs.voltage])
         records.append(recorded(kind(seed=9, **options).drive, voltage, name="stairs"))
     return records
@@ -226,7 +231,7 @@ def test_a_resonance_does_not_shift_the_axis(kind):
     """Driven slowly, a model of an actuator that was recorded swinging is nowhere far off, and on the whole not off."""
     one = TRIALS["boucwen"]
     found = kind.fit(one.records(), delay=2e-4)
-    slow = excite.raised_cosine(VOLTS, cycles=2, drive=excite.Drive(frequency=1.0, sample_rate=2000.0))
+    slow = standard.raised_cosine(VOLTS, cycles=2, drive=standard.Drive(frequency=1.0, sample_rate=2000.0))
     y = one.truth(3).drive(slow.voltage, time=slow.time, measured=False)
     error = (found.simulate(slow.voltage, time=slow.time).displacement - y)[slow.time.size // 2 :] / STROKE
     assert np.abs(error).max() < 0.03

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from strategies import SEEDS
 
 from dehyst import ModelError
-from dehyst.rivals.inverse import PlayInverse
-from dehyst.rivals.plays import PlayBank, PlayState
+from dehyst.baselines.play_bank import PlayBank, PlayState
+from dehyst.baselines.play_inverse import PlayInverse
 
 VOLTS = 100.0
 

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from strategies import SEEDS
 
 import dehyst
-from dehyst import IdentifyError, ModelError, Record, excite
-from dehyst.excite import Drive
-from dehyst.metrics import largest, rms
-from dehyst.rivals.preisach import Preisach, Staircase
-from dehyst.truths import PlayActuator, PreisachActuator
+from dehyst import IdentifyError, ModelError, Record
+from dehyst.baselines.preisach import Preisach, Staircase
+from dehyst.records.metrics import largest, rms
+from dehyst.virtual import PlayActuator, PreisachActuator
+from dehyst.waveforms import standard
+from dehyst.waveforms.standard import Drive
 
 VOLTS = 100.0
 STROKE = 1e-5
@@ -63,8 +64,9 @@ def path(seed, n, cells):
 def test_equal_to_relays_one_by_one(seed, cells, n):
     held = densities(seed, cells)
     voltage = path(seed, n, cells)
-    np.testing.assert_allclose(of(held).simulate(voltage).displacement, by_relays(held, voltage), rtol=0,
-                               atol=1e-13 * STROKE)  # fmt: skip
+    np.testing.assert_allclose(
+        of(held).simulate(voltage).displacement, by_relays(held, voltage), rtol=0, atol=1e-13 * STROKE
+    )
 
 
 @given(SEEDS, st.integers(1, 30))
@@ -83,8 +85,10 @@ def test_minor_loops_between_the_same_voltages_are_congruent(seed, cells):
     model = of(densities(seed, cells))
     low, high = sorted(np.random.default_rng([seed, 3]).uniform(20, 80, 2))
     loop = np.concatenate([np.linspace(high, low, 20), np.linspace(low, high, 20)])
-    first, second = (model.simulate(np.concatenate([start, [low], loop])).displacement[-40:]
-                     for start in ([0.0, 100.0], [100.0, 0.0, 85.0, 15.0]))  # fmt: skip
+    first, second = (
+        model.simulate(np.concatenate([start, [low], loop])).displacement[-40:]
+        for start in ([0.0, 100.0], [100.0, 0.0, 85.0, 15.0])
+    )
     np.testing.assert_allclose(first - first[0], second - second[0], rtol=0, atol=1e-13 * STROKE)
 
 
@@ -128,7 +132,7 @@ def test_a_curve_that_turns_early_tells_only_what_it_went_through():
     cells = 8
     truth = of(densities(1, cells))
     record = recorded(truth, VOLTS * np.arange(cells - 1, 0, -1) / cells)
-    short = excite.raised_cosine([VOLTS, VOLTS], cycles=1, drive=Drive(sample_rate=4.0)).voltage
+    short = standard.raised_cosine([VOLTS, VOLTS], cycles=1, drive=Drive(sample_rate=4.0)).voltage
     down = VOLTS * (0.75 + 0.25 * np.cos(np.pi * np.arange(1, 101) / 100))
     voltage = np.concatenate([short, short[: short.size // 4 + 1], down, down[::-1], down])
     stairs = Record(np.arange(voltage.size) / 100, voltage, truth.simulate(voltage).displacement)
@@ -150,8 +154,8 @@ def test_slow_curves_count_where_there_are_slow_and_fast_ones():
 @pytest.fixture(scope="module")
 def plays():
     truth = PlayActuator(seed=1)
-    tops = excite.descending_tops(truth.highest, drive=Drive(sample_rate=4.0))
-    others = excite.raised_cosine([200, 150, 90, 120], cycles=2, drive=Drive(sample_rate=4.0))
+    tops = standard.descending_tops(truth.highest, drive=Drive(sample_rate=4.0))
+    others = standard.raised_cosine([200, 150, 90, 120], cycles=2, drive=Drive(sample_rate=4.0))
     return (Record(tops.time, tops.voltage, truth.drive(tops.voltage)), others, truth)
 
 
@@ -200,9 +204,12 @@ def test_refusals():
             Preisach((0, 1), table).compensate([0.5], state=Staircase(0.5, 0.0, np.array(turns)))
     record = bench.loops(bench.plant(), bench.MAJOR)
     for options, said in (
-        ({"cells": 1}, "cells: got 1"), ({"cells": 2.5}, "cells: got 2.5"), ({"smoothing": -1}, "smoothing: got -1"),
-        ({"slope_floor": 0}, "slope_floor: got 0"), ({"delay": 1e3}, "delay: got 1000.0"),
-    ):  # fmt: skip
+        ({"cells": 1}, "cells: got 1"),
+        ({"cells": 2.5}, "cells: got 2.5"),
+        ({"smoothing": -1}, "smoothing: got -1"),
+        ({"slope_floor": 0}, "slope_floor: got 0"),
+        ({"delay": 1e3}, "delay: got 1000.0"),
+    ):
         with pytest.raises(IdentifyError, match=said):
             Preisach.fit(record, **options)
     with pytest.raises(IdentifyError, match="need records"):

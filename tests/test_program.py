@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog, lsq_linear
 
 from dehyst import IdentifyError
-from dehyst.program import NORMS, linear_program, solve
+from dehyst.identification.solvers.program import NORMS, linear_program, solve
 
 CASES = [(seed, free, positive) for seed in range(4) for free, positive in ((1, 5), (3, 8), (0, 6), (4, 0))]
 
@@ -101,8 +101,12 @@ def test_dependent_columns_change_nothing_but_the_split(norm, seed):
     f, p, b, w = problem(seed, 2, 4)
     zeros = np.zeros((len(b), 1))
     best = value(norm, solve(f, p, b, weights=w, norm=norm).residual, w)
-    wider = {"p twice": (f, np.hstack([p, p[:, :1]])), "p and zeros": (f, np.hstack([zeros, p])),
-             "f twice": (np.hstack([f, 2 * f[:, :1]]), p), "f and zeros": (np.hstack([zeros, f]), p)}  # fmt: skip
+    wider = {
+        "p twice": (f, np.hstack([p, p[:, :1]])),
+        "p and zeros": (f, np.hstack([zeros, p])),
+        "f twice": (np.hstack([f, 2 * f[:, :1]]), p),
+        "f and zeros": (np.hstack([zeros, f]), p),
+    }
     for name, (more_f, more_p) in wider.items():
         found = solve(more_f, more_p, b, weights=w, norm=norm)
         assert found.optimal, name
@@ -178,8 +182,12 @@ def test_a_linear_program_and_its_dual_meet(seed):
     assert np.all(rows @ x >= limits[0] - 1e-8)
     assert np.all(rows @ x <= limits[1] + 1e-8)
     bounded = np.isfinite(limits[1])
-    other = linprog(cost, np.vstack([-rows, rows[bounded]]), np.concatenate([-limits[0], limits[1][bounded]]),
-                    bounds=list(zip(*bounds, strict=True)))  # fmt: skip
+    other = linprog(
+        cost,
+        np.vstack([-rows, rows[bounded]]),
+        np.concatenate([-limits[0], limits[1][bounded]]),
+        bounds=list(zip(*bounds, strict=True)),
+    )
     assert objective == pytest.approx(other.fun, rel=1e-8)
 
 

@@ -10,9 +10,9 @@ import pytest
 from anatomies import PARTS, anatomy
 
 import dehyst
-from dehyst import demo
-from dehyst.files import write_record
-from dehyst.truths import PlayActuator
+from dehyst.records.files import write_record
+from dehyst.studies import demo
+from dehyst.virtual import PlayActuator
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import RecordError
-from dehyst.record import Record
-from dehyst.signals import white_noise
+from dehyst.records.record import Record
+from dehyst.records.signals import white_noise
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
 rng = np.random.default_rng(885)

@@ -18,9 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import FileFormatError, MissingExtraError, RecordError
-from dehyst.files import read
-from dehyst.record import Record
-from dehyst.recording import Recording, numbered, room, salvage
+from dehyst.records.files import read
+from dehyst.records.record import Record
+from dehyst.records.recording import Recording, numbered, room, salvage
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals, locks and limits of POSIX")
 
@@ -92,8 +92,13 @@ def test_a_record_that_is_finished(tmp_path):
     with h5py.File(path) as file:
         assert meta.pop("sha256") == file.attrs["sha256"]
     assert meta == {
-        "rig": "E-709", "axis": 1, "complete": True, "ended_because": None, "samples": 11, "source": "tops.h5",
-    }  # fmt: skip
+        "rig": "E-709",
+        "axis": 1,
+        "complete": True,
+        "ended_because": None,
+        "samples": 11,
+        "source": "tops.h5",
+    }
 
 
 def test_leaving_the_block_finishes(tmp_path):
@@ -120,10 +125,14 @@ def test_an_exception_leaves_what_came(tmp_path, error):
     record = read(tmp_path / "a.h5")
     assert same(record, 20)
     assert record.meta["complete"] is False
-    assert record.meta["ended_because"] == {
-        ValueError: "ValueError: the link is lost", KeyboardInterrupt: "KeyboardInterrupt",
-        SystemExit: "SystemExit: 143",
-    }[type(error)]  # fmt: skip
+    assert (
+        record.meta["ended_because"]
+        == {
+            ValueError: "ValueError: the link is lost",
+            KeyboardInterrupt: "KeyboardInterrupt",
+            SystemExit: "SystemExit: 143",
+        }[type(error)]
+    )
 
 
 @pytest.mark.parametrize("count", [0, 1])

@@ -9,10 +9,10 @@ import wide_bench as wide
 
 import dehyst
 from dehyst import IdentifyError
-from dehyst.metrics import rms
-from dehyst.refinement import _descended, _Point, refine
-from dehyst.structure import Structure
-from dehyst.wider import Wider
+from dehyst.identification.output_error import _descended, _Point, refine
+from dehyst.identification.structured_fit import Wider
+from dehyst.model.structure import Structure
+from dehyst.records.metrics import rms
 
 NAMES = ["plain", "graded", "transformer", "creep", "smooth"]
 

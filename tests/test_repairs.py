@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst import Record, repairs
+from dehyst import Record
+from dehyst.identification.preprocessing import cleaning
 
 PLANT = bench.plant(10)
 TOPS = bench.loops(PLANT, bench.DESCENDING_TOPS, name="tops")
@@ -23,7 +24,7 @@ def sine(cycles=12, samples=97.3, *, noise=0.0, drift=0.0):
     t = np.arange(int(cycles * samples))
     y = bench.STROKE * (0.5 + 0.5 * np.cos(2 * np.pi * t / samples))
     clean = bench.record(PLANT, y, name="sine", noise=noise)
-    creep = drift * bench.STROKE * repairs.drift_curve(clean, 0.0)
+    creep = drift * bench.STROKE * cleaning.drift_curve(clean, 0.0)
     return Record(clean.time, clean.voltage, clean.displacement + creep, "sine")
 
 
@@ -45,7 +46,7 @@ def lagging(samples):
 
 @pytest.mark.parametrize("name", CLEAN)
 def test_nothing_is_repaired_on_clean_data(name):
-    assert repairs.transient(CLEAN[name]) == 0
+    assert cleaning.transient(CLEAN[name]) == 0
     fit = dehyst.identify(CLEAN[name], elements=10)
     assert [said for said in fit.repairs if "samples a cycle" not in said] == []
     assert fit.actuator.delay == 0
@@ -54,19 +55,19 @@ def test_nothing_is_repaired_on_clean_data(name):
 
 @pytest.mark.parametrize("samples", [60.7, 97.3, 203.9])
 def test_a_steady_sine_has_no_transient_wherever_its_samples_fall(samples):
-    assert repairs.transient(sine(samples=samples)) == 0
+    assert cleaning.transient(sine(samples=samples)) == 0
 
 
 @pytest.mark.parametrize("sigma", [0.001, 0.003, 0.01])
 def test_noise_is_no_transient(sigma):
     noise = sigma * bench.STROKE
-    found = [repairs.transient(bench.loops(PLANT, bench.DESCENDING_TOPS, noise=noise, seed=seed)) for seed in range(5)]
+    found = [cleaning.transient(bench.loops(PLANT, bench.DESCENDING_TOPS, noise=noise, seed=seed)) for seed in range(5)]
     assert found == [0] * 5
-    assert repairs.transient(sine(noise=noise)) == 0
+    assert cleaning.transient(sine(noise=noise)) == 0
 
 
 def test_a_little_drift_is_no_transient():
-    assert repairs.transient(sine(drift=0.002)) == 0
+    assert cleaning.transient(sine(drift=0.002)) == 0
 
 
 @pytest.mark.parametrize("length", [10, 30, 45])
@@ -75,7 +76,7 @@ def test_a_start_up_transient_is_left_out_and_only_it(length):
     y = record.displacement.copy()
     # Upwards: downwards from the upper branch would be into the loop, where nothing can tell.
     y[:length] += 0.1 * bench.STROKE
-    found = repairs.transient(Record(record.time, record.voltage, y, "transient"))
+    found = cleaning.transient(Record(record.time, record.voltage, y, "transient"))
     assert found == length
 
 
@@ -92,7 +93,7 @@ def test_a_transient_is_told_and_does_no_harm():
 
 def test_a_record_of_two_cycles_has_no_transient():
     record = bench.loops(PLANT, bench.MAJOR[:5])
-    assert repairs.transient(Record(record.time, record.voltage, record.displacement + 1e-6, "two")) == 0
+    assert cleaning.transient(Record(record.time, record.voltage, record.displacement + 1e-6, "two")) == 0
 
 
 @pytest.mark.parametrize(("start", "stop"), [(650, 690), (690, 720), (650, 850), (650, 1040)])
@@ -101,8 +102,9 @@ def test_a_gap_that_may_hide_a_reversal_cuts_the_record(start, stop):
     assert bench.stiffness_error(fit.actuator, PLANT) < 1e-9
     assert bench.spring_error(fit.actuator, PLANT) < 1e-9
     length = (stop - start + 1) / 200
-    assert fit.repairs == (f"tops: a gap of {length:.4g} s after {(start - 1) / 200:.4g} s may hide a reversal; "
-                           "the record was cut there.",)  # fmt: skip
+    assert fit.repairs == (
+        f"tops: a gap of {length:.4g} s after {(start - 1) / 200:.4g} s may hide a reversal; the record was cut there.",
+    )
 
 
 def test_a_short_gap_on_a_slope_is_bridged():
@@ -116,7 +118,7 @@ def test_many_gaps_are_summed_up():
     slow = bench.loops(PLANT, bench.DESCENDING_TOPS, samples=400, name="slow")
     for start in range(8000, 2000, -900):
         slow = without(slow, start, start + 200)
-    pieces, said = repairs.split_at_gaps(slow)
+    pieces, said = cleaning.split_at_gaps(slow)
     assert [len(said), len(pieces)] == [5, 8]
     assert said[-1] == "slow: 3 more gaps, 7 cuts in all."
     assert sum(len(piece) for piece in pieces) == len(slow)
@@ -186,7 +188,7 @@ def test_several_shifted_sensor_zeros_are_found():
 @pytest.mark.parametrize("delay", [0.0, None])
 @pytest.mark.parametrize("part", [0.002, 0.01, -0.02])
 def test_creep_in_the_logarithm_of_time_is_set_aside(part, delay):
-    volts = part * bench.VOLTS * repairs.drift_curve(TOPS, 0.0)
+    volts = part * bench.VOLTS * cleaning.drift_curve(TOPS, 0.0)
     record = Record(TOPS.time, TOPS.voltage - volts, TOPS.displacement, "creeping")
     fit = dehyst.identify(record, elements=10, delay=delay)
     error = fit.errors[0]
@@ -199,7 +201,7 @@ def test_creep_in_the_logarithm_of_time_is_set_aside(part, delay):
 
 
 def test_creep_is_not_set_aside_when_that_is_forbidden():
-    volts = 0.01 * bench.VOLTS * repairs.drift_curve(TOPS, 0.0)
+    volts = 0.01 * bench.VOLTS * cleaning.drift_curve(TOPS, 0.0)
     record = Record(TOPS.time, TOPS.voltage - volts, TOPS.displacement, "creeping")
     fit = dehyst.identify(record, elements=10, delay=0.0, drift=False)
     assert fit.errors[0].drift == 0

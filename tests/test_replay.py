@@ -17,17 +17,17 @@ from test_calibrate import Heard
 
 from dehyst import Actuator, FileFormatError, RecordError, read
 from dehyst._io.drafts import unwritten
-from dehyst.calibrate import calibrate
-from dehyst.campaign import Campaign, Unwatched
-from dehyst.cli_calibrate import _left
-from dehyst.excite import staircase
-from dehyst.plan import Plan, steps
-from dehyst.protocol import Pace
-from dehyst.replay import agreement, cycles, replay
-from dehyst.rigs import open_rig
-from dehyst.rigs.simulated import SimulatedRig
-from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator
-from dehyst.virtual import VIRTUAL, fingerprint, virtual_actuator
+from dehyst.cli.calibrate import _left
+from dehyst.instruments import open_rig
+from dehyst.instruments.calibration.comparison_loop import agreement, cycles, replay
+from dehyst.instruments.calibration.experiment import calibrate
+from dehyst.instruments.calibration.plan import Plan, steps
+from dehyst.instruments.calibration.protocol import Pace
+from dehyst.instruments.calibration.session import Campaign, Unwatched
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.virtual.modelled import VIRTUAL, fingerprint, virtual_actuator
+from dehyst.waveforms.standard import staircase
 
 PACE = Pace(0, 200, 400.0)
 STROKE = PlayActuator().stroke
@@ -362,8 +362,8 @@ def test_a_second_actuator_behind_the_emulator_is_refused(tmp_path):
 def test_a_rig_of_ones_own_with_another_actuator_is_refused(tmp_path):
     """The identity is equal, as that of a controller whose stage was changed."""
     source = (
-        "from dehyst.rigs.simulated import SimulatedRig\n"
-        "from dehyst.truths import PlayActuator\n"
+        "from dehyst.instruments.simulated import SimulatedRig\n"
+        "from dehyst.virtual.modelled import PlayActuator\n"
         "def make(limits=None, slew_rate=None, stroke={stroke}):\n"
         "    rig = SimulatedRig(PlayActuator(stroke=stroke), limits=limits, slew_rate=slew_rate)\n"
         "    rig.identity = 'controller 12345'\n"

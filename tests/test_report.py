@@ -7,11 +7,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from dehyst import plot, report
 from dehyst._errors import FileFormatError, MissingExtraError
-from dehyst.actuator import Actuator
-from dehyst.elements import MaxwellSlip, Spring
-from dehyst.fit import Check, Fit, Outcome, RecordErrors, Trace, Verdict
+from dehyst.model.actuator import Actuator
+from dehyst.model.elements import MaxwellSlip, Spring
+from dehyst.model.fit import Check, Fit, Outcome, RecordErrors, Trace, Verdict
+from dehyst.report import plots, report
 
 HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$ " + "long_" * 60
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -76,13 +76,23 @@ def fit_of(*traces, model=None, outcome=Outcome.IDENTIFIED, **kwargs):
 def fit():
     model = actuator()
     options = {
-        "program": "dehyst 9.8.7", "method": "record", "norm": "l1", "delay_s": 0.0125, "stroke_m": 20e-6,
+        "program": "dehyst 9.8.7",
+        "method": "record",
+        "norm": "l1",
+        "delay_s": 0.0125,
+        "stroke_m": 20e-6,
         "records": [{"name": "major", "source": "major.csv", "sha256": "ab" * 32}, {"name": "no file"}],
-    }  # fmt: skip
+    }
     return fit_of(
-        trace(model), trace(model, "minor", "validation", seed=2), model=model, options=options, status="optimal",
-        gap=3e-12, repairs=("major: shifted by 3 um", "a gap was bridged"), remarks=("few minor loops",),
-    )  # fmt: skip
+        trace(model),
+        trace(model, "minor", "validation", seed=2),
+        model=model,
+        options=options,
+        status="optimal",
+        gap=3e-12,
+        repairs=("major: shifted by 3 um", "a gap was bridged"),
+        remarks=("few minor loops",),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -123,8 +133,20 @@ def test_it_says_what_the_fit_says(fit, text):
         assert f"{report.number(error.largest_percent)} %{report.length(error.largest)}" in words
         assert f"{report.number(error.rms_percent)} %{report.length(error.rms)}" in words
         assert f"{report.number(2 * error.rms_percent)} %{report.length(2 * error.rms)}" in words
-    for part in ("majortraining", "minorvalidation", "600", "stroke 20.0 µm", "dehyst 9.8.7", "12.50 ms", "ab" * 32,
-                 "major.csv", "no file", "optimal", "3.00e−12", "dehyst identify 'a b.csv' > out && echo"):  # fmt: skip
+    for part in (
+        "majortraining",
+        "minorvalidation",
+        "600",
+        "stroke 20.0 µm",
+        "dehyst 9.8.7",
+        "12.50 ms",
+        "ab" * 32,
+        "major.csv",
+        "no file",
+        "optimal",
+        "3.00e−12",
+        "dehyst identify 'a b.csv' > out && echo",
+    ):
         assert part in words
     assert "0.200000" in words  # kappa_1 [V/um]
     assert "−98.000" in words  # a knot [um]
@@ -162,7 +184,7 @@ def test_missing_matplotlib_names_the_extra(monkeypatch, fit):
 
 
 def test_importing_it_does_not_load_matplotlib():
-    code = "import sys, dehyst.report; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, dehyst.report.report; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -220,9 +242,11 @@ def test_checks_are_told_with_verdict_value_and_floor():
     )
     page = Page(report.render(Fit(None, Outcome.FAILED, checks=checks)))
     assert "Assumptions" in page.words and "script" not in page.tags
-    for told in ("Assumption IholdsLeast slope 0.714 V/µm at -105 to -98 µm.0.714V/µm0.200V/µm",
-                 "Symmetry of the widthdoes not holdWider at 3 µm than at 13 µm.2.35% of range0.0567% of range",
-                 f"Loop closurenot knownNo cycle {HOSTILE.strip()}"):  # fmt: skip
+    for told in (
+        "Assumption IholdsLeast slope 0.714 V/µm at -105 to -98 µm.0.714V/µm0.200V/µm",
+        "Symmetry of the widthdoes not holdWider at 3 µm than at 13 µm.2.35% of range0.0567% of range",
+        f"Loop closurenot knownNo cycle {HOSTILE.strip()}",
+    ):
         assert told in page.words
 
 
@@ -233,28 +257,35 @@ def test_a_fit_without_checks_has_no_section_of_them(text):
 def test_branches_and_holds():
     y = np.array([0.0, 1, 1, 2, 2, 1, 1, 0])
     t = Trace("x", "training", np.arange(8.0), y, y, y)
-    assert plot.rising(t).tolist() == [True, True, True, True, True, False, False, False]
+    assert plots.rising(t).tolist() == [True, True, True, True, True, False, False, False]
 
 
 def test_a_line_is_broken_where_samples_are_missing():
     t = np.array([0.0, 1, 2, 3, 50, 51, 52])
-    x, y = plot._thinned(t, t, 2 * t)
+    x, y = plots._thinned(t, t, 2 * t)
     assert np.flatnonzero(np.isnan(x)).tolist() == [4] == np.flatnonzero(np.isnan(y)).tolist()
     assert x[~np.isnan(x)].tolist() == t.tolist()
 
 
 def test_thinning_keeps_the_shape():
     t = np.linspace(0, 1, 200_001)
-    x, y = plot._thinned(t, t, t**2)
+    x, y = plots._thinned(t, t, t**2)
     assert 2 < x.size <= 4002 and (x[0], x[-1]) == (0, 1)
     assert np.abs(np.interp(t, x, y) - t**2).max() < 1e-3
 
 
 @pytest.mark.parametrize(
     ("value", "expected"),
-    [(0.0, "0"), (0.05, "0.0500"), (-1.234, "−1.23"), (1234.5, "1234"), (2e-9, "2.00e−09"), (np.nan, "not known"),
-     (np.inf, "not known")],
-)  # fmt: skip
+    [
+        (0.0, "0"),
+        (0.05, "0.0500"),
+        (-1.234, "−1.23"),
+        (1234.5, "1234"),
+        (2e-9, "2.00e−09"),
+        (np.nan, "not known"),
+        (np.inf, "not known"),
+    ],
+)
 def test_numbers(value, expected):
     assert report.number(value) == expected
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from dehyst import read
-from dehyst.excite import Drive, raised_cosine
-from dehyst.rigs import open_rig
-from dehyst.truths import PlayActuator
+from dehyst.instruments import open_rig
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms.standard import Drive, raised_cosine
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 MY_LAB = """
-from dehyst.truths import PlayActuator
+from dehyst.virtual import PlayActuator
 truth, sent = PlayActuator(), [0.0]
 def write_volts(v): sent.append(v)
 def read_micrometres(): return 1e6 * float(truth.drive(sent[-1:])[0])

@@ -13,14 +13,14 @@ from fake_gcs import FakeController
 from meddler import KINDS, Meddling, PipeLink, Proxy, QuickRig
 
 from dehyst._errors import DehystError, DeviceError, LinkError, SensorError
-from dehyst.emulator.controller import Controller
-from dehyst.emulator.faults import Fault, Rehearsal
-from dehyst.emulator.server import Server
-from dehyst.excitation import Excitation
-from dehyst.instrument import Instrument
-from dehyst.rigs import open_rig
-from dehyst.rigs.pi import PiRig
-from dehyst.truths import PlayActuator
+from dehyst.instruments import open_rig
+from dehyst.instruments.pi import PiRig
+from dehyst.virtual import PlayActuator
+from dehyst.virtual.bench import Instrument
+from dehyst.virtual.emulator.faults import Fault, Rehearsal
+from dehyst.virtual.emulator.gcs_controller import Controller
+from dehyst.virtual.emulator.gcs_server import Server
+from dehyst.waveforms.excitation import Excitation
 
 DEVICE, ALLOWED = (-20.0, 120.0), (0.0, 60.0)
 ODD = [np.nan, np.inf, -np.inf, 1e308, -1e308, 60.0000001, -1e-9, 5e-324, 0.0, 60.0, 119.0]
@@ -98,8 +98,10 @@ def ordeal(seed, share, kinds=KINDS):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(("share", "replies"), [(0.02, 1000), pytest.param(0.05, 4000, marks=pytest.mark.slow),
-                                                pytest.param(0.3, 6000, marks=pytest.mark.slow)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("share", "replies"),
+    [(0.02, 1000), pytest.param(0.05, 4000, marks=pytest.mark.slow), pytest.param(0.3, 6000, marks=pytest.mark.slow)],
+)
 def test_fuzzed_replies_never_move_a_voltage_out_of_its_limits(share, replies):
     seed = changed = 0
     while changed < replies:

@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import DeviceError, LinkError, ModelError, RecordError, RigError, SensorError
-from dehyst.excitation import Excitation
-from dehyst.rigs import Reading, Samples
-from dehyst.rigs.interrupts import shielded
-from dehyst.rigs.watch import SensorWatch
+from dehyst.instruments import Reading, Samples
+from dehyst.instruments.interrupts import shielded
+from dehyst.instruments.sensor_watch import SensorWatch
+from dehyst.waveforms.excitation import Excitation
 
 UP = Excitation("up", np.linspace(0, 50, 101), 1000.0)
 BROUGHT = "The voltage was brought to 0 V."
@@ -96,27 +96,35 @@ SPOILT = {
     "voltage is NaN": (at(2, with_nan("voltage")), LinkError, "not finite"),
     "displacement is NaN": (at(2, with_nan("displacement")), LinkError, "not finite"),
     "a column is short": (
-        at(2, lambda s: s._replace(voltage=s.voltage[1:])), LinkError, r"got columns of shapes .*need one length",
+        at(2, lambda s: s._replace(voltage=s.voltage[1:])),
+        LinkError,
+        r"got columns of shapes .*need one length",
     ),
     "no column": (at(2, lambda s: s._replace(voltage=np.float64(3))), LinkError, "got columns of shapes"),
     "too many": (
-        lambda n, s: [s, s._replace(time=s.time + 0.01)] if n == 10 else [s], LinkError,
+        lambda n, s: [s, s._replace(time=s.time + 0.01)] if n == 10 else [s],
+        LinkError,
         "got 102 samples for 101 voltages; check the link",
     ),
     "a lot comes twice": (
-        lambda n, s: [s, s] if n == 3 else [s], LinkError, r"got a sample of .* s after one of .* s, need rising times",
+        lambda n, s: [s, s] if n == 3 else [s],
+        LinkError,
+        r"got a sample of .* s after one of .* s, need rising times",
     ),
     "time stands still": (at(2, lambda s: s._replace(time=np.full_like(s.time, s.time[0]))), LinkError, "rising times"),
     "time falls back": (at(4, lambda s: s._replace(time=s.time - 1)), LinkError, "need rising times; check the link"),
     "a lot is missing": (
-        lambda n, s: [] if n == 10 else [s], DeviceError, "recorded 100 of 101 samples; check its data recorder",
+        lambda n, s: [] if n == 10 else [s],
+        DeviceError,
+        "recorded 100 of 101 samples; check its data recorder",
     ),
     "nothing comes": (lambda n, s: [], DeviceError, "recorded 0 of 101 samples"),
     "the output stays": (
-        lambda n, s: [s._replace(voltage=np.zeros_like(s.voltage))], DeviceError,
+        lambda n, s: [s._replace(voltage=np.zeros_like(s.voltage))],
+        DeviceError,
         r"its output is .* V away from what was sent; is the amplifier on, the servo off",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("spoil", "kind", "message"), SPOILT.values(), ids=SPOILT)

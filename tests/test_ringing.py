@@ -8,12 +8,12 @@ import wide_bench as wide
 
 import dehyst
 from dehyst import Dynamics
-from dehyst.excite import Drive, descending_tops, staircase
-from dehyst.metrics import rms
-from dehyst.playback import Playback
-from dehyst.preparation import prepare
-from dehyst.record import Record
-from dehyst.ringing import rung
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.identification.resonance_tuning import rung
+from dehyst.identification.simulation_error import Playback
+from dehyst.records.metrics import rms
+from dehyst.records.record import Record
+from dehyst.waveforms.standard import Drive, descending_tops, staircase
 
 RATE, OMEGA = 5000.0, 2 * np.pi * 250
 NOISE = 3e-9

@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dehyst.roughness import roughness
-from dehyst.structure import Structure
+from dehyst.identification.regression.regularization import roughness
+from dehyst.model.structure import Structure
 
 STROKE, HIGHEST = 16e-6, 200.0
 SLOPE = HIGHEST / STROKE
@@ -23,8 +23,14 @@ def columns(own, density, spring, drive):
     rho = own.breakaway[own.movable]
     places = np.arange(own.segments)
     kappa = density(rho[:, None], places[None, :]) * np.diff(rho, prepend=0.0)[:, None]
-    return np.concatenate([kappa.ravel(), spring(np.arange(own.knots.size - 1)), np.full(own.moved, 7.0),
-                           drive(np.arange(own.drive.size - 2))])  # fmt: skip
+    return np.concatenate(
+        [
+            kappa.ravel(),
+            spring(np.arange(own.knots.size - 1)),
+            np.full(own.moved, 7.0),
+            drive(np.arange(own.drive.size - 2)),
+        ]
+    )
 
 
 @pytest.mark.parametrize("spacing", [1.0, 2.0])

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from dehyst import Record
-from dehyst.regression import Coefficients, Regression
-from dehyst.rows import collect, epochs
+from dehyst.identification.preprocessing.regressors import collect, epochs
+from dehyst.identification.regression.regression import Coefficients, Regression
 
 RANDOM_RECORDS = 300
 

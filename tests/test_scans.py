@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import RecordError
-from dehyst.edge import Bridge, Edge, Point, highest, least_blend, least_seconds
-from dehyst.lissajous import Lissajous
-from dehyst.scan import Path
-from dehyst.scans import Raster, Spiral, Triangle
-from dehyst.steps import Steps
+from dehyst.waveforms import Raster, Spiral, Triangle
+from dehyst.waveforms.lissajous import Lissajous
+from dehyst.waveforms.profiles import Bridge, Edge, Point, highest, least_blend, least_seconds
+from dehyst.waveforms.scan import Path
+from dehyst.waveforms.steps import Steps
 
 UM = 1e-6
 ROUNDINGS = st.sampled_from(["parabola", "cosine"])
@@ -101,8 +101,12 @@ def test_least_seconds_and_highest_are_each_others_inverse(height, seconds, v, a
 def test_what_a_refusal_says_is_possible_is(parts, share, pace, free, rounding):
     height, seconds = parts["high"] - parts["low"], min(parts["rising"], 1 - parts["rising"]) / parts["frequency"]
     parts.pop("sample_rate")  # 400 a cycle: legs of whole samples are nearly as asked
-    limits = {"acceleration": share * height / highest(seconds, None, 1.0, rounding) / 1.2,
-              "speed": pace * height / seconds, "turns": None if free else 0.5, "rounding": rounding}  # fmt: skip
+    limits = {
+        "acceleration": share * height / highest(seconds, None, 1.0, rounding) / 1.2,
+        "speed": pace * height / seconds,
+        "turns": None if free else 0.5,
+        "rounding": rounding,
+    }
     with pytest.raises(RecordError, match=r"got .* try .* Hz or less in place of .*, or .* um in place of") as refusal:
         Triangle(**parts, **limits)
     frequency, micro = re.search(r"try (\S+) Hz or less in place of \S+, or (\S+) um", str(refusal.value)).groups()
@@ -249,41 +253,53 @@ def test_a_bridge_joins_two_motions_and_knows_its_peaks(numbers, seconds):
         assert found <= peak * (1 + 1e-9) and peak <= found + 1e-3 * (1 + peak)
 
 
-@pytest.mark.parametrize("make, said", [
-    (lambda: Triangle(5 * UM, 5 * UM, 1), "low, high: got 5e-06 and 5e-06 m, need the lower one first"),
-    (lambda: Triangle(5, 45, 1), "low: got 5 m, need 1 m at most; give metres"),
-    (lambda: Triangle(float("nan"), UM, 1), "low: got nan, need a finite number"),
-    (lambda: Triangle(0, UM, 0), "frequency: got 0, need a number above 0"),
-    (lambda: Triangle(0, UM, 1, turns=1.5), "turns: got 1.5, need a share above 0 and up to 1"),
-    (lambda: Triangle(0, UM, 1, rising=1), "rising: got 1, need a share below 1"),
-    (lambda: Triangle(0, UM, 1, rounding="sharp"), "rounding: got 'sharp', need 'parabola' or 'cosine'"),
-    (lambda: Triangle(0, UM, 1, sample_rate=3), "sample_rate: got 3 Hz, 1.5 samples for 0.5 s, need 4 at least; try 8"),
-    (lambda: Triangle(0, UM, 1e-6, sample_rate=1e3), "samples.* need 5e[+]07 at most"),
-    (lambda: Triangle(0, UM, 1).path("y"), "axis: got 'y', need 'x'"),
-    (lambda: Raster(0, UM, 1, 1), "lines: got 1, need a whole number, 2 or more"),
-    (lambda: Raster(0, UM, 1, 3, slow="fast"), "slow: got 'fast', need 'staircase' or 'ramp'"),
-    (lambda: Raster(0, UM, 1, 3, slow="ramp", back=0), "back: got 0, need a whole number, 1 or more"),
-    (lambda: Raster(0, UM, 1, 3, y_low=2e-6), "y_low, y_high: got 2e-06 and 1e-06 m"),
-    (lambda: Raster(0, UM, 1, 2, y_high=9e-5, speed=3e-6), "speed: got .*, but a step to the next line takes .* try"),
-    (lambda: Raster(0, UM, 1, 9, y_high=9e-5, speed=3e-6, slow="ramp"), "speed: got .*, but the ramp takes .*"),
-    (lambda: Raster(0, UM, 10, 9, back=0, acceleration=2e-3, y_high=4e-6), "but y on its way back in 0 lines takes"),
-    (lambda: Spiral(0, 3, 1), "radius: got 0, need a number above 0"),
-    (lambda: Spiral(UM, 0, 1), "revolutions: got 0, need a whole number, 1 or more"),
-    (lambda: Spiral(UM, 3, 1, constant="slow"), "constant: got 'slow', need 'linear' or 'angular'"),
-    (lambda: Spiral(UM, 3, 1, speed=1e-6), "speed: got .*, but this spiral takes .* try .* Hz or less"),
-    (lambda: Lissajous((UM, UM), 1, (2, 4)), "ratio: got 2 and 4, .* try 1 and 2 at 2 Hz"),
-    (lambda: Lissajous(UM, 1), "amplitude: got 1e-06, need a pair"),
-    (lambda: Lissajous((UM, UM), 1, phase="x"), "phase: got 'x', need an angle in radians"),
-    (lambda: Lissajous((UM, UM), 9, acceleration=1e-3), "acceleration: got .* but x of this figure takes"),
-    (lambda: Steps((0,), 1, seconds=1), "levels: got .*, need two displacements at least"),
-    (lambda: Steps((0, 0, UM), 1, seconds=1), "levels: got 0 m twice in a row"),
-    (lambda: Steps((0, UM), 1), "seconds: got none, and no acceleration; give the time of an edge"),
-    (lambda: Steps((0, UM), 1, seconds=1e-4, acceleration=1), "seconds: got 0.0001 s .*; try .* s, or none"),
-    (lambda: SCANS["open"].path().repeated(2), "cycles: got a path that ends elsewhere than it begins"),
-    (lambda: SCANS["triangle"].path().repeated(1.5), "cycles: got 1.5, need a whole number"),
-    (lambda: Path([0, 1], [0], [0, 0], 1), "velocity: got 1 values for 2 displacements"),
-    (lambda: Path([0, np.nan], [0, 0], [0, 0], 1), "displacement: 1 of 2 values are not finite"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "make, said",
+    [
+        (lambda: Triangle(5 * UM, 5 * UM, 1), "low, high: got 5e-06 and 5e-06 m, need the lower one first"),
+        (lambda: Triangle(5, 45, 1), "low: got 5 m, need 1 m at most; give metres"),
+        (lambda: Triangle(float("nan"), UM, 1), "low: got nan, need a finite number"),
+        (lambda: Triangle(0, UM, 0), "frequency: got 0, need a number above 0"),
+        (lambda: Triangle(0, UM, 1, turns=1.5), "turns: got 1.5, need a share above 0 and up to 1"),
+        (lambda: Triangle(0, UM, 1, rising=1), "rising: got 1, need a share below 1"),
+        (lambda: Triangle(0, UM, 1, rounding="sharp"), "rounding: got 'sharp', need 'parabola' or 'cosine'"),
+        (
+            lambda: Triangle(0, UM, 1, sample_rate=3),
+            "sample_rate: got 3 Hz, 1.5 samples for 0.5 s, need 4 at least; try 8",
+        ),
+        (lambda: Triangle(0, UM, 1e-6, sample_rate=1e3), "samples.* need 5e[+]07 at most"),
+        (lambda: Triangle(0, UM, 1).path("y"), "axis: got 'y', need 'x'"),
+        (lambda: Raster(0, UM, 1, 1), "lines: got 1, need a whole number, 2 or more"),
+        (lambda: Raster(0, UM, 1, 3, slow="fast"), "slow: got 'fast', need 'staircase' or 'ramp'"),
+        (lambda: Raster(0, UM, 1, 3, slow="ramp", back=0), "back: got 0, need a whole number, 1 or more"),
+        (lambda: Raster(0, UM, 1, 3, y_low=2e-6), "y_low, y_high: got 2e-06 and 1e-06 m"),
+        (
+            lambda: Raster(0, UM, 1, 2, y_high=9e-5, speed=3e-6),
+            "speed: got .*, but a step to the next line takes .* try",
+        ),
+        (lambda: Raster(0, UM, 1, 9, y_high=9e-5, speed=3e-6, slow="ramp"), "speed: got .*, but the ramp takes .*"),
+        (
+            lambda: Raster(0, UM, 10, 9, back=0, acceleration=2e-3, y_high=4e-6),
+            "but y on its way back in 0 lines takes",
+        ),
+        (lambda: Spiral(0, 3, 1), "radius: got 0, need a number above 0"),
+        (lambda: Spiral(UM, 0, 1), "revolutions: got 0, need a whole number, 1 or more"),
+        (lambda: Spiral(UM, 3, 1, constant="slow"), "constant: got 'slow', need 'linear' or 'angular'"),
+        (lambda: Spiral(UM, 3, 1, speed=1e-6), "speed: got .*, but this spiral takes .* try .* Hz or less"),
+        (lambda: Lissajous((UM, UM), 1, (2, 4)), "ratio: got 2 and 4, .* try 1 and 2 at 2 Hz"),
+        (lambda: Lissajous(UM, 1), "amplitude: got 1e-06, need a pair"),
+        (lambda: Lissajous((UM, UM), 1, phase="x"), "phase: got 'x', need an angle in radians"),
+        (lambda: Lissajous((UM, UM), 9, acceleration=1e-3), "acceleration: got .* but x of this figure takes"),
+        (lambda: Steps((0,), 1, seconds=1), "levels: got .*, need two displacements at least"),
+        (lambda: Steps((0, 0, UM), 1, seconds=1), "levels: got 0 m twice in a row"),
+        (lambda: Steps((0, UM), 1), "seconds: got none, and no acceleration; give the time of an edge"),
+        (lambda: Steps((0, UM), 1, seconds=1e-4, acceleration=1), "seconds: got 0.0001 s .*; try .* s, or none"),
+        (lambda: SCANS["open"].path().repeated(2), "cycles: got a path that ends elsewhere than it begins"),
+        (lambda: SCANS["triangle"].path().repeated(1.5), "cycles: got 1.5, need a whole number"),
+        (lambda: Path([0, 1], [0], [0, 0], 1), "velocity: got 1 values for 2 displacements"),
+        (lambda: Path([0, np.nan], [0, 0], [0, 0], 1), "displacement: 1 of 2 values are not finite"),
+    ],
+)
 def test_what_cannot_be_is_refused(make, said):
     with pytest.raises(RecordError, match=said):
         make()

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import wide_bench as wide
 
-from dehyst import selection
-from dehyst.selection import PARTS, Trial, blocks, held_out_errors, select
-from dehyst.structure import Structure
+from dehyst.identification import structure_selection
+from dehyst.identification.structure_selection import PARTS, Trial, blocks, held_out_errors, select
+from dehyst.model.structure import Structure
 
 START = Structure()
 
 
 def errors_by(monkeypatch, error):
     """Let trials have a held-out error that is a function of the structure; returns what was told."""
-    monkeypatch.setattr(selection, "_tried", lambda build, one, tell: Trial(one, error(one), 0.0, 0.0))
+    monkeypatch.setattr(structure_selection, "_tried", lambda build, one, tell: Trial(one, error(one), 0.0, 0.0))
 
 
 def test_parts_are_added_while_one_is_worth_it(monkeypatch):
@@ -119,8 +119,10 @@ def test_epochs_are_not_mixed():
 @pytest.mark.parametrize("noise", [2e-4, 1e-3])
 def test_a_plain_actuator_keeps_the_plain_structure(noise):
     plant = bench.plant(20, seed=3)
-    records = [bench.loops(plant, bench.DESCENDING_TOPS, noise=noise * bench.STROKE),
-               bench.loops(plant, bench.THREE_LOOPS, noise=noise * bench.STROKE, seed=1, name="loops")]  # fmt: skip
+    records = [
+        bench.loops(plant, bench.DESCENDING_TOPS, noise=noise * bench.STROKE),
+        bench.loops(plant, bench.THREE_LOOPS, noise=noise * bench.STROKE, seed=1, name="loops"),
+    ]
     frame = wide.frame(records)
     best, _, _ = frame.chosen(Structure(), lambda _: None)
     assert replace(best, smoothing=START.smoothing) == START
@@ -129,6 +131,10 @@ def test_a_plain_actuator_keeps_the_plain_structure(noise):
 def test_a_trial_says_what_it_was():
     one = Trial(Structure(creep=3), 1e-9, 2e-9, 0.5)
     assert one.as_dict() == {
-        "structure": Structure(creep=3).as_dict(), "words": "20 elements and 3 creep branches", "parameters": 42,
-        "held_out_m": 1e-9, "training_m": 2e-9, "seconds": 0.5,
-    }  # fmt: skip
+        "structure": Structure(creep=3).as_dict(),
+        "words": "20 elements and 3 creep branches",
+        "parameters": 42,
+        "held_out_m": 1e-9,
+        "training_m": 2e-9,
+        "seconds": 0.5,
+    }

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from dehyst._errors import LinkError, ModelError
-from dehyst.emulator.controller import Controller
-from dehyst.emulator.faults import Fault, Rehearsal, narrowed
-from dehyst.emulator.server import Server
-from dehyst.instrument import Instrument
-from dehyst.truths import PlayActuator
+from dehyst.virtual import PlayActuator
+from dehyst.virtual.bench import Instrument
+from dehyst.virtual.emulator.faults import Fault, Rehearsal, narrowed
+from dehyst.virtual.emulator.gcs_controller import Controller
+from dehyst.virtual.emulator.gcs_server import Server
 
 SOON = 60.0
 
@@ -165,7 +165,7 @@ def test_100_abrupt_disconnects_leave_it_serving():
 
 
 def test_a_client_that_takes_no_answers_hangs_nothing(monkeypatch):
-    monkeypatch.setattr("dehyst.emulator.server._PATIENCE", 0.5)
+    monkeypatch.setattr("dehyst.virtual.emulator.gcs_server._PATIENCE", 0.5)
     with served(record_points=20000, wave_points=20000, speed=1000) as server:
         deaf = connect(server)
         start_wave(deaf)
@@ -296,9 +296,12 @@ def test_a_fault_comes_in_the_middle_of_the_first_wave_unless_told():
 def command(*options):
     """`dehyst rig serve` as a process, and its port."""
     process = subprocess.Popen(
-        [sys.executable, "-c", "from dehyst.cli import main; main()", "rig", "serve", "--port", "0", *options],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+        [sys.executable, "-c", "from dehyst.cli.commands import main; main()", "rig", "serve", "--port", "0", *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
     try:
         ready = process.stdout.readline()
         found = re.fullmatch(r"serving \S+, .* V, on pi://127\.0\.0\.1:(\d+)\n", ready)
@@ -357,9 +360,14 @@ def test_somebody_elses_client_identifies_sets_and_reads():
 
         def __init__(self, address):
             super().__init__(
-                address, "emulated piezo", includeSCPI=False, visa_library="@py", read_termination="\n",
-                write_termination="\n", timeout=3000,
-            )  # fmt: skip
+                address,
+                "emulated piezo",
+                includeSCPI=False,
+                visa_library="@py",
+                read_termination="\n",
+                write_termination="\n",
+                timeout=3000,
+            )
 
     assert pyvisa.__version__
     with served() as server:

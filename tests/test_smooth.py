@@ -25,7 +25,7 @@ from dehyst import (
     Transformer,
 )
 from dehyst._native import Held, Pace
-from dehyst.bracket import Bracket
+from dehyst.control.state_bounds import Bracket
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
@@ -207,8 +207,13 @@ def everything(seed, graded):
     """Return an actuator of every part, and its times and path."""
     rng = np.random.default_rng(seed)
     slip = GradedSlip([1e-6, 2e-6], [0, 5e-6, 1e-5], [[1e6, 2e6], [2e6, 3e6]]) if graded else SLIP
-    actuator = Actuator(slip, SPRING, transformer=Transformer([0, 50, 100], [0, 60, 100]), smooth=SMOOTH,
-                        creep=Creep([0.1, 1, 7], [1e6, 2e6, 5e5]))  # fmt: skip
+    actuator = Actuator(
+        slip,
+        SPRING,
+        transformer=Transformer([0, 50, 100], [0, 60, 100]),
+        smooth=SMOOTH,
+        creep=Creep([0.1, 1, 7], [1e6, 2e6, 5e5]),
+    )
     steps = rng.choice([0.01, 0.02, rng.uniform(0.01, 3)], 400)
     return actuator, np.cumsum(steps), 5e-6 + np.cumsum(rng.normal(scale=2e-7, size=400))
 
@@ -310,8 +315,9 @@ def test_the_equation_holds_to_its_rounding(seed):
     spring = Spring(np.cumsum([0, *gaps]), np.cumsum([0, *(gaps * slopes)]))
     span = spring.displacement[-1]
     slip = MaxwellSlip(np.sort(span * rng.uniform(0.01, 1, n)), 10 ** rng.uniform(-3, 3, n))
-    smooth = SmoothSlip(span * 10 ** rng.uniform(-4, 1, count), rng.uniform(0.5, 1, count),
-                        10 ** rng.uniform(-3, 6, count))  # fmt: skip
+    smooth = SmoothSlip(
+        span * 10 ** rng.uniform(-4, 1, count), rng.uniform(0.5, 1, count), 10 ** rng.uniform(-3, 6, count)
+    )
     actuator = Actuator(slip, spring, smooth=smooth)
     ends = [actuator.voltage(actuator.turned(end, rising=end > 0)) for end in (0.0, span)]
     v = ends[0] + (ends[1] - ends[0]) * rng.uniform(-0.3, 1.3, 60)
@@ -380,17 +386,23 @@ def test_a_compensator_clamps_with_them():
         (lambda: SmoothSlip([np.nan], [1], [1]), "smooth elements: length: 1 of 1 values are not finite"),
         (lambda: SMOOTH.elongations([0, np.nan]), "displacement: 1 of 2 values are not finite, the first at index 1"),
         (lambda: Actuator(SLIP, SPRING, smooth=SLIP), "smooth: got MaxwellSlip, need a SmoothSlip"),
-        (lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[1e-6]), smooth=SMOOTH),
-         "state: got 1 smooth elongations, this actuator has 2 smooth elements"),
+        (
+            lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[1e-6]), smooth=SMOOTH),
+            "state: got 1 smooth elongations, this actuator has 2 smooth elements",
+        ),
         (lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[0.0])), "got 1 smooth elongations, .* has 0 smooth"),
-        (lambda: ACTUATOR.voltage(State(0, [0, 0], smooth=[0, -3.1e-6])),
-         "state: smooth element 1 is elongated by -3.1e-06 m, its length is 3e-06 m"),
+        (
+            lambda: ACTUATOR.voltage(State(0, [0, 0], smooth=[0, -3.1e-6])),
+            "state: smooth element 1 is elongated by -3.1e-06 m, its length is 3e-06 m",
+        ),
         (lambda: Bracket.at_rest(ACTUATOR), "this actuator has smooth elements"),
         (lambda: ACTUATOR.model.core.voltage(Held(0.0, np.zeros(2), np.zeros(1), NONE)), "arrays of different lengths"),
-        (lambda: ACTUATOR.model.core.voltage(Held(0.0, np.zeros(2), np.ones(2), NONE)),
-         "farther .*, or a smooth element"),
+        (
+            lambda: ACTUATOR.model.core.voltage(Held(0.0, np.zeros(2), np.ones(2), NONE)),
+            "farther .*, or a smooth element",
+        ),
     ],
-)  # fmt: skip
+)
 def test_refusals(make, message):
     with pytest.raises(ModelError, match=message):
         make()

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Record
-from dehyst.signals import turning_points
-from dehyst.smoothing import monotone, without_jitter
-from dehyst.truths import PlayActuator
+from dehyst.identification.preprocessing.denoising import monotone, without_jitter
+from dehyst.records.signals import turning_points
+from dehyst.virtual import PlayActuator
 
 SEEDS = st.integers(0, 2**32 - 1)
 NOISE = 1e-3 * bench.STROKE
@@ -121,8 +121,10 @@ def test_smooth_elements_are_not_dragged_by_jitter():
     true = smooth.elongations(plant.path)
     kept = without_jitter(record, NOISE, bench.STROKE).displacement
     shortest = smooth.length == smooth.length.min()
-    errors = [np.std((smooth.elongations(y) - true)[:, shortest]) / np.std(true[:, shortest])
-              for y in (record.displacement, kept)]  # fmt: skip
+    errors = [
+        np.std((smooth.elongations(y) - true)[:, shortest]) / np.std(true[:, shortest])
+        for y in (record.displacement, kept)
+    ]
     assert errors[0] > 0.1
     assert errors[1] < 0.2 * errors[0]
 

@@ -11,16 +11,18 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst import rows, signals, smoothing, verify
-from dehyst.creep import Creep
-from dehyst.dynamics import Dynamics
-from dehyst.elements import Transformer
-from dehyst.preparation import prepare
-from dehyst.program import NORMS
-from dehyst.regression import Regression
-from dehyst.rows import Rows, RowSource, collect
-from dehyst.smooth import SmoothSlip
-from dehyst.stream import Stream
+from dehyst.identification import validation
+from dehyst.identification.preprocessing import denoising, regressors
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.identification.preprocessing.regressors import Rows, RowSource, collect
+from dehyst.identification.regression.regression import Regression
+from dehyst.identification.regression.streaming import Stream
+from dehyst.identification.solvers.program import NORMS
+from dehyst.model.creep import Creep
+from dehyst.model.dynamics import Dynamics
+from dehyst.model.elements import Transformer
+from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.records import signals
 
 RHO = bench.plant(12).slip.breakaway
 
@@ -36,8 +38,14 @@ def pieces(noise=2e-9):
 def stream(most, drifting=(1,)):
     """All rows of these records, `most` of them in memory."""
     source = RowSource.of(pieces(), RHO, [2e-9, 2e-9])
-    regression = Regression(source.thinned(most), np.linspace(0, bench.STROKE, 13), 1e5, 2 * RHO < bench.STROKE * 0.999,
-                            np.zeros(2), drifting)  # fmt: skip
+    regression = Regression(
+        source.thinned(most),
+        np.linspace(0, bench.STROKE, 13),
+        1e5,
+        2 * RHO < bench.STROKE * 0.999,
+        np.zeros(2),
+        drifting,
+    )
     return Stream(source, regression)
 
 
@@ -53,7 +61,7 @@ def test_blocks_of_any_size_are_the_rows(monkeypatch, size, options):
     assert whole.moved.shape == (len(whole), 2 if options else 0)
     if options:
         np.testing.assert_array_equal(whole.moved[:, 0], whole.displacement)
-    monkeypatch.setattr(rows, "_BLOCK", size)
+    monkeypatch.setattr(regressors, "_BLOCK", size)
     source = RowSource.of(pieces(), RHO, [2e-9, 2e-9], **options)
     assert len(source) == len(whole)
     assert source.count == np.unique(whole.epoch).size
@@ -68,7 +76,7 @@ def test_a_stream_has_the_optimum_of_the_rows_in_memory(monkeypatch, norm):
     memory = stream(10**9)
     assert memory.whole
     one = memory.fit_weighted(norm)
-    monkeypatch.setattr(rows, "_BLOCK", 211)
+    monkeypatch.setattr(regressors, "_BLOCK", 211)
     streamed = stream(300)
     assert not streamed.whole
     other = streamed.fit_weighted(norm)
@@ -101,9 +109,9 @@ def test_constants_and_drifts_of_a_given_model_are_the_same():
 def test_a_record_played_in_stretches_has_the_same_errors(monkeypatch):
     record = bench.loops(bench.plant(12), bench.THREE_LOOPS, samples=150, noise=2e-9)
     one = dehyst.identify(record, elements=12)
-    monkeypatch.setattr(verify, "_AT_A_TIME", 113)
-    monkeypatch.setattr(verify, "_STOPS_AT_A_TIME", 41)
-    monkeypatch.setattr(verify, "_MOST_DRAWN", 200)
+    monkeypatch.setattr(validation, "_AT_A_TIME", 113)
+    monkeypatch.setattr(validation, "_STOPS_AT_A_TIME", 41)
+    monkeypatch.setattr(validation, "_MOST_DRAWN", 200)
     other = dehyst.identify(record, elements=12)
     for name in ("largest", "rms", "largest_with_drift", "rms_with_drift"):
         assert getattr(other.errors[0], name) == pytest.approx(getattr(one.errors[0], name), rel=1e-6)
@@ -139,7 +147,7 @@ def test_a_wider_actuator_played_in_stretches_carries_its_state_on(parts, size):
     plain = bench.plant(12)
     actuator = dehyst.Actuator(plain.slip, plain.spring, **parts)
     record = wide_record(actuator, 0.9 * bench.VOLTS)
-    compared = verify.compare(actuator, record, verify.Protocol("training", 0.0, 0.0, True, bench.STROKE))
+    compared = validation.compare(actuator, record, validation.Protocol("training", 0.0, 0.0, True, bench.STROKE))
     ((number, epoch, whole),) = compared.played(actuator)[-1:]
     stretches = list(compared.play(actuator, number, epoch, compared.offsets[-1], size))
     assert len(stretches) == -(-(epoch.stop - epoch.start) // size)
@@ -152,8 +160,8 @@ def test_an_epoch_without_a_row_has_the_offset_of_the_nearest():
     plain = bench.plant(12)
     actuator = dehyst.Actuator(plain.slip, plain.spring, creep=WIDE["creep"]["creep"])
     record = wide_record(actuator, 0.9 * bench.VOLTS)
-    protocol = verify.Protocol("training", 0.0, 0.0, True, bench.STROKE)
-    compared = verify.compare(actuator, record, protocol)
+    protocol = validation.Protocol("training", 0.0, 0.0, True, bench.STROKE)
+    compared = validation.compare(actuator, record, protocol)
     assert compared.source.count > 1
     last = compared.source.count - 1
     few = replace(compared, found=replace(compared.found, offsets={last: compared.found.offsets[last]}))
@@ -185,9 +193,9 @@ def test_what_a_long_signal_tells_is_told_from_parts_of_it(monkeypatch):
 def test_a_path_is_made_monotone_in_blocks_too(monkeypatch, size):
     record = wide_record(bench.plant(12), 0.9 * bench.VOLTS).record
     held = replace(record, voltage=np.maximum(record.voltage, 20.0))
-    one = smoothing.monotone(held).displacement
-    monkeypatch.setattr(smoothing, "_BLOCK", size)
-    np.testing.assert_array_equal(smoothing.monotone(held).displacement, one)
+    one = denoising.monotone(held).displacement
+    monkeypatch.setattr(denoising, "_BLOCK", size)
+    np.testing.assert_array_equal(denoising.monotone(held).displacement, one)
 
 
 def test_a_record_is_not_copied_by_its_slices_but_its_maker_may_go_on_writing():

@@ -10,11 +10,11 @@ import wide_bench as wide
 
 import dehyst
 from dehyst import Record, State
-from dehyst.beside import Beside
-from dehyst.excite import Drive, descending_tops
-from dehyst.preparation import prepare
-from dehyst.structure import Structure
-from dehyst.truths import BoucWenActuator
+from dehyst.identification.preprocessing.internal_states import Beside
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.model.structure import Structure
+from dehyst.virtual import BoucWenActuator
+from dehyst.waveforms.standard import Drive, descending_tops
 
 CREEPING = Structure(elements=8, knots=7, creep=4)
 HOLDING = wide.wandering(30, samples=30, hold=30)
@@ -102,9 +102,14 @@ def swept(rates, *, hold=0):
 
 @pytest.mark.parametrize(
     ("rates", "hold", "supported"),
-    [((200.0,), 0, False), ((200.0, 100.0), 0, False), ((200.0, 50.0), 0, True), ((200.0,), 30, False),
-     ((200.0,), 100, True)],
-)  # fmt: skip
+    [
+        ((200.0,), 0, False),
+        ((200.0, 100.0), 0, False),
+        ((200.0, 50.0), 0, True),
+        ((200.0,), 30, False),
+        ((200.0,), 100, True),
+    ],
+)
 def test_creep_needs_a_hold_of_a_leg_or_loops_at_speeds_three_times_apart(rates, hold, supported):
     frame = wide.frame(swept(rates, hold=hold))
     assert frame.supports_creep() is supported
@@ -133,8 +138,10 @@ def test_times_are_those_of_the_finest_and_the_longest_record():
 def test_delayed_voltages_are_taken_back():
     record = creeping().record()
     late = Record(record.time, record.voltage, np.append(np.full(5, record.displacement[0]), record.displacement[:-5]))
-    found = [wide.frame([one], delay).regression(CREEPING).fit("l2")
-             for one, delay in ((record, 0.0), (late, 5 / wide.RATE), (late, 0.0))]  # fmt: skip
+    found = [
+        wide.frame([one], delay).regression(CREEPING).fit("l2")
+        for one, delay in ((record, 0.0), (late, 5 / wide.RATE), (late, 0.0))
+    ]
     errors = [np.abs(one.stiffness - found[0].stiffness).max() / found[0].stiffness.max() for one in found[1:]]
     assert errors[0] < 0.1 * errors[1]
 

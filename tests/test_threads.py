@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dehyst.threads import one_thread
+from dehyst._threads import one_thread
 
 # Looks at every BLAS library from inside the solvers, whenever a function of linear algebra is called.
 WATCH = """
@@ -44,7 +44,7 @@ sys.setprofile(None)
 print(json.dumps({"looks": looks, "threads": most}))
 """
 SETUP = """
-from dehyst.compare import compare, contenders
+from dehyst.baselines.comparison import compare, contenders
 from dehyst.insight import insight
 from dehyst.structure import Structure
 from dehyst import demo

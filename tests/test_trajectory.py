@@ -9,7 +9,8 @@ import strategies as our
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Compensator, Dynamics, ModelError, State, trajectory
+from dehyst import Actuator, Compensator, Dynamics, ModelError, State
+from dehyst.control import trajectory
 
 PLANT = bench.plant(10, seed=4)
 LOW, HIGH = 20.0, 150.0
@@ -130,8 +131,12 @@ def test_refusals():
     slewing = Compensator(PLANT, (LOW, HIGH), RATE)
     with pytest.raises(ModelError, match="a slew rate needs the time"):
         slewing.trajectory([0.0, 1e-6])
-    refused = {(0.0,): "got 1 values for 2 samples, need one a sample", (0.0, 1.0, 2.0): "got 3 values for 2 samples",
-               (0.0, 0.0): "got 0 s after 0 s at value 1", (1.0, 0.0): "got 0 s after 1 s at value 1"}  # fmt: skip
+    refused = {
+        (0.0,): "got 1 values for 2 samples, need one a sample",
+        (0.0, 1.0, 2.0): "got 3 values for 2 samples",
+        (0.0, 0.0): "got 0 s after 0 s at value 1",
+        (1.0, 0.0): "got 0 s after 1 s at value 1",
+    }
     for time, why in refused.items():
         with pytest.raises(ModelError, match=f"time: {why}"):
             slewing.trajectory([0.0, 1e-6], time=time)

@@ -9,15 +9,15 @@ import pytest
 import dehyst
 from dehyst import Outcome, Record
 from dehyst._io.json_files import finite
-from dehyst.advice import advise
-from dehyst.directions import directions
-from dehyst.evidence import Evidence
-from dehyst.excite import Drive, raised_cosine
-from dehyst.insight import insight
-from dehyst.latitude import latitude
-from dehyst.regression import Regression
-from dehyst.rows import collect
-from dehyst.truths import PlayActuator
+from dehyst.identification.diagnostics.identifiability import directions
+from dehyst.identification.preprocessing.regressors import collect
+from dehyst.identification.regression.regression import Regression
+from dehyst.uncertainty.evidence import Evidence
+from dehyst.uncertainty.experiment_design import advise
+from dehyst.uncertainty.feasible_set import latitude
+from dehyst.uncertainty.insight import insight
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms.standard import Drive, raised_cosine
 
 PLANT = bench.plant(10, seed=2)
 MAJOR = (1, 0, 1, 0)
@@ -59,10 +59,13 @@ def test_the_major_loop_tells_half_of_the_directions(elements):
 
 def test_open_directions_are_said_in_words():
     assert told(MAJOR).sentences() == (
-        "k_1 + k_9 is known, k_1 - k_9 is not.", "k_2 + k_8 is known, k_2 - k_8 is not.",
-        "k_3 + k_7 is known, k_3 - k_7 is not.", "k_4 + k_6 is known, k_4 - k_6 is not.", "k_10 is not known.",
+        "k_1 + k_9 is known, k_1 - k_9 is not.",
+        "k_2 + k_8 is known, k_2 - k_8 is not.",
+        "k_3 + k_7 is known, k_3 - k_7 is not.",
+        "k_4 + k_6 is known, k_4 - k_6 is not.",
+        "k_10 is not known.",
         "Known by themselves: k_5.",
-    )  # fmt: skip
+    )
 
 
 def test_what_is_known_by_itself():
@@ -76,7 +79,7 @@ def hidden(change, turns):
     y = bench.path(turns)
     first = PLANT.turned(float(y[0]))
     from dehyst._native import stops
-    from dehyst.elements import parts_in_segments
+    from dehyst.model.elements import parts_in_segments
 
     elongation, _ = stops(PLANT.slip.breakaway, first.carts, y)
     others = np.column_stack([parts_in_segments(PLANT.spring.displacement, y), np.ones(y.size)])

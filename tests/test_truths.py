@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from strategies import SEEDS
 
 import dehyst
-from dehyst import excite
-from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.waveforms import standard
 
 
 def test_the_major_loop_spans_the_stroke_and_closes():
     truth = PlayActuator(noise=0)
-    y = truth.drive(excite.raised_cosine(truth.highest, cycles=3).voltage)
+    y = truth.drive(standard.raised_cosine(truth.highest, cycles=3).voltage)
     loop = y[400:]
     assert loop.min() == pytest.approx(0, abs=1e-12)
     assert loop.max() == pytest.approx(truth.stroke, rel=1e-9)
@@ -23,7 +23,7 @@ def test_the_major_loop_spans_the_stroke_and_closes():
 
 def test_descending_lies_above_ascending_and_the_loop_is_not_antisymmetric():
     truth = PlayActuator(noise=0)
-    y = truth.drive(excite.raised_cosine(truth.highest, cycles=2).voltage)[400:]
+    y = truth.drive(standard.raised_cosine(truth.highest, cycles=2).voltage)[400:]
     up, down = y[1:200], y[201:400][::-1]
     assert np.all(down[5:-5] > up[5:-5])
     middle = 0.5 * (up + down) - 0.5 * truth.stroke
@@ -32,7 +32,7 @@ def test_descending_lies_above_ascending_and_the_loop_is_not_antisymmetric():
 
 def test_noise_is_seeded_and_of_the_stated_size():
     one, two = PlayActuator(seed=3), PlayActuator(seed=3)
-    voltage = excite.raised_cosine(150.0, cycles=2).voltage
+    voltage = standard.raised_cosine(150.0, cycles=2).voltage
     first = one.drive(voltage)
     np.testing.assert_array_equal(first, two.drive(voltage))
     clean = PlayActuator(noise=0).drive(voltage)
@@ -159,9 +159,10 @@ def test_creep_adds_the_stated_share_of_a_step_in_each_decade(creep):
 
 
 def test_creep_in_a_ramp_is_exact_whatever_the_time_step():
-    coarse, fine = PlayActuator(creep=0.02, plays=1, width=0.5, asymmetry=0, bend=0, noise=0), PlayActuator(
-        creep=0.02, plays=1, width=0.5, asymmetry=0, bend=0, noise=0
-    )  # fmt: skip
+    coarse, fine = (
+        PlayActuator(creep=0.02, plays=1, width=0.5, asymmetry=0, bend=0, noise=0),
+        PlayActuator(creep=0.02, plays=1, width=0.5, asymmetry=0, bend=0, noise=0),
+    )
     # One play, threshold 50 V: it moves from 50 V on, so that y is straight on both legs.
     turns, times = np.array([0.0, 50, 200, 100, 0]), np.array([1.0, 2, 7, 8, 30])
     many = np.unique(np.concatenate([np.linspace(1, 30, 2901), times]))

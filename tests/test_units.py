@@ -12,24 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dehyst
-from dehyst import (
-    Actuator,
-    ClampWarning,
-    Compensator,
-    IdentifyError,
-    MaxwellSlip,
-    ModelError,
-    RecordError,
-    Spring,
-    excite,
-)
+from dehyst import Actuator, ClampWarning, Compensator, IdentifyError, MaxwellSlip, ModelError, RecordError, Spring
+from dehyst._units import plain
 from dehyst._validation import numbers
-from dehyst.cli import main
-from dehyst.drive import Drive
-from dehyst.rigs.samples import Inspection, Samples
-from dehyst.scans import Triangle
-from dehyst.units import plain
-from dehyst.wave_table import wave_table
+from dehyst.cli.commands import main
+from dehyst.control.wave_table import wave_table
+from dehyst.instruments.samples import Inspection, Samples
+from dehyst.waveforms import Triangle, standard
+from dehyst.waveforms.playback import Drive
 
 U = pint.UnitRegistry()
 # 3.6 V move it by 45 um, as the measured one, from -119 um on.
@@ -106,8 +96,11 @@ def _no_stripping():
 
 def test_micrometres_given_for_metres_are_refused():
     """It returned 780 kV."""
-    with pytest.raises(ModelError, match=r"displacement: got 2 to 12 m, the model reaches -1\S+ to -7\S+ um; is this "
-                       r"in micrometres\? .* extrapolate=True"):  # fmt: skip
+    with pytest.raises(
+        ModelError,
+        match=r"displacement: got 2 to 12 m, the model reaches -1\S+ to -7\S+ um; is this "
+        r"in micrometres\? .* extrapolate=True",
+    ):
         ACTUATOR.compensate([2, 12])
     with pytest.raises(ModelError, match=r"got 12000 m, .* is this in nanometres"):
         ACTUATOR.compensate([12e3])
@@ -175,8 +168,11 @@ def test_the_reach_is_that_of_a_compensator():
 
 
 def test_voltages_of_another_actuator_are_refused():
-    with pytest.raises(ModelError, match=r"voltage: got 0 to 100 V, the model was identified from 0 to 3.6 V; .*"
-                       "extrapolate=True"):  # fmt: skip
+    with pytest.raises(
+        ModelError,
+        match=r"voltage: got 0 to 100 V, the model was identified from 0 to 3.6 V; .*"
+        "extrapolate=True",
+    ):
         ACTUATOR.simulate([0, 50, 100])
     assert ACTUATOR.simulate([0, 100], extrapolate=True).displacement[-1] > 5e-4
 
@@ -272,11 +268,21 @@ def test_a_record_converts_quantities():
     np.testing.assert_allclose(dehyst.Record(t, v, [y * U.m for y in PATH]).displacement, PATH)
 
 
-@pytest.mark.parametrize("given_as", [
-    PATH * 1e6 * U.um, [y * 1e6 * U.um for y in PATH], tuple(y * 1e9 * U.nm for y in PATH),
-    (PATH * 1e6).view(Measured), (PATH * 1e6).view(Rescaled), [Float(y * 1e6) for y in PATH],
-    Labelled(PATH * 1e6 * U.um), Labelled(PATH, "m"), np.ma.array(PATH), np.array(PATH, dtype=object).tolist(),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "given_as",
+    [
+        PATH * 1e6 * U.um,
+        [y * 1e6 * U.um for y in PATH],
+        tuple(y * 1e9 * U.nm for y in PATH),
+        (PATH * 1e6).view(Measured),
+        (PATH * 1e6).view(Rescaled),
+        [Float(y * 1e6) for y in PATH],
+        Labelled(PATH * 1e6 * U.um),
+        Labelled(PATH, "m"),
+        np.ma.array(PATH),
+        np.array(PATH, dtype=object).tolist(),
+    ],
+)
 def test_displacements_are_converted_to_metres(given_as):
     expected = ACTUATOR.compensate(PATH)
     got = ACTUATOR.compensate(given_as)
@@ -285,18 +291,30 @@ def test_displacements_are_converted_to_metres(given_as):
     np.testing.assert_allclose(got.voltage, expected.voltage, rtol=1e-10)
 
 
-@pytest.mark.parametrize("given_as", [
-    PATH * U.V, PATH * U.dimensionless, [PATH[0], 1 * U.s], Labelled(PATH, "um"), Labelled(PATH * U.kg),
-    PATH * U.um / U.m,
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "given_as",
+    [
+        PATH * U.V,
+        PATH * U.dimensionless,
+        [PATH[0], 1 * U.s],
+        Labelled(PATH, "um"),
+        Labelled(PATH * U.kg),
+        PATH * U.um / U.m,
+    ],
+)
 def test_another_unit_is_refused(given_as):
     with pytest.raises(ModelError, match=r"displacement: got a quantity in .*, need .* m\b"):
         ACTUATOR.compensate(given_as)
 
 
-@pytest.mark.parametrize("values", [
-    np.ma.array(PATH, mask=PATH > -90e-6), [PATH[0], np.ma.masked], np.ma.array(PATH, mask=PATH > -90e-6) * 1e6 * U.um,
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.ma.array(PATH, mask=PATH > -90e-6),
+        [PATH[0], np.ma.masked],
+        np.ma.array(PATH, mask=PATH > -90e-6) * 1e6 * U.um,
+    ],
+)
 def test_masked_values_are_refused(values):
     with pytest.raises(ModelError, match="masked"):
         ACTUATOR.compensate(values)
@@ -316,12 +334,12 @@ def test_voltages_limits_and_times_are_converted():
     assert ACTUATOR.turned(-100 * U.um).displacement == pytest.approx(-1e-4)
     assert ACTUATOR.relaxed(1000 * U.mV).displacement == ACTUATOR.relaxed(1.0).displacement
     assert Drive(frequency=1.0, limits=[0, 1] * U.kV).limits == (0.0, 1000.0)
-    assert excite.raised_cosine(100 * U.V).voltage_range == (0.0, 100.0)
-    assert excite.raised_cosine([50, 100] * U.V).voltage_range == (0.0, 100.0)
+    assert standard.raised_cosine(100 * U.V).voltage_range == (0.0, 100.0)
+    assert standard.raised_cosine([50, 100] * U.V).voltage_range == (0.0, 100.0)
     scan = Triangle(2 * U.um, 12 * U.um, 10, sample_rate=1 * U.kHz)
     assert scan.path().range == pytest.approx((2e-6, 12e-6))
     with pytest.raises(RecordError, match="peaks: got a quantity in micrometer"):
-        excite.raised_cosine(100 * U.um)
+        standard.raised_cosine(100 * U.um)
     with pytest.raises(IdentifyError, match="breakaway: got a quantity in volt"):
         numbers([1, 2] * U.V, "breakaway")
 

@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Creep, Dynamics, GradedSlip, RecordError, SmoothSlip, Transformer
-from dehyst.approach import approach_to, follow
-from dehyst.compensator import Compensator
-from dehyst.lissajous import Lissajous
-from dehyst.scan import Limits
-from dehyst.scans import Spiral, Triangle
-from dehyst.steady import steady_state
-from dehyst.steps import Steps
-from dehyst.wave_table import wave_table
+from dehyst.control.compensator import Compensator
+from dehyst.control.lead_in import approach_to, follow
+from dehyst.control.steady_state import steady_state
+from dehyst.control.wave_table import wave_table
+from dehyst.waveforms import Spiral, Triangle
+from dehyst.waveforms.lissajous import Lissajous
+from dehyst.waveforms.scan import Limits
+from dehyst.waveforms.steps import Steps
 
 UM = 1e-6
 PLAIN = replace(bench.plant(10), limits=(-50.0, 250.0))
@@ -25,13 +25,14 @@ CREEP = Creep([0.05, 0.4], [1e6, 1.5e6])
 SMOOTH = SmoothSlip([1e-6, 4e-6, 9e-6], [1.0, 0.5, 0.75], [2e6, 1e6, 5e5])
 ACTUATORS = {
     "plain": PLAIN,
-    "graded": replace(PLAIN, slip=GradedSlip(PLAIN.slip.breakaway, [0, 8e-6, 16e-6],
-                                             np.outer(PLAIN.slip.stiffness, [1, 0.9]))),
+    "graded": replace(
+        PLAIN, slip=GradedSlip(PLAIN.slip.breakaway, [0, 8e-6, 16e-6], np.outer(PLAIN.slip.stiffness, [1, 0.9]))
+    ),
     "transformer": replace(PLAIN, transformer=Transformer([-50, 100, 250], [-50, 110, 250])),
     "creep": replace(PLAIN, creep=CREEP),
     "smooth": replace(PLAIN, smooth=SMOOTH),
     "creep and smooth": replace(PLAIN, creep=CREEP, smooth=SMOOTH),
-}  # fmt: skip
+}
 TRIANGLE = Triangle(2 * UM, 12 * UM, 10, turns=0.2)
 SCANS = {
     "triangle": TRIANGLE,
@@ -235,15 +236,18 @@ def test_a_short_homing_is_sampled_as_the_scan_is():
     np.testing.assert_allclose(played.time, np.arange(played.time.size) / table.sample_rate, rtol=1e-12)
 
 
-@pytest.mark.parametrize("options, said", [
-    ({"axis": "y"}, "axis: got 'y', need 'x'"),
-    ({"cycles": -1}, "cycles: got -1, need a whole number, 0 or more, 10000000 at most"),
-    ({"state": None, "present": 900.0}, "present: got 900 V, but the limits are -50 to 250 V; ramp there first"),
-    ({"cycles": 10**7}, "cycles: got 10000000, 4e[+]09 samples of start-up, need 12500 at most"),
-    ({"tolerance": 0.0}, "tolerance: got 0, need a number above 0"),
-    ({"approach": -1.0}, "approach: got -1, need a number above 0"),
-    ({"scan": Steps((2 * UM, 5 * UM), 0.1, seconds=0.1, closed=False)}, "scan: got one that ends elsewhere"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        ({"axis": "y"}, "axis: got 'y', need 'x'"),
+        ({"cycles": -1}, "cycles: got -1, need a whole number, 0 or more, 10000000 at most"),
+        ({"state": None, "present": 900.0}, "present: got 900 V, but the limits are -50 to 250 V; ramp there first"),
+        ({"cycles": 10**7}, "cycles: got 10000000, 4e[+]09 samples of start-up, need 12500 at most"),
+        ({"tolerance": 0.0}, "tolerance: got 0, need a number above 0"),
+        ({"approach": -1.0}, "approach: got -1, need a number above 0"),
+        ({"scan": Steps((2 * UM, 5 * UM), 0.1, seconds=0.1, closed=False)}, "scan: got one that ends elsewhere"),
+    ],
+)
 def test_what_cannot_be_is_refused(options, said):
     with pytest.raises(RecordError, match=said):
         wave_table(PLAIN, **{"scan": TRIANGLE, "state": PLAIN.relaxed(20.0), **options})

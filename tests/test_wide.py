@@ -141,8 +141,10 @@ def test_more_voltage_more_displacement(motion, more):
     reached = actuator.compensate(path, time=time, state=state, extrapolate=True)
     times = [0.0, 0.3]
     now = reached.voltage[-1]
-    ends = [actuator.simulate([now, v], time=times, state=reached.state, extrapolate=True).displacement[-1]
-            for v in (now, now + more * our.volts_of(Actuator(MaxwellSlip([], []), actuator.spring)))]  # fmt: skip
+    ends = [
+        actuator.simulate([now, v], time=times, state=reached.state, extrapolate=True).displacement[-1]
+        for v in (now, now + more * our.volts_of(Actuator(MaxwellSlip([], []), actuator.spring)))
+    ]
     assert ends[1] > ends[0]
 
 
@@ -321,7 +323,7 @@ def test_branches_that_fall_are_refused_and_no_others(seed, size):
         (lambda: Actuator(SLIP, SPRING, creep=CREEP).simulate([0.0, 1], time=[0, np.nan]), "time: 1 of 2"),
         (lambda: State(0, [0], motion=[1]), "motion of 1 numbers, need displacement and velocity"),
     ],
-)  # fmt: skip
+)
 def test_impossible_parts_are_refused(make, message):
     with pytest.raises(ModelError, match=message):
         make()
@@ -357,13 +359,13 @@ def test_charge_balances_power(motion):
 
 
 def test_what_knows_plain_actuators_only_says_so():
-    from dehyst.bracket import Bracket
-    from dehyst.equilibria import Equilibria
-    from dehyst.first_rise import state_from_first_rise
+    from dehyst.control.state_bounds import Bracket
+    from dehyst.uncertainty.initial_state import state_from_first_rise
+    from dehyst.uncertainty.rest_states import Equilibria
 
     wider = Actuator(GRADED, SPRING, transformer=TAU, creep=CREEP, limits=(0, 100))
     for ask, message in (
-        (lambda: Bracket.at_rest(wider), "this actuator creeps; use dehyst.homing.shortest_homing"),
+        (lambda: Bracket.at_rest(wider), "this actuator creeps; use dehyst.control.homing.shortest_homing"),
         (lambda: Equilibria(wider).vertex(np.ones(len(GRADED))), "no polytope of elongations; .*bounds it"),
         (lambda: state_from_first_rise(wider, None), "plain slip elements and a spring only; home a wider actuator"),
     ):

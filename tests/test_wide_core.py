@@ -137,8 +137,16 @@ def numbers(model, held, pace, path):
     arrays += [smooth.length, smooth.closing, smooth.stiffness] if smooth else []
     arrays += [[mass.series, mass.share(model.spring)], pace.transition[0], held.motion] if mass else []
     arrays += [[held.w], held.carts, held.strains, path]
-    sizes = [len(slip), slip.knots.size - 1 if graded else 0, model.spring.voltage.size, tau.voltage.size if tau else 0,
-             len(creep) if creep else 0, len(smooth) if smooth else 0, int(mass is not None), len(path)]  # fmt: skip
+    sizes = [
+        len(slip),
+        slip.knots.size - 1 if graded else 0,
+        model.spring.voltage.size,
+        tau.voltage.size if tau else 0,
+        len(creep) if creep else 0,
+        len(smooth) if smooth else 0,
+        int(mass is not None),
+        len(path),
+    ]
     return " ".join(map(str, sizes)) + "\n" + "\n".join(float(x).hex() for x in np.concatenate(arrays))
 
 
@@ -154,9 +162,19 @@ def compile_apart(compiled, *options):
     compiled.compile(*options, "wide.c", *SOURCES, "-o", "wide")
 
 
-KINDS = ["transformer", "creep", "transformer creep", "graded", "graded transformer creep", "smooth",
-         "smooth graded transformer creep", "mass", "transformer creep mass", "graded creep mass",
-         "smooth graded transformer creep mass"]  # fmt: skip
+KINDS = [
+    "transformer",
+    "creep",
+    "transformer creep",
+    "graded",
+    "graded transformer creep",
+    "smooth",
+    "smooth graded transformer creep",
+    "mass",
+    "transformer creep mass",
+    "graded creep mass",
+    "smooth graded transformer creep mass",
+]
 
 
 @pytest.mark.parametrize("options", [["-O2"], ["-O3", "-flto"], ["-O1", "-fsanitize=address,undefined"]])

@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, SmoothSlip, Spring
-from dehyst.band import homed
-from dehyst.bracket import Bracket
-from dehyst.drive import Drive
-from dehyst.equilibria import Equilibria
-from dehyst.homing import shortest_homing
-from dehyst.outermost import Outermost
-from dehyst.structure import Structure
-from dehyst.timed_homing import Swing
+from dehyst.control.homing import shortest_homing
+from dehyst.control.homing_in_time import Swing
+from dehyst.control.major_loop import Outermost
+from dehyst.control.state_bounds import Bracket
+from dehyst.model.structure import Structure
+from dehyst.uncertainty.prediction_band import homed
+from dehyst.uncertainty.rest_states import Equilibria
+from dehyst.waveforms.playback import Drive
 
 LIMITS = -40.0, 260.0
 DRIVE = Drive(frequency=0.01, sample_rate=2.0)
@@ -208,7 +208,7 @@ def test_a_transformer_only_bends_the_voltage_of_equilibria():
 
 
 def test_a_bracket_of_what_moves_on_is_refused_with_a_way_out():
-    with pytest.raises(ModelError, match=re.escape("this actuator creeps; use dehyst.homing.shortest_homing")):
+    with pytest.raises(ModelError, match=re.escape("this actuator creeps; use dehyst.control.homing.shortest_homing")):
         Bracket.at_rest(CREEPING)
 
 
@@ -237,7 +237,7 @@ def test_the_structure_of_everything_is_homed_too():
 def test_the_command_says_what_is_left_and_compensation_starts_from_there(tmp_path):
     from click.testing import CliRunner
 
-    from dehyst.cli import main
+    from dehyst.cli.commands import main
 
     model, path, voltage = (str(tmp_path / name) for name in ("model.json", "path.csv", "voltage.csv"))
     replace(CREEPING, limits=(0.0, 260.0)).save(model)
@@ -247,8 +247,9 @@ def test_the_command_says_what_is_left_and_compensation_starts_from_there(tmp_pa
     short = CliRunner().invoke(main, ["excite", "homing", "--model", model, "-o", voltage, "--hold", "1"])
     assert short.exit_code == 1
     assert re.search(r"holds of \d+ s at both limits in place of 1 s would do", short.stderr)
-    np.savetxt(path, np.c_[np.arange(50.0), np.linspace(3, 9, 50)], delimiter=",", comments="",
-               header="time_s,displacement_um")  # fmt: skip
+    np.savetxt(
+        path, np.c_[np.arange(50.0), np.linspace(3, 9, 50)], delimiter=",", comments="", header="time_s,displacement_um"
+    )
     sent = CliRunner().invoke(main, ["compensate", model, path, "-o", voltage, "--start", "homed"])
     assert sent.exit_code == 0
     assert "(homed, at " in sent.stdout

@@ -10,14 +10,14 @@ import pytest
 import wide_bench
 
 from dehyst import ModelError, Record, identify
-from dehyst.insight import insight
-from dehyst.insight_page import sections, write_insight
-from dehyst.intervals import resample
-from dehyst.report import render
-from dehyst.structure import Structure
-from dehyst.told import told
-from dehyst.wide_evidence import WideEvidence
-from dehyst.wide_insight import NOT_JUDGED, WideInsight
+from dehyst.model.structure import Structure
+from dehyst.report.report import render
+from dehyst.report.uncertainty_section import sections, write_insight
+from dehyst.uncertainty.bootstrap import resample
+from dehyst.uncertainty.insight import insight
+from dehyst.uncertainty.part_identifiability import told
+from dehyst.uncertainty.wide_evidence import WideEvidence
+from dehyst.uncertainty.wide_insight import NOT_JUDGED, WideInsight
 
 STRUCTURES = {
     "graded, transformer": Structure(elements=6, grades=3, knots=7, transformer=5),
@@ -147,8 +147,13 @@ def test_a_look_at_a_wider_model(name):
     assert found.knowledge[0].by_displacement is not None
     assert found.knowledge[0].judged == (name == "graded, transformer")
     text = "\n".join(sections(found))
-    for words in ("What the records tell of each part", "How sharp the numbers are", "The trajectory",
-                  "What was not judged", "From when on the state is known"):  # fmt: skip
+    for words in (
+        "What the records tell of each part",
+        "How sharp the numbers are",
+        "The trajectory",
+        "What was not judged",
+        "From when on the state is known",
+    ):
         assert words in text
     assert "What the records tell of each part" in render(fit, insight=found)
 
@@ -191,8 +196,13 @@ def test_everything_at_once_with_and_without_repeats(tmp_path):
     record = plant.record(noise=NOISE)
     fit = identify(record, structure=EVERYTHING, delay=0.0)
     found = insight(fit.actuator, record, repeats=20)
-    assert {one.part for one in found.told} == {"graded elements", "parallel spring", "creep", "smooth elements",
-                                                "transformer"}  # fmt: skip
+    assert {one.part for one in found.told} == {
+        "graded elements",
+        "parallel spring",
+        "creep",
+        "smooth elements",
+        "transformer",
+    }
     write_insight(tmp_path / "page.html", found, command="dehyst insight")
     assert "Transformer" in (tmp_path / "page.html").read_text()
 
@@ -200,20 +210,26 @@ def test_everything_at_once_with_and_without_repeats(tmp_path):
 def test_the_command(tmp_path):
     from click.testing import CliRunner
 
-    from dehyst.cli import main
-    from dehyst.files import write_columns
+    from dehyst.cli.commands import main
+    from dehyst.records.files import write_columns
 
     _, fit, record = looked("creep")
     path, time = trajectory()
     model, data, wanted, band = (str(tmp_path / name) for name in ("m.json", "r.csv", "w.csv", "b.csv"))
     fit.actuator.save(model)
-    write_columns(data, {"time_s": record.time, "voltage_V": record.voltage,
-                         "displacement_um": record.displacement * 1e6})  # fmt: skip
+    write_columns(
+        data, {"time_s": record.time, "voltage_V": record.voltage, "displacement_um": record.displacement * 1e6}
+    )
     write_columns(wanted, {"time_s": time, "displacement_um": path * 1e6})
     said = CliRunner().invoke(main, ["insight", model, data, "--trajectory", wanted, "-o", band, "--repeats", "20"])
     assert said.exit_code in (0, 1)
-    for words in ("Known of each part", "the displacement on the major loop", "Not judged of a wider model",
-                  "not judged from the voltage alone", "Error to be expected on the trajectory"):  # fmt: skip
+    for words in (
+        "Known of each part",
+        "the displacement on the major loop",
+        "Not judged of a wider model",
+        "not judged from the voltage alone",
+        "Error to be expected on the trajectory",
+    ):
         assert words in said.stdout
     assert "models that the records do not contradict" not in said.stdout
     assert (tmp_path / "b.csv").read_text().startswith("time_s,wanted_um,voltage_V")

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Actuator, IdentifyError, ModelError, State
-from dehyst.composition import coefficients_of, grid_of, parts
-from dehyst.rows import epochs
-from dehyst.structure import Structure
-from dehyst.wide_regression import WideRegression
+from dehyst.identification.preprocessing.regressors import epochs
+from dehyst.identification.regression.coefficients import coefficients_of, grid_of, parts
+from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.model.structure import Structure
 
 NAMES = tuple(wide.STRUCTURES)
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import wide_bench as wide
 
-from dehyst import rows
-from dehyst.beside import Beside
-from dehyst.program import NORMS
-from dehyst.rows import RowSource
-from dehyst.wide_stream import WideStream
+from dehyst.identification.preprocessing import regressors
+from dehyst.identification.preprocessing.internal_states import Beside
+from dehyst.identification.preprocessing.regressors import RowSource
+from dehyst.identification.regression.wide_streaming import WideStream
+from dehyst.identification.solvers.program import NORMS
 
 ORDER = {"l1": 1, "l2": 2, "linf": np.inf}
 
@@ -42,8 +42,9 @@ def streams(name, most, strained=()):
     plant = wide.plant(wide.STRUCTURES[name], path=wide.wandering(24))
     records = [plant.record(noise=2e-9, seed=seed) for seed in (0, 1)]
     pieces = [(q, one, np.zeros(len(one))) for q, one in enumerate(records)]
-    source = RowSource.of(pieces, plant.grid.breakaway, [0.0, 0.0],
-                          moved=lambda _, piece: Beside(plant.grid, piece, None))  # fmt: skip
+    source = RowSource.of(
+        pieces, plant.grid.breakaway, [0.0, 0.0], moved=lambda _, piece: Beside(plant.grid, piece, None)
+    )
     whole = wide.regression(plant.grid, records, strained=strained)
     return plant, WideStream(source, replace(whole, rows=source.thinned(most)))
 
@@ -54,7 +55,7 @@ def test_a_stream_has_the_optimum_of_the_rows_in_memory(monkeypatch, name, norm)
     strained = (1,) if name == "creep" else ()
     _, memory = streams(name, 10**9, strained)
     assert memory.whole
-    monkeypatch.setattr(rows, "_BLOCK", 211)
+    monkeypatch.setattr(regressors, "_BLOCK", 211)
     _, streamed = streams(name, 400, strained)
     assert not streamed.whole
     one, other = memory.fit_weighted(norm), streamed.fit_weighted(norm)
@@ -71,7 +72,7 @@ def test_a_stream_has_the_optimum_of_the_rows_in_memory(monkeypatch, name, norm)
 
 def test_starts_that_some_blocks_have_forgotten_are_columns_of_all(monkeypatch):
     """A start fades: were its column to end where a block finds it small, rows would not belong to one program."""
-    monkeypatch.setattr(rows, "_BLOCK", 50)
+    monkeypatch.setattr(regressors, "_BLOCK", 50)
     _, streamed = streams("creep", 300, (0, 1))
     _, memory = streams("creep", 10**9, (0, 1))
     one, other = memory.fit_weighted("l2"), streamed.fit_weighted("l2")

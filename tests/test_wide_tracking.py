@@ -11,8 +11,8 @@ import tracking
 
 import dehyst
 from dehyst import Outcome
-from dehyst.structure import Structure
-from dehyst.truths import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.model.structure import Structure
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
 # Truth, time step, cycles of the fast and the slow loops, holds, cycles of the path [s].
@@ -84,8 +84,10 @@ def test_what_the_truth_has_is_found():
 @pytest.mark.skipif(not (DATA / "major.csv").exists(), reason=f"the measured data are not in {DATA}")
 def test_the_rest_of_a_measured_record_is_predicted():
     """Learnt to the middle of the hold, played on over the ramp up; 0.79/0.21 % of the stroke were measured."""
-    major, ramps = (dehyst.read(DATA / f"{name}.csv", voltage="drive_V", displacement="displacement_um")
-                    for name in ("major", "ramps"))  # fmt: skip
+    major, ramps = (
+        dehyst.read(DATA / f"{name}.csv", voltage="drive_V", displacement="displacement_um")
+        for name in ("major", "ramps")
+    )
     fit = dehyst.identify(
         [major, ramps[:4500]], validate=ramps[4500:].with_name("rest"), structure="auto", norm="l2", drift=False
     )

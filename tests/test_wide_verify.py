@@ -10,9 +10,9 @@ import wide_bench as wide
 
 import dehyst
 from dehyst import Creep, Dynamics, IdentifyError, Outcome, Record, State
-from dehyst.preparation import prepare
-from dehyst.structure import Structure
-from dehyst.verify import Protocol, errors_of, told, without_offset
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.identification.validation import Protocol, errors_of, told, without_offset
+from dehyst.model.structure import Structure
 
 PROTOCOL = Protocol("validation", 0.0, 0.0, False, bench.STROKE)
 EXACT = 1e-9
@@ -107,8 +107,10 @@ def test_a_given_structure_that_an_actuator_has_is_identified(name, norm):
 
 def test_elements_that_jitter_is_kept_from_need_no_remark():
     record = wide.plant(wide.STRUCTURES["plain"]).record(noise=5e-3 * bench.STROKE)
-    paper, given = (dehyst.identify(record, delay=0.0, **options)
-                    for options in ({"elements": 8}, {"structure": wide.STRUCTURES["plain"]}))  # fmt: skip
+    paper, given = (
+        dehyst.identify(record, delay=0.0, **options)
+        for options in ({"elements": 8}, {"structure": wide.STRUCTURES["plain"]})
+    )
     assert any("times the sensor's noise" in remark for remark in paper.remarks)
     assert not any("times the sensor's noise" in remark for remark in given.remarks)
 
@@ -126,8 +128,8 @@ def test_creep_on_a_grid_of_its_own_is_met_nearly():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"structure": "wide"}, "structure: got 'wide', need 'auto', 'paper' or a dehyst.structure.Structure"),
-        ({"structure": None}, "structure: got None, need 'auto', 'paper' or a dehyst.structure.Structure"),
+        ({"structure": "wide"}, "structure: got 'wide', need 'auto', 'paper' or a dehyst.model.structure.Structure"),
+        ({"structure": None}, "structure: got None, need 'auto', 'paper' or a dehyst.model.structure.Structure"),
         (
             {"structure": Structure(), "method": "breakpoints"},
             "structure: method 'breakpoints' knows the paper's class only; leave one out",

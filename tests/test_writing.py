@@ -16,8 +16,8 @@ from hypothesis.extra.numpy import arrays
 from dehyst._errors import FileFormatError
 from dehyst._io.drafts import draft_of, is_draft, write_atomically
 from dehyst._io.json_files import read_json, write_json
-from dehyst.files import read, write_columns, write_record
-from dehyst.record import Record
+from dehyst.records.files import read, write_columns, write_record
+from dehyst.records.record import Record
 
 
 def text(tmp_path, content, name="a.csv", encoding="utf-8"):

@@ -10,14 +10,14 @@ import bench
 import numpy as np
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
-from dehyst.composition import coefficients_of
-from dehyst.inertia import Inertia
-from dehyst.preparation import prepare
-from dehyst.rows import collect
-from dehyst.smooth import SmoothSlip
-from dehyst.structure import Grid, Structure
-from dehyst.structured import Frame
-from dehyst.wide_regression import WideRegression
+from dehyst.identification.dynamics_search import Inertia
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.identification.preprocessing.regressors import collect
+from dehyst.identification.regression.coefficients import coefficients_of
+from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.identification.training_data import Frame
+from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.model.structure import Grid, Structure
 
 SLOPE = bench.VOLTS / bench.STROKE
 FLOOR = 0.1 * SLOPE
@@ -108,7 +108,7 @@ def _transformer(grid, rng):
 
 
 def moved_along(grid, piece, lead):
-    """What `dehyst.beside.Beside` is, in one piece."""
+    """What `dehyst.identification.preprocessing.internal_states.Beside` is, in one piece."""
     creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
     smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
     time, y = piece.time, piece.displacement
@@ -128,8 +128,9 @@ def regression(grid, records, *, leads=(), **options):
     """The rows of records as they are: no smoothing, no search for anything."""
     leads = leads or [None] * len(records)
     pieces = [(q, one, np.zeros(len(one))) for q, one in enumerate(records)]
-    rows, _ = collect(pieces, grid.breakaway, [0.0] * len(pieces),
-                      moved=lambda q, piece: moved_along(grid, piece, leads[q]))  # fmt: skip
+    rows, _ = collect(
+        pieces, grid.breakaway, [0.0] * len(pieces), moved=lambda q, piece: moved_along(grid, piece, leads[q])
+    )
     return WideRegression(rows, grid, FLOOR, np.zeros(len(pieces)), **options)
 
 

@@ -15,21 +15,21 @@ from dehyst._errors import (
     ModelError,
     RecordError,
 )
-from dehyst.actuator import Actuator
-from dehyst.compensator import ClampWarning, Compensator
-from dehyst.creep import Creep
-from dehyst.dynamics import Dynamics
-from dehyst.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.files import read, write_record
-from dehyst.fit import Fit, Outcome, RecordErrors, Trace
-from dehyst.identify import identify
-from dehyst.model import Motion, State
-from dehyst.physical import Physical
-from dehyst.record import Record
-from dehyst.smooth import SmoothSlip
-from dehyst.snapshot import Snapshot
-from dehyst.trajectory import Command
-from dehyst.version import __version__
+from dehyst._version import __version__
+from dehyst.control.compensator import ClampWarning, Compensator
+from dehyst.control.snapshot import Snapshot
+from dehyst.control.trajectory import Command
+from dehyst.identification.identify import identify
+from dehyst.model.actuator import Actuator
+from dehyst.model.base import Motion, State
+from dehyst.model.creep import Creep
+from dehyst.model.dynamics import Dynamics
+from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.model.fit import Fit, Outcome, RecordErrors, Trace
+from dehyst.model.physical import Physical
+from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.records.files import read, write_record
+from dehyst.records.record import Record
 
 __all__ = [
     "Actuator",

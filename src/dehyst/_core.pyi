@@ -35,20 +35,46 @@ class Wide:
         smooth: Array,
     ) -> None: ...
     def compensate(
-        self, w: Array, more: Array, bounds: Bounds, decay: Array, gain: Array, transition: Array,
-        start: float, cart: Array, strain: Array, motion: Array, stack: bool,
-    ) -> tuple[Array, float, Array, Array, Array]: ...  # fmt: skip
+        self,
+        w: Array,
+        more: Array,
+        bounds: Bounds,
+        decay: Array,
+        gain: Array,
+        transition: Array,
+        start: float,
+        cart: Array,
+        strain: Array,
+        motion: Array,
+        stack: bool,
+    ) -> tuple[Array, float, Array, Array, Array]: ...
     def simulate(
-        self, v: Array, load: Array, bounds: Bounds, decay: Array, gain: Array, transition: Array,
-        start: float, cart: Array, strain: Array, motion: Array, stack: bool,
-    ) -> tuple[Array, float, Array, Array, Array]: ...  # fmt: skip
+        self,
+        v: Array,
+        load: Array,
+        bounds: Bounds,
+        decay: Array,
+        gain: Array,
+        transition: Array,
+        start: float,
+        cart: Array,
+        strain: Array,
+        motion: Array,
+        stack: bool,
+    ) -> tuple[Array, float, Array, Array, Array]: ...
     def voltage(self, w: float, cart: Array, strain: Array, motion: Array) -> float: ...
 
 class Loop:
     def __init__(
-        self, wide: Wide, decay: Array, gain: Array, transition: Array, tap: Array, numbers: Array,
+        self,
+        wide: Wide,
+        decay: Array,
+        gain: Array,
+        transition: Array,
+        tap: Array,
+        numbers: Array,
         tell: Callable[[bool, float, float], None],
-    ) -> None: ...  # fmt: skip
+    ) -> None: ...
     def begin(self, w: float, cart: Array, strain: Array, motion: Array) -> None: ...
     def offer(self, u: float) -> float: ...
     def commit(self, v: float) -> None: ...

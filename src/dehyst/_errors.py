@@ -18,7 +18,7 @@ Every message says what was got, what is needed and what to try.
 
 from __future__ import annotations
 
-from dehyst.escaping import escaped
+from dehyst._text import escaped
 
 
 class DehystError(Exception):

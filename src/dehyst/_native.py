@@ -113,11 +113,36 @@ class WideCore(_Rebuilt):
     __slots__ = ()
 
     def __init__(
-        self, rho: Array, kappa: Array, knots: Array, values: Array, grade_knots: Array, grades: Array,
-        voltages: Array, drives: Array, creep: Array, inertia: Array, lengths: Array, closings: Array, smooth: Array,
-    ) -> None:  # fmt: skip
-        self._made_from = (rho, kappa, knots, values, grade_knots, grades, voltages, drives, creep, inertia, lengths,
-                           closings, smooth)  # fmt: skip
+        self,
+        rho: Array,
+        kappa: Array,
+        knots: Array,
+        values: Array,
+        grade_knots: Array,
+        grades: Array,
+        voltages: Array,
+        drives: Array,
+        creep: Array,
+        inertia: Array,
+        lengths: Array,
+        closings: Array,
+        smooth: Array,
+    ) -> None:
+        self._made_from = (
+            rho,
+            kappa,
+            knots,
+            values,
+            grade_knots,
+            grades,
+            voltages,
+            drives,
+            creep,
+            inertia,
+            lengths,
+            closings,
+            smooth,
+        )
         try:
             self._core = _core.Wide(*self._made_from)
         except _core.CoreError as error:

@@ -10,10 +10,10 @@ from numbers import Integral, Real
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dehyst._computable import MOST_ADDED, demand_magnitudes
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
-from dehyst.computable import MOST_ADDED, demand_magnitudes
-from dehyst.units import plain
+from dehyst._units import plain
 
 
 def untimely(time: Array, samples: int) -> str:

@@ -32,8 +32,13 @@ def run(play, seed, count, *, first=0, seconds=None):
         case, found, noted = _batch(play, seed, case, stop, left)
         findings += found
         counts.update(noted)
-    return {"seed": seed, "cases": case - first, "findings": findings, "counts": dict(sorted(counts.items())),
-            "seconds": round(time.monotonic() - begun, 1)}  # fmt: skip
+    return {
+        "seed": seed,
+        "cases": case - first,
+        "findings": findings,
+        "counts": dict(sorted(counts.items())),
+        "seconds": round(time.monotonic() - begun, 1),
+    }
 
 
 def main(name, play):

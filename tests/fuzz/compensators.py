@@ -235,8 +235,10 @@ class Life:
             time = {"time": np.arange(voltage.size) * self.compensator.period}
         reached = self.actuator.simulate(voltage, state=self.start, extrapolate=True, **time).state
         state, span = self.compensator.state, strategies.span_of(self.actuator)
-        error = max(abs(reached.displacement - state.displacement),
-                    np.abs(reached.carts - state.carts).max(initial=0)) / span  # fmt: skip
+        error = (
+            max(abs(reached.displacement - state.displacement), np.abs(reached.carts - state.carts).max(initial=0))
+            / span
+        )
         self.note("states compared")
         if not error < NEAR * self.conditioning:
             self.find(f"the state is off by {error:.3g} of the range")
@@ -271,8 +273,16 @@ def through_file(rng, snapshot):
         return Snapshot.load(path)
 
 
-CALLS = (("step", 45), ("offer", 10), ("hold", 5), ("run", 8), ("refused", 7), ("restore", 5), ("damaged", 8),
-         ("trajectory", 4))  # fmt: skip
+CALLS = (
+    ("step", 45),
+    ("offer", 10),
+    ("hold", 5),
+    ("run", 8),
+    ("refused", 7),
+    ("restore", 5),
+    ("damaged", 8),
+    ("trajectory", 4),
+)
 NAMES = [name for name, _ in CALLS]
 SHARES = np.array([share for _, share in CALLS]) / sum(share for _, share in CALLS)
 

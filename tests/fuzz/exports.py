@@ -16,8 +16,8 @@ import specimens
 from sanitized import SANITIZE
 
 from dehyst import DehystError
-from dehyst.export import SOURCES, code
-from dehyst.footprint import STRICT
+from dehyst.exports.firmware import SOURCES, code
+from dehyst.exports.footprint import STRICT
 
 STEPS = 20_000
 

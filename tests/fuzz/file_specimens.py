@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import scipy.io
 
-from dehyst.files import write_hdf5
-from dehyst.record import Record
+from dehyst.records.files import write_hdf5
+from dehyst.records.record import Record
 
 N = 240
 T = np.arange(N) * 1e-3

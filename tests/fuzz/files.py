@@ -23,8 +23,8 @@ from file_mutations import mutated
 from file_specimens import specimens
 
 import dehyst
-from dehyst import reader_process
-from dehyst.preparation import prepare
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.records.formats import reader_process
 
 # Of each kind of finding, as many are printed.
 _SHOWN = 3

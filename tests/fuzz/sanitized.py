@@ -38,12 +38,24 @@ def build(folder):
     package = folder / "overlay" / "dehyst"
     nanobind = _run([sys.executable, "-m", "nanobind", "--cmake_dir"]).strip()
     flags = " ".join(SANITIZE)
-    _run([
-        "cmake", "-S", REPOSITORY, "-B", folder / "objects", "-DCMAKE_BUILD_TYPE=None", "-DSKBUILD_PROJECT_NAME=dehyst",
-        f"-Dnanobind_DIR={nanobind}", f"-DPython_EXECUTABLE={sys.executable}", "-DCMAKE_C_COMPILER=gcc",
-        "-DCMAKE_CXX_COMPILER=g++", f"-DCMAKE_C_FLAGS={flags}", f"-DCMAKE_CXX_FLAGS=-O1 {flags}",
-        f"-DCMAKE_MODULE_LINKER_FLAGS={flags}",
-    ])  # fmt: skip
+    _run(
+        [
+            "cmake",
+            "-S",
+            REPOSITORY,
+            "-B",
+            folder / "objects",
+            "-DCMAKE_BUILD_TYPE=None",
+            "-DSKBUILD_PROJECT_NAME=dehyst",
+            f"-Dnanobind_DIR={nanobind}",
+            f"-DPython_EXECUTABLE={sys.executable}",
+            "-DCMAKE_C_COMPILER=gcc",
+            "-DCMAKE_CXX_COMPILER=g++",
+            f"-DCMAKE_C_FLAGS={flags}",
+            f"-DCMAKE_CXX_FLAGS=-O1 {flags}",
+            f"-DCMAKE_MODULE_LINKER_FLAGS={flags}",
+        ]
+    )
     _run(["cmake", "--build", folder / "objects"])
     shutil.rmtree(package, ignore_errors=True)
     package.mkdir(parents=True)

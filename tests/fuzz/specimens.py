@@ -14,8 +14,8 @@ import numpy as np
 import strategies
 
 from dehyst import Actuator, Compensator
-from dehyst.dynamics import Dynamics
-from dehyst.smooth import SmoothSlip
+from dehyst.model.dynamics import Dynamics
+from dehyst.model.smooth_slip import SmoothSlip
 
 KINDS = ("plain", "plain", "wide", "dynamics", "lag", "smooth", "all")
 
@@ -23,8 +23,9 @@ KINDS = ("plain", "plain", "wide", "dynamics", "lag", "smooth", "all")
 def random_model(rng, kind):
     """An actuator as identifications make them, with the parts of a kind."""
     seed, uniform = int(rng.integers(2**32)), bool(rng.integers(2))
-    actuator = strategies.make_actuator(seed, int(rng.integers(0, 12)), int(rng.integers(2, 12)), uniform,
-                                        float(rng.choice([0, 0, 0.3])))  # fmt: skip
+    actuator = strategies.make_actuator(
+        seed, int(rng.integers(0, 12)), int(rng.integers(2, 12)), uniform, float(rng.choice([0, 0, 0.3]))
+    )
     span, volts = strategies.span_of(actuator), float(np.ptp(actuator.spring.voltage))
     if kind == "plain":
         return actuator

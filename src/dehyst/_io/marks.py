@@ -16,7 +16,7 @@ from pathlib import Path
 
 from dehyst._errors import FileFormatError
 from dehyst._io.drafts import PathLike, is_draft, mode_of, unwritten
-from dehyst.version import __version__
+from dehyst._version import __version__
 
 GENERATOR = f"dehyst {__version__}"
 

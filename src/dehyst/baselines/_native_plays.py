@@ -1,0 +1,73 @@
+"""The only door to the compiled play operators of the rivals."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst import _rivals
+from dehyst._errors import ModelError
+from dehyst._types import Array
+
+
+class PlayCore:
+    """Plays, curves on them and low-passes in C. Equations and names: `core/rivals_plays.h`.
+
+    Parameters
+    ----------
+    thresholds : (N,) array
+        r_i [V].
+    first : (N + 1,) int array
+        Where the knots of curve i begin.
+    knots, values : (first[N],) array
+        Of the curves, one after another: [V], [m].
+    slopes : (first[N] + N,) array
+        Of the curves [m/V]: below the first knot, between knots, beyond the last.
+    times, shares : (K,) array
+        Of the low-passes: [s], [m/V].
+    offset : float
+        [m].
+    """
+
+    __slots__ = ("_core",)
+
+    def __init__(
+        self,
+        thresholds: Array,
+        first: NDArray[np.intc],
+        knots: Array,
+        values: Array,
+        slopes: Array,
+        times: Array,
+        shares: Array,
+        offset: float,
+    ) -> None:
+        self._core = _rivals.Plays(thresholds, first, knots, values, slopes, times, shares, offset)
+
+    def simulate(self, v: Array, steps: Array, start: float, plays: Array, passed: Array) -> tuple[Array, Array, Array]:
+        """Voltages [V] to displacements [m], `steps` [s] apart; returns the plays and low-passes reached too."""
+        y, _, _, plays, passed = self._core.simulate(v, steps, start, plays, passed)
+        return y, plays, passed
+
+    def compensate(
+        self, y: Array, steps: Array, start: float, plays: Array, passed: Array
+    ) -> tuple[Array, Array, Array]:
+        """Displacements [m] to voltages [V]; returns the plays and low-passes reached too.
+
+        Raises
+        ------
+        ModelError
+            If a displacement is beyond what the model can reach.
+        """
+        v, met, _, plays, passed = self._core.compensate(y, steps, start, plays, passed)
+        if met < y.size:
+            raise ModelError(
+                f"displacement: {y[met] * 1e6:.6g} um at index {met} is beyond what this model reaches at any voltage; "
+                "stay within the range of the records it was fitted to"
+            )
+        return v, plays, passed
+
+
+def play_outputs(thresholds: Array, start: Array, v: Array) -> Array:
+    """Outputs (n, N) of plays of `thresholds` driven by v (n,), from `start` (N,); all [V]."""
+    return _rivals.play_outputs(thresholds, start, v)

@@ -1,0 +1,231 @@
+"""Bouc and Wen's model, seen through a cubic map.
+
+    h' = alpha v' - beta |v'| h - gamma v' |h|,     w = v - h,     y = p(w)
+
+Y.-K. Wen, J. Eng. Mech. Div. ASCE 102(2), 1976, 249-263; for piezo actuators, with a linear p, T. S. Low, W. Guo, J.
+Microelectromech. Syst. 4(4), 1995, 230-237. Its loop is symmetric; the cubic map stands for the asymmetric extensions
+of the literature. Minor loops drift with it: it does not wipe out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst import _validation
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import number, vector
+from dehyst.baselines import _native_fields
+from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.fitting import least_missing
+from dehyst.baselines.training import Training
+from dehyst.identification.solvers.program import Solution, solve
+from dehyst.records.metrics import rms
+from dehyst.records.record import Record
+
+_SEARCH_ROWS = 2000
+# Of alpha, of the part of v that a reversal hides at first, and of (beta + gamma) times the range of v.
+_LEAST, _MOST = np.array([0.02, 0.02, np.log(0.3)]), np.array([0.98, 0.98, np.log(60.0)])
+_POLISHED = 6
+_MAJOR_LOOPS = 8
+_SIMULATE, _COMPENSATE, _LAG = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Lag:
+    """The memory: present voltage v [V] and hysteretic variable h [V]."""
+
+    voltage: float
+    hidden: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class BoucWen(AbstractRival):
+    """Bouc and Wen's model; exact while the voltage is monotone.
+
+    ``y = c_0 + c_1 t + c_2 t^2 + c_3 t^3`` with t from 0 to 1 between the limits of w, and linear beyond.
+
+    Parameters
+    ----------
+    alpha : float
+        Above 0 and below 1.
+    beta, gamma : float
+        [1/V]; beta > 0, beta + gamma > 0 and 2 alpha beta < beta + gamma: then w, and y, follow v.
+    limits : (float, float)
+        Lowest and highest w [V] of the cubic map.
+    cubic : (4,) array_like
+        c [m]; it increases from 0 to 1.
+    state : Lag, optional
+        Where a motion starts if it is not told: at the lower limit, as a long fall leaves it.
+    delay : float, optional
+        Seconds by which the measured displacement lagged the voltage; the model itself has no time.
+
+    Raises
+    ------
+    ModelError
+        If voltage would pull back somewhere.
+    """
+
+    alpha: float
+    beta: float
+    gamma: float
+    limits: tuple[float, float]
+    cubic: Array
+    state: Lag = None  # type: ignore[assignment]
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "beta", "gamma", "delay"):
+            number(getattr(self, name), name)
+        total = self.beta + self.gamma
+        if not (0 < self.alpha < 1 and self.beta > 0 and total > 0 and 2 * self.alpha * self.beta < total):
+            raise ModelError(
+                f"alpha {self.alpha:g}, beta {self.beta:g}, gamma {self.gamma:g}: need 0 < alpha < 1, beta > 0 and "
+                "beta + gamma > 2 alpha beta, or voltage would pull back"
+            )
+        low, high = (number(end, "limits") for end in self.limits)
+        object.__setattr__(self, "limits", (low, high))
+        cubic = vector(self.cubic, "cubic")
+        if low >= high or cubic.size != 4:
+            raise ModelError(f"limits {self.limits} and cubic of {cubic.size}: need an interval and four coefficients")
+        t = np.linspace(0, 1, 201)
+        if np.any(np.polynomial.polynomial.polyval(t, cubic[1:] * [1, 2, 3]) <= 0):
+            raise ModelError(
+                f"cubic: got {cubic}, which does not increase from 0 to 1, so that voltage would pull back"
+            )
+        cubic.flags.writeable = False
+        object.__setattr__(self, "cubic", cubic)
+        if self.state is None:
+            hidden = -self.alpha / total
+            object.__setattr__(self, "state", Lag(low + hidden, hidden))
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients: three of the equation, four of the map."""
+        return 7
+
+    def _displaced(self, v: Array, state: Lag, time: ArrayLike | None) -> tuple[Array, Lag]:
+        return self._run(v, state, _SIMULATE)
+
+    def _driven(self, y: Array, state: Lag, time: ArrayLike | None) -> tuple[Array, Lag]:
+        # Each sample solves one equation in v, which increases: by Newton's method within a bracket.
+        return self._run(y, state, _COMPENSATE)
+
+    def _run(self, drive: Array, begin: Lag, what: int) -> tuple[Array, Lag]:
+        most = self.alpha / (self.beta + self.gamma) * (1 + 1e-9)
+        if not isinstance(begin, Lag) or not abs(begin.hidden) <= most:
+            raise ModelError(f"state: got {begin!r}, need a Lag whose hidden part is {most:g} V at most")
+        low, high = self.limits
+        numbers = np.array([self.alpha, self.beta, self.gamma, low, high - low, *self.cubic])
+        out, v, h = _native_fields.bouc_wen(numbers, begin.voltage, begin.hidden, drive, what)
+        return out, Lag(v, h)
+
+    @classmethod
+    def fit(
+        cls,
+        records: Record | Sequence[Record],
+        *,
+        starts: int = 200,
+        slope_floor: float = 0.1,
+        delay: float | None = None,
+        seed: int = 0,
+    ) -> BoucWen:
+        """Least squares of the simulated displacement, nonlinear in alpha, beta and gamma, from many starts.
+
+        For given alpha, beta and gamma the map and the constants of the records are linear: they are eliminated.
+
+        Parameters
+        ----------
+        records : Record or sequence of Record
+        starts : int, optional
+            Random starts; the best six are polished.
+        slope_floor : float, optional
+            Least slope of the map as a fraction of its mean slope.
+        delay : float, optional
+            Seconds by which the displacement lags the voltage; default: estimated.
+        seed : int, optional
+            Of the starts.
+
+        Raises
+        ------
+        RecordError
+            If a record cannot be used.
+        IdentifyError
+            If no sample counts, or an option is impossible.
+        """
+        _validation.count(starts, "starts", most=None)
+        _validation.fraction(slope_floor, "slope_floor")
+        begins = np.random.default_rng(seed).uniform(_LEAST, _MOST, (starts, 3))
+
+        def solved(ready: Training) -> tuple[BoucWen, float]:
+            best = _Problem(ready.thinned(_SEARCH_ROWS), slope_floor).polished(begins)
+            problem = _Problem(ready, slope_floor)
+            return cls(*problem.equation(best), *problem.map(best), delay=ready.delay), rms(problem.residual(best))
+
+        return least_missing(records, delay, solved)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The least squares in alpha, the part hidden at first and log((beta + gamma) range)."""
+
+    ready: Training
+    slope_floor: float
+
+    def equation(self, at: Array) -> tuple[float, float, float]:
+        """Alpha, beta and gamma of the three unknowns."""
+        alpha, hidden, log_rate = (float(x) for x in at)
+        low, high = self.ready.limits
+        total = float(np.exp(log_rate)) / (high - low)
+        beta = hidden * total / (2 * alpha)
+        return alpha, beta, total - beta
+
+    def solved(self, at: Array) -> tuple[Solution, Array, tuple[float, float]]:
+        """The map in Bernstein's form and the constants, its least slopes, and the limits of w."""
+        alpha, beta, gamma = self.equation(at)
+        numbers = np.array([alpha, beta, gamma, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0])
+        low, high = self.ready.limits
+        # What a record remembers of its past is not known: take the closed major loop's.
+        past = np.array([high, low] * _MAJOR_LOOPS)
+
+        def lag(v: Array) -> Array:
+            return _native_fields.bouc_wen(numbers, low, -alpha / (beta + gamma), np.concatenate([past, v]), _LAG)[0][
+                past.size :
+            ]
+
+        w = self.ready.played(lag)
+        low, high = float(w.min()), float(w.max())
+        t = (w - low) / (high - low)
+        # Integrals of Bernstein's quadratics: a slope whose coefficients are positive is positive.
+        columns = np.column_stack([1 - (1 - t) ** 3, t * t * (3 - 2 * t), t**3]) / 3
+        floor = np.full(3, self.slope_floor * self.ready.stroke)
+        target = self.ready.displacement - columns @ floor
+        return solve(self.ready.nuisances, columns, target, norm="l2"), floor, (low, high)
+
+    def residual(self, at: Array) -> Array:
+        """Residuals (n,) in parts of the stroke."""
+        return self.solved(at)[0].residual / self.ready.stroke
+
+    def polished(self, starts: Array) -> Array:
+        """The best end of the search from the most promising starts."""
+        from scipy.optimize import least_squares
+
+        costs = [float(np.sum(self.residual(start) ** 2)) for start in starts]
+        ends = [
+            least_squares(self.residual, starts[k], bounds=(_LEAST - 1e-9, _MOST + 1e-9), x_scale=[0.1, 0.1, 0.3])
+            for k in np.argsort(costs)[:_POLISHED]
+        ]
+        return np.asarray(min(ends, key=lambda end: float(end.cost)).x)
+
+    def map(self, at: Array) -> tuple[tuple[float, float], Array]:
+        """Limits and coefficients of the cubic."""
+        answer, floor, limits = self.solved(at)
+        a, b, c = answer.nonnegative + floor
+        constant = float(answer.free[self.ready.reference])
+        return limits, np.array([constant, a, b - a, (a - 2 * b + c) / 3])

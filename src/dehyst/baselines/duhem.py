@@ -1,0 +1,264 @@
+"""A Duhem model: that of Coleman and Hodgdon, with polynomials.
+
+    y' = a |v'| (f(v) - y) + v' g(v)
+
+B. D. Coleman, M. L. Hodgdon, Int. J. Engng Sci. 24(6), 1986, 897-919; for piezo actuators J. M. Cruz-Hernandez, V.
+Hayward, IEEE Trans. Control Syst. Technol. 9(1), 2001, 17-26 (this model beside phasers). It is one of the semilinear
+Duhem models of J. Oh, D. S. Bernstein, IEEE Trans. Autom. Control 50(5), 2005, 631-645.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+from numpy.typing import ArrayLike
+
+from dehyst import _validation
+from dehyst._errors import IdentifyError, ModelError
+from dehyst._types import Array
+from dehyst._validation import number, vector
+from dehyst.baselines import _native_fields
+from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.fitting import least_missing
+from dehyst.baselines.training import Training
+from dehyst.records.record import Record
+
+_SEARCH_ROWS = 3000
+_RATES = np.geomspace(0.2, 40.0, 25)
+_PLACES = np.linspace(0, 1, 61)
+_HIGHEST_DEGREE = 12
+
+
+@dataclass(frozen=True)
+class Point:
+    """The memory: present voltage [V] and displacement [m]."""
+
+    voltage: float
+    displacement: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Duhem(AbstractRival):
+    """Coleman and Hodgdon's model with polynomials of t, 0 to 1 between the limits; exact while v is monotone.
+
+    With polynomials, each branch is one polynomial, which depends on the direction alone, and what is left of the
+    distance from it, which decays: ``y = P(t) + (y_0 - P(t_0)) exp(-rate |t - t_0|)``. Beyond the limits y goes on
+    with its mean slope, and forgets nothing.
+
+    Parameters
+    ----------
+    limits : (float, float)
+        Lowest and highest voltage [V].
+    rate : float
+        a times the range of the voltage, above 0.
+    anhysteretic, reversible : (k,) array_like
+        Coefficients [m] of f, and of g times the range, the constant first.
+    state : Point, optional
+        Where a motion starts if it is not told: at the lowest voltage, at the bottom of the major loop.
+    delay : float, optional
+        Seconds by which the measured displacement lagged the voltage; the model itself has no time.
+
+    Raises
+    ------
+    ModelError
+        If y does not follow v, rising and falling, everywhere within the major loop.
+    """
+
+    limits: tuple[float, float]
+    rate: float
+    anhysteretic: Array
+    reversible: Array
+    state: Point = None  # type: ignore[assignment]
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        low, high = (number(end, "limits") for end in self.limits)
+        object.__setattr__(self, "limits", (low, high))
+        if low >= high or number(self.rate, "rate") <= 0:
+            raise ModelError(f"limits {self.limits} and rate {self.rate}: need an interval, and a rate above 0")
+        for name in ("anhysteretic", "reversible"):
+            coefficients = vector(getattr(self, name), name)
+            coefficients.flags.writeable = False
+            object.__setattr__(self, name, coefficients)
+        slopes = _slopes(self.rate, self.anhysteretic, self.reversible)
+        if slopes.min() <= 0:
+            raise ModelError(
+                "anhysteretic and reversible: displacement would fall somewhere while the voltage rises; need a "
+                "reversible share above the rate times half of the loop's width"
+            )
+        if self.state is None:
+            bottom = _major_loop(self.rate, *_branches(self.rate, self.anhysteretic, self.reversible))[0][0]
+            object.__setattr__(self, "state", Point(low, float(bottom)))
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients."""
+        return 1 + self.anhysteretic.size + self.reversible.size
+
+    @cached_property
+    def _tables(self) -> tuple[Array, Array, Array]:
+        """Numbers and both polynomials as the stepper wants them."""
+        low, high = self.limits
+        rise, fall = _branches(self.rate, self.anhysteretic, self.reversible)
+        mean = float(np.ptp(_major_loop(self.rate, rise, fall)[0])) / (high - low)
+        return np.array([low, high - low, self.rate, mean, mean]), rise, fall
+
+    def _displaced(self, v: Array, state: Point, time: ArrayLike | None) -> tuple[Array, Point]:
+        return self._run(v, state, inverse=False)
+
+    def _driven(self, y: Array, state: Point, time: ArrayLike | None) -> tuple[Array, Point]:
+        # Each sample solves one equation in v, which increases: by Newton's method within a bracket.
+        return self._run(y, state, inverse=True)
+
+    def _run(self, drive: Array, begin: Point, *, inverse: bool) -> tuple[Array, Point]:
+        if not isinstance(begin, Point):
+            raise ModelError(f"state: got {type(begin).__name__}, need a Point that a motion of this model left")
+        numbers, rise, fall = self._tables
+        out, v, y = _native_fields.coleman_hodgdon(
+            numbers, rise, fall, begin.voltage, begin.displacement, drive, inverse
+        )
+        return out, Point(v, y)
+
+    @classmethod
+    def fit(
+        cls,
+        records: Record | Sequence[Record],
+        *,
+        degree: int = 5,
+        slope_floor: float = 0.1,
+        delay: float | None = None,
+    ) -> Duhem:
+        """Least squares of the simulated displacement: linear in f and g, nonlinear in the rate alone.
+
+        The rate is searched from 25 starts over two decades; f and g are kept such that y follows v.
+
+        Parameters
+        ----------
+        records : Record or sequence of Record
+        degree : int, optional
+            Of f; g has one less.
+        slope_floor : float, optional
+            Least slope dy/dv within the major loop, as a fraction of the mean slope.
+        delay : float, optional
+            Seconds by which the displacement lags the voltage; default: estimated.
+
+        Raises
+        ------
+        RecordError
+            If a record cannot be used.
+        IdentifyError
+            If no sample counts, or an option is impossible.
+        """
+        _validation.count(degree, "degree", most=_HIGHEST_DEGREE)
+        _validation.fraction(slope_floor, "slope_floor")
+
+        def solved(ready: Training) -> tuple[Duhem, float]:
+            rate = _searched(ready.thinned(_SEARCH_ROWS), degree, slope_floor)
+            f, g, miss = _solved(ready, rate, degree, slope_floor)
+            return cls(ready.limits, rate, f, g, delay=ready.delay), miss
+
+        return least_missing(records, delay, solved)
+
+
+def _branches(rate: float, f: Array, g: Array) -> tuple[Array, Array]:
+    """Polynomials to which a rise and a fall tend: a P + P' = a f + g and a P - P' = a f - g."""
+    size = max(f.size, g.size)
+    both = []
+    for sign in (1.0, -1.0):
+        p = np.zeros(size + 1)
+        p[: f.size] += f
+        p[: g.size] += sign * g / rate
+        for k in range(size - 1, -1, -1):
+            p[k] -= sign * (k + 1) * p[k + 1] / rate
+        both.append(p[:size])
+    return both[0], both[1]
+
+
+def _major_loop(rate: float, rise: Array, fall: Array) -> tuple[Array, Array]:
+    """Displacement rising and falling at `_PLACES` once the loop is closed; linear in the polynomials."""
+    up, down = polyval(_PLACES, rise), polyval(_PLACES, fall)
+    decay = np.exp(-rate)
+    # Bottom and top: each is the other's branch after the whole way.
+    over, under = up[-1] - decay * up[0], down[0] - decay * down[-1]
+    bottom = (under + decay * over) / (1 - decay**2)
+    top = over + decay * bottom
+    return up + (bottom - up[0]) * np.exp(-rate * _PLACES), down + (top - down[-1]) * np.exp(-rate * (1 - _PLACES))
+
+
+def _slopes(rate: float, f: Array, g: Array) -> Array:
+    """The least slopes dy/dt within the major loop, right after a turn from the other branch; linear in f and g."""
+    lower, upper = _major_loop(rate, *_branches(rate, f, g))
+    middle, share = polyval(_PLACES, f), polyval(_PLACES, g)
+    return np.concatenate([share + rate * (middle - upper), share - rate * (middle - lower)])
+
+
+def _unit(k: int, size: int) -> Array:
+    return np.asarray(np.eye(1, size, k)[0])
+
+
+def _solved(ready: Training, rate: float, degree: int, slope_floor: float) -> tuple[Array, Array, float]:
+    """Coefficients of f and g for a rate, and the RMS residual in parts of the stroke."""
+    low, high = ready.limits
+    numbers = np.array([low, high - low, rate, 0.0, 0.0])
+    # The constant of f is that of the record.
+    units = [(_unit(k, degree + 1), np.zeros(degree)) for k in range(1, degree + 1)]
+    units += [(np.zeros(degree + 1), _unit(k, degree)) for k in range(degree)]
+
+    def column(f: Array, g: Array) -> Array:
+        rise, fall = _branches(rate, f, g)
+        begin = float(_major_loop(rate, rise, fall)[0][0])
+        return ready.played(lambda v: _native_fields.coleman_hodgdon(numbers, rise, fall, low, begin, v, False)[0])
+
+    columns = np.column_stack([column(f, g) for f, g in units])
+    slopes = np.column_stack([_slopes(rate, f, g) for f, g in units])
+    m = ready.nuisances.shape[1]
+    x, miss = _least_squares(
+        np.hstack([ready.nuisances, columns]),
+        ready.displacement / ready.stroke,
+        np.hstack([np.zeros((len(slopes), m)), slopes]),
+        slope_floor * 1.0,
+    )
+    x *= ready.stroke
+    return np.concatenate([[x[ready.reference]], x[m : m + degree]]), x[m + degree :], miss
+
+
+def _least_squares(columns: Array, goal: Array, sides: Array, least: float) -> tuple[Array, float]:
+    """Least squares with sides @ x >= least, as the least distance of a point from a polyhedron (Lawson and Hanson)."""
+    from scipy.linalg import solve_triangular
+    from scipy.optimize import nnls
+
+    q, triangle = np.linalg.qr(columns)
+    near = q.T @ goal
+    turned = solve_triangular(triangle, sides.T, trans="T").T
+    short = least - turned @ near
+    moved = np.zeros(near.size)
+    if short.max() > 0:
+        size = np.linalg.norm(turned, axis=1)
+        system = np.vstack([(turned / size[:, None]).T, short / size])
+        weights, _ = nnls(system, np.append(np.zeros(near.size), 1.0), maxiter=100 * len(sides))
+        rest = system @ weights - np.append(np.zeros(near.size), 1.0)
+        if -rest[-1] < 1e-12:
+            raise IdentifyError("no Duhem model of this degree follows the voltage everywhere; try another degree")
+        moved = rest[:-1] / -rest[-1]
+    x = solve_triangular(triangle, near + moved)
+    return x, float(np.sqrt(np.mean((columns @ x - goal) ** 2)))
+
+
+def _searched(ready: Training, degree: int, slope_floor: float) -> float:
+    """The rate of least residual: a scan, then Brent's method beside its best."""
+    from scipy.optimize import minimize_scalar
+
+    def cost(log_rate: float) -> float:
+        return _solved(ready, float(np.exp(log_rate)), degree, slope_floor)[2]
+
+    scan = np.log(_RATES)
+    k = int(np.argmin([cost(float(x)) for x in scan]))
+    bounds = scan[max(k - 1, 0)], scan[min(k + 1, scan.size - 1)]
+    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6})
+    return float(np.exp(found.x))

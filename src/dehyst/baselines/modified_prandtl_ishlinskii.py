@@ -1,0 +1,232 @@
+"""The modified Prandtl-Ishlinskii model: a sum of plays, then a sum of dead zones, each with a closed-form inverse.
+
+K. Kuhnen, "Modeling, identification and compensation of complex hysteretic nonlinearities: a modified
+Prandtl-Ishlinskii approach", European Journal of Control 9(4), 2003, 407-418.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import count, fraction, vector
+from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.fitting import least_missing
+from dehyst.baselines.nonnegative_fit import nonnegative, ramps
+from dehyst.baselines.play_bank import PlayBank, PlayState
+from dehyst.baselines.play_inverse import PlayInverse
+from dehyst.baselines.play_regressors import PlayRows, even_thresholds
+from dehyst.baselines.training import Training
+from dehyst.model.elements import on_curve
+from dehyst.records.metrics import rms
+from dehyst.records.record import Record
+
+_PASSES = 30
+# A pass that makes the residual smaller by less than this part is the last one.
+_SETTLED = 1e-4
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Kuhnen(AbstractRival):
+    """``y = S(x)``, ``x = offset + sum_i w_i play_i[v]``, all w_i >= 0; S is increasing and piecewise linear.
+
+    S is Kuhnen's superposition of one-sided dead zones: its slope changes at each dead zone's threshold.
+
+    Attributes
+    ----------
+    bank : PlayBank
+        The plays, whose sum is in volts; the first threshold is 0.
+    places, values : (M,) array
+        S: [V], strictly increasing, and [m], strictly increasing; it goes on linearly beyond.
+    state : PlayState
+        Where it starts: by default after a long descent to the lowest voltage of its records.
+    delay : float
+        Seconds by which the displacement lags the voltage; `simulate` and `compensate` leave it to the caller.
+    remarks : tuple of str
+        Sentences: what was repaired in the records.
+
+    Raises
+    ------
+    ModelError
+        If S does not increase, or the plays have no closed-form inverse.
+    """
+
+    bank: PlayBank
+    places: Array
+    values: Array
+    state: PlayState
+    delay: float = 0.0
+    remarks: tuple[str, ...] = ()
+    inverse: PlayInverse = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("places", "values"):
+            values = vector(getattr(self, name), name)
+            if values.size < 2 or np.any(np.diff(values) <= 0):
+                raise ModelError(f"{name}: got {values}, need two or more, strictly increasing")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        if self.places.size != self.values.size:
+            raise ModelError(f"values: got {self.values.size}, need one for each of {self.places.size} places")
+        object.__setattr__(self, "inverse", PlayInverse(self.bank))
+
+    @property
+    def weights(self) -> Array:
+        """w_i (N,)."""
+        return self.inverse.weights
+
+    @property
+    def parameters(self) -> int:
+        """Numbers that the fit chose: weights, slopes and the offset; one scale is in both."""
+        return self.weights.size + self.places.size - 1
+
+    def _displaced(self, v: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
+        x, after = self.bank.simulate(v, state, time)
+        return on_curve(self.places, self.values, x), after
+
+    def _driven(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
+        return self.inverse.compensate(on_curve(self.values, self.places, y), state)
+
+    @classmethod
+    def fit(
+        cls,
+        records: Record | Sequence[Record],
+        *,
+        plays: int = 20,
+        segments: int = 10,
+        slope_floor: float = 0.05,
+        delay: float | None = None,
+        drift: bool = True,
+    ) -> Kuhnen:
+        """Fit weights and slopes together, by nonnegative least squares about the last ones until they settle.
+
+        Kuhnen's own program is linear in the weights and in the slopes of S's inverse, but wants one sensor zero for
+        all records; here each record has an offset of its own.
+
+        Parameters
+        ----------
+        records : Record or sequence of Record
+            Loops; none needs to start relaxed.
+        plays : int, optional
+            Their thresholds cut half of the voltage's range in equal parts, from 0.
+        segments : int, optional
+            Of S, of equal length.
+        slope_floor : float, optional
+            Least weight of threshold 0 and least slope of S, as a fraction of the mean ones, without which there is no
+            inverse.
+        delay : float, optional
+            Seconds by which the displacement lags the voltage; by default looked for.
+        drift : bool, optional
+            Whether a record may creep by a logarithm of the time since its start, which is then set aside.
+
+        Raises
+        ------
+        RecordError, IdentifyError
+            If a record cannot be used, or an option is impossible.
+        """
+        count(plays, "plays")
+        count(segments, "segments")
+        fraction(slope_floor, "slope_floor")
+
+        def solved(ready: Training) -> tuple[Kuhnen, float]:
+            problem = _Problem(PlayRows.of(ready, even_thresholds(ready, plays)), segments, slope_floor)
+            weights, values, miss = problem.solved()
+            low, thresholds = ready.limits[0], problem.thresholds
+            bank = PlayBank(thresholds, [()] * plays, list(weights[:, None]), low - float(weights @ (low + thresholds)))
+            return cls(bank, problem.places, values, bank.descended(low), ready.delay, ready.sentences), miss
+
+        return least_missing(records, delay, solved, drift=drift)
+
+
+class _Problem:
+    """Weights and slopes that fit rows; x runs from the lowest to the highest voltage on the major loop."""
+
+    def __init__(self, rows: PlayRows, segments: int, floor: float) -> None:
+        ready, thresholds = rows.training, rows.thresholds
+        low, high = ready.limits
+        self.thresholds = thresholds
+        self.spacing = (high - low) / segments
+        self.places: Array = np.asarray(low + self.spacing * np.arange(segments + 1), dtype=np.float64)
+        self._ready, self._low, self._reach = ready, low, high - low - 2 * thresholds
+        self._z = (rows.plays - low - thresholds) * rows.known
+        self._floors = np.full(thresholds.size + segments, floor * ready.slope)
+        self._floors[0], self._floors[1 : thresholds.size] = floor, 0.0
+        # A play that stands still adds a constant to x, for which each epoch that has one gets an unknown.
+        still = (rows.plays - low - thresholds) * ~rows.known
+        open_ = (ready.offsets.T @ np.any(~rows.known, axis=1)) > 0
+        self._stretches, self._still = ready.offsets[:, open_], still
+
+    def solved(self) -> tuple[Array, Array, float]:
+        """Weights (N,), S at the places (M + 1,) [m], and the RMS residual [m]."""
+        weights = nonnegative(self._z, self._ready.nuisances, self._ready.displacement, self._scaled_floors()).weights
+        weights, slopes = self._normal(weights, np.ones(self.places.size - 1))
+        shifts = self._first_shifts(weights)
+        best = self._cost(weights, slopes, shifts)
+        for _ in range(_PASSES):
+            aim = self._improved(weights, slopes, shifts)
+            for part in 0.5 ** np.arange(6):
+                trial = [old + part * (new - old) for old, new in zip((weights, slopes, shifts), aim, strict=True)]
+                cost = self._cost(*trial)
+                if cost < best:
+                    break
+            else:
+                break
+            settled = cost > (1 - _SETTLED) * best
+            (weights, slopes), shifts, best = self._normal(trial[0], trial[1]), trial[2] * self._gauge(trial[0]), cost
+            if settled:
+                break
+        values = ramps(self.places, self.places[1:-1]) @ slopes
+        return weights, values + self._left(weights, slopes, shifts)[1][self._ready.reference], best
+
+    def _scaled_floors(self) -> Array:
+        floors = np.zeros(self._z.shape[1])
+        floors[0] = self._floors[0] * self._floors[-1]
+        return floors
+
+    def _first_shifts(self, weights: Array) -> Array:
+        share_of = self._stretches / np.maximum(self._stretches.sum(axis=0), 1)
+        return np.asarray(share_of.T @ (self._still @ weights))
+
+    def _gauge(self, weights: Array) -> float:
+        """What brings x to the range of the voltage on the major loop."""
+        return float(self._reach[0] / (weights @ self._reach))
+
+    def _normal(self, weights: Array, slopes: Array) -> tuple[Array, Array]:
+        gauge = self._gauge(weights)
+        return weights * gauge, slopes / gauge
+
+    def _bent(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array, Array]:
+        """Columns (n, M) of the slopes, S (n,) and S' (n,)."""
+        x = self._low + self._z @ weights + self._stretches @ shifts
+        columns = ramps(x, self.places[1:-1])
+        j = np.clip(((x - self._low) / self.spacing).astype(int), 0, slopes.size - 1)
+        return columns, columns @ slopes, slopes[j]
+
+    def _left(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array]:
+        """Residual (n,) [m], and what the nuisances take of it."""
+        left = self._ready.displacement - self._bent(weights, slopes, shifts)[1]
+        taken = np.asarray(np.linalg.lstsq(self._ready.nuisances, left, rcond=None)[0], dtype=np.float64)
+        return left - self._ready.nuisances @ taken, taken
+
+    def _cost(self, weights: Array, slopes: Array, shifts: Array) -> float:
+        return rms(self._left(weights, slopes, shifts)[0])
+
+    def _improved(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array, Array]:
+        """Weights, slopes and shifts that are best where S bends as it does now (Gauss-Newton)."""
+        columns, bent, steep = self._bent(weights, slopes, shifts)
+        of_weights, of_shifts = self._z * steep[:, None], self._stretches * steep[:, None]
+        target = self._ready.displacement - bent + of_weights @ weights + columns @ slopes + of_shifts @ shifts
+        nuisance = np.concatenate([self._ready.nuisances, of_shifts], axis=1)
+        # Volts beside metres: slopes are as large as weights where both are in units of their mean.
+        units = np.concatenate([np.ones(weights.size), np.full(slopes.size, slopes.mean())])
+        both = np.concatenate([of_weights, columns], axis=1)
+        found = nonnegative(both * units, nuisance, target, self._floors / units).weights * units
+        rest = np.linalg.lstsq(nuisance, target - both @ found, rcond=None)[0]
+        return found[: weights.size], found[weights.size :], rest[self._ready.nuisances.shape[1] :]

@@ -1,0 +1,284 @@
+"""Preisach's model: relays on a triangular plane, their Everett function as a table, a staircase of reversals.
+
+    y = y_R + E(v, v_R) rising from the last reversal R,     y = y_R - E(v_R, v) falling
+
+E(alpha, beta) is the density of the relays integrated over the triangle above (alpha, beta), those on the diagonal
+being reversible. F. Preisach, Z. Phys. 94, 1935, 277-302; I. D. Mayergoyz, Mathematical Models of Hysteresis, Springer
+1991 (wiping out, first-order reversal curves); P. Ge, M. Jouaneh, Precision Engineering 17(3), 1995, 211-221 (piezo).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dehyst import _validation
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import number
+from dehyst.baselines import _native_fields
+from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.everett import everett_table
+from dehyst.baselines.fitting import least_missing
+from dehyst.baselines.training import Training
+from dehyst.identification.solvers.program import solve
+from dehyst.records.metrics import rms
+from dehyst.records.record import Record
+
+_MOST_ROWS = 8000
+_MOST_CELLS = 80
+
+
+@dataclass(frozen=True, eq=False)
+class Staircase:
+    """The memory: present voltage [V] and displacement [m], and nested reversals, outermost first.
+
+    Attributes
+    ----------
+    turns : (k, 2) array
+        Voltage and displacement at each; the first is the plane's lowest voltage, the next a maximum, and so on in
+        turn. An odd number of them rises.
+    """
+
+    voltage: float
+    displacement: float
+    turns: Array
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Preisach(AbstractRival):
+    """Preisach's model by its Everett function on a square grid of voltages.
+
+    Between nodes E is bilinear, which is a constant density in each square cell; in the triangles on the diagonal it is
+    linear, which makes them reversible. Then y is piecewise linear along every branch, and the inverse exact. Beyond
+    the grid no relay switches and y goes on with its mean slope.
+
+    Parameters
+    ----------
+    limits : (float, float)
+        Lowest and highest voltage of the plane [V].
+    everett : (n + 1, n + 1) array_like
+        E [m] at (alpha, beta) of node (i, j), i > j; the rest is not looked at. A greater triangle holds more:
+        strictly more than one it contains with the diagonal's part, for y has to follow v.
+    bottom : float
+        Displacement with every relay down [m].
+    delay : float, optional
+        Seconds by which the measured displacement lagged the voltage; the model itself has no time.
+    remarks : tuple of str, optional
+
+    Raises
+    ------
+    ModelError
+        If the table is no square, or does not increase away from the diagonal.
+    """
+
+    limits: tuple[float, float]
+    everett: Array
+    bottom: float = 0.0
+    delay: float = 0.0
+    remarks: tuple[str, ...] = ()
+    state: Staircase = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        table = np.array(self.everett, dtype=np.float64)
+        if table.ndim != 2 or table.shape[0] != table.shape[1] or len(table) < 2 or not np.isfinite(table).all():
+            raise ModelError(f"everett: got an array of shape {table.shape}, need a square of two or more finite nodes")
+        table = np.tril(table, -1)
+        low, high = (number(end, "limits") for end in self.limits)
+        object.__setattr__(self, "limits", (low, high))
+        if low >= high:
+            raise ModelError(f"limits: got {self.limits}, need two voltages, the lower one first")
+        n = len(table)
+        rises = np.diff(table, axis=0)[np.tril_indices(n - 1)]
+        falls = -np.diff(table, axis=1)[np.tril_indices(n - 1, 0, n - 1)[0] + 1, np.tril_indices(n - 1, 0, n - 1)[1]]
+        if np.any(rises <= 0) or np.any(falls <= 0):
+            raise ModelError(
+                "everett: does not increase away from the diagonal everywhere, so that voltage would pull back; "
+                "need a density that is nowhere negative and a reversible share"
+            )
+        object.__setattr__(self, "everett", table)
+        object.__setattr__(self, "bottom", number(self.bottom, "bottom"))
+        table.flags.writeable = False
+        # Every relay down, at the lowest voltage.
+        object.__setattr__(self, "state", Staircase(low, self.bottom, np.array([[low, self.bottom]])))
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients: one for each cell, and a constant."""
+        n = len(self.everett) - 1
+        return n * (n + 1) // 2 + 1
+
+    @cached_property
+    def _numbers(self) -> Array:
+        low, high = self.limits
+        mean = float(self.everett[-1, 0]) / (high - low)
+        return np.array([low, (high - low) / (len(self.everett) - 1), self.bottom, mean, mean])
+
+    def _displaced(self, v: Array, state: Staircase, time: ArrayLike | None) -> tuple[Array, Staircase]:
+        return self._run(v, state, inverse=False)
+
+    def _driven(self, y: Array, state: Staircase, time: ArrayLike | None) -> tuple[Array, Staircase]:
+        return self._run(y, state, inverse=True)
+
+    def _run(self, drive: Array, start: Staircase, *, inverse: bool) -> tuple[Array, Staircase]:
+        if not isinstance(start, Staircase) or not _nested(start, *self.limits):
+            raise ModelError(f"state: got {type(start).__name__}, need a Staircase that a motion of this model left")
+        out, turns, v, y = _native_fields.preisach(
+            self._numbers,
+            self.everett.ravel(),
+            len(self.everett) - 1,
+            np.ascontiguousarray(start.turns).ravel(),
+            start.voltage,
+            start.displacement,
+            drive,
+            inverse,
+        )
+        return out, Staircase(v, y, turns.reshape(-1, 2))
+
+    @classmethod
+    def fit(
+        cls,
+        records: Record | Sequence[Record],
+        *,
+        cells: int = 40,
+        smoothing: float = 1e-5,
+        slope_floor: float = 0.1,
+        delay: float | None = None,
+    ) -> Preisach:
+        """Density by non-negative least squares, from records of any shape.
+
+        Each sample is linear in the densities, once its staircase is known. What the records leave open, and there is
+        much of it, is filled by a penalty on the density's second differences.
+
+        Parameters
+        ----------
+        records : Record or sequence of Record
+        cells : int, optional
+            Of a side of the plane; n (n + 1) / 2 densities.
+        smoothing : float, optional
+            Weight of the penalty; 0 for none.
+        slope_floor : float, optional
+            Least slope dy/dv as a fraction of the mean slope, which the diagonal's relays hold.
+        delay : float, optional
+            Seconds by which the displacement lags the voltage; default: estimated.
+
+        Raises
+        ------
+        RecordError
+            If a record cannot be used.
+        IdentifyError
+            If no sample counts, or an option is impossible.
+        """
+        n = _validation.count(cells, "cells", 2, _MOST_CELLS)
+        _validation.fraction(smoothing, "smoothing", 0.0)
+        _validation.fraction(slope_floor, "slope_floor", 1e-6)
+
+        def solved(ready: Training) -> tuple[Preisach, float]:
+            few = ready.thinned(_MOST_ROWS)
+            table, constants, miss = _densities(few, n, smoothing, slope_floor * few.stroke / n)
+            return cls(few.limits, table, float(constants[few.reference]), few.delay), miss
+
+        return least_missing(records, delay, solved)
+
+    @classmethod
+    def from_reversal_curves(
+        cls,
+        records: Record | Sequence[Record],
+        *,
+        cells: int = 40,
+        slope_floor: float = 0.1,
+        delay: float | None = None,
+    ) -> Preisach:
+        """Everett function read off first-order reversal curves, the classical identification (Mayergoyz, Sec. 1.2).
+
+        A branch that falls from a top reached from the lowest voltage tells E(top, beta) down to where it turns, one
+        that rises from a bottom reached from the highest voltage E(alpha, bottom). Between curves E is interpolated
+        without overshoot, then made to increase away from the diagonal.
+
+        Parameters are those of `fit`.
+
+        Raises
+        ------
+        RecordError
+            If a record cannot be used.
+        IdentifyError
+            If there are fewer than three curves, or an option is impossible.
+        """
+        n = _validation.count(cells, "cells", 2, _MOST_CELLS)
+        _validation.fraction(slope_floor, "slope_floor", 1e-6)
+
+        def solved(ready: Training) -> tuple[Preisach, float]:
+            table = everett_table(ready, n, slope_floor * ready.stroke / n)
+            found = cls(ready.limits, table, 0.0, ready.delay)
+            rest = ready.displacement - ready.played(lambda v: found.simulate(v).displacement)
+            constants = np.linalg.lstsq(ready.nuisances, rest, rcond=None)[0]
+            miss = rms(rest - ready.nuisances @ constants)
+            return replace(found, bottom=float(constants[ready.reference])), miss
+
+        return least_missing(records, delay, solved)
+
+
+def _nested(start: Staircase, low: float, high: float) -> bool:
+    """Whether a staircase begins with the lowest voltage, and its minima rise towards its maxima, which fall."""
+    if start.turns.ndim != 2 or not np.isfinite(start.turns).all() or not len(start.turns):
+        return False
+    at = start.turns[:, 0]
+    last = min(max(start.voltage, low), high)
+    order = np.concatenate([at[::2], [last], at[1::2][::-1]])
+    return bool(at[0] == low and at.max() <= high and np.all(np.diff(order) >= 0))
+
+
+def _columns(ready: Training, n: int) -> Array:
+    """How much of each cell is up at each sample that counts (rows, n (n + 1) / 2), cells by rows of the triangle."""
+    low, high = ready.limits
+    parts = []
+    for piece, rows in zip(ready.pieces, ready.kept, strict=True):
+        nodes = _native_fields.preisach_weights(low, (high - low) / n, n, piece.voltage, rows).reshape(-1, n + 1, n + 1)
+        # A node's triangle holds every cell with alpha below and beta above it.
+        held = np.cumsum(nodes[:, :0:-1], axis=1)[:, ::-1]
+        parts.append(np.cumsum(held, axis=2)[:, :, :-1][:, *np.tril_indices(n)])
+    return np.concatenate(parts)
+
+
+def _densities(ready: Training, n: int, smoothing: float, least: float) -> tuple[Array, Array, float]:
+    """Everett's table, the nuisances' coefficients and the RMS residual; `least` [m] in each cell of the diagonal."""
+    columns = _columns(ready, n)
+    floor = (least * np.eye(n))[np.tril_indices(n)]
+    rough = _second_differences(n) * np.sqrt(smoothing * len(ready)) * n
+    answer = solve(
+        np.vstack([ready.nuisances, np.zeros((len(rough), ready.nuisances.shape[1]))]),
+        np.vstack([columns, rough]),
+        np.concatenate([ready.displacement - columns @ floor, -rough @ floor]),
+        norm="l2",
+    )
+    density = np.zeros((n, n))
+    density[np.tril_indices(n)] = answer.nonnegative + floor
+    return _integrated(density), answer.free, rms(answer.residual[: len(ready)])
+
+
+def _integrated(density: Array) -> Array:
+    """Everett's table (n + 1, n + 1) of the cells' densities (n, n)."""
+    n = len(density)
+    table = np.zeros((n + 1, n + 1))
+    table[1:, :-1] = np.cumsum(np.cumsum(density, axis=0)[:, ::-1], axis=1)[:, ::-1]
+    return table
+
+
+def _second_differences(n: int) -> Array:
+    """Second differences of the densities along both sides of the plane, diagonal cells apart: (rows, cells)."""
+    place = np.full((n, n), -1)
+    place[np.tril_indices(n)] = np.arange(n * (n + 1) // 2)
+    lines = [place[i + 1 :, i] for i in range(n)] + [place[i, :i] for i in range(n)] + [np.diagonal(place)]
+    triples = [(a, b, c) for line in lines for a, b, c in zip(line, line[1:], line[2:], strict=False)]
+    rough = np.zeros((len(triples), n * (n + 1) // 2))
+    index: NDArray[np.intp] = np.array(triples, dtype=np.intp).reshape(-1, 3)
+    each = np.arange(len(triples))
+    for column, weight in zip(index.T, (1.0, -2.0, 1.0), strict=True):
+        rough[each, column] = weight
+    return rough

@@ -1,0 +1,170 @@
+"""Virtual actuators to try models on: recorded as on a bench, then driven along a path that no record held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst.model.base import AbstractModel
+from dehyst.model.replay import beginning, simulated, timed
+from dehyst.records.metrics import largest, percent, rms
+from dehyst.records.record import Record
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, Truth
+from dehyst.waveforms.standard import Drive, Excitation, descending_tops, raised_cosine, staircase
+
+_SAMPLES_A_FAST_CYCLE = 100
+_REVERSALS = 40
+# Turning points lie within these parts of the stroke, and a leg goes this far at least.
+_LOWEST, _HIGHEST, _SHORTEST = 0.02, 0.98, 0.08
+
+
+class Tracking(NamedTuple):
+    """Wanted minus reached displacement, in % of the stroke, and by how many % the voltage left what was recorded."""
+
+    largest: float
+    rms: float
+    beyond: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One virtual actuator and the rates at which it is driven.
+
+    Attributes
+    ----------
+    truth : callable
+        Noise seed -> a new actuator.
+    slow, fast : float
+        Cycles a second [Hz]: of descending tops, one record at each; legs of the path take half a cycle of some rate in
+        between.
+    hold : float
+        Of each step of the staircase [s].
+    """
+
+    name: str
+    truth: Callable[[int], Truth]
+    slow: float
+    fast: float
+    hold: float
+
+    def records(self) -> tuple[Record, ...]:
+        """Training records, in one run: descending tops at both rates and a staircase with steps back."""
+        return self._run(
+            0,
+            lambda highest: [
+                descending_tops(highest, drive=self._drive(self.slow)),
+                descending_tops(highest, drive=self._drive(self.fast)),
+                staircase(highest, steps=10, hold=self.hold, back=True, drive=self._drive(self.slow)),
+            ],
+        )
+
+    def held_out(self) -> tuple[Record, ...]:
+        """Records to be predicted: a major loop and loops of other heights, at the slow rate."""
+        return self._run(
+            1,
+            lambda highest: [
+                raised_cosine([highest, 0.75 * highest, 0.45 * highest], cycles=2, drive=self._drive(self.slow))
+            ],
+        )
+
+    def track(self, model: AbstractModel, seed: int = 7) -> Tracking:
+        """Compensate a random path of 40 reversals and play the voltage into the actuator, both homed first.
+
+        Homing, up to the highest voltage and back, makes the state known; a creeping actuator goes on creeping. The
+        first leg leads from where homing ended onto the path and does not count. A model that knows a delay is asked
+        for the path that much earlier.
+        """
+        truth = self.truth(1000 + seed)
+        homing = raised_cosine(truth.highest, cycles=2, drive=self._drive(self.slow)).voltage
+        wanted = truth.stroke * self.path(seed)
+        time = np.arange(homing.size + wanted.size) / self._rate
+        voltage = self._sent(model, homing, wanted, time)
+        reached = truth.drive(np.concatenate([homing, voltage]), time=time, measured=False)[homing.size :]
+        error = (wanted - reached)[_first_leg(wanted) :]
+        beyond = max(float(voltage.max()) - truth.highest, -float(voltage.min()), 0.0)
+        missed = percent(largest(error), truth.stroke), percent(rms(error), truth.stroke)
+        return Tracking(*missed, percent(beyond, truth.highest))
+
+    def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array) -> Array:
+        """Voltage for the path after homing; the model is asked for both in one piece, lest there be a jump."""
+        from scipy.interpolate import CubicSpline
+
+        homed = simulated(model, homing, time[: homing.size]).displacement
+        when = time[homing.size :]
+        delay = float(getattr(model, "delay", 0.0))
+        ahead = np.asarray(CubicSpline(when, wanted)(np.minimum(when + delay, when[-1])))
+        # From where the model thinks that it was left.
+        n = _first_leg(wanted)
+        ahead[:n] += (homed[-1] - ahead[0]) * (1 - _smooth(np.arange(n) / n))
+        asked, start = np.concatenate([homed, ahead]), beginning(model, homing)
+        return model.compensate(asked, state=start, **timed(model, time)).voltage[homing.size :]
+
+    def path(self, seed: int = 7) -> Array:
+        """A path of 40 reversals from 0, as parts of the stroke: at rest and not accelerated at each turn."""
+        rng = np.random.default_rng(seed)
+        turns = [0.0]
+        while len(turns) < _REVERSALS + 2:
+            here, rising = turns[-1], len(turns) % 2 == 1
+            room = (here + _SHORTEST, _HIGHEST) if rising else (_LOWEST, here - _SHORTEST)
+            if room[0] >= room[1]:
+                turns.pop()
+                continue
+            turns.append(float(rng.uniform(*room)))
+        legs = [np.zeros(1)]
+        for a, b in pairwise(turns):
+            seconds = 0.5 / float(np.exp(rng.uniform(np.log(self.slow), np.log(self.fast))))
+            n = max(8, round(seconds * self._rate))
+            legs.append(a + (b - a) * _smooth(np.arange(1, n + 1) / n))
+        return np.concatenate(legs)
+
+    @property
+    def _rate(self) -> float:
+        return _SAMPLES_A_FAST_CYCLE * self.fast
+
+    def _drive(self, frequency: float) -> Drive:
+        return Drive(frequency=frequency, sample_rate=self._rate)
+
+    def _run(self, seed: int, kinds: Callable[[float], list[Excitation]]) -> tuple[Record, ...]:
+        truth = self.truth(seed)
+        found = []
+        for i, excitation in enumerate(kinds(truth.highest)):
+            y = truth.drive(excitation.voltage, time=excitation.time)
+            found.append(Record(excitation.time, excitation.voltage, y, f"{self.name}-{seed}{'abc'[i]}"))
+        return tuple(found)
+
+
+def _smooth(u: Array) -> Array:
+    """From 0 to 1, at rest and not accelerated at either end."""
+    return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
+
+
+def _first_leg(path: Array) -> int:
+    """Samples before the first turn."""
+    return int(np.argmax(np.diff(path) < 0))
+
+
+TRIALS: Mapping[str, Trial] = {
+    "play": Trial("play", lambda seed: PlayActuator(seed=seed), 0.01, 0.05, 20.0),
+    "creep": Trial("creep", lambda seed: PlayActuator(seed=seed, creep=0.01), 0.01, 0.05, 20.0),
+    "preisach": Trial("preisach", lambda seed: PreisachActuator(seed=seed), 0.01, 0.05, 20.0),
+    "boucwen": Trial("boucwen", lambda seed: BoucWenActuator(seed=seed), 6.0, 60.0, 0.05),
+}
+
+
+def trial(name: str) -> Trial:
+    """The trial of that name.
+
+    Raises
+    ------
+    ModelError
+        If there is none.
+    """
+    if name not in TRIALS:
+        raise ModelError(f"no virtual actuator '{name}'; try {', '.join(TRIALS)}")
+    return TRIALS[name]

@@ -1,0 +1,155 @@
+"""`dehyst compare`: ours and every rival on the same records."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dehyst._io.json_files import finite
+from dehyst.cli.common import (
+    PATH,
+    ManyToValidate,
+    columns_options,
+    force_option,
+    json_option,
+    read_records,
+    refuse_overwriting,
+    refuse_replacing,
+)
+from dehyst.cli.terminal import echo, echo_json, progress_line
+
+if TYPE_CHECKING:
+    from dehyst.baselines.comparison import Comparison, Row
+
+_TRUTHS = ["play", "creep", "preisach", "boucwen"]
+
+
+@click.command(cls=ManyToValidate)
+@click.argument("records", nargs=-1, metavar="[RECORD]...", type=PATH)
+@click.option(
+    "--validate", multiple=True, type=PATH, metavar="RECORD...", help="Held-out records, all up to the next option."
+)
+@click.option(
+    "--lead",
+    type=float,
+    default=0.0,
+    metavar="SECONDS",
+    show_default=True,
+    help="Start of each held-out record that is not counted, but may tell a model its constant.",
+)
+@click.option(
+    "--truth",
+    "truths",
+    multiple=True,
+    type=click.Choice([*_TRUTHS, "all"]),
+    help="Track on this virtual actuator, fitted to its own records; may be repeated.",
+)
+@click.option("--only", multiple=True, metavar="MODEL", help="This model only; may be repeated.  [default: all]")
+@click.option("-o", "--output", type=PATH, help="Write every figure here (JSON).")
+@click.option("--report", type=PATH, help="Write a self-contained HTML page here.")
+@force_option
+@columns_options
+@json_option
+def compare(
+    records: tuple[Path, ...],
+    validate: tuple[Path, ...],
+    lead: float,
+    truths: tuple[str, ...],
+    only: tuple[str, ...],
+    output: Path | None,
+    report: Path | None,
+    as_json: bool,
+    **columns: Any,
+) -> None:
+    """Hold our model against every rival: fitted to RECORDs, judged on held-out ones and on virtual actuators.
+
+    Without a RECORD, those of the first --truth are taken. Status 1 if our own model fails.
+    """
+    from dehyst._io.json_files import write_json
+    from dehyst.baselines.comparison import OURS
+    from dehyst.baselines.comparison import compare as run
+
+    refuse_overwriting([*records, *validate], output, report)
+    chosen = _chosen(only)
+    named = _TRUTHS if "all" in truths else list(dict.fromkeys(truths))
+    tell = progress_line()
+    tell("reading")
+    training, held_out = read_records(records, columns), read_records(validate, columns)
+    found = run(training, validate=held_out, truths=named, lead=lead, models=chosen, progress=tell)
+    refuse_replacing(output, report)
+    if output is not None:
+        write_json(output, {"format": "dehyst-comparison", "version": 1, **finite(found.as_dict())})
+    if report is not None:
+        from dehyst.report.comparison_section import write_comparison
+
+        write_comparison(report, found, command=shlex.join(["dehyst", *sys.argv[1:]]))
+    tell("")
+    if as_json:
+        echo_json(found.as_dict())
+    else:
+        print_comparison(found, output, report)
+    sys.exit(1 if any(row.said for row in found.rows if row.name == OURS) else 0)
+
+
+def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
+    """Return the models of those names, however they are written."""
+    from dehyst._errors import IdentifyError
+    from dehyst.baselines.comparison import contenders
+
+    known = contenders()
+    if not only:
+        return known
+    names = {name.casefold(): name for name in known}
+    for asked in only:
+        if asked.casefold() not in names:
+            raise IdentifyError(f"--only: no model '{asked}'; try {', '.join(known)}")
+    return {names[asked.casefold()]: known[names[asked.casefold()]] for asked in only}
+
+
+def print_comparison(found: Comparison, output: Path | None, report: Path | None) -> None:
+    """Print a row for each model, then what failed."""
+    width = max(len("model"), *(len(row.name) for row in found.rows))
+    groups = ["training", "held out", "no constant", *(f"track {name}" for name in found.truths)]
+    echo(f"{'':<{width}}" + "".join(f"  {group:^15}" for group in groups) + f"{'':>9}{'ns a sample':>18}")
+    echo(
+        f"{'model':<{width}}" + len(groups) * f"  {'largest':>8}{'RMS':>7}" + f"{'fit, s':>9}"
+        f"{'simulate':>10}{'invert':>8}{'numbers':>9}"
+    )
+    for row in found.rows:
+        echo(_line(row, found.truths, width))
+    stroke = f"{found.stroke * 1e6:.4g} um"
+    echo()
+    echo(
+        f"Errors in % of the stroke, {stroke}, of the record with the largest. Training and held out: one "
+        "constant a record free."
+    )
+    if found.note:
+        echo(found.note)
+    for row in found.rows:
+        if row.said:
+            echo(f"{row.name}: {row.said}")
+    for name, path in (("Figures", output), ("Report", report)):
+        if path is not None:
+            echo(f"{name}: {path}")
+
+
+def _line(row: Row, truths: tuple[str, ...], width: int) -> str:
+    training, held_out = row.worst("training"), row.worst("validation")
+    pairs: list[tuple[float, float] | None] = [
+        None if training is None else (training.largest, training.rms),
+        None if held_out is None else (held_out.largest, held_out.rms),
+        None if held_out is None else (held_out.largest_without, held_out.rms_without),
+        *(None if (one := row.tracking.get(name)) is None else (one.largest, one.rms) for name in truths),
+    ]
+    cells = "".join(f"  {'-':>8}{'-':>7}" if p is None else f"  {p[0]:>8.3f}{p[1]:>7.3f}" for p in pairs)
+    last = (
+        (row.seconds, ">9.2f", 9),
+        (row.simulate, ">10.1f", 10),
+        (row.compensate, ">8.1f", 8),
+        (row.parameters, ">9", 9),
+    )
+    return f"{row.name:<{width}}{cells}" + "".join(f"{'-':>{w}}" if x is None else f"{x:{form}}" for x, form, w in last)

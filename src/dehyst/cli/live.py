@@ -1,0 +1,319 @@
+"""How a calibration goes on, for who watches: on a terminal a picture that moves, else a line where a step turns."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol, Self, TextIO
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._text import escaped
+from dehyst.records.recording import Lot
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+Fate = Literal["waits", "runs", "done", "failed"]
+
+# Marks, for terminals that know no others too, and styles.
+_MARKS: dict[Fate, tuple[str, str, str]] = {
+    "waits": ("·", ".", "dim"),
+    "runs": ("▶", ">", "bold"),
+    "done": ("✓", "x", "green"),
+    "failed": ("✗", "!", "bold red"),
+}
+
+
+@dataclass
+class Step:
+    """One step: what became of it, how long it plays [s], when it began and what it took [s of the host]."""
+
+    name: str
+    seconds: float = 0.0
+    fate: Fate = "waits"
+    began: float = 0.0
+    took: float = 0.0
+    samples: int = 0
+    first: float | None = None
+    played: float = 0.0
+    error: float | None = None
+    largest: float | None = None
+
+    @property
+    def share(self) -> float | None:
+        """How much of what it plays has been played, 0 to 1, by the device's clock; None if nobody knows."""
+        if not self.seconds or not self.samples:
+            return None
+        return min(1.0, self.played / self.seconds)
+
+    def left(self, now: float) -> float | None:
+        """Seconds of the host until it has been played; a device's clock may run faster."""
+        if not self.seconds:
+            return None
+        return self.seconds if not self.share else (now - self.began) * (1 - self.share) / self.share
+
+
+class Face(Protocol):
+    """Where it is shown."""
+
+    def begin(self, live: Live, step: Step) -> None:
+        """A step begins."""
+
+    def end(self, live: Live, step: Step) -> None:
+        """It ended."""
+
+    def close(self) -> None:
+        """Nothing more comes."""
+
+
+class Live:
+    """What is known of a calibration while it runs; made by `display`.
+
+    Its `steps`, the `count` of samples that came, the last `voltage` [V] and `displacement` [m], and in `words` what
+    the step does now.
+    """
+
+    def __init__(self, names: Sequence[str], face: Callable[[Live], Face], clock: Callable[[], float]) -> None:
+        self.steps = [Step(name) for name in names]
+        self.count, self.words = 0, ""
+        self.voltage: float | None = None
+        self.displacement: float | None = None
+        self._low, self._high = np.inf, -np.inf
+        self._present: Step | None = None
+        self.clock = clock
+        self._face = face(self)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        self._end("done" if error is None else "failed")
+        self._face.close()
+
+    @property
+    def present(self) -> Step | None:
+        """The step that runs."""
+        return self._present
+
+    def step(self, name: str, seconds: float = 0.0) -> None:
+        """Begin a step, and so end the one before; it plays for so long [s], 0 if it computes."""
+        self._end("done")
+        waiting = next((step for step in self.steps if step.fate == "waits" and step.name == name), None)
+        if waiting is None:
+            waiting = Step(name)
+            self.steps.insert(sum(step.fate != "waits" for step in self.steps), waiting)
+        waiting.seconds, waiting.fate, waiting.began = float(seconds), "runs", self.clock()
+        self._present, self.words = waiting, ""
+        self._face.begin(self, waiting)
+
+    def samples(self, samples: Lot, expected: ArrayLike | None = None, stroke: float | None = None) -> None:
+        """Show samples that came.
+
+        Parameters
+        ----------
+        samples : Lot
+        expected : (n,) array_like, optional
+            The displacement wanted of each [m]; NaN where none is.
+        stroke : float, optional
+            What errors refer to [m]; by default as far as the displacement went until now.
+        """
+        t, v, y = (
+            np.asarray(column, dtype=np.float64) for column in (samples.time, samples.voltage, samples.displacement)
+        )
+        if not t.size:
+            return
+        self.count += t.size
+        self.voltage, self.displacement = float(v[-1]), float(y[-1])
+        self._low, self._high = min(self._low, float(y.min())), max(self._high, float(y.max()))
+        step = self._present
+        if step is None:
+            return
+        step.samples += t.size
+        step.first = float(t[0]) if step.first is None else step.first
+        step.played = float(t[-1]) - step.first
+        of = self._high - self._low if stroke is None else stroke
+        if expected is None or not of > 0:
+            return
+        errors = 100 * np.abs(y - np.asarray(expected, dtype=np.float64)) / of
+        errors = errors[np.isfinite(errors)]
+        if errors.size:
+            step.error, step.largest = float(errors[-1]), max(step.largest or 0.0, float(errors.max()))
+
+    def tell(self, words: str) -> None:
+        """Say what the step does now."""
+        self.words = words
+
+    def _end(self, fate: Fate) -> None:
+        if (step := self._present) is not None:
+            step.fate, step.took, self._present = fate, self.clock() - step.began, None
+            self._face.end(self, step)
+
+
+def display(
+    steps: Sequence[str] = (),
+    *,
+    console: Console | None = None,
+    stream: TextIO | None = None,
+    clock: Callable[[], float] = time.monotonic,
+) -> Live:
+    """Show how a calibration goes on, on standard error.
+
+    ::
+
+        with display(["look", "loops"]) as live:
+            live.step("look", 24.0)
+            rig.play(excitation, live.samples)
+
+    Parameters
+    ----------
+    steps : sequence of str, optional
+        Names of steps that are known to come.
+    console : rich.console.Console, optional
+        Where to draw.
+    stream : text file, optional
+        Where to write lines; default standard error, by which is also found whether it is a terminal.
+    clock : callable, optional
+        Seconds of the host.
+
+    Returns
+    -------
+    Live
+        To be used in a with-statement. Without a terminal, or without the package rich, it writes one line where a step
+        begins and one where it ends.
+    """
+    stream = sys.stderr if stream is None else stream
+    if console is None and stream.isatty():
+        console = _console(stream)
+    if console is None or not console.is_terminal:
+        return Live(steps, lambda _: _Lines(stream), clock)
+    drawn_on = console
+    return Live(steps, lambda live: _Picture(live, drawn_on), clock)
+
+
+def _console(stream: TextIO) -> Console | None:
+    try:
+        from rich.console import Console
+    except ImportError:
+        return None
+    return Console(file=stream)
+
+
+class _Lines:
+    """One line where a step begins, one where it ends."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def begin(self, live: Live, step: Step) -> None:
+        self._write(f"{step.name}: begins" + (f", {_duration(step.seconds)}" if step.seconds else ""))
+
+    def end(self, live: Live, step: Step) -> None:
+        self._write(f"{step.name}: {step.fate} {'in' if step.fate == 'done' else 'after'} {summary(step)}")
+
+    def close(self) -> None:
+        pass
+
+    def _write(self, line: str) -> None:
+        # Whoever read this may be gone.
+        with suppress(OSError):
+            print(f"dehyst: {escaped(line)}", file=self._stream, flush=True)
+
+
+class _Picture:
+    """All steps, a bar and the present numbers, drawn anew some times a second."""
+
+    def __init__(self, live: Live, console: Console) -> None:
+        from rich.live import Live as Screen
+
+        plain = not console.encoding.lower().startswith("utf")
+        self._screen = Screen(get_renderable=lambda: picture(live, plain=plain), console=console, refresh_per_second=8)
+        self._screen.start()
+
+    def begin(self, live: Live, step: Step) -> None:
+        self._screen.refresh()
+
+    def end(self, live: Live, step: Step) -> None:
+        self._screen.refresh()
+
+    def close(self) -> None:
+        self._screen.stop()
+
+
+def picture(live: Live, *, plain: bool = False) -> RenderableType:
+    """All that is known, drawn by rich; `plain` in ASCII."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    rows = Table.grid(padding=(0, 1))
+    rows.add_column(width=1)
+    rows.add_column(no_wrap=True)
+    rows.add_column(no_wrap=True, overflow="ellipsis")
+    for step in live.steps:
+        mark, letter, style = _MARKS[step.fate]
+        told = summary(step) if step.fate in ("done", "failed") else _going(live, step)
+        rows.add_row(
+            Text(letter if plain else mark, style),
+            Text(escaped(step.name), "" if step.fate == "done" else style),
+            Text(escaped(told)),
+        )
+    lines = [Text(f"  {line}", no_wrap=True, overflow="ellipsis") for line in _numbers(live)]
+    return Group(rows, *_bars(live), *lines)
+
+
+def _bars(live: Live) -> Iterator[RenderableType]:
+    """A bar for the step that plays, if one does."""
+    from rich.padding import Padding
+    from rich.progress_bar import ProgressBar
+
+    step = live.present
+    if step is not None and step.seconds:
+        bar = ProgressBar(total=1.0, completed=step.share or 0.0, width=60, pulse=step.share is None)
+        yield Padding(bar, (0, 0, 0, 2))
+
+
+def _going(live: Live, step: Step) -> str:
+    if step.fate != "runs":
+        return ""
+    now = live.clock()
+    left = step.left(now)
+    if left is None:
+        return f"{live.words or 'computing'}, {_duration(now - step.began)}"
+    return f"{100 * (step.share or 0.0):.0f} %, {_duration(left)} left" + (f", {live.words}" if live.words else "")
+
+
+def _numbers(live: Live) -> Iterator[str]:
+    """Samples, voltage and displacement, and the error, a line each."""
+    if live.voltage is None or live.displacement is None:
+        return
+    yield f"{_grouped(live.count)} samples on disk   {live.voltage:8.3f} V   {1e6 * live.displacement:9.4f} um"
+    step = live.present
+    if step is not None and step.error is not None and step.largest is not None:
+        yield f"off the path by {step.error:.3f} % of the stroke now, {step.largest:.3f} % at most"
+
+
+def summary(step: Step) -> str:
+    """What a step that ended took."""
+    told = [_duration(step.took)]
+    if step.samples:
+        told.append(f"{_grouped(step.samples)} samples")
+    if step.largest is not None:
+        told.append(f"off the path by {step.largest:.3f} % of the stroke at most")
+    return ", ".join(told)
+
+
+def _grouped(count: int) -> str:
+    return f"{count:,}".replace(",", " ")
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 59.5:
+        return f"{seconds:.1f} s" if seconds < 9.95 else f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"

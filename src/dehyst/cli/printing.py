@@ -1,0 +1,231 @@
+"""What commands print: a fit, what records tell, the paper's experiment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dehyst._text import escaped
+from dehyst.cli.terminal import echo, worded
+
+if TYPE_CHECKING:
+    from dehyst.model.fit import Fit
+    from dehyst.studies.paper.run import Paper
+    from dehyst.uncertainty.insight import Insight
+    from dehyst.uncertainty.wide_insight import WideInsight
+
+
+# Structures, best first.
+_SHOWN = 5
+
+
+def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
+    """Print what an identification found."""
+    echo(fit.outcome.value)
+    if fit.errors:
+        names = [escaped(error.record) for error in fit.errors]
+        width = max(6, *map(len, names))
+        echo()
+        echo(f"{'':<{width}}  {'':<10} {'':>8} {'':>8}  {'of the stroke':^18}  {'':^18}  {'with its drift':^18}")
+        echo(f"{'record':<{width}}  {'role':<10} {'samples':>8} {'left out':>8}" + 3 * f"  {'largest':>9}{'RMS':>9}")
+    for name, error in zip(names, fit.errors, strict=True):
+        drift, rms = 100 * error.largest_with_drift / error.stroke, 100 * error.rms_with_drift / error.stroke
+        echo(
+            f"{name:<{width}}  {error.role:<10} {error.samples:>8} {error.left_out:>8}"
+            f"  {error.largest_percent:>7.3f} % {error.rms_percent:>7.3f} %"
+            f"  {error.largest * 1e9:>6.0f} nm {error.rms * 1e9:>6.0f} nm  {drift:>7.3f} %{rms:>7.3f} %"
+        )
+    if fit.trials:
+        from dehyst.identification.structure_selection import label
+
+        echo()
+        echo("Structures tried, RMS error of cycles held out in turn:")
+        made = fit.options.get("structure")
+        for trial in sorted(fit.trials, key=lambda one: one.held_out)[:_SHOWN]:
+            chosen = " (chosen)" if trial.structure.as_dict() == made else ""
+            echo(f"  {trial.held_out * 1e9:>7.1f} nm  {label(trial.structure, fit.trials)}{chosen}")
+        echo("  (A part has to lower it by 3 % at least.)")
+    _print_parts(fit.actuator)
+    for title, sentences in (("Repaired or left out", fit.repairs), ("To know", fit.remarks)):
+        if sentences:
+            echo()
+            echo(f"{title}:")
+            for sentence in sentences:
+                echo(f"  - {sentence}")
+    echo()
+    echo(f"Solver: {fit.status}, duality gap {fit.gap:.1g}")
+    for name, path in (("Model", output if fit.actuator is not None else None), ("Report", report)):
+        if path is not None:
+            echo(f"{name}: {path}")
+
+
+def _print_parts(actuator: Any) -> None:
+    """What a wider actuator is made of."""
+    from dehyst.model.actuator import Actuator
+    from dehyst.model.summary import parts_of
+
+    if isinstance(actuator, Actuator) and actuator.wide:
+        echo()
+        echo("The model is made of:")
+        for part in parts_of(actuator):
+            echo(f"  {part.name + ':':<18}{part.sentence}")
+
+
+def print_insight(found: Insight | WideInsight, output: Path | None, report: Path | None) -> None:
+    """Print what records tell, in the order in which it matters."""
+    from dehyst.uncertainty.wide_insight import WideInsight
+
+    for warning in worded(found.warnings()):
+        echo(f"BEWARE: {warning}")
+        echo()
+    missed = 100 * found.misfit / found.evidence.stroke
+    echo(f"The model misses these records by {missed:.3g} % of their range at most.")
+    if isinstance(found, WideInsight):
+        _print_told(found)
+    else:
+        _print_directions(found)
+    echo()
+    echo("State, if nothing is known before:")
+    for known in found.knowledge:
+        seen, played = (_moment(t) for t in (known.by_displacement, known.by_voltage))
+        echo(
+            f"  - {known.record}: known {seen} to one who sees the displacement, "
+            f"{played if known.judged else 'not judged'} from the voltage alone"
+        )
+    _print_homing(found)
+    for name, path in (("Band", output), ("Report", report)):
+        if path is not None:
+            echo(f"{name}: {path}")
+
+
+def _print_directions(found: Insight) -> None:
+    told = found.directions
+    echo(f"Known of the stiffnesses: {told.determined} of {told.of} directions")
+    for sentence in _first_few(told.sentences()):
+        echo(f"  - {sentence}")
+    values = " ".join(f"{value:.2g}" for value in told.values)
+    echo(f"  singular values, V a volt of breakaway voltage: {values}")
+    _print_stiffnesses(found)
+    _print_band(found)
+    if found.advice:
+        echo()
+        echo("To record next, best first:")
+        for one in found.advice[:3]:
+            echo(f"  - {one.words}: {one.determined} of {one.of} in {one.seconds:.4g} s")
+            echo(f"      {one.command}")
+    elif told.determined == told.of:
+        echo()
+        echo("To record next: nothing; no loop tells more directions.")
+
+
+def _print_told(found: WideInsight) -> None:
+    """What records tell of each part of a wider model, and how sharp its numbers are."""
+    from dehyst.uncertainty.part_identifiability import SHARP
+    from dehyst.uncertainty.wide_insight import NOT_JUDGED
+
+    probed = found.probed
+    echo(f"Their turning points tell {probed.determined} of {probed.of} directions of plain elements.")
+    echo(f"Known of each part, all else being free, to {100 * SHARP:g} % of the voltages:")
+    for one in found.told:
+        echo(f"  - {one.sentence}")
+    if found.intervals is not None:
+        echo()
+        echo(f"How far things may be off by noise ({100 * found.intervals.level:.0f} % intervals):")
+        if found.loop is not None:
+            off = found.loop.off
+            share = 100 * off / found.evidence.stroke
+            echo(f"  - the displacement on the major loop{share:8.2g} % of the range, {off * 1e9:.3g} nm")
+        for name, (model, noise) in found.numbers().items():
+            if noise is not None and abs(model).max(initial=0.0) > 0:
+                width = 0.5 * (noise[1] - noise[0]).mean() / abs(model).max()
+                echo(f"  - {name.split('_')[0]:<33}{100 * width:8.2g} % of its largest number, in the mean")
+    _print_band(found)
+    echo()
+    echo(NOT_JUDGED)
+
+
+def _print_homing(found: Insight | WideInsight) -> None:
+    if found.homing is None:
+        return
+    turns = ", ".join(f"{v:.6g}" for v in found.homing.turns)
+    word = "certified" if found.homing.certified else "NOT certified"
+    if found.homing.played is None:
+        echo(f"  - shortest homing: {turns} V ({word}: from any state to within {found.homing.width * 1e6:.1g} um)")
+    else:
+        echo(
+            f"  - homing: {turns} V in {found.homing.played.duration:.4g} s ({word}: the displacement is known to "
+            f"{found.homing.error * 1e6:.3g} um after it)"
+        )
+    for remark in worded(found.homing.remarks):
+        echo(f"      {remark}")
+
+
+def _first_few(sentences: tuple[str, ...], most: int = 12) -> tuple[str, ...]:
+    return sentences if len(sentences) <= most else (*sentences[:most], f"and {len(sentences) - most} more (--json)")
+
+
+def _moment(seconds: float | None) -> str:
+    return "never" if seconds is None else f"after {seconds:.4g} s"
+
+
+def _print_stiffnesses(found: Insight) -> None:
+    if found.intervals is None or found.latitude is None:
+        return
+    slip, level = found.actuator.slip, 100 * found.intervals.level
+    echo()
+    echo(f"  i  breakaway  stiffness   {level:.0f} % by noise          what the records do not contradict")
+    echo("            um       V/um           V/um                 V/um")
+    alone, movable = found.directions.alone, found.directions.movable
+    for i, (rho, kappa) in enumerate(zip(slip.breakaway * 1e6, slip.stiffness * 1e-6, strict=True)):
+        if not movable[i]:
+            echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   never slides: one with the spring")
+            continue
+        noise = _ends(found.intervals.stiffness[:, i]) if alone[i] else "open"
+        free = _ends(found.latitude.stiffness[:, i])
+        echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   {noise:<22}{free}")
+    echo("By noise: what noise biased is taken off, so that an interval need not hold the model's own value.")
+    if not alone[movable].all():
+        echo("Open: by itself not told by these records, whatever their noise; the last column says how far.")
+
+
+def _ends(pair: Any) -> str:
+    return f"{pair[0] * 1e-6:>8.4g} to {pair[1] * 1e-6:<8.4g}"
+
+
+def _print_band(found: Insight | WideInsight) -> None:
+    if found.band is None:
+        return
+    from dehyst.uncertainty.prediction_band import ERRORS
+
+    stroke = found.evidence.stroke
+    echo()
+    echo("Error to be expected on the trajectory, largest, in % of the range:")
+    for name, error in found.band.errors().items():
+        if error or name != "clamped":
+            echo(f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm")
+
+
+def print_paper(found: Paper, output: Path) -> None:
+    """Print the paper's numbers beside ours, for the virtual actuator and for one whose loop has a symmetric width."""
+    from dehyst.studies.paper.tables import summary
+
+    titles = {
+        "asymmetric": "Virtual E-280.10",
+        "symmetric": "The same without its asymmetric map: what is left is the method's, not the model class's",
+    }
+    for key, experiment in found.experiments.items():
+        echo(f"{titles[key]} (errors against the truth)")
+        echo(f"  {'':<42}{'paper':>9}{'ours, by':>12}{'ours, whole':>13}{'with more':>12}{'Goldfarb,':>12}")
+        echo(f"  {'':<42}{'':>9}{'its method':>12}{'record':>13}{'loops':>12}{'relaxed':>12}")
+        for row in summary(experiment):
+            cells = [row.models.get(name) for name in ("breakpoints", "record", "record_tops", "goldfarb")]
+            if row.actuator is not None:
+                cells = [row.actuator, None, None, None] if not row.models else cells
+            written = [("" if value is None else f"{value:.3f}") for value in (row.paper, *cells)]
+            unit = "um" if row.unit == "µm" else row.unit
+            echo(
+                f"  {row.words + ', ' + unit:<42}"
+                + "".join(f"{text:>{width}}" for text, width in zip(written, (9, 12, 13, 12, 12), strict=True))
+            )
+        echo()
+    echo(f"Written to {output}/: open index.html")

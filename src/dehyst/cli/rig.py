@@ -1,0 +1,175 @@
+"""`dehyst rig`: emulated instruments, to rehearse on before there is a real one."""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dehyst.cli.terminal import echo
+
+if TYPE_CHECKING:
+    from dehyst.virtual.bench import Instrument
+    from dehyst.virtual.emulator.faults import Fault
+    from dehyst.virtual.emulator.gcs_server import Server
+
+
+class Finite(click.FloatRange):
+    """A range of numbers that NaN and infinity are not in."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Refuse what is not finite."""
+        found = float(super().convert(value, param, ctx))
+        if not math.isfinite(found):
+            self.fail(f"{value} is no finite number", param, ctx)
+        return found
+
+
+@click.group()
+def rig() -> None:
+    """Instruments: serve an emulated one."""
+
+
+@rig.command()
+@click.option(
+    "--actuator",
+    default="play",
+    show_default=True,
+    metavar="play|creep|preisach|boucwen|MODEL.json",
+    help="What is driven: a virtual actuator that no model is an instance of, or a model file.",
+)
+@click.option("--host", default="127.0.0.1", show_default=True, help="Interface to listen on; 0.0.0.0 is all.")
+@click.option("--port", type=click.IntRange(0, 65535), default=50000, show_default=True, help="0: any that is free.")
+@click.option("--limits", type=(float, float), metavar="LOW HIGH", help="Voltages.  [default: the actuator's]")
+@click.option("--slew", type=float, metavar="V/S", help="Slew rate of the amplifier.  [default: not limited]")
+@click.option(
+    "--speed",
+    type=Finite(min=0, min_open=True, max=1e6),
+    default=1.0,
+    show_default=True,
+    metavar="X",
+    help="Seconds of the instrument in each second.",
+)
+@click.option(
+    "--noise", type=Finite(min=0, max=1e6), metavar="NM", help="Of the sensor.  [default: the actuator's, 2 nm]"
+)
+@click.option(
+    "--wave-points",
+    type=click.IntRange(2, 10_000_000),
+    default=65536,
+    show_default=True,
+    metavar="N",
+    help="Samples that wave generator and recorder take.",
+)
+@click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    metavar="NAME[@WHEN]",
+    help="A fault to rehearse, after so many samples of a wave (drop@2000) or seconds (unplug@3.5s), or in the middle "
+    "of the first wave: drop, silence, garble, truncate, error, narrow, saturate, unplug, refuse, stall.",
+)
+@click.option("--seconds", type=Finite(min=0), metavar="S", help="End by itself.  [default: Ctrl-C]")
+@click.option("--epics", metavar="PREFIX", help="Serve the same instrument by EPICS Channel Access too.")
+def serve(
+    actuator: str,
+    host: str,
+    port: int,
+    limits: tuple[float, float] | None,
+    slew: float | None,
+    speed: float,
+    noise: float | None,
+    wave_points: int,
+    faults: tuple[str, ...],
+    seconds: float | None,
+    epics: str | None,
+) -> None:
+    """Serve an emulated piezo controller that speaks GCS 2.0 over TCP.
+
+    At the end it says which voltages it has put out.
+    """
+    from dehyst.virtual.emulator.faults import Fault, Rehearsal
+    from dehyst.virtual.emulator.gcs_controller import Controller
+    from dehyst.virtual.emulator.gcs_server import Server
+
+    rehearsed = [Fault.parse(text) for text in faults]
+    instrument, told = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
+    lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, tell=lambda words: echo(f"fault: {words}"))
+    controller = Controller(instrument, told=told)
+    server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
+    if epics is not None:
+        _serve_epics(instrument, epics, lock)
+    with _until_told(server):
+        echo(f"serving {actuator}, {told[0]:g} to {told[1]:g} V, on pi://{host}:{server.port}")
+        sys.stdout.flush()
+        server.serve(seconds)
+    echo(f"{_tally(instrument)}, {controller.recorder.told} samples told")
+
+
+def _instrument(
+    actuator: str,
+    limits: tuple[float, float] | None,
+    slew: float | None,
+    speed: float,
+    noise: float | None,
+    wave_points: int,
+    faults: list[Fault],
+) -> tuple[Instrument, tuple[float, float]]:
+    """The virtual bench, and the limits [V] that it tells."""
+    from dehyst.model.actuator import Actuator
+    from dehyst.virtual.bench import Instrument
+    from dehyst.virtual.emulator.faults import narrowed
+    from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
+
+    found = virtual_actuator(actuator)
+    if isinstance(found, Actuator):
+        limits, found = limits or found.limits, ModelledActuator(found)
+    told = limits or (0.0, found.highest)
+    made = Instrument(
+        found,
+        limits=narrowed(told, faults),
+        slew_rate=slew,
+        wave_points=wave_points,
+        record_points=wave_points,
+        speed=speed,
+        noise=None if noise is None else 1e-9 * noise,
+    )
+    return made, told
+
+
+def _serve_epics(instrument: Instrument, prefix: str, lock: threading.Lock) -> None:
+    from importlib import import_module
+    from importlib.util import find_spec
+
+    from dehyst._errors import RigError
+
+    if find_spec("dehyst.virtual.emulator.epics_ioc") is None:
+        raise RigError("--epics: this version of dehyst serves no EPICS; leave it out")
+    import_module("dehyst.virtual.emulator.epics_ioc").serve_ioc(instrument, prefix, lock)
+    echo(f"serving epics://{prefix}")
+
+
+@contextmanager
+def _until_told(server: Server) -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end the serving, and not the program."""
+    before = {number: signal.signal(number, lambda *_: server.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _tally(instrument: Instrument) -> str:
+    log, present = instrument.log, instrument.voltage
+    refused = f", {log.refused} requests refused" if log.refused else ""
+    return (
+        f"put out {log.lowest:.6g} to {log.highest:.6g} V, largest step {log.largest_step:.4g} V, steepest "
+        f"{log.steepest:.6g} V/s, now at {present:.6g} V{refused}"
+    )

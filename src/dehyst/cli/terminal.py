@@ -1,0 +1,126 @@
+"""What commands print: lines that hold no more than a line, on streams that may be closed, full or of few letters."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, TextIO
+
+import click
+
+from dehyst._io.json_files import finite
+from dehyst._text import escaped
+from dehyst.cli.option_words import in_words_of
+
+
+class UnprintedError(Exception):
+    """Standard output took no more."""
+
+
+def echo(line: object = "", *, err: bool = False) -> None:
+    """Print one line on standard output or standard error; what would end or change a line is escaped."""
+    _write(f"{escaped(line)}\n", err=err)
+
+
+def echo_json(value: Any) -> None:
+    """Print JSON values, null for numbers that JSON has not."""
+    _write(f"{json.dumps(finite(value), indent=1)}\n", err=False)
+
+
+def worded(sentences: Iterable[str]) -> tuple[str, ...]:
+    """Return sentences of the library in the words of the command that runs."""
+    context = click.get_current_context(silent=True)
+    return tuple(sentences) if context is None else in_words_of(context.command, sentences)
+
+
+def note(sentence: object) -> None:
+    """Print a warning or a refusal on standard error, in the words of the command that runs."""
+    echo(f"dehyst: {worded([str(sentence)])[0]}", err=True)
+
+
+def progress_line() -> Callable[[str], None]:
+    """One line on a terminal that is overwritten; nothing in a file or a pipe."""
+    if not sys.stderr.isatty():
+        return lambda _: None
+
+    def tell(words: str) -> None:
+        _write(f"\r\033[K{escaped(words)}{' ...' if words else ''}", err=True)
+
+    return tell
+
+
+def _write(text: str, *, err: bool) -> None:
+    try:
+        click.echo(text, file=sys.stderr if err else sys.stdout, nl=False, color=True)
+    except OSError as error:
+        # What is said beside the result may be lost; click leaves quietly when the reader of a pipe has gone.
+        if err:
+            _silence(sys.stderr)
+        elif error.errno == errno.EPIPE:
+            raise
+        else:
+            raise UnprintedError(error.strerror) from error
+
+
+@contextmanager
+def guarded_streams() -> Iterator[None]:
+    """Run a command so that a standard stream that is closed or full ends in a sentence and status 1."""
+    _prepare()
+    try:
+        try:
+            yield
+        finally:
+            # What nobody reads any more shall not decide on the status when the program ends.
+            _flushed(sys.stderr)
+            sys.stdout.flush()
+    except UnprintedError as error:
+        sys.exit(_unprinted(error))
+    except OSError as error:
+        # An error of a file has its name; that of a stream, such as click's own when it prints a help, has none.
+        if error.filename is None:
+            sys.exit(_unprinted(error.strerror))
+        note(error)
+        sys.exit(2)
+
+
+def _flushed(stream: TextIO) -> None:
+    """Flush a stream, or let what it holds go nowhere."""
+    try:
+        stream.flush()
+    except OSError:
+        _silence(stream)
+
+
+def _unprinted(why: object) -> int:
+    _silence(sys.stdout)
+    note(f"standard output cannot be written ({why}); make room, or send it elsewhere")
+    return 1
+
+
+def _prepare() -> None:
+    """Give closed streams a place, lest a file that is opened next takes it; escape what a stream cannot spell."""
+    for number in range(3):
+        with suppress(OSError):
+            os.fstat(number)
+            continue
+        # Standard output that was closed stays an error where something is printed.
+        os.open(os.devnull, os.O_WRONLY if number == 2 else os.O_RDONLY)
+    if sys.stdout is None:
+        sys.stdout = os.fdopen(1, "w", encoding="utf-8", closefd=False)
+    if sys.stderr is None:
+        sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
+    for stream in (sys.stdout, sys.stderr):
+        if (spell := getattr(stream, "reconfigure", None)) is not None:
+            spell(errors="backslashreplace")
+
+
+def _silence(stream: TextIO) -> None:
+    """Let what a stream still holds go nowhere, so that the end of the program is quiet."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)

@@ -1,0 +1,57 @@
+"""How far voltage limits let an actuator go, and where they let it begin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dehyst._native import NOTHING
+from dehyst.model.actuator import Actuator
+from dehyst.model.base import State
+
+_ROUNDING = 1e-12
+
+
+def reach_of(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
+    """Displacements [m] at the lower and the upper limit [V] of slow loops between them, creep at rest at either."""
+    return actuator.major_loop(limits)
+
+
+def brought(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
+    """The state, complete; if its voltage lies outside the limits [V], after a motion to the nearest of them, at rest.
+
+    Raises
+    ------
+    ModelError
+        If it is no state of this actuator.
+    """
+    start = actuator.model.fitted(state)
+    held = actuator.voltage(start)
+    nearest = min(max(held, limits[0]), limits[1])
+    if abs(held - nearest) <= _ROUNDING * (limits[1] - limits[0]):
+        return start
+    slow = _slow(actuator)
+    time = np.zeros(1) if slow.needs_time else None
+    reached = slow.simulate([nearest], time=time, state=replace(start, motion=NOTHING), extrapolate=True).state
+    return actuator.model.fitted(reached)
+
+
+def led_to(actuator: Actuator, state: State, displacement: float) -> State:
+    """The state after a motion to a displacement [m] of which mass and amplifier feel nothing; creep is given no time.
+
+    Raises
+    ------
+    ModelError
+        If it is no state of this actuator.
+    """
+    slow, start = _slow(actuator), actuator.model.fitted(state)
+    time = np.zeros(1) if slow.needs_time else None
+    still = replace(start, motion=NOTHING)
+    return actuator.model.fitted(slow.compensate([displacement], time=time, state=still, extrapolate=True).state)
+
+
+def _slow(actuator: Actuator) -> Actuator:
+    """The same without what slow motions do not feel."""
+    still = replace(actuator.state, motion=NOTHING)
+    return replace(actuator, dynamics=None, lag=0.0, state=still, limits=None)

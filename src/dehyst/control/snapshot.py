@@ -1,0 +1,110 @@
+"""All that a compensator's loop remembers, as a file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dehyst._errors import ModelError
+from dehyst._io.drafts import PathLike
+from dehyst._io.json_files import read_json, write_json
+from dehyst._types import Array
+from dehyst._validation import vector
+from dehyst.model import serialization
+from dehyst.model.actuator import Actuator
+from dehyst.model.base import State
+
+FORMAT = "dehyst-loop"
+VERSION = 1
+# Counts of the core hold no more on every machine.
+_MOST = 2**31
+# Entries of a model file that a loop does not depend on, or has its own of.
+_FREE = {"name", "provenance", "limits", "state"}
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A loop between two steps.
+
+    Attributes
+    ----------
+    key : str
+        Of the actuator's numbers, the period and the preview: it fits no other loop.
+    state : State
+        Where the actuator is.
+    rest : (6 + M,) array
+        What a state lacks: the last voltage, what the amplifier made of it, the two that were to act before, the push
+        and the velocity of the mass, and the displacements fed, newest first.
+    counts : (int, int, int)
+        Samples limited, slewed and refused.
+    """
+
+    key: str
+    state: State
+    rest: Array
+    counts: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.state, State):
+            raise ModelError(f"snapshot: got a state of type {type(self.state).__name__}, need a State")
+        object.__setattr__(self, "rest", vector(self.rest, "snapshot: rest"))
+        counts = self.counts
+        if not isinstance(counts, Sequence) or [type(n) for n in counts] != [int] * 3 or not _few(counts):
+            raise ModelError(f"snapshot: counts: got {counts!r}, need three whole numbers below {_MOST}")
+        object.__setattr__(self, "counts", tuple(counts))
+
+    def save(self, path: PathLike) -> None:
+        """Write it (JSON), wholly or not at all.
+
+        Raises
+        ------
+        FileFormatError
+            If it cannot be written.
+        """
+        write_json(
+            path,
+            {
+                "format": FORMAT,
+                "version": VERSION,
+                "key": self.key,
+                "state": serialization.state_dict(self.state),
+                "rest": self.rest.tolist(),
+                "counts": list(self.counts),
+            },
+        )
+
+    @classmethod
+    def load(cls, path: PathLike) -> Snapshot:
+        """Read it, strictly and without loss.
+
+        Raises
+        ------
+        FileFormatError
+            If the file cannot be read or is no JSON.
+        ModelError
+            If it is no snapshot of this version.
+        """
+        data = read_json(path)
+        if data.get("format") != FORMAT or type(data.get("version")) is not int or data["version"] != VERSION:
+            raise ModelError(
+                f"{path}: got format {data.get('format')!r} version {data.get('version')!r}, need {FORMAT!r} {VERSION}"
+            )
+        serialization.demand_keys(data, {"format", "version", "key", "state", "rest", "counts"}, "snapshot")
+        try:
+            rest = serialization.numbers(data["rest"], "rest")
+            return cls(str(data["key"]), serialization.state(data), rest, data["counts"])
+        except ModelError as error:
+            raise ModelError(f"{path}: {error}") from error
+
+
+def _few(counts: Sequence[int]) -> bool:
+    return all(0 <= n < _MOST for n in counts)
+
+
+def key_of(actuator: Actuator, period: float | None, preview: bool) -> str:
+    """A digest of what a snapshot must fit."""
+    numbers = {name: value for name, value in actuator.as_dict().items() if name not in _FREE}
+    text = json.dumps([numbers, period, preview], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

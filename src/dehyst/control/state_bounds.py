@@ -1,0 +1,305 @@
+"""What is known of the state: brackets about every cart.
+
+Nothing is assumed of the past but that it ended at rest. With y known, each element stands alone; with v known the
+displacement depends on all of them, so the carts are bracketed by two simulations (theory section 11). A transformer
+keeps the order of voltages, and elements may be graded: a higher state stays the higher one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dehyst._errors import ModelError
+from dehyst._native import stops
+from dehyst._types import Array, Mask
+from dehyst._validation import number, vector
+from dehyst.control.major_loop import Outermost
+from dehyst.model.actuator import Actuator
+from dehyst.model.base import State
+from dehyst.model.elements import MaxwellSlip
+
+Counts = NDArray[np.intp]
+# Of the range: well above rounding, well below anything a sensor sees.
+_TOLERANCE = 1e-12
+_CHUNK = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class KnownCarts:
+    """What a known displacement tells of the carts, from total ignorance.
+
+    Attributes
+    ----------
+    breakaway : (N,) array
+        rho [m].
+    running_range : (n,) array
+        R(t), how far apart the displacements seen so far lie [m].
+    tolerance : float
+        Width [m] up to which an element counts as known.
+    """
+
+    breakaway: Array
+    running_range: Array
+    tolerance: float
+
+    @property
+    def widths(self) -> Array:
+        """(n, N) widths [m] of what each elongation s_i can be: exactly max(0, 2 rho_i - R)."""
+        return np.maximum(0.0, 2 * self.breakaway - self.running_range[:, None])
+
+    @property
+    def unknown(self) -> Counts:
+        """(n,) how many elements are unknown."""
+        known = np.searchsorted(2 * self.breakaway - self.tolerance, self.running_range, side="right")
+        return np.asarray(self.breakaway.size - known)
+
+    @property
+    def first_known(self) -> int | None:
+        """First sample from which every element is known; None if there is none."""
+        return _first(self.unknown == 0)
+
+
+def known_by_displacement(
+    actuator: Actuator | ArrayLike, displacement: ArrayLike, *, tolerance: float | None = None
+) -> KnownCarts:
+    """What is known of each element while the displacement is known: measured, or commanded.
+
+    Parameters
+    ----------
+    actuator : Actuator or (N,) array_like
+        The actuator, or only its breakaway elongations rho [m].
+    displacement : (n,) array_like
+        [m]; nothing is known before the first sample.
+    tolerance : float, optional
+        Width [m] up to which an element counts as known; default 1e-12 of 2 rho_N. Without any, an excursion of just
+        2 rho_N would leave to rounding whether it suffices.
+
+    Raises
+    ------
+    ModelError
+        If the numbers are not finite, the breakaway elongations not positive and strictly increasing, or the
+        tolerance is not positive; or the actuator has dynamics.
+    """
+    if isinstance(actuator, Actuator):
+        if actuator.dynamics is not None:
+            raise ModelError("the carts of an actuator with dynamics follow w, not the displacement; give w and rho")
+        rho = actuator.slip.breakaway
+    else:
+        given = vector(actuator, "breakaway elongations")
+        rho = MaxwellSlip(given, np.zeros(given.size)).breakaway
+    y = vector(displacement, "displacement")
+    least = _positive(tolerance, _TOLERANCE * 2 * float(rho.max(initial=0.0)))
+    return KnownCarts(rho, np.maximum.accumulate(y) - np.minimum.accumulate(y), least)
+
+
+@dataclass(frozen=True, eq=False)
+class Bracket:
+    """Two states between which the actuator is: its displacement and every cart, in absolute coordinates.
+
+    A voltage keeps the order of states, so two simulations keep the bracket; no cart's width ever exceeds what the
+    widest had before. Elements without stiffness have carts too, and count like the others.
+
+    Parameters
+    ----------
+    lower, upper : State
+
+    Raises
+    ------
+    ModelError
+        If they have different numbers of carts, or the lower one lies above the upper one somewhere.
+    """
+
+    lower: State
+    upper: State
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper"):
+            if not isinstance(getattr(self, name), State):
+                raise ModelError(f"{name}: got {type(getattr(self, name)).__name__}, need a State")
+        if self.lower.carts.size != self.upper.carts.size:
+            raise ModelError(
+                f"got {self.lower.carts.size} and {self.upper.carts.size} carts, need states of one actuator"
+            )
+        if self.lower.displacement > self.upper.displacement or np.any(self.lower.carts > self.upper.carts):
+            raise ModelError("the lower state lies above the upper one: swap them, or start from Bracket.at_rest")
+
+    @classmethod
+    def at_rest(cls, actuator: Actuator, voltage: float = 0.0) -> Bracket:
+        """Bracket every state the actuator can rest in at `voltage` [V]: its two extreme equilibria.
+
+        They lie on the outermost branches; of a plain actuator at ``eta^-1(v - F)`` with every s_i = rho_i and at
+        ``eta^-1(v + F)`` with every s_i = -rho_i, where F = sum kappa_i rho_i.
+
+        Raises
+        ------
+        ModelError
+            If `actuator` is none, or the voltage is not finite.
+        """
+        v, slip = number(voltage, "voltage"), checked_actuator(actuator).slip
+        branch = Outermost(actuator)
+        lowest, highest = branch.displacement(v, 1), branch.displacement(v, -1)
+        return cls(State(lowest, lowest - slip.breakaway), State(highest, highest + slip.breakaway))
+
+    def drive(self, actuator: Actuator, voltage: ArrayLike, *, tolerance: float | None = None) -> KnownState:
+        """What is known after each sample of a voltage; exact, by two simulations.
+
+        Parameters
+        ----------
+        actuator : Actuator
+        voltage : (n,) array_like
+            [V], each reached monotonically from the one before; turning points suffice.
+        tolerance : float, optional
+            Width [m] up to which an element counts as known; default 1e-12 of the range of the spring's knots.
+
+        Raises
+        ------
+        ModelError
+            If the voltage is not finite, the bracket is of another actuator, or the tolerance is not positive.
+        """
+        v, least = vector(voltage, "voltage"), least_width(checked_actuator(actuator), tolerance)
+        lowest, highest, width = np.empty_like(v), np.empty_like(v), np.empty_like(v)
+        unknown, now = np.empty(v.size, dtype=np.intp), self
+        for first in range(0, v.size, _CHUNK):
+            part = slice(first, first + _CHUNK)
+            y_low, carts_low, lower = _carts(actuator, v[part], now.lower)
+            y_high, carts_high, upper = _carts(actuator, v[part], now.upper)
+            lowest[part], highest[part] = np.minimum(y_low, y_high), np.maximum(y_low, y_high)
+            widths = np.abs(carts_high - carts_low)
+            width[part] = widths.max(axis=1, initial=0.0)
+            unknown[part] = np.count_nonzero(widths > least, axis=1)
+            now = _ordered(lower, upper)
+        return KnownState(lowest, highest, width, unknown, now)
+
+    @property
+    def widths(self) -> Array:
+        """(N,) width of the bracket of each cart [m]."""
+        return self.upper.carts - self.lower.carts
+
+    @property
+    def width(self) -> float:
+        """The widest bracket [m] of a cart or of the displacement."""
+        return float(max(self.widths.max(initial=0.0), first_move_error(self)))
+
+    @property
+    def middle(self) -> State:
+        """The state halfway: off by half the width at most."""
+        lower, upper = self.lower, self.upper
+        more = (0.5 * (getattr(lower, name) + getattr(upper, name)) for name in ("creep", "motion", "smooth"))
+        return State(0.5 * (lower.displacement + upper.displacement), 0.5 * (lower.carts + upper.carts), *more)
+
+    def known(self, tolerance: float) -> bool:
+        """Whether every cart and the displacement are known to `tolerance` [m]."""
+        return self.width <= _positive(tolerance, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownState:
+    """What is known after each sample of a voltage.
+
+    Attributes
+    ----------
+    lowest, highest : (n,) array
+        Between which the displacement is [m], both attained.
+    width : (n,) array
+        The widest bracket of any cart [m]; it never grows, and the displacement's is never wider.
+    unknown : (n,) int array
+        How many elements are unknown; as a rule all of them until the displacement is known.
+    bracket : Bracket
+        After the last sample.
+    """
+
+    lowest: Array
+    highest: Array
+    width: Array
+    unknown: Counts
+    bracket: Bracket
+
+    @property
+    def first_known(self) -> int | None:
+        """First sample from which the whole state is known; None if there is none."""
+        return _first(self.unknown == 0)
+
+
+def first_move_error(bracket: Bracket) -> float:
+    """Error bar [m] of a first move from an unknown state: the width of the displacement's bracket before it.
+
+    A sensor that reads zero at the start shows y(t) - y(0), and y(0) is anywhere in that bracket. Once the state is
+    known this is all that remains: readings of y(t) - y(0) from different starts differ by up to this width, and it is
+    attained. On the way the bracket of y(t) adds to it: they lie between ``lowest - upper.displacement`` and
+    ``highest - lower.displacement``.
+    """
+    return bracket.upper.displacement - bracket.lower.displacement
+
+
+def least_range(actuator: Actuator, lowest: float, highest: float) -> float:
+    """Range [m] that the displacement covers at least while the voltage covers `lowest` to `highest` [V].
+
+    D = eta^-1(highest - F) - eta^-1(lowest + F), F = sum kappa_i rho_i; it may be negative. In general the first is the
+    displacement on the outermost rising branch, the second that on the falling one. From total ignorance the
+    widest bracket of a cart is exactly max(0, 2 rho_N - D) after any path that covers just these voltages: where it is
+    highest the lower extreme state has every s_i = rho_i, where it is lowest the upper one has every s_i = -rho_i, and
+    cart N stands where these two extremes of y put it. Neither the order nor the number of turns matters.
+
+    Raises
+    ------
+    ModelError
+        If `actuator` is none, or a voltage is not finite.
+    """
+    branch = Outermost(checked_actuator(actuator))
+    return branch.displacement(number(highest, "highest"), 1) - branch.displacement(number(lowest, "lowest"), -1)
+
+
+def checked_actuator(actuator: Actuator) -> Actuator:
+    """Refuse what is no Actuator, and one whose states do not keep their order by the voltage alone."""
+    if not isinstance(actuator, Actuator):
+        raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
+    if moves_on(actuator):
+        raise ModelError(
+            f"a bracket of the state follows the voltage alone, this actuator {moves_on(actuator)}; use "
+            "dehyst.control.homing.shortest_homing, which plays a voltage in time and says how much stays unknown"
+        )
+    return actuator
+
+
+def moves_on(actuator: Actuator) -> str:
+    """Why the order of voltages does not tell the state, in words; empty if it does."""
+    parts = {
+        "creeps": actuator.creep is not None,
+        "has inertia": actuator.dynamics is not None,
+        "lags": actuator.lag > 0,
+        "has smooth elements": actuator.smooth is not None,
+    }
+    return " and ".join(words for words, there in parts.items() if there)
+
+
+def _positive(tolerance: float | None, default: float) -> float:
+    if tolerance is None:
+        return default
+    if number(tolerance, "tolerance") <= 0:
+        raise ModelError(f"tolerance: got {tolerance}, need a positive number of metres: rounding leaves some width")
+    return float(tolerance)
+
+
+def least_width(actuator: Actuator, tolerance: float | None) -> float:
+    """The tolerance [m]: the given one, or 1e-12 of the range of the knots."""
+    return _positive(tolerance, _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
+
+
+def _first(known: Mask) -> int | None:
+    return int(known.argmax()) if known.any() else None
+
+
+def _ordered(a: State, b: State) -> Bracket:
+    """Two states that met differ by rounding, either way."""
+    ends = ((order(a.displacement, b.displacement), order(a.carts, b.carts)) for order in (np.minimum, np.maximum))
+    return Bracket(*(State(float(y), carts) for y, carts in ends))
+
+
+def _carts(actuator: Actuator, voltage: Array, state: State) -> tuple[Array, Array, State]:
+    """Displacement (n,), carts (n, N) and the state reached."""
+    motion = actuator.simulate(voltage, state=state, extrapolate=True)
+    elongations, _ = stops(actuator.slip.breakaway, state.carts, motion.displacement)
+    return motion.displacement, motion.displacement[:, None] - elongations, motion.state

@@ -1,0 +1,233 @@
+"""What an FMU tells of itself: `modelDescription.xml` of FMI 2.0 and 3.0, how it is built, a page for people."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from html import escape
+from typing import Literal, NamedTuple, TypeAlias
+from xml.etree import ElementTree
+
+from dehyst._version import __version__
+from dehyst.control.compensator import Compensator
+from dehyst.exports.naming import printable
+from dehyst.exports.start import Outset
+
+Version: TypeAlias = Literal["2.0", "3.0"]
+Kind: TypeAlias = Literal["compensator", "actuator"]
+
+_UNITS = {"s": {"s": 1}, "m": {"m": 1}, "V": {"kg": 1, "m": 2, "s": -3, "A": -1}}
+_LONGEST = 60
+
+
+class Variable(NamedTuple):
+    """A variable of an FMU; its place in the list is its value reference. Without a unit it is a whole number."""
+
+    name: str
+    causality: Literal["independent", "input", "output"]
+    unit: str
+    description: str
+    start: float | None = None
+    range: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Description:
+    """An FMU of a compensator, or of its actuator.
+
+    Attributes
+    ----------
+    version, kind : str
+        As in `export_fmu`.
+    name, identifier : str
+        The actuator's and the kind, as text and as a name in C.
+    summary : str
+        A sentence or two.
+    period : float
+        Seconds; 0: it does not depend on time.
+    variables : tuple of Variable
+    """
+
+    version: Version
+    kind: Kind
+    name: str
+    identifier: str
+    summary: str
+    period: float
+    variables: tuple[Variable, ...]
+
+    @classmethod
+    def of(cls, compensator: Compensator, version: Version, kind: Kind) -> Description:
+        """Describe it as it was when made or last reset."""
+        period, words = compensator.period or 0.0, printable(compensator.actuator.name)
+        pace = f"One step every {period!r} s." if period else "It does not depend on time: any step is one sample."
+        make = _compensator if kind == "compensator" else _actuator
+        summary, variables = make(compensator, words)
+        slug = re.sub(r"\W+", "_", words, flags=re.ASCII).strip("_")[:_LONGEST] or "piezo"
+        twice = slug == kind
+        return cls(
+            version,
+            kind,
+            words if twice else f"{words}, {kind}",
+            f"dehyst_{slug}" if twice else f"dehyst_{slug}_{kind}",
+            f"{summary} {pace}",
+            period,
+            (Variable("time", "independent", "s", "Simulation time"), *variables),
+        )
+
+    @property
+    def outputs(self) -> tuple[int, ...]:
+        """Value references of the outputs."""
+        return tuple(i for i, one in enumerate(self.variables) if one.causality == "output")
+
+    def xml(self, token: str, source: str) -> str:
+        """Text of `modelDescription.xml`.
+
+        Parameters
+        ----------
+        token : str
+            GUID or instantiation token.
+        source : str
+            The file to compile.
+        """
+        root = ElementTree.Element(
+            "fmiModelDescription",
+            {
+                "fmiVersion": self.version,
+                "modelName": self.name,
+                "guid" if self.version == "2.0" else "instantiationToken": token,
+                "description": self.summary,
+                "generationTool": f"dehyst {__version__}",
+                "variableNamingConvention": "flat",
+            },
+        )
+        if self.version == "2.0":
+            _fill_2(root, self, source)
+        else:
+            _fill_3(root, self)
+        return _text(root)
+
+    def build_xml(self, source: str) -> str:
+        """Text of FMI 3.0's `sources/buildDescription.xml`."""
+        root = ElementTree.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+        configuration = _add(root, "BuildConfiguration", modelIdentifier=self.identifier)
+        files = _add(configuration, "SourceFileSet", language="C99")
+        _add(files, "SourceFile", name=source)
+        return _text(root)
+
+    def page(self) -> str:
+        """A page for people, in HTML."""
+        rows = [
+            f"<tr><td>{one.name}</td><td>{one.causality}</td><td>{one.unit}</td><td>{escape(one.description)}</td></tr>"
+            for one in self.variables
+        ]
+        return "\n".join(
+            [
+                '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
+                f"<title>{escape(self.name)}</title></head><body>",
+                f"<h1>{escape(self.name)}</h1>\n<p>{escape(self.summary)}</p>",
+                "<table><tr><th>variable</th><th></th><th>unit</th><th></th></tr>",
+                *rows,
+                f"</table>\n<p>Made by dehyst {__version__}; its licence is in licenses/.</p></body></html>\n",
+            ]
+        )
+
+
+def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
+    (low, high), ahead = compensator.limits, compensator.samples_ahead
+    when = f"in {ahead} steps" if ahead else "at the end of the step"
+    summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{name}' follow a displacement."
+    if compensator.slew_rate is not None:
+        summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
+    y = Outset.of(compensator).displacement
+    return summary, (
+        Variable("displacement", "input", "m", f"Displacement wanted {when}", y),
+        Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
+        Variable("limited", "output", "", "Samples whose voltage was cut at a limit"),
+        Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
+    )
+
+
+def _actuator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
+    v = Outset.of(compensator).voltage
+    return f"The actuator '{name}': displacement that a voltage causes.", (
+        Variable("voltage", "input", "V", "Voltage reached at the end of a step's first period, then held", v),
+        Variable("displacement", "output", "m", "Displacement"),
+    )
+
+
+def _fill_2(root: ElementTree.Element, description: Description, source: str) -> None:
+    features = {"canHandleVariableCommunicationStepSize": _flag(not description.period)}
+    features |= dict.fromkeys(
+        ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate"), "true"
+    )
+    interface = _add(root, "CoSimulation", modelIdentifier=description.identifier, **features)
+    _add(_add(interface, "SourceFiles"), "File", name=source)
+    _fill_common(root, description)
+    variables = _add(root, "ModelVariables")
+    for reference, one in enumerate(description.variables):
+        attributes = {"name": one.name, "valueReference": str(reference)} | _roles(one)
+        scalar = _add(variables, "ScalarVariable", description=one.description, **attributes)
+        if one.unit:
+            _add(scalar, "Real", unit=one.unit, **_numbers(one))
+        else:
+            _add(scalar, "Integer")
+    structure = _add(root, "ModelStructure")
+    for part in ("Outputs", "InitialUnknowns"):
+        unknowns = _add(structure, part)
+        for reference in description.outputs:
+            _add(unknowns, "Unknown", index=str(reference + 1), dependencies="")
+
+
+def _fill_3(root: ElementTree.Element, description: Description) -> None:
+    features = {"canHandleVariableCommunicationStepSize": _flag(not description.period)}
+    features |= dict.fromkeys(("canGetAndSetFMUState", "canSerializeFMUState"), "true")
+    if description.period:
+        features["fixedInternalStepSize"] = repr(description.period)
+    _add(root, "CoSimulation", modelIdentifier=description.identifier, **features)
+    _fill_common(root, description)
+    variables = _add(root, "ModelVariables")
+    for reference, one in enumerate(description.variables):
+        attributes = {"name": one.name, "valueReference": str(reference)} | _roles(one)
+        if one.unit:
+            attributes |= {"unit": one.unit} | _numbers(one)
+        _add(variables, "Float64" if one.unit else "UInt64", description=one.description, **attributes)
+    structure = _add(root, "ModelStructure")
+    for part in ("Output", "InitialUnknown"):
+        for reference in description.outputs:
+            _add(structure, part, valueReference=str(reference), dependencies="")
+
+
+def _fill_common(root: ElementTree.Element, description: Description) -> None:
+    units = _add(root, "UnitDefinitions")
+    for name, base in _UNITS.items():
+        exponents = {symbol: str(power) for symbol, power in base.items()}
+        _add(_add(units, "Unit", name=name), "BaseUnit", **exponents)
+    categories = _add(root, "LogCategories")
+    _add(categories, "Category", name="logStatusError", description="What was refused, and why")
+    _add(categories, "Category", name="logStatusWarning", description="The first sample that is clamped")
+    step = {"stepSize": repr(description.period)} if description.period else {}
+    _add(root, "DefaultExperiment", startTime="0", **step)
+
+
+def _roles(one: Variable) -> dict[str, str]:
+    roles = {"causality": one.causality, "variability": "continuous" if one.unit else "discrete"}
+    return roles | {"initial": "calculated"} if one.causality == "output" else roles
+
+
+def _numbers(one: Variable) -> dict[str, str]:
+    numbers = {} if one.range is None else {"min": repr(one.range[0]), "max": repr(one.range[1])}
+    return numbers if one.start is None else numbers | {"start": repr(one.start)}
+
+
+def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    return ElementTree.SubElement(parent, tag, attributes)
+
+
+def _flag(value: bool) -> str:
+    return "true" if value else "false"
+
+
+def _text(root: ElementTree.Element) -> str:
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

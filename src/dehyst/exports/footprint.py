@@ -1,0 +1,157 @@
+"""How many bytes an exported folder takes of flash, RAM and stack, as a compiler has it."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from dehyst._errors import FileFormatError
+from dehyst._io.drafts import PathLike
+from dehyst.exports.naming import DEFAULT, name_in, text_of
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
+_M4, _UNIT = ("-mcpu=cortex-m4", "-mthumb"), ("-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+CORTEX_M4, CORTEX_M4_SMALL = ("-O2", *_M4), ("-Os", "-flto", *_M4)
+CORTEX_M4F, CORTEX_M4F_SMALL = (*CORTEX_M4, *_UNIT), (*CORTEX_M4_SMALL, *_UNIT)
+_BARE = ("-ffreestanding", "-ffunction-sections", "-fdata-sections", "-fno-asynchronous-unwind-tables")
+_PROGRAM = """#include "piezo.h"
+static piezo memory;
+volatile dehyst_real wanted, sent;
+int main(void)
+{
+    if (piezo_begin(&memory) != DEHYST_OK) return 1;
+    for (;;) sent = piezo_step(&memory, wanted);
+}
+"""
+_ROOM = '#include "piezo.h"\nextern char room[sizeof(piezo)];\nchar room[sizeof(piezo)] = {0};\n'
+_FRAME = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?(\d+) bytes')
+_CALL = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
+
+
+class Footprint(NamedTuple):
+    """Bytes of flash (code and numbers), of RAM for one piezo, of stack below a call; None if it is not told."""
+
+    flash: int
+    ram: int
+    stack: int | None
+
+
+def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O2",)) -> Footprint:
+    """Compile an exported folder and measure it.
+
+    Parameters
+    ----------
+    directory : path
+        As `dehyst.export` wrote it.
+    compiler : str, optional
+        That of the processor, such as ``arm-none-eabi-gcc``; its `size` is looked for beside it.
+    flags : sequence of str, optional
+        Optimisation and processor; with ``-flto`` what this model does not need is left out.
+
+    Returns
+    -------
+    Footprint
+        Flash is that of a program that begins and steps, with the compiler's own arithmetic but nothing else. Stack is
+        that of the deepest chain of calls, told by gcc alone, without the compiler's own arithmetic.
+
+    Raises
+    ------
+    FileFormatError
+        If there is no such compiler, or it cannot compile the folder.
+    """
+    with tempfile.TemporaryDirectory() as work:
+        folder = Path(work)
+        for source in (*Path(directory).glob("*.c"), *Path(directory).glob("*.h")):
+            if source.name != "check.c":
+                shutil.copy(source, folder)
+        name = name_in(folder) or DEFAULT
+        (folder / "program.c").write_text(text_of(_PROGRAM, name))
+        sources = sorted(path.name for path in folder.glob("*.c"))
+        options = [*STRICT, *_BARE, *flags]
+        graphs = _compile(folder, compiler, options, sources)
+        link = ["-static", "-nostdlib", "-Wl,--gc-sections", "-Wl,-e,main", "-Wl,--build-id=none"]
+        objects = [f"{name[:-2]}.o" for name in sources]
+        # Whole programs are compiled when they are linked.
+        late = ["-fcallgraph-info=su", *_BARE] if graphs else []
+        run([compiler, *flags, *late, *link, *objects, "-lgcc", "-o", "program"], folder)
+        (folder / "room.c").write_text(text_of(_ROOM, name))
+        run([compiler, *options, "-fno-lto", "-c", "room.c"], folder)
+        text, data, _ = _size(folder, compiler, "program")
+        return Footprint(
+            text + data, sum(_size(folder, compiler, "room.o")), _deepest(folder, name) if graphs else None
+        )
+
+
+def run(command: Sequence[str], folder: Path) -> str:
+    """What a command prints that is run in a folder.
+
+    Raises
+    ------
+    FileFormatError
+        If it cannot be run, or fails; with what it says.
+    """
+    try:
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
+            env={**os.environ, "LC_ALL": "C"},
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise FileFormatError(f"{command[0]}: cannot be run ({error}); name a compiler that is installed") from error
+    if done.returncode:
+        said = (done.stderr.strip() or done.stdout.strip() or f"status {done.returncode}").splitlines()
+        # The places that a compiler names first do not say what is wrong.
+        said = [line for line in said if "error" in line.lower()] or said
+        raise FileFormatError(f"{' '.join(command[:2])} ...: {said[0]}; need a C99 compiler for the processor")
+    return done.stdout
+
+
+def _compile(folder: Path, compiler: str, options: list[str], sources: Sequence[str]) -> bool:
+    """Whether the compiler could tell the graph of calls, too."""
+    try:
+        run([compiler, *options, "-fcallgraph-info=su", "-c", *sources], folder)
+    except FileFormatError:
+        run([compiler, *options, "-c", *sources], folder)
+        return False
+    return True
+
+
+def _size(folder: Path, compiler: str, file: str) -> tuple[int, int, int]:
+    """Bytes of text, data and bss."""
+    beside = re.sub(r"(gcc|clang|cc)(-[\d.]+)?$", "size", compiler)
+    row = run([beside if shutil.which(beside) else "size", file], folder).splitlines()[1].split()
+    return int(row[0]), int(row[1]), int(row[2])
+
+
+def _deepest(folder: Path, name: str) -> int:
+    """Bytes of the deepest chain of calls that begins at a call of `NAME.h`; nothing here calls itself."""
+    frames: dict[str, int] = {}
+    calls: dict[str, set[str]] = {}
+    for graph in folder.glob("*.ci"):
+        text = graph.read_text()
+        frames.update((title, int(size)) for title, size in _FRAME.findall(text))
+        for caller, called in _CALL.findall(text):
+            calls.setdefault(caller, set()).add(called)
+
+    def below(caller: str) -> int:
+        return frames.get(caller, 0) + _most(below(called) for called in calls.get(caller, ()))
+
+    # Compiled as a whole, a step may have become a part of the program; titles then begin with a file.
+    own = {title: title.rpartition(":")[2] for title in frames}
+    inlined = f"{name}_step" not in own.values()
+    begins = f"{name}_"
+    return _most(below(title) for title, call in own.items() if call.startswith(begins) or (inlined and call == "main"))
+
+
+def _most(values: Iterable[int]) -> int:
+    return max(values, default=0)

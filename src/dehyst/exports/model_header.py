@@ -1,0 +1,265 @@
+"""The numbers of a compensator as C: `model.h` and `model_size.h`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from dehyst._errors import ModelError
+from dehyst._native import NOTHING
+from dehyst._types import Array
+from dehyst._version import __version__
+from dehyst.control.compensator import Compensator
+from dehyst.exports.naming import in_comment
+from dehyst.exports.start import Outset
+
+Number: TypeAlias = Literal["double", "float"]
+Tables: TypeAlias = Mapping[str, Array]
+
+_A_LINE = 4
+_LARGEST = float(np.finfo(np.float64).max)
+# Of each: what must strictly increase, and of what it is, so that a refusal can say it.
+_INCREASING = {
+    "rho": "breakaway elongations",
+    "knot": "displacements of the spring's knots",
+    "value": "voltages of the spring's knots",
+    "grade_knot": "knots of the graded elements",
+    "tau_voltage": "voltages of the transformer",
+    "tau_drive": "drives of the transformer",
+}
+_POSITIVE = {
+    "rho": "breakaway elongation",
+    "slope": "slope of the spring",
+    "tau_slope": "slope of the transformer",
+    "tau_inverse": "slope of the transformer's inverse",
+    "length": "length of a smooth element",
+}
+
+
+def demand_compensator(value: object) -> None:
+    """Refuse what is no Compensator.
+
+    Raises
+    ------
+    ModelError
+    """
+    if not isinstance(value, Compensator):
+        raise ModelError(
+            f"compensator: got {type(value).__name__}, need a Compensator; pass Compensator(actuator, limits), made "
+            "from the actuator"
+        )
+
+
+class Sizes(NamedTuple):
+    """How many of each part a loop has: elements, spring's knots, grades, transformer's knots, creep, smooth, taps."""
+
+    elements: int
+    knots: int
+    grades: int
+    bends: int
+    branches: int
+    smooth: int
+    taps: int
+
+    @classmethod
+    def of(cls, tables: Tables) -> Sizes:
+        """Of a compensator's tables."""
+        grades = max(tables["grade_knot"].size - 1, 0)
+        names = ("tau_voltage", "creep", "length", "tap")
+        return cls(tables["rho"].size, tables["knot"].size, grades, *(tables[name].size for name in names))
+
+
+def size_header(compensator: Compensator, number: Number) -> str:
+    """Text of `model_size.h`: macros that others than `piezo.c` need too."""
+    tables = _tables(compensator, number)
+    sizes, (low, high) = Sizes.of(tables), tables["loop"][:2].tolist()
+    spell = _Spelling(number).plain
+    lines = [
+        "#ifndef MODEL_SIZE_H",
+        "#define MODEL_SIZE_H",
+        "",
+        f"#define MODEL_ELEMENTS {sizes.elements}",
+        f"#define MODEL_BRANCHES {sizes.branches}",
+        f"#define MODEL_SMOOTH {sizes.smooth}",
+        f"#define MODEL_TAPS {sizes.taps}",
+        "#define MODEL_ROOM(n) ((n) > 0 ? (n) : 1)",
+        "",
+        "/* Seconds between steps; 0: this model does not depend on time. */",
+        f"#define MODEL_PERIOD {spell(compensator.period or 0.0)}",
+        "/* A displacement is to be given so many samples before its time. */",
+        f"#define MODEL_AHEAD {compensator.samples_ahead}",
+        f"#define MODEL_LOW {spell(low)} /* V */",
+        f"#define MODEL_HIGH {spell(high)} /* V */",
+        "",
+        "#endif",
+    ]
+    return "\n".join([*_title(compensator), *lines, ""])
+
+
+def model_header(compensator: Compensator, number: Number) -> str:
+    """Text of `model.h`: every number that a step reads, and the state that it starts from.
+
+    Raises
+    ------
+    ModelError
+        If a float cannot tell numbers apart that must differ, or hold one of them.
+    """
+    tables = _tables(compensator, number)
+    if number == "float":
+        _demand_float(tables)
+    spell, start = _Spelling(number), compensator.start()
+    w, motion = start.w, start.motion if start.motion.size else np.array([start.w, 0.0])
+    branches = tables["creep"].size
+    begin = {
+        "place": np.array([w, *motion]),
+        "cart": start.carts,
+        "strain": start.strains[:branches],
+        "elongation": start.strains[branches:],
+    }
+    used = _used(tables)
+    arrays = [spell.array(name, values) for name, values in used.items() if values.size]
+    return "\n".join(
+        [
+            *_title(compensator),
+            "#ifndef MODEL_H",
+            "#define MODEL_H",
+            "",
+            '#include "dehyst.h"',
+            '#include "model_size.h"',
+            "",
+            *arrays,
+            *_begins(compensator),
+            *(spell.array(name, values if values.size else np.zeros(1)) for name, values in begin.items()),
+            _compensator(tables, used, spell),
+            "",
+            "#endif",
+            "",
+        ]
+    )
+
+
+class _Spelling:
+    """How numbers are written in C: hexadecimal, so that not a bit is lost, where only C reads them."""
+
+    def __init__(self, number: Number) -> None:
+        self.number = number
+
+    def one(self, value: float) -> str:
+        if value == _LARGEST:
+            return "DEHYST_LARGEST"
+        return float(value).hex() if self.number == "double" else f"{float(np.float32(value)).hex()}f"
+
+    def plain(self, value: float) -> str:
+        """As every C++ takes it: the shortest decimal that is rounded to the same number."""
+        return repr(float(value)) if self.number == "double" else f"{np.float32(value)!s}f"
+
+    def some(self, values: Array) -> str:
+        return ", ".join(self.one(value) for value in values.tolist())
+
+    def array(self, name: str, values: Array) -> str:
+        rows = [self.some(values[i : i + _A_LINE]) for i in range(0, values.size, _A_LINE)]
+        body = ",\n    ".join(rows)
+        return f"static const dehyst_real model_{name}[{values.size}] = {{\n    {body}}};"
+
+
+def _tables(compensator: Compensator, number: Number) -> Tables:
+    """Its numbers; of floats the limits and the largest change are rounded inward: no voltage may leave them."""
+    tables = compensator.tables()
+    if number == "double":
+        return tables
+    low, high, change, *rest = tables["loop"].tolist()
+    inward = [-_below(-low), _below(high), change if change == _LARGEST else _below(change)]
+    if inward[0] >= inward[1] or inward[2] <= 0:
+        raise ModelError(
+            f"float: no number lies within the limits {low!r} to {high!r} V or the slew rate; export double"
+        )
+    return {**tables, "loop": np.array([*inward, *rest])}
+
+
+def _below(value: float) -> float:
+    """The largest float that is not above a double."""
+    rounded = np.float32(value)
+    return float(rounded if float(rounded) <= value else np.nextafter(rounded, np.float32(-np.inf)))
+
+
+def _used(tables: Tables) -> dict[str, Array]:
+    """Arrays that a loop reads: graded elements have no stiffness apart, a curve has one slope less than knots."""
+    arrays = {name: values for name, values in tables.items() if name not in ("loop", "inertia", "transition")}
+    if tables["grade_knot"].size:
+        arrays["kappa"] = NOTHING
+    for name in ("tau_slope", "tau_inverse"):
+        arrays[name] = arrays[name][:-1]
+    return arrays
+
+
+def _compensator(tables: Tables, used: Tables, spell: _Spelling) -> str:
+    """The constant `model`, member by member as `dehyst_compensator` has them."""
+    sizes = Sizes.of(tables)
+
+    def at(*names: str) -> str:
+        return ", ".join(f"model_{name}" if used[name].size else "0" for name in names)
+
+    inertia, step = tables["inertia"], tables["transition"]
+    series = spell.some(inertia) if inertia.size else "0, 0"
+    moves = step if step.size else np.zeros(8)
+    low, high, change, *amplifier, stiffness = tables["loop"].tolist()
+    rows = [
+        "{{{",
+        f"    {{{sizes.elements}, {at('rho', 'kappa')}, 0, 0, 0, 0}},",
+        f"    {{{sizes.knots}, {at('knot', 'value', 'slope')}}}}},",
+        f"  {{{sizes.grades}, {at('grade_knot', 'grade_value', 'grade_slope')}}},",
+        f"  {{{sizes.bends}, {at('tau_voltage', 'tau_drive', 'tau_slope')}}},",
+        f"  {{{sizes.bends}, {at('tau_drive', 'tau_voltage', 'tau_inverse')}}},",
+        f"  {sizes.branches}, {at('creep')},",
+        f"  {int(inertia.size > 0)}, {series},",
+        f"  {{{sizes.smooth}, {at('length', 'back', 'smooth')}}}}},",
+        f" {{{at('decay', 'gain')},",
+        f"  {{{{{spell.some(moves[:4])}}},",
+        f"   {{{spell.some(moves[4:6])}}},",
+        f"   {{{spell.some(moves[6:])}}}}}}},",
+        f" {spell.one(low)}, {spell.one(high)}, {spell.one(change)},",
+        f" {sizes.taps}, {at('tap')},",
+        f" {spell.some(np.array(amplifier))},",
+        f" {spell.one(stiffness)}}};",
+    ]
+    return "static const dehyst_compensator model = " + "\n".join(rows)
+
+
+def _begins(compensator: Compensator) -> list[str]:
+    outset = Outset.of(compensator)
+    return [
+        f"/* Where it starts, at {outset.words}. To bring the actuator there:",
+        f" * {outset.way}.",
+        " * w, y and y'/omega; then the memory. */",
+    ]
+
+
+def _demand_float(tables: Tables) -> None:
+    """Refuse what single precision would make another model of."""
+    for name, values in tables.items():
+        with np.errstate(over="ignore", under="ignore"):
+            rounded = values.astype(np.float32)
+        if not np.isfinite(rounded[values != _LARGEST]).all():
+            raise ModelError(f"float: a number of {name} is too large, {np.abs(values).max():.3g}; export double")
+        if name in _INCREASING and (np.diff(rounded) <= 0).any():
+            i = int(np.argmax(np.diff(rounded) <= 0))
+            pair = f"{float(values[i])!r} and {float(values[i + 1])!r}"
+            raise ModelError(
+                f"float: the {_INCREASING[name]} {pair} are one number when rounded, need two; export double, or "
+                "identify with fewer"
+            )
+        if name in _POSITIVE and (rounded <= 0).any() and (values > 0).all():
+            raise ModelError(f"float: a {_POSITIVE[name]}, {values.min():.3g}, is 0 when rounded; export double")
+    kept, decay = tables["decay"], tables["decay"].astype(np.float32)
+    if ((decay == 1) & (kept < 1)).any():
+        raise ModelError(
+            "float: creep is so slow beside the period that it would never relax: what a step leaves of a strain, "
+            f"{float(kept.max())!r}, is 1 when rounded; export double, or give a longer period"
+        )
+
+
+def _title(compensator: Compensator) -> list[str]:
+    name = in_comment(compensator.actuator.name)
+    return [f"/* Numbers of the actuator '{name}', made by dehyst {__version__}: V, m, s. Do not edit. */"]

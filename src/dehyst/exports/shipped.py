@@ -1,0 +1,17 @@
+"""Files that come with the package."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from dehyst._errors import FileFormatError
+
+
+def shipped(name: str) -> str:
+    """A text file that comes with the package; in an editable install the core's lie apart."""
+    for root in sys.modules["dehyst"].__path__:
+        path = Path(root) / "exports" / "templates" / name
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise FileFormatError(f"exports/templates/{name}: not found beside the package; install dehyst again")

@@ -1,0 +1,109 @@
+"""Delay, damping and inertia from records: an outer search over three numbers around the convex program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.model.actuator import Actuator
+from dehyst.model.dynamics import Dynamics
+
+# Inertia must lower the RMS residual to this part, or it is left out.
+_WORTH = 0.8
+_EVALUATIONS = 90
+# Of a sample: a shorter delay or lag leaves no trace in a record.
+_FELT = 0.01
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """How the displacement y follows w, that which hysteresis makes: w(t - delay) = y + damping y' + mass y''.
+
+    Attributes
+    ----------
+    delay : float
+        [s].
+    damping : float
+        2 zeta / omega [s].
+    mass : float
+        1 / omega^2 [s2].
+    lag : float
+        Time constant of the amplifier [s].
+    """
+
+    delay: float
+    damping: float
+    mass: float
+    lag: float = 0.0
+
+    @classmethod
+    def of(cls, actuator: Actuator) -> Inertia:
+        """That of an actuator."""
+        dynamics = actuator.dynamics
+        if dynamics is None:
+            return cls(actuator.delay, 0.0, 0.0, actuator.lag)
+        omega = dynamics.frequency
+        return cls(actuator.delay, 2 * dynamics.damping / omega, 1 / omega**2, actuator.lag)
+
+    @property
+    def dynamics(self) -> Dynamics | None:
+        """As a part of an actuator; None without inertia."""
+        if not self.mass:
+            return None
+        omega = 1 / np.sqrt(self.mass)
+        return Dynamics(float(omega), float(0.5 * self.damping * omega))
+
+
+def felt(seconds: float, sample_time: float) -> float:
+    """A delay or lag [s] that a search found; 0 below a hundredth of a sample, for a search rarely ends at 0 itself."""
+    return seconds if seconds >= _FELT * sample_time else 0.0
+
+
+def find_inertia(
+    build: Callable[[Inertia], WideRegression], delay: float, sample_time: float, fastest: float
+) -> Inertia:
+    """Least RMS residual over delay, damping and mass; no mass unless that is worth it.
+
+    Parameters
+    ----------
+    build : callable
+        Inertia -> regression on few rows.
+    delay : float
+        As found without inertia [s]: the start of the search.
+    sample_time : float
+        [s].
+    fastest : float
+        Least time of a cycle of the excitation [s].
+    """
+    from scipy.optimize import minimize
+
+    none = Inertia(delay, 0.0, 0.0)
+    best, cost = none, build(none).rms()
+    # What is slower than a tenth of the fastest cycle would show as a resonance in it; what is faster than the
+    # sampling cannot be seen.
+    scale = max(sample_time, 0.02 * fastest)
+
+    def of(x: Array) -> Inertia:
+        delay_, damping, root = np.abs(x) * scale
+        return Inertia(float(delay_), float(damping), float(root**2))
+
+    simplex = np.array(
+        [
+            [delay / scale, 0.1, 0.5],
+            [delay / scale, 0.1, 1.5],
+            [0.5 * delay / scale, 0.3, 1.0],
+            [delay / scale + 0.3, 0.0, 0.8],
+        ]
+    )
+    options: Any = {"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0}
+    least: Any = minimize
+    found = least(lambda x: build(of(x)).rms(), simplex[0], method="Nelder-Mead", options=options)
+    if found.fun >= _WORTH * cost:
+        return best
+    best = of(found.x)
+    return replace(best, delay=felt(best.delay, sample_time))

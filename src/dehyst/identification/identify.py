@@ -1,0 +1,448 @@
+"""Records of voltage and displacement to an identified actuator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import IdentifyError
+from dehyst._threads import one_thread
+from dehyst._types import Array, Progress
+from dehyst._version import __version__
+from dehyst.identification import output_error, paper_methods
+from dehyst.identification.diagnostics import messages
+from dehyst.identification.diagnostics.assumptions import checks
+from dehyst.identification.diagnostics.identifiability import directions, probed
+from dehyst.identification.diagnostics.residuals import leftovers
+from dehyst.identification.dynamics_search import Inertia
+from dehyst.identification.preprocessing import cleaning
+from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
+from dehyst.identification.preprocessing.regressors import RowSource
+from dehyst.identification.regression import nuisances
+from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.regression.streaming import Stream
+from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.identification.settings import Direction, Method, Settings
+from dehyst.identification.solvers.program import Norm
+from dehyst.identification.structure_selection import Trial
+from dehyst.identification.structured_fit import Wider
+from dehyst.identification.training_data import Frame
+from dehyst.identification.validation import MOST_ROWS, Protocol, errors_of
+from dehyst.model.actuator import Actuator
+from dehyst.model.elements import MaxwellSlip, Spring
+from dehyst.model.fit import Fit, Outcome, RecordErrors, Trace
+from dehyst.model.structure import Structure
+from dehyst.records.record import Record
+
+# A model that misses its own training records by more of the range than this is of no use.
+_USELESS_PERCENT = 5.0
+# Of the spring, by default.
+_MOST_KNOTS = 41
+# A delay is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
+_SEARCH_CYCLE = 20_000
+_SEARCH_SAMPLES = 1_000_000
+
+
+def identify(
+    records: Record | Sequence[Record],
+    *,
+    validate: Record | Sequence[Record] = (),
+    method: Method = "record",
+    elements: int | None = None,
+    breakaway: ArrayLike | None = None,
+    norm: Norm = "l1",
+    knots: int | None = None,
+    slope_floor: float = 0.2,
+    delay: float | None = None,
+    shared_datum: bool = False,
+    drift: bool = True,
+    branch: Direction = "descending",
+    structure: Structure | Literal["auto", "paper"] = "auto",
+    refine: bool = False,
+    throw: bool = True,
+    progress: Progress | None = None,
+) -> Fit:
+    """Identify an actuator from records of major and minor loops; none needs to start relaxed.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        Training records, together with one loop at least; minor loops decide how well other motions are predicted.
+    validate : Record or sequence of Record, optional
+        Records that are only simulated. Each gets its own constant (and datum and drift), as training records do.
+    method : {"record", "breakpoints", "antisymmetric"}
+        Every sample of every record (default); the paper's linear program on break points (Sec. 4.1); Remark 2's
+        closed form, without a nonlinear spring.
+    elements : int, optional
+        Number N of slip elements on the paper's uniform grid over the widest loop, rho_i = i range / (2 N);
+        default 20 (10 for the paper's methods).
+    breakaway : (N,) array_like, optional
+        Breakaway elongations [m] in place of the grid; "record" only.
+    norm : {"l1", "l2", "linf"}, optional
+        Of the weighted residuals; "record" only.
+    knots : int, optional
+        Knots of the spring; default N + 1, 41 at most. "record" only.
+    slope_floor : float, optional
+        Least slope of the spring as a fraction of the mean slope of the widest loop (Assumption I with a margin).
+    delay : float, optional
+        Seconds by which the displacement lags the voltage; default: estimated from the training records.
+    shared_datum : bool, optional
+        Say that no record zeroed its sensor anew; default: each record's datum is looked for.
+    drift : bool, optional
+        Whether a record may creep by a logarithm of the time since its start, which is then set aside.
+    branch : {"descending", "ascending"}, optional
+        "antisymmetric" only.
+    structure : {"auto", "paper"} or Structure, optional
+        How much model: what cycles held out in turn ask for (default: more elements, a transformer, graded elements,
+        creep, smooth elements, inertia), the paper's class, or a class that is given. What only the paper's class knows
+        (elements, breakaway, knots, another method) asks for that class.
+    refine : bool, optional
+        Try Gauss-Newton steps that make the error of simulation small, thresholds free, and keep them if they are
+        better on cycles held out; not for the paper's class ("paper").
+    throw : bool, optional
+        Raise if the solver finds no optimum (default), or return a Fit with `Outcome.FAILED`.
+    progress : callable, optional
+        Called with a few words at each step.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    RecordError
+        If a record cannot be used: no loop, columns swapped, a clipped sensor, too few samples or cycles.
+    IdentifyError
+        If an option is impossible, or no sample says anything about the elements.
+    """
+    settings = Settings(method, elements, breakaway, norm, knots, slope_floor, delay, shared_datum, drift, branch)  # type: ignore[arg-type]
+    tell = progress or (lambda _: None)
+    training, held_out = as_list(records), as_list(validate)
+    if not training:
+        raise IdentifyError("got no records, need one loop of voltage and displacement at least")
+    counted = elements is not None or knots is not None or settings.breakaway is not None
+    if structure == "auto" and (counted or method != "record"):
+        structure = "paper"
+    _refuse_structure(structure, settings, counted)
+    _refuse_copies([*training, *held_out])
+    if refine and structure == "paper":
+        raise IdentifyError("refine: the paper's class is fitted as it is; leave refine out, or try structure='auto'")
+    tell("checking the records")
+    with one_thread():
+        job = _Job(settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell)
+        if structure != "paper":
+            fit = job.by_structure(structure, refine)
+        else:
+            fit = job.by_records() if method == "record" else job.by_breakpoints()
+    if fit.outcome is Outcome.FAILED and throw:
+        raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
+    return fit
+
+
+def _refuse_copies(records: list[Record]) -> None:
+    """Refuse a record given twice: cycles held out would not be unseen, nor would be a record that is."""
+    seen: dict[bytes, str] = {}
+    for one in records:
+        key = one.displacement.tobytes() + one.voltage.tobytes()
+        if key in seen:
+            raise IdentifyError(
+                f"{one.name}: has the same samples as {seen[key]}; give each record once, and another one to validate"
+            )
+        seen[key] = one.name
+
+
+def _refuse_structure(structure: object, settings: Settings, counted: bool) -> None:
+    """Refuse what is no structure, and options that have no meaning beside one."""
+    if structure == "paper":
+        return
+    if structure != "auto" and not isinstance(structure, Structure):
+        raise IdentifyError(f"structure: got {structure!r}, need 'auto', 'paper' or a dehyst.model.structure.Structure")
+    if settings.method != "record":
+        raise IdentifyError(f"structure: method {settings.method!r} knows the paper's class only; leave one out")
+    if counted:
+        raise IdentifyError("structure: it has elements and knots of its own; leave elements, breakaway and knots out")
+
+
+@dataclass(eq=False)
+class _Job:
+    """One identification: its records, and what was said of them so far."""
+
+    settings: Settings
+    training: list[Prepared]
+    held_out: list[Prepared]
+    tell: Progress
+    said: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    structure: Structure | None = None
+    trials: tuple[Trial, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.said += [sentence for item in (*self.training, *self.held_out) for sentence in item.sentences]
+        spans = [item.span() for item in self.training]
+        self.widest = int(np.argmax([high - low for low, high in spans]))
+        self.span = spans[self.widest]
+        self.stroke = self.span[1] - self.span[0]
+
+    def by_records(self) -> Fit:
+        """Every sample of every record."""
+        self.tell("estimating delay, datums and drifts")
+        rho = self._thresholds()
+        if self.settings.breakaway is None:
+            self.remarks += messages.of_noise(float(rho[0]), max(item.noise for item in self.training))
+        stream = self._stream(rho, self.delay)
+        regression = self._with_drifts(self._with_datums(stream.regression))
+        self.tell(f"solving the {self.settings.norm} program for {len(stream.source)} samples")
+        found = replace(stream, regression=regression).fit_weighted(self.settings.norm)
+        if not found.solution.optimal:
+            return self._failed(found.solution.status)
+        actuator = self._actuator(rho, regression, found)
+        self.tell("simulating every record")
+        told = directions(self._on_axis(regression.datum), rho, regression)
+        outcome, remarks = messages.of_plain(told, regression, found)
+        self.remarks += remarks
+        return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
+
+    def by_structure(self, structure: Structure | Literal["auto"], refine: bool) -> Fit:
+        """A wider class, given or chosen."""
+        self.tell("estimating delay and datums")
+        plain = self._with_datums(self._regression(self._thresholds(), self.delay))
+        voltages = self._limits()
+        inertia = Inertia(self.delay, 0.0, 0.0)
+        frame = Frame(
+            self.training, inertia, self.span, voltages, plain.floor, plain.datum, self.widest, tuple(self._can_drift())
+        )
+        if isinstance(structure, str):
+            # Without loops within loops nothing that tells structures apart can be held out.
+            missing = messages.of_turns(probed(self._on_axis(plain.datum), plain.rows, self.span))
+            if missing:
+                self.remarks += missing
+                return self.by_records()
+            self.tell("looking for inertia")
+            frame = self._with_delay(frame).with_inertia()
+            structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
+            self.remarks += remarks
+            if structure.plain and not frame.inertia.mass and not refine:
+                self.delay = frame.inertia.delay
+                return self._plainly(frame, structure)
+        else:
+            frame = self._with_delay(frame, structure)
+        self.structure = structure
+        self.tell(f"solving the program for {structure.words}")
+        made = Wider.solve(frame, structure, self.settings.norm)
+        solution = made.found.solution
+        if not solution.optimal:
+            return self._failed(solution.status)
+        if frame.inertia.mass:
+            made = made.tuned(self.tell)
+        refined = self._refined(made) if refine else made.actuator
+        self.delay = refined.delay
+        actuator = replace(
+            refined, limits=voltages, name=self.training[self.widest].record.name, provenance=self._provenance()
+        )
+        self.tell("simulating every record")
+        outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
+        return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
+
+    def _with_delay(self, frame: Frame, structure: Structure | None = None) -> Frame:
+        """Only a delay that was not given can be mistaken."""
+        return frame.with_checked_delay(structure) if self.settings.delay is None else frame
+
+    def _on_axis(self, datum: Array) -> list[Record]:
+        """All pieces, displacements on the model's axis."""
+        return [
+            replace(piece, displacement=piece.displacement + datum[q])
+            for q, item in enumerate(self.training)
+            for piece in item.pieces
+        ]
+
+    def _refined(self, made: Wider) -> Actuator:
+        found = output_error.refine(made, self.tell)
+        what = "kept" if found.kept else "not better, and left out"
+        self.remarks.append(
+            f"Refined by simulation: RMS error of cycles held out {found.after * 1e9:.4g} nm, without "
+            f"{found.before * 1e9:.4g} nm; {what}."
+        )
+        return found.actuator
+
+    def _plainly(self, frame: Frame, structure: Structure) -> Fit:
+        """The paper's class on a grid of thresholds that was chosen: what it determines can be judged."""
+        rho = None if structure.spacing == 1 else structure.grid(self.span, frame.voltages, frame.times).breakaway
+        elements = structure.elements if rho is None else None
+        self.settings = replace(self.settings, elements=elements, breakaway=rho, knots=structure.knots)
+        return self.by_records()
+
+    def by_breakpoints(self) -> Fit:
+        """The paper's own method, or Remark 2's closed form."""
+        settings = self.settings
+        self.tell("reading break points")
+        records = [item.record.delayed(self.delay) if self.delay else item.record for item in self.training]
+        loops = paper_methods.loops_of(records, settings.count)
+        if settings.method == "antisymmetric":
+            found = paper_methods.closed_form(loops, settings.count, settings.branch)
+        else:
+            found = paper_methods.linear_program(loops, settings.count, settings.slope_floor)
+        if found.actuator is None:
+            return self._failed(found.status)
+        self.remarks.extend(found.remarks)
+        actuator = replace(found.actuator, delay=self.delay, limits=self._limits(), provenance=self._provenance())
+        regression = self._with_drifts(self._regression(actuator.slip.breakaway, self.delay))
+        return self._finish(actuator, regression, found.outcome, found.status, found.gap)
+
+    def _thresholds(self) -> Array:
+        if self.settings.breakaway is not None:
+            return self.settings.breakaway
+        first = self.stroke / (2 * self.settings.count)
+        return np.asarray(first * np.arange(1, self.settings.count + 1), dtype=np.float64)
+
+    @cached_property
+    def delay(self) -> float:
+        """Seconds by which the displacement lags the voltage."""
+        if self.settings.delay is not None:
+            cycle = min(cleaning.cycle_time(item.record) for item in (*self.training, *self.held_out))
+            if abs(self.settings.delay) > 0.25 * cycle:
+                raise IdentifyError(
+                    f"delay: got {self.settings.delay:g} s, need less than a quarter of a cycle of {cycle:.4g} s"
+                )
+            return self.settings.delay
+        longest = 0.05 * min(cleaning.cycle_time(item.record) for item in self.training)
+        sample = min(item.record.sample_time for item in self.training)
+        # Too few elements or knots would round the turning points as a delay does, and creep would open the loop.
+        grid = self.stroke / 60 * np.arange(1.0, 31.0)
+        drifting = tuple(self._can_drift())
+
+        few = [item.coarser(_SEARCH_CYCLE, _SEARCH_SAMPLES) for item in self.training]
+
+        def build(delay: float) -> Regression:
+            stream = self._stream(grid, delay, few, knots=31, slope_floor=0.01)
+            return replace(stream.regression, drifting=drifting)
+
+        return nuisances.find_delay(build, longest, sample)
+
+    def _can_drift(self) -> list[int]:
+        return [q for q, item in enumerate(self.training) if item.can_drift and self.settings.drift]
+
+    def _regression(self, rho: Array, delay: float) -> Regression:
+        return self._stream(rho, delay).regression
+
+    def _stream(
+        self,
+        rho: Array,
+        delay: float,
+        records: list[Prepared] | None = None,
+        *,
+        knots: int | None = None,
+        slope_floor: float | None = None,
+    ) -> Stream:
+        records = records or self.training
+        pieces = [piece for q, item in enumerate(records) for piece in item.delayed(q, delay)]
+        source = RowSource.of(pieces, rho, [records[q].noise for q, _, _ in pieces])
+        if len(source) < 2 * rho.size:
+            raise IdentifyError(
+                f"{len(source)} samples count for {rho.size} elements: only those after the range of a record has been "
+                "seen once say something. Record two cycles at least, or use fewer elements"
+            )
+        low, high = self.span
+        mean_slope = float(np.ptp(self.training[self.widest].record.voltage)) / self.stroke
+        floor = mean_slope * (slope_floor or self.settings.slope_floor)
+        movable = 2 * rho < self.stroke * (1 - 1e-9)
+        places = np.linspace(low, high, knots or self.settings.knots or min(rho.size + 1, _MOST_KNOTS))
+        rows = source.thinned(MOST_ROWS)
+        return Stream(source, Regression(rows, places, floor, movable, np.zeros(len(self.training))))
+
+    def _with_datums(self, regression: Regression) -> Regression:
+        others = [q for q in range(len(self.training)) if q != self.widest and not self.settings.shared_datum]
+        return nuisances.with_datums(regression, others, self.stroke)
+
+    def _with_drifts(self, regression: Regression) -> Regression:
+        return replace(regression, drifting=nuisances.find_drifts(regression, self._can_drift()))
+
+    def _actuator(self, rho: Array, regression: Regression, found: Coefficients) -> Actuator:
+        reference = regression.rows.epoch[regression.rows.record == self.widest].max()
+        return Actuator(
+            MaxwellSlip(rho, found.stiffness),
+            Spring.of_slopes(regression.knots, found.slopes, found.offsets[int(reference)]),
+            limits=self._limits(),
+            delay=self.delay,
+            name=self.training[self.widest].record.name,
+            provenance=self._provenance(),
+        )
+
+    def _limits(self) -> tuple[float, float]:
+        """Voltages that were used: what glitches show, or what a gap cuts off, was not."""
+        ranges = np.array([piece.voltage_range for item in self.training for piece in item.pieces])
+        return float(ranges[:, 0].min()), float(ranges[:, 1].max())
+
+    def _provenance(self) -> dict[str, Any]:
+        return {
+            "program": f"dehyst {__version__}",
+            **self.settings.as_dict(),
+            **({} if self.structure is None else {"structure": self.structure.as_dict()}),
+            "records": [item.source() for item in self.training],
+            "validation": [item.source() for item in self.held_out],
+        }
+
+    def _failed(self, status: str) -> Fit:
+        return Fit(
+            None,
+            Outcome.FAILED,
+            (),
+            tuple(self.said),
+            tuple(self.remarks),
+            (),
+            status,
+            float("nan"),
+            self._provenance(),
+        )
+
+    def _finish(
+        self, actuator: Actuator, regression: Regression | WideRegression, outcome: Outcome, status: str, gap: float
+    ) -> Fit:
+        traces: list[Trace] = []
+        errors: list[RecordErrors] = []
+        records = (*self.training, *self.held_out)
+        drifts = self.settings.drift and actuator.creep is None
+        for q, item in enumerate(records):
+            trained = q < len(self.training)
+            # The paper's methods put every record on one axis; a held-out record's datum is looked for.
+            datum = float(regression.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
+            drifting = q in regression.drifting if trained else drifts and item.can_drift
+            protocol = Protocol("training" if trained else "validation", self.delay, datum, drifting, self.stroke)
+            error, trace = errors_of(actuator, item, protocol)
+            errors.append(error)
+            traces.append(trace)
+        missed = max(error.largest for error in errors[: len(self.training)])
+        actuator = replace(actuator, provenance={**actuator.provenance, "largest_error_m": missed})
+        imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
+        floor = regression.floor if self.settings.method == "record" or imposed else None
+        if actuator.wide:
+            checked = leftovers(actuator, traces, errors)
+        else:
+            checked = checks(actuator, records, errors, floor=floor, imposed=imposed)
+        if max(error.largest_percent for error in errors) > _USELESS_PERCENT:
+            outcome = Outcome.VALIDATION_MISSED
+        if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:
+            outcome = Outcome.INACCURATE
+        actuator = replace(actuator, provenance={**actuator.provenance, "outcome": outcome.name})
+        self.remarks += messages.of_rare_voltages(self.training, self._limits())
+        self.remarks += messages.of_held_out(self.held_out, self._limits(), errors)
+        sample = self.training[self.widest].record.sample_time
+        repaired = messages.repaired(errors, self.delay, sample, given=self.settings.delay is not None)
+        options = {**self._provenance(), "delay_s": self.delay, "stroke_m": self.stroke}
+        return Fit(
+            actuator,
+            outcome,
+            tuple(errors),
+            (*self.said, *repaired),
+            tuple(self.remarks),
+            tuple(traces),
+            status,
+            gap,
+            options,
+            checked,
+            self.trials,
+        )

@@ -1,0 +1,174 @@
+"""A record made ready for identification: checked, its start-up transient left out, cut at gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dehyst._errors import IdentifyError
+from dehyst._types import Array
+from dehyst.identification.preprocessing import cleaning
+from dehyst.identification.preprocessing.regressors import epochs
+from dehyst.model.creep import Creep
+from dehyst.records.record import Record
+
+_SHORTEST = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """One record, ready; voltages not yet delayed.
+
+    Attributes
+    ----------
+    record : Record
+        Without voltage glitches and its start-up transient.
+    lead : Record or None
+        The transient: creep remembers it.
+    pieces : tuple of Record
+        The same between gaps.
+    name : str
+    samples : int
+        Of the record as it was given.
+    start : float
+        Time of the first sample [s], from which creep counts.
+    noise : float
+        Of the sensor [m].
+    can_drift : bool
+        Whether it has cycles enough to tell a drift from hysteresis.
+    sentences : tuple of str
+        What was repaired.
+    """
+
+    record: Record
+    lead: Record | None
+    pieces: tuple[Record, ...]
+    name: str
+    samples: int
+    start: float
+    noise: float
+    can_drift: bool
+    sentences: tuple[str, ...]
+
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest displacement [m] of the loops: of samples that count and of the turn before them."""
+        counted = [
+            np.append(piece.displacement[epoch.start : epoch.stop], piece.displacement[epoch.turn])
+            for piece in self.pieces
+            for epoch in epochs(piece, self.noise)
+        ]
+        if not counted:
+            raise IdentifyError(
+                f"{self.record.name}: no sample counts, for the voltage never comes back into the range it has been "
+                "in. Record one full cycle at least, better two"
+            )
+        return min(float(y.min()) for y in counted), max(float(y.max()) for y in counted)
+
+    def acting(self, delay: float, lag: float = 0.0) -> Iterator[Record]:
+        """The pieces, their voltages as they act: `delay` [s] late, through an amplifier of time constant `lag` [s]."""
+        for piece in self.pieces:
+            late = piece.delayed(delay) if delay else piece
+            yield _amplified(late, lag) if lag else late
+
+    def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[tuple[int, Record, Array]]:
+        """(record number, piece as it acts, drift curve) of each piece, for `rows.collect`."""
+        whole = cleaning.drift_curve(self.record, self.start)
+        return [(number, piece, np.interp(piece.time, self.record.time, whole)) for piece in self.acting(delay, lag)]
+
+    def coarser(self, cycle: int, most: int) -> Prepared:
+        """The same in fewer samples, for searches.
+
+        Every k-th of them, no cycle in fewer than `cycle`, and none beyond `most`, or beyond the first three cycles if
+        these are longer.
+        """
+        cycles = self.record.cycles()
+        step = max(1, min((one.stop - one.start for one in cycles), default=0) // cycle)
+        stop = max(most * step, cycles[min(3, len(cycles)) - 1].stop if cycles else len(self.record))
+        if step == 1 and stop >= len(self.record):
+            return self
+        ends = np.cumsum([len(piece) for piece in self.pieces])
+        left = [stop - int(end) + len(piece) for piece, end in zip(self.pieces, ends, strict=True)]
+        pieces = tuple(
+            _every(piece, step, n)
+            for piece, n in zip(self.pieces, left, strict=True)
+            if min(n, len(piece)) >= _SHORTEST * step
+        )
+        return replace(self, record=_every(self.record, step, stop), pieces=pieces)
+
+    def source(self) -> dict[str, Any]:
+        """Where the record came from: name, file and hash."""
+        meta = self.record.meta
+        return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256") if key in meta}}
+
+
+def _amplified(piece: Record, lag: float) -> Record:
+    behind = Creep([lag], [0.0]).strains(piece.time, piece.voltage)[:, 0]
+    return replace(piece, voltage=piece.voltage - behind)
+
+
+def _every(record: Record, step: int, stop: int) -> Record:
+    """Every step-th sample of a record's first `stop`."""
+    return replace(
+        record,
+        time=record.time[:stop:step],
+        voltage=record.voltage[:stop:step],
+        displacement=record.displacement[:stop:step],
+    )
+
+
+def prepare(record: Record) -> Prepared:
+    """Check a record and leave out what cannot be used.
+
+    Raises
+    ------
+    RecordError
+        If it cannot be used at all.
+    """
+    given = record
+    record, holes, left_out = cleaning.without_glitches(given)
+    record.check_usable()
+    sentences = [*left_out]
+    sentences += [
+        sentence if record.name in sentence else f"{record.name}: {sentence}"
+        for sentence in record.problems()
+        if "gap" not in sentence
+    ]
+    dropped = cleaning.transient(record)
+    kept = record.slice(dropped, len(record)) if dropped else record
+    if dropped:
+        until = float(record.time[dropped] - record.time[0])
+        sentences.append(
+            f"{record.name}: the first {until:.4g} s ({dropped} samples) lie outside the loops that follow, a start-up "
+            "transient or a rise from an unknown state; left out."
+        )
+    pieces, gaps = cleaning.split_at_gaps(kept, holes)
+    lead = record.slice(0, dropped) if dropped > 1 else None
+    return Prepared(
+        kept,
+        lead,
+        tuple(pieces),
+        record.name,
+        len(given),
+        float(given.time[0]),
+        record.noise,
+        len(record.cycles()) >= 3,
+        (*sentences, *gaps),
+    )
+
+
+def as_list(records: Record | Sequence[Record]) -> list[Record]:
+    """One record or several, as a list.
+
+    Raises
+    ------
+    IdentifyError
+        If something else was given.
+    """
+    given = [records] if not isinstance(records, Sequence) or isinstance(records, str) else list(records)
+    for item in given:
+        if not isinstance(item, Record):
+            raise IdentifyError(f"got {type(item).__name__}, need records; read a file with dehyst.read(path)")
+    return given

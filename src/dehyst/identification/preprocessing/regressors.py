@@ -1,0 +1,299 @@
+"""Which samples of a record count, and what each says about the slip elements (theory: the running range).
+
+While a record's range does not grow, an element whose 2 rho fits into the range seen so far is in a known state, and
+every other cart stands still: it adds kappa y and a constant. Such a stretch is an epoch; each has one constant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._native import stops
+from dehyst._types import Array
+from dehyst.records.record import Record
+from dehyst.records.signals import white_noise
+
+_SHORTEST_EPOCH = 16
+# Samples whose elongations are in memory at a time.
+_BLOCK = 8_192
+# Samples whose voltages are compared at a time.
+_AT_A_TIME = 1 << 19
+
+
+class Moving(Protocol):
+    """What other parts than carts do along a piece, made when it is asked for."""
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        ...
+
+    def blocks(self, size: int) -> Iterator[Array]:
+        """Rows of all samples in order, (size, width) at a time but for the last."""
+        ...
+
+
+Moved = Callable[[int, Record], "Array | Moving"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Rows in memory."""
+
+    rows: Array
+
+    @property
+    def width(self) -> int:
+        return int(self.rows.shape[1])
+
+    def blocks(self, size: int) -> Iterator[Array]:
+        for begin in range(0, len(self.rows), size):
+            yield self.rows[begin : begin + size]
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """Samples start..stop-1 of a piece, over which the range of the excitation did not grow.
+
+    Attributes
+    ----------
+    turn : int
+        The sample before `start` at which the range grew last.
+    reach : float
+        Range of displacement [m] seen up to here: elements with 2 rho <= reach are known.
+    middle : float
+        The place [m] to which the constant of the carts that stand still refers.
+    """
+
+    turn: int
+    start: int
+    stop: int
+    reach: float
+    middle: float
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Samples that count, of all records, stacked.
+
+    Attributes
+    ----------
+    elongation : (n, N) array
+        s_i [m], or for a cart that stands still y less the middle of its epoch.
+    stuck : (n, N) bool array
+        Whether cart i stands still at this sample.
+    displacement, voltage, drift : (n,) array
+        y [m], v [V] and the record's creep curve (log of time since its start, mean zero).
+    record, epoch : (n,) int array
+    moved : (n, E) array
+        What other parts do along the path, creep strains and the like [m]; E is 0 if none were asked for.
+    """
+
+    elongation: Array
+    stuck: NDArray[np.bool_]
+    displacement: Array
+    voltage: Array
+    drift: Array
+    record: NDArray[np.intp]
+    epoch: NDArray[np.intp]
+    moved: Array
+
+    def __len__(self) -> int:
+        return len(self.voltage)
+
+    def thinned(self, most: int) -> Rows:
+        """About `most` of the rows, evenly."""
+        return self._taken(slice(None, None, max(1, len(self) // most)))
+
+    def chosen(self, which: NDArray[np.bool_]) -> Rows:
+        """Some of the rows."""
+        return self._taken(which)
+
+    def _taken(self, which: Any) -> Rows:
+        return Rows(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
+    """Stretches of constant range, told by the voltage, whose extremes are clean where the displacement drifts.
+
+    A growth below 0.2 % of the voltage's range, or below its noise, is not seen.
+
+    Parameters
+    ----------
+    record : Record
+        In one piece, its delay removed.
+    noise : float, optional
+        Standard deviation of the sensor [m]: the reach is cut by what noise adds to a range.
+    """
+    v, y = record.voltage, record.displacement
+    tolerance = max(2e-3 * float(np.ptp(v)), 6 * white_noise(v))
+    growing = np.flatnonzero(_grows(v, tolerance) | _grows(-v, tolerance))
+    edges = np.append(growing, len(v))
+    found: list[Epoch] = []
+    for start, stop in zip(edges[:-1] + 1, edges[1:], strict=True):
+        if stop - start >= _SHORTEST_EPOCH:
+            seen, since = y[:start], found[-1].stop if found else 0
+            low, high = float(seen.min()), float(seen.max())
+            turn = since + max(int(np.argmax(v[since:start])), int(np.argmin(v[since:start])))
+            found.append(Epoch(turn, int(start), int(stop), high - low - 4 * noise, 0.5 * (low + high)))
+    return found
+
+
+def _grows(v: Array, tolerance: float) -> NDArray[np.bool_]:
+    """Samples of the runs near the running maximum that raise it by more than the tolerance."""
+    highest = np.maximum.accumulate(v)
+    near = np.zeros(len(v) + 2, dtype=bool)
+    for begin in range(0, len(v), _AT_A_TIME):
+        span = slice(begin, begin + _AT_A_TIME)
+        near[1:-1][span] = v[span] >= highest[span] - tolerance
+    starts, stops_ = np.flatnonzero(~near[:-1] & near[1:]), np.flatnonzero(near[:-1] & ~near[1:])
+    grown = np.zeros(len(v), dtype=bool)
+    for start, stop in zip(starts, stops_, strict=True):
+        if start == 0 or highest[stop - 1] > highest[start - 1] + tolerance:
+            grown[start:stop] = True
+    return grown
+
+
+def _nothing(_: int, record: Record) -> Array:
+    return np.zeros((len(record), 0))
+
+
+@dataclass(frozen=True, eq=False)
+class RowSource:
+    """The samples that count, seen in blocks: all of them need never exist at once.
+
+    Attributes
+    ----------
+    pieces : list of (record number, Record, drift curve (n,))
+    breakaway : (N,) array
+        rho [m].
+    epochs : list of list of Epoch
+        Of each piece.
+    moved : list of Moving
+        What other parts do along each piece, at all its samples.
+    """
+
+    pieces: list[tuple[int, Record, Array]]
+    breakaway: Array
+    epochs: list[list[Epoch]]
+    moved: list[Moving]
+
+    @classmethod
+    def of(
+        cls,
+        pieces: list[tuple[int, Record, Array]],
+        breakaway: Array,
+        noise: list[float],
+        *,
+        relaxed: Collection[int] = (),
+        moved: Moved = _nothing,
+    ) -> RowSource:
+        """Find the epochs; parameters as those of `collect`."""
+        found: list[list[Epoch]] = []
+        rested = set(relaxed)
+        for (number, piece, _), sigma in zip(pieces, noise, strict=True):
+            first = float(piece.displacement[0])
+            found.append([Epoch(0, 0, len(piece), np.inf, first)] if number in rested else epochs(piece, sigma))
+            rested.discard(number)
+        others = [moved(number, piece) for number, piece, _ in pieces]
+        return cls(pieces, breakaway, found, [_Known(one) if isinstance(one, np.ndarray) else one for one in others])
+
+    def __len__(self) -> int:
+        return sum(epoch.stop - epoch.start for own in self.epochs for epoch in own)
+
+    @property
+    def count(self) -> int:
+        """Number of epochs, which are numbered from 0 through all pieces."""
+        return sum(map(len, self.epochs))
+
+    def thinned(self, most: int) -> Rows:
+        """About `most` of the rows, evenly, in memory."""
+        return self._stacked(max(1, len(self) // most))
+
+    def blocks(self, step: int = 1) -> Iterator[Rows]:
+        """All rows, or every step-th, some thousands at a time."""
+        count = place = 0
+        for (number, piece, drift), own, moved in zip(self.pieces, self.epochs, self.moved, strict=True):
+            numbered = list(enumerate(own, count))
+            count += len(own)
+            carts = np.full(self.breakaway.size, piece.displacement[0])
+            for begin, others in zip(range(0, own[-1].stop if own else 0, _BLOCK), moved.blocks(_BLOCK), strict=False):
+                y = np.ascontiguousarray(piece.displacement[begin : begin + _BLOCK])
+                elongation, carts = stops(self.breakaway, carts, y)
+                for k, epoch in numbered:
+                    first, last = max(epoch.start, begin), min(epoch.stop, begin + y.size)
+                    if first >= last:
+                        continue
+                    at = np.arange(first + -place % step, last, step)
+                    place += last - first
+                    if at.size:
+                        local = at - begin
+                        yield self._rows(piece, drift[at], elongation[local], others[local], at, epoch, number, k)
+
+    def moved_at(self, number: int, sample: int) -> Array:
+        """What other parts do at a sample of a piece (E,)."""
+        for first, block in zip(range(0, sample + 1, _BLOCK), self.moved[number].blocks(_BLOCK), strict=False):
+            if sample < first + len(block):
+                return np.asarray(block[sample - first])
+        raise IndexError(sample)
+
+    def _rows(
+        self,
+        piece: Record,
+        drift: Array,
+        elongation: Array,
+        moved: Array,
+        at: NDArray[np.intp],
+        epoch: Epoch,
+        number: int,
+        k: int,
+    ) -> Rows:
+        y, known = piece.displacement[at], 2 * self.breakaway <= epoch.reach
+        s = np.where(known, elongation, y[:, None] - epoch.middle)
+        stuck = ~known | (np.abs(elongation) < self.breakaway * (1 - 1e-9))
+        return Rows(s, stuck, y, piece.voltage[at], drift, np.full(at.size, number), np.full(at.size, k), moved)
+
+    def _stacked(self, step: int) -> Rows:
+        parts = list(self.blocks(step))
+        if not parts:
+            empty, none = np.zeros(0), np.zeros((0, self.breakaway.size))
+            numbers, moved = empty.astype(int), np.zeros((0, self.moved[0].width if self.moved else 0))
+            return Rows(none, none > 0, empty, empty, empty, numbers, numbers, moved)
+        names = Rows.__dataclass_fields__
+        return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def collect(
+    pieces: list[tuple[int, Record, Array]],
+    breakaway: Array,
+    noise: list[float],
+    *,
+    relaxed: Collection[int] = (),
+    moved: Moved = _nothing,
+) -> tuple[Rows, list[list[Epoch]]]:
+    """Stack the samples that count.
+
+    Parameters
+    ----------
+    pieces : list of (record number, Record, drift curve (n,))
+    breakaway : (N,) array
+        rho [m].
+    noise : list of float
+        Sensor noise [m] of each piece.
+    relaxed : collection of int, optional
+        Records that start with no element strained: all their samples count, up to the first gap.
+    moved : callable, optional
+        Record number and piece -> (n, E) array or Moving: what else moves along its path.
+
+    Returns
+    -------
+    Rows, list of list of Epoch
+        The epochs of each piece.
+    """
+    source = RowSource.of(pieces, breakaway, noise, relaxed=relaxed, moved=moved)
+    return source.thinned(max(1, len(source))), source.epochs

@@ -1,0 +1,165 @@
+"""What a record has beside the actuator: the sensor's delay, each record's datum and drift."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.records.signals import turning_points
+
+_SEARCH_ROWS = 4000
+
+
+_STEPS = 20
+
+
+# A repair is made only where it makes the RMS residual smaller by this much.
+_WORTH = 0.97
+
+
+# Loops of one height and rate tell a delay from hysteresis only at their turns: it has to explain much more there.
+_WORTH_OF_DELAY = 0.5
+
+
+# A sensor that was zeroed anew shows at once; a small gain is the model bending.
+_WORTH_OF_DATUM = 0.8
+
+
+def find_delay(build: Callable[[float], Regression], longest: float, sample_time: float) -> float:
+    """Seconds by which the displacement lags the voltage: least RMS residual; 0 unless that is worth it.
+
+    Parameters
+    ----------
+    build : callable
+        Delay [s] -> Regression on the voltages delayed by it.
+    longest : float
+        Largest delay looked for [s]; a displacement that leads has another cause.
+    sample_time : float
+        [s]; the answer is good to 1 % of it.
+    """
+
+    def cost(delay: float) -> float:
+        return _rms(build(float(delay)).thinned(_SEARCH_ROWS))
+
+    none = build(0.0)
+    return searched_delay(cost, longest, sample_time, none.rows.voltage, _stroke(none))
+
+
+def searched_delay(
+    cost: Callable[[float], float], longest: float, sample_time: float, voltage: Array, stroke: float
+) -> float:
+    """Seconds at which a cost, an RMS residual [m], is least; 0 unless that is worth it.
+
+    Parameters
+    ----------
+    cost : callable
+        Delay [s] -> [m].
+    longest, sample_time : float
+        As those of `find_delay`.
+    voltage : (n,) array
+        Of the samples that count [V]: loops of one height have to tell more.
+    stroke : float
+        [m].
+    """
+    best = _search(cost, 0.0, longest, 13, 0.01 * sample_time)
+    share = _WORTH_OF_DELAY if _one_height(voltage) else _WORTH
+    return best if abs(best) > 0.02 * sample_time and _worth(cost(best), cost(0.0), stroke, share) else 0.0
+
+
+def _one_height(voltage: Array) -> bool:
+    """Whether all legs of the voltage are of one height."""
+    turns = turning_points(voltage, 0.02 * float(np.ptp(voltage)))
+    legs = np.abs(np.diff(voltage[turns]))
+    return legs.size < 2 or bool(legs.min() > 0.9 * legs.max())
+
+
+def with_datums(regression: Regression, records: list[int], stroke: float) -> Regression:
+    """Put records on one axis: each datum looked for by itself, then those found polished together (Gauss-Newton).
+
+    A datum that was looked for while others were still wrong may have been missed, hence two rounds.
+    """
+    few = regression.thinned(_SEARCH_ROWS)
+    for _ in range(2 if len(records) > 1 else 1):
+        for q in records:
+            if not few.datum[q]:
+                datum = few.datum.copy()
+                datum[q] = find_datum(few, q, stroke)
+                few = replace(few, datum=datum)
+        few = _polished(few, [q for q in records if few.datum[q]])
+    return replace(regression, datum=few.datum)
+
+
+def _polished(regression: Regression, records: list[int]) -> Regression:
+    """All these datums at once; each step may only make the residual smaller."""
+    if not records:
+        return regression
+    best = _rms(regression)
+    for _ in range(_STEPS):
+        datum = regression.datum.copy()
+        datum[records] += regression.datum_steps(records)
+        trial = replace(regression, datum=datum)
+        cost = _rms(trial)
+        if not cost < best:
+            break
+        regression, best = trial, cost
+    return regression
+
+
+def find_datum(regression: Regression, record: int, stroke: float, given: Coefficients | None = None) -> float:
+    """Shift d_q [m] that puts a record on the axis of the others, or of a given model; 0 unless that is worth it."""
+    few = regression.thinned(_SEARCH_ROWS)
+
+    def cost(shift: float) -> float:
+        datum = few.datum.copy()
+        datum[record] = shift
+        return _rms(replace(few, datum=datum), given)
+
+    best = _search(cost, -0.6 * stroke, 0.6 * stroke, 25, 1e-9 * stroke)
+    return best if _worth(cost(best), cost(0.0), _stroke(few), _WORTH_OF_DATUM) else 0.0
+
+
+def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...]:
+    """Records among the candidates whose creep since the start is worth a coefficient."""
+    few = regression.thinned(_SEARCH_ROWS)
+    return worthwhile(lambda drifting: _rms(replace(few, drifting=drifting)), candidates, _stroke(few))
+
+
+def worthwhile(cost: Callable[[tuple[int, ...]], float], candidates: Sequence[int], stroke: float) -> tuple[int, ...]:
+    """Those of the candidates that make a cost, an RMS residual [m], worthily smaller, one after another."""
+    kept: tuple[int, ...] = ()
+    best = cost(kept)
+    for q in candidates:
+        trial = cost((*kept, q))
+        if _worth(trial, best, stroke):
+            kept, best = (*kept, q), trial
+    return kept
+
+
+def _worth(after: float, before: float, stroke: float, share: float = _WORTH) -> bool:
+    """Whether a repair makes the RMS residual smaller, by more than a hundred-thousandth of the stroke."""
+    return after < share * before and before - after > 1e-5 * stroke
+
+
+def _stroke(regression: Regression) -> float:
+    return float(np.ptp(regression.knots))
+
+
+def _rms(regression: Regression, given: Coefficients | None = None) -> float:
+    """RMS residual [m], of the best model or of the given one."""
+    found = regression.fit("l2") if given is None else regression.nuisances_of(given)
+    return regression.rms(found)
+
+
+def _search(cost: Callable[[float], float], low: float, high: float, points: int, tolerance: float) -> float:
+    """Global scan on `points` places, then Brent's method between the neighbours of the best."""
+    from scipy.optimize import minimize_scalar
+
+    grid = np.linspace(low, high, points)
+    k = int(np.argmin([cost(float(x)) for x in grid]))
+    bounds = grid[max(k - 1, 0)], grid[min(k + 1, points - 1)]
+    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": tolerance, "maxiter": 60})
+    return float(found.x)

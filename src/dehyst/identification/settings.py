@@ -1,0 +1,86 @@
+"""What an identification is asked for, checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst import _validation
+from dehyst._errors import IdentifyError
+from dehyst._types import Array
+from dehyst.identification.solvers.program import NORMS, Norm
+
+Method = Literal["record", "breakpoints", "antisymmetric"]
+Direction = Literal["descending", "ascending"]
+METHODS: tuple[Method, ...] = ("record", "breakpoints", "antisymmetric")
+# The default is the paper's own number for its methods; with every sample at work twice as many can be told apart.
+_ELEMENTS = {"record": 20, "breakpoints": 10, "antisymmetric": 10}
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """Options of `dehyst.identify`; see there.
+
+    Raises
+    ------
+    IdentifyError
+        If one is impossible, or two exclude one another.
+    """
+
+    method: Method = "record"
+    elements: int | None = None
+    breakaway: Array | None = None
+    norm: Norm = "l1"
+    knots: int | None = None
+    slope_floor: float = 0.2
+    delay: float | None = None
+    shared_datum: bool = False
+    drift: bool = True
+    branch: Direction = "descending"
+
+    def __post_init__(self) -> None:
+        _validation.choice(self.method, "method", METHODS)
+        _validation.choice(self.norm, "norm", NORMS)
+        _validation.demand(
+            self.branch in ("descending", "ascending"), "branch", self.branch, "'descending' or 'ascending'"
+        )
+        if self.elements is not None:
+            _validation.count(self.elements, "elements")
+        if self.knots is not None:
+            _validation.count(self.knots, "knots", least=2)
+        _validation.fraction(self.slope_floor, "slope_floor")
+        if self.delay is not None:
+            _validation.seconds(self.delay, "delay")
+        if self.breakaway is not None:
+            self._check_breakaway(self.breakaway)
+
+    def _check_breakaway(self, breakaway: ArrayLike) -> None:
+        rho = _validation.numbers(breakaway, "breakaway")
+        if self.elements is not None:
+            raise IdentifyError("got both elements and breakaway, need one of them")
+        if self.method != "record":
+            raise IdentifyError(f"breakaway: method {self.method!r} needs the uniform grid; give elements instead")
+        if not 1 <= rho.size <= 500 or rho[0] <= 0 or np.any(np.diff(rho) <= 0):
+            raise IdentifyError("breakaway: need 1 to 500 positive, strictly increasing elongations in metres")
+        object.__setattr__(self, "breakaway", rho)
+
+    @property
+    def count(self) -> int:
+        """Number of elements N."""
+        if self.breakaway is not None:
+            return self.breakaway.size
+        return self.elements or _ELEMENTS[self.method]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values of what bears on the result."""
+        return {
+            "method": self.method,
+            "norm": self.norm,
+            "elements": self.count,
+            "slope_floor": self.slope_floor,
+            "shared_datum": self.shared_datum,
+            "drift": self.drift,
+        }

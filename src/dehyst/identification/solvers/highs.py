@@ -1,0 +1,104 @@
+"""Linear programs solved by HiGHS on one thread."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dehyst._types import Array
+
+
+@dataclass(frozen=True)
+class Program:
+    """HiGHS's answer to a linear program."""
+
+    value: Array
+    row_dual: Array
+    objective: float
+    optimal: bool
+    status: str
+
+
+def minimum(
+    cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], *, solver: str
+) -> Program:
+    """Minimise cost'x with bounds on x and limits on rows x (dense), on one thread; solver "simplex" or "ipm"."""
+    return _run(_passed(cost, bounds, rows, limits, solver), solver)
+
+
+def _passed(cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], solver: str) -> Any:
+    import highspy
+
+    m, n = rows.shape
+    lp: Any = highspy.HighsLp()
+    lp.num_col_, lp.num_row_ = n, m
+    lp.col_cost_, lp.col_lower_, lp.col_upper_ = cost, bounds[0], bounds[1]
+    lp.row_lower_, lp.row_upper_ = limits
+    lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
+    lp.a_matrix_.start_ = np.arange(n + 1) * m
+    lp.a_matrix_.index_ = np.tile(np.arange(m), n)
+    lp.a_matrix_.value_ = np.ascontiguousarray(rows.T).ravel()
+    make_highs: Any = highspy.Highs
+    highs = make_highs()
+    for option, value in (
+        ("output_flag", False),
+        ("threads", 1),
+        ("solver", solver),
+        ("random_seed", 0),
+        ("primal_feasibility_tolerance", 1e-9),
+        ("dual_feasibility_tolerance", 1e-9),
+    ):
+        highs.setOptionValue(option, value)
+    highs.passModel(lp)
+    return highs
+
+
+def _run(highs: Any, solver: str) -> Program:
+    import highspy
+
+    highs.run()
+    status = highs.getModelStatus()
+    solution = highs.getSolution()
+    return Program(
+        np.array(solution.col_value),
+        np.array(solution.row_dual),
+        float(highs.getInfo().objective_function_value),
+        status == highspy.HighsModelStatus.kOptimal,
+        f"HiGHS {solver}: {highs.modelStatusToString(status)}",
+    )
+
+
+def linear_programs(
+    costs: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
+) -> Iterator[Program]:
+    """Minimise each of many costs (p, n) over one polytope, each from the optimum of the one before; see below."""
+    highs = _passed(costs[0], bounds, rows, limits, "simplex")
+    every = np.arange(rows.shape[1], dtype=np.int32)
+    # From one optimum to the next the point stays feasible: the primal simplex goes on where the dual would start anew.
+    for k, cost in enumerate(costs):
+        highs.changeColsCost(every.size, every, cost)
+        highs.setOptionValue("simplex_strategy", 4 if k else 1)
+        yield _run(highs, "simplex")
+
+
+def linear_program(
+    cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
+) -> tuple[Array, float, bool, str, float]:
+    """Minimise cost'x, bounds[0] <= x <= bounds[1], limits[0] <= rows x <= limits[1].
+
+    Returns the optimum, its value, whether it is one, the solver's word and the dual's value.
+    """
+    answer = minimum(cost, bounds, rows, limits, solver="simplex")
+    reduced = cost - rows.T @ answer.row_dual
+    dual = _support(answer.row_dual, *limits) + _support(reduced, *bounds)
+    return answer.value, answer.objective, answer.optimal, answer.status, dual
+
+
+def _support(multipliers: Array, lower: Array, upper: Array) -> float:
+    """Least value of multipliers'z over lower <= z <= upper, rounding at infinite bounds left out."""
+    bound = np.where(multipliers > 0, lower, upper)
+    finite = np.isfinite(bound)
+    return float(multipliers[finite] @ bound[finite])

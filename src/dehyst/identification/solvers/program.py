@@ -1,0 +1,279 @@
+"""The one convex program: fit rows in L1, L2 or L-infinity with some coefficients not negative.
+
+    minimise || W (F a + P x - b) ||,   a free, x >= 0, C x >= l
+
+L1 is `reduction`, L2 is `squares`; L-infinity is a linear program solved by HiGHS with row generation. Each answer
+comes with its duality gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import IdentifyError
+from dehyst._types import Array
+from dehyst.identification.solvers import highs
+from dehyst.identification.solvers.highs import Program, linear_program, linear_programs
+from dehyst.identification.solvers.least_absolute_blocks import Blocks, Whole, least_absolute
+from dehyst.identification.solvers.least_squares import least_squares, of_triangle, triangle_of
+from dehyst.identification.solvers.problem import TINY, Answer, Problem, failed, inequalities
+
+__all__ = [
+    "NORMS",
+    "Norm",
+    "Program",
+    "Solution",
+    "Table",
+    "linear_program",
+    "linear_programs",
+    "solve",
+    "solve_blocks",
+    "triangle_of",
+]
+
+Norm = Literal["l1", "l2", "linf"]
+NORMS: tuple[Norm, ...] = ("l1", "l2", "linf")
+_ROWS_AT_A_TIME = 200
+_ROUNDS = 60
+_NO_POINT = "no coefficients that are not negative keep the inequalities"
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The optimum.
+
+    Attributes
+    ----------
+    free, nonnegative : array
+        a and x.
+    residual : (n,) array
+        F a + P x - b, not weighted; none where rows were seen in blocks only.
+    gap : float
+        Primal minus dual objective over that of a = x = 0, or over the primal one if that is larger; never negative
+        but for rounding.
+    """
+
+    free: Array
+    nonnegative: Array
+    residual: Array
+    optimal: bool
+    status: str
+    gap: float
+
+
+def solve(
+    free: Array,
+    nonnegative: Array,
+    target: Array,
+    *,
+    weights: Array | None = None,
+    norm: Norm = "l1",
+    constraints: tuple[Array, Array] | None = None,
+) -> Solution:
+    """Solve the program.
+
+    Parameters
+    ----------
+    free, nonnegative : (n, p) and (n, q) array
+        Columns F and P.
+    target : (n,) array
+        b.
+    weights : (n,) array, optional
+        Positive weights W; default 1.
+    norm : {"l1", "l2", "linf"}
+    constraints : (m, q) and (m,) array, optional
+        C and l of the inequalities C x >= l, met to 1e-9 of the largest coefficient.
+
+    Raises
+    ------
+    IdentifyError
+        If the norm is unknown, there are fewer rows than free columns, or the constraints do not fit the columns.
+    """
+    if norm not in NORMS:
+        raise IdentifyError(f"norm: got {norm!r}, need one of {', '.join(NORMS)}")
+    p, columns = free.shape[1], np.hstack([free, nonnegative])
+    if len(target) < max(p, 1):
+        raise IdentifyError(f"got {len(target)} rows for {columns.shape[1]} unknowns, need more samples that count")
+    w = np.ones(len(target)) if weights is None else weights / weights.max()
+    scale, scale_b = _scales(columns, target)
+    matrix, lower = inequalities(constraints, p, scale)
+    problem = Problem(columns / scale * w[:, None], target / scale_b * w, p, matrix, lower / scale_b)
+    if _impossible(problem):
+        answer = failed(problem, _NO_POINT)
+    elif norm == "l2":
+        answer = least_squares(problem)
+    else:
+        answer = _BY_BLOCKS[norm](Whole(problem.rows, problem.goal), problem)
+    x = answer.x / scale * scale_b
+    return Solution(x[:p], x[p:], columns @ x - target, answer.optimal, answer.status, answer.gap)
+
+
+class Table(Protocol):
+    """Rows of a program in blocks, again and again: free columns, those not negative, target and weights."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[tuple[Array, Array, Array, Array]]: ...
+
+
+def solve_blocks(
+    table: Table,
+    like: tuple[Array, Array, Array],
+    *,
+    norm: Norm = "l1",
+    constraints: tuple[Array, Array] | None = None,
+) -> Solution:
+    """Solve the program of rows that need never be in memory all at once.
+
+    Parameters
+    ----------
+    table : Table
+    like : (m, p), (m, q) and (m,) array
+        Some of the rows, from which scales are taken: free columns, those not negative, target.
+    norm : {"l1", "l2", "linf"}
+    constraints : (c, q) and (c,) array, optional
+        As for `solve`.
+
+    Returns
+    -------
+    Solution
+        Without residuals; the gap is that of all rows.
+    """
+    p, columns = like[0].shape[1], np.hstack(like[:2])
+    scale, scale_b = _scales(columns, like[2])
+    matrix, lower = inequalities(constraints, p, scale)
+    frame = Problem(np.zeros((0, scale.size)), np.zeros(0), p, matrix, lower / scale_b)
+    blocks = _Scaled(table, scale, scale_b)
+    answer = failed(frame, _NO_POINT) if _impossible(frame) else _BY_BLOCKS[norm](blocks, frame)
+    x = answer.x / scale * scale_b
+    return Solution(x[:p], x[p:], np.zeros(0), answer.optimal, answer.status, answer.gap)
+
+
+def _scales(columns: Array, target: Array) -> tuple[Array, float]:
+    """Largest sizes of the columns (q,) and of the target, 1 for those that are zero."""
+    scale = np.abs(columns).max(axis=0, initial=0.0)
+    scale[scale == 0] = 1.0
+    return scale, float(np.abs(target).max()) or 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Scaled:
+    """Blocks of a table, weighted and scaled to the order of one."""
+
+    table: Table
+    scale: Array
+    scale_b: float
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def __iter__(self) -> Iterator[tuple[Array, Array]]:
+        for free, nonnegative, target, weights in self.table:
+            rows = np.hstack([free, nonnegative])
+            rows *= weights[:, None] / self.scale
+            yield rows, target / self.scale_b * weights
+
+
+def _impossible(problem: Problem) -> bool:
+    """Whether nothing keeps the inequalities."""
+    q, p = problem.unknowns, problem.free
+    if not problem.lower.size:
+        return False
+    bounds = np.where(np.arange(q) < p, -np.inf, 0.0), np.full(q, np.inf)
+    above = np.full(problem.lower.size, np.inf)
+    return not highs.minimum(np.zeros(q), bounds, problem.matrix, (problem.lower, above), solver="simplex").optimal
+
+
+def _l2(blocks: Blocks, frame: Problem) -> Answer:
+    triangle = np.zeros((0, frame.unknowns + 1))
+    for rows, goal in blocks:
+        triangle = triangle_of(np.vstack([triangle, np.column_stack([rows, goal])]))
+    return of_triangle(triangle, frame)
+
+
+def _linf(blocks: Blocks, frame: Problem) -> Answer:
+    q, p = frame.unknowns, frame.free
+    cost = np.append(np.zeros(q), 1.0)
+    bounds = np.append(np.where(np.arange(q) < p, -np.inf, 0.0), 0.0), np.full(q + 1, np.inf)
+    kept = np.hstack([frame.matrix, np.zeros((frame.lower.size, 1))])
+    chosen = _Chosen.evenly(blocks)
+    for _ in range(_ROUNDS):
+        some, goal, ones = chosen.rows, chosen.goal, np.ones((chosen.goal.size, 1))
+        both = np.vstack([np.hstack([some, -ones]), np.hstack([-some, -ones]), -kept])
+        upper = np.concatenate([goal, -goal, -frame.lower])
+        answer = highs.minimum(cost, bounds, both, (np.full(upper.size, -np.inf), upper), solver="simplex")
+        if not answer.optimal:
+            return failed(frame, answer.status)
+        x = answer.value[:q]
+        worst, largest = _Chosen.worst(blocks, x, answer.objective + 1e-9)
+        more = chosen.with_those_of(worst)
+        if more is chosen:
+            gap = (largest - answer.objective) / max(_largest(blocks), largest, TINY)
+            return Answer(x, f"optimal ({answer.status})", True, gap)
+        chosen = more
+    return failed(frame, "row generation did not end")
+
+
+def _largest(blocks: Blocks) -> float:
+    """Largest size of a target."""
+    return max(float(np.abs(goal).max()) for _, goal in blocks)
+
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """Some rows, their targets and their places among all."""
+
+    rows: Array
+    goal: Array
+    places: NDArray[np.intp]
+
+    @classmethod
+    def evenly(cls, blocks: Blocks) -> _Chosen:
+        n = len(blocks)
+        places = np.unique(np.linspace(0, n - 1, min(n, _ROWS_AT_A_TIME)).astype(int))
+        parts, place = [], 0
+        for rows, goal in blocks:
+            own = places[(places >= place) & (places < place + goal.size)] - place
+            parts.append((rows[own], goal[own]))
+            place += goal.size
+        some, goals = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return cls(some, goals, places)
+
+    @classmethod
+    def worst(cls, blocks: Blocks, x: Array, limit: float) -> tuple[_Chosen, float]:
+        """The rows with the largest residuals above a limit, and the largest of all."""
+        found = cls(np.zeros((0, x.size)), np.zeros(0), np.zeros(0, dtype=np.intp))
+        sizes, largest, place = np.zeros(0), 0.0, 0
+        for rows, goal in blocks:
+            residual = np.abs(rows @ x - goal)
+            largest = max(largest, float(residual.max(initial=0.0)))
+            own = np.flatnonzero(residual > limit)
+            own = own[np.argsort(residual[own], kind="stable")[::-1][:_ROWS_AT_A_TIME]]
+            sizes = np.append(sizes, residual[own])
+            order = np.argsort(sizes, kind="stable")[::-1][:_ROWS_AT_A_TIME]
+            found = cls(
+                np.concatenate([found.rows, rows[own]])[order],
+                np.append(found.goal, goal[own])[order],
+                np.append(found.places, own + place)[order],
+            )
+            sizes, place = sizes[order], place + goal.size
+        return found, largest
+
+    def with_those_of(self, other: _Chosen) -> _Chosen:
+        """These rows and those of the other that are not among them; itself if there are none."""
+        new = np.flatnonzero(~np.isin(other.places, self.places))
+        if not new.size:
+            return self
+        return _Chosen(
+            np.concatenate([self.rows, other.rows[new]]),
+            np.append(self.goal, other.goal[new]),
+            np.append(self.places, other.places[new]),
+        )
+
+
+_BY_BLOCKS = {"l1": least_absolute, "l2": _l2, "linf": _linf}

@@ -1,0 +1,173 @@
+"""Small quadratic programs on a triangle: which limits are active, then the numbers by equations.
+
+minimise 1/2 || R x - d ||^2,   x[free:] >= 0,   C x >= l
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._types import Array
+from dehyst.identification.solvers.interior_point import reach, regularised
+from dehyst.identification.solvers.problem import TINY
+
+Chosen = NDArray[np.bool_]
+
+_STEPS = 100
+# Interior points end when the mean complementarity is this part of the objective at zero.
+_CLOSE = 1e-13
+_ROUNDS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Coefficients, multipliers of the inequalities (m,), which coefficients and inequalities are not at their limits.
+
+    Attributes
+    ----------
+    x : (q,) array
+    multipliers : (m,) array
+        Not negative.
+    moving : (q,) bool array
+        Coefficients that are free or above zero.
+    active : (m,) bool array
+        Inequalities met with equality.
+    status : str
+        How it was found.
+    """
+
+    x: Array
+    multipliers: Array
+    moving: Chosen
+    active: Chosen
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """The program: triangle R (k, q), image d (k,), number of free coefficients, inequalities (m, q) and (m,)."""
+
+    triangle: Array
+    image: Array
+    free: int
+    matrix: Array
+    lower: Array
+
+    def minimum(self) -> Minimum:
+        """Solve it."""
+        if not self.lower.size:
+            found = self._by_nnls()
+            if found is not None:
+                return found
+        x, z, multipliers = self._interior()
+        slack = self.matrix @ x - self.lower
+        moving = x > z
+        moving[: self.free] = True
+        return self._settled(Minimum(x, multipliers, moving, slack < multipliers, "interior point"))
+
+    def corrected(self, found: Minimum, misfit: Array) -> Minimum:
+        """The minimum improved, given R^-T times the true negative gradient at it; limits stay active as they are."""
+        step, change = self._on_face(found.moving, found.active, misfit, self.lower - self.matrix @ found.x)
+        x = found.x + step
+        x[self.free :] = np.maximum(x[self.free :], 0.0)
+        multipliers = np.maximum(change, 0.0)
+        return Minimum(x, multipliers, found.moving, found.active, found.status)
+
+    def gradient(self, x: Array) -> Array:
+        """Of the objective, (q,)."""
+        return np.asarray(self.triangle.T @ (self.triangle @ x - self.image))
+
+    def _by_nnls(self) -> Minimum | None:
+        """Lawson and Hanson's method, the free coefficients eliminated; None if it does not end."""
+        from scipy.linalg import solve_triangular
+        from scipy.optimize import nnls
+
+        p, q = self.free, self.triangle.shape[1]
+        x = np.zeros(q)
+        try:
+            if p < q:  # SciPy's nnls breaks the heap when it is given no column
+                x[p:], _ = nnls(self.triangle[p:, p:], self.image[p:], maxiter=50 * q + 1000)
+        except RuntimeError:
+            return None
+        if p:
+            x[:p] = solve_triangular(self.triangle[:p, :p], self.image[:p] - self.triangle[:p, p:] @ x[p:])
+        moving = (x > 0) | (np.arange(q) < p)
+        return Minimum(x, np.zeros(0), moving, np.zeros(0, dtype=bool), "non-negative least squares")
+
+    def _settled(self, found: Minimum) -> Minimum:
+        """Exchange limits until the equations on the active ones keep all others; the interior point if they do not."""
+        moving, active = found.moving.copy(), found.active.copy()
+        for _ in range(_ROUNDS):
+            x, multipliers = self._on_face(moving, active, self.image, self.lower)
+            size = np.abs(x).max(initial=1.0)
+            reduced = self.gradient(x) - self.matrix.T @ multipliers
+            below = moving & (x < -1e-13 * size)
+            below[: self.free] = False
+            missed = ~active & (self.matrix @ x < self.lower - 1e-13 * size)
+            steep = np.abs(self.image).max(initial=0.0)
+            pulled = ~moving & (reduced < -1e-12 * steep)
+            loose = active & (multipliers < -1e-12 * steep)
+            if not (below.any() or missed.any() or pulled.any() or loose.any()):
+                x[self.free :] = np.maximum(x[self.free :], 0.0)
+                return Minimum(x, np.maximum(multipliers, 0.0), moving, active, "interior point and active set")
+            moving, active = (moving & ~below) | pulled, (active & ~loose) | missed
+        return found
+
+    def _on_face(self, moving: Chosen, active: Chosen, image: Array, lower: Array) -> tuple[Array, Array]:
+        """Least squares over the moving coefficients with the active inequalities as equations; multipliers (m,)."""
+        from scipy.linalg import lstsq, qr, solve_triangular
+
+        x, multipliers = np.zeros(moving.size), np.zeros(active.size)
+        some, equations = self.triangle[:, moving], self.matrix[np.ix_(active, moving)]
+        basis, factor, order = qr(equations.T, pivoting=True)
+        diagonal = np.abs(np.diag(factor))
+        rank = int(np.count_nonzero(diagonal > 1e-12 * diagonal.max(initial=0.0)))
+        kept = np.flatnonzero(active)[order[:rank]]
+        fixed = basis[:, :rank] @ solve_triangular(factor[:rank, :rank], lower[kept], trans="T")
+        null = some @ basis[:, rank:]
+        rest = lstsq(null, image - some @ fixed, lapack_driver="gelsy", cond=1e-14)[0] if null.shape[1] else np.zeros(0)
+        x[moving] = fixed + basis[:, rank:] @ rest
+        pull = self.triangle[:, moving].T @ (self.triangle @ x - image)
+        multipliers[kept] = solve_triangular(factor[:rank, :rank], basis[:, :rank].T @ pull)
+        return x, multipliers
+
+    def _interior(self) -> tuple[Array, Array, Array]:
+        """Mehrotra's predictor and corrector: x, the bounds' multipliers (0 for free ones), the inequalities'."""
+        q, m, p = self.triangle.shape[1], self.lower.size, self.free
+        limits = np.vstack([np.eye(q)[p:], self.matrix])
+        lower = np.concatenate([np.zeros(q - p), self.lower])
+        gram, linear = self.triangle.T @ self.triangle, self.triangle.T @ self.image
+        x, slack, dual = np.ones(q), np.ones(q - p + m), np.ones(q - p + m)
+        least, unit = _CLOSE * max(float(self.image @ self.image), TINY), np.diag(gram).max() or 1.0
+        for _ in range(_STEPS):
+            newton = _Newton(gram, limits, gram @ x - linear - limits.T @ dual, limits @ x - slack - lower, slack, dual)
+            mean = float(slack @ dual) / dual.size
+            if mean < least and np.abs(newton.pull).max() < 1e-12 * unit and np.abs(newton.missed).max() < 1e-12:
+                break
+            _, ds, dz = newton.step(np.zeros(dual.size))
+            length = min(reach(slack, ds), reach(dual, dz))
+            after = float((slack + length * ds) @ (dual + length * dz)) / dual.size
+            dx, ds, dz = newton.step((after / mean) ** 3 * mean - ds * dz)
+            length = 0.995 * min(reach(slack, ds), reach(dual, dz))
+            x, slack, dual = x + length * dx, slack + length * ds, dual + length * dz
+        x[p:] = np.maximum(x[p:], 0.0)
+        return x, np.concatenate([np.zeros(p), dual[: q - p]]), dual[q - p :]
+
+
+class _Newton:
+    """Newton's equations of an interior point, `pull` and `missed` being what dual and primal limits are missed by."""
+
+    def __init__(self, gram: Array, limits: Array, pull: Array, missed: Array, slack: Array, dual: Array) -> None:
+        self.pull, self.missed = pull, missed
+        self._limits, self._slack, self._dual = limits, slack, dual
+        self._solve = regularised(gram + (limits.T * (dual / slack)) @ limits)
+
+    def step(self, target: Array) -> tuple[Array, Array, Array]:
+        """Changes of x, slack and dual that bring slack times dual to the target (m,)."""
+        ratio = self._dual / self._slack
+        held = target / self._slack - self._dual - ratio * self.missed
+        dx = self._solve(self._limits.T @ held - self.pull)
+        return dx, self._limits @ dx + self.missed, held - ratio * (self._limits @ dx)

@@ -1,0 +1,205 @@
+"""Records to the regression of a structure, and the structure that they support."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.identification.dynamics_search import Inertia, find_inertia
+from dehyst.identification.preprocessing.cleaning import cycle_time
+from dehyst.identification.preprocessing.denoising import without_jitter
+from dehyst.identification.preprocessing.dynamics import undone
+from dehyst.identification.preprocessing.internal_states import Beside
+from dehyst.identification.preprocessing.preparation import Prepared
+from dehyst.identification.preprocessing.regressors import RowSource
+from dehyst.identification.regression.nuisances import worthwhile
+from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
+from dehyst.identification.regression.wide_streaming import WideStream
+from dehyst.identification.solvers.program import Norm
+from dehyst.identification.structure_selection import Trial, held_out_error, select
+from dehyst.model.structure import Structure
+from dehyst.records.record import Record
+from dehyst.records.signals import turning_points
+
+# Rows for a trial, and for the final program.
+_FEW_ROWS = 4000
+_MOST_ROWS = 30_000
+# Cycles of which the slowest lasts this many times the fastest tell creep from hysteresis; a hold of a cycle does, too.
+_SPEEDS = 3.0
+_HELD = 0.005
+# What tells whether a record began at rest, and by how much that must lower the RMS residual.
+_CREEPING = Structure(elements=20, transformer=20, grades=4, creep=9)
+_WORTH_OF_START = 0.9
+# Inertia shows in cycles of fewer samples than this; masses [samples squared] that are tried before it is looked for.
+_SLOWEST = 1000.0
+_ROOTS = (0.7, 1.5, 3.0, 6.0)
+_WORTH_OF_MASS = 0.95
+_SWINGING = Structure(elements=20, grades=3, transformer=10, smooth=True)
+# A delay is a false one if without it held-out cycles are missed by this part only.
+_TRAILING = replace(_SWINGING, creep=9)
+_FALSE_DELAY = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What all structures of one identification share.
+
+    Attributes
+    ----------
+    training : sequence of Prepared
+    inertia : Inertia
+        Delay, and how the displacement lags behind what hysteresis makes.
+    span, voltages : (float, float)
+        Lowest and highest displacement [m] of the widest loop, and voltage [V] of all records.
+    floor : float
+        Least slope [V/m].
+    datum : (records,) array
+        [m].
+    widest : int
+        Record whose last constant is the spring's.
+    can_drift : tuple of int
+        Records that may creep by a logarithm of time since their start, where no branches tell creep.
+    """
+
+    training: Sequence[Prepared]
+    inertia: Inertia
+    span: tuple[float, float]
+    voltages: tuple[float, float]
+    floor: float
+    datum: Array
+    widest: int = 0
+    can_drift: tuple[int, ...] = ()
+
+    @property
+    def times(self) -> tuple[float, float]:
+        """Shortest sample time and longest record [s]."""
+        records = [item.record for item in self.training]
+        return min(one.sample_time for one in records), max(float(np.ptp(one.time)) for one in records)
+
+    def regression(self, structure: Structure, most: int = _MOST_ROWS) -> WideRegression:
+        """The rows of all records under a structure, thinned to about `most`."""
+        return self.stream(structure, most).regression
+
+    def stream(self, structure: Structure, most: int = _MOST_ROWS) -> WideStream:
+        """All rows of all records under a structure, about `most` of them in memory."""
+        found = self._stream_of(structure, most)
+        strained, drifting = (self.strained, ()) if structure.creep else ((), self.drifting)
+        return replace(found, regression=replace(found.regression, strained=strained, drifting=drifting))
+
+    def fitted(self, structure: Structure, norm: Norm) -> tuple[WideRegression, WideCoefficients]:
+        """The program of all rows solved, beside the regression of those in memory."""
+        stream = self.stream(structure)
+        return stream.regression, stream.fit_weighted(norm)
+
+    def _rows_of(self, structure: Structure, most: int) -> WideRegression:
+        return self._stream_of(structure, most).regression
+
+    def _stream_of(self, structure: Structure, most: int) -> WideStream:
+        grid = structure.grid(self.span, self.voltages, self.times)
+        stroke = self.span[1] - self.span[0]
+        # No drift where creep branches are there for that: its curves take room.
+        paths = self._drifting_paths if self.can_drift and not self.supports_creep() else self._paths
+        pieces = [(q, path, drift) for q, item in enumerate(self.training) for path, drift in paths(item, stroke)]
+        noise = [self.training[q].noise for q, _, _ in pieces]
+
+        def moved(number: int, piece: Record) -> Beside:
+            return Beside(grid, piece, self.training[number].lead)
+
+        source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
+        some = WideRegression(source.thinned(most), grid, self.floor, self.datum, smoothing=structure.smoothing)
+        return WideStream(source, some)
+
+    def _paths(self, item: Prepared, stroke: float) -> Iterator[tuple[Record, Array]]:
+        """The pieces of a record as they act, displacements those that hysteresis makes; no drift."""
+        for piece in item.acting(self.inertia.delay, self.inertia.lag):
+            path = without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke)
+            yield path, np.broadcast_to(0.0, len(path))
+
+    def _drifting_paths(self, item: Prepared, stroke: float) -> Iterator[tuple[Record, Array]]:
+        curves = item.delayed(0, self.inertia.delay)
+        for (path, _), (_, _, curve) in zip(self._paths(item, stroke), curves, strict=True):
+            yield path, curve
+
+    def with_checked_delay(self, structure: Structure | None = None) -> Frame:
+        """The same without a delay, if a structure (default: of many parts) then misses held-out cycles by far less.
+
+        Where an actuator creeps fast or friction lets go gradually the displacement trails behind at every turn: a
+        delay, for plain elements. A true delay fast creep can imitate, but not so much better.
+        """
+        if not self.inertia.delay:
+            return self
+        without = replace(self, inertia=replace(self.inertia, delay=0.0))
+        late, prompt = (held_out_error(one._rows_of(structure or _TRAILING, _FEW_ROWS)) for one in (self, without))
+        return without if prompt < _FALSE_DELAY * late else self
+
+    def with_inertia(self) -> Frame:
+        """The same with the delay, damping and mass that the records ask for, if they do."""
+        step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
+        if cycle > _SLOWEST * step:
+            return self
+
+        def build(inertia: Inertia) -> WideRegression:
+            return replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2)
+
+        without = build(self.inertia).rms()
+        masses = [replace(self.inertia, mass=(root * step) ** 2) for root in _ROOTS]
+        if min(build(one).rms() for one in masses) > _WORTH_OF_MASS * without:
+            return self
+        return replace(self, inertia=find_inertia(build, self.inertia.delay, step, cycle))
+
+    @cached_property
+    def drifting(self) -> tuple[int, ...]:
+        """Records that drift, seen from plain elements; none if branches can tell creep."""
+        if self.supports_creep():
+            return ()
+        few, stroke = self._rows_of(Structure(), _FEW_ROWS), self.span[1] - self.span[0]
+        return worthwhile(lambda drifting: replace(few, drifting=drifting).rms(), self.can_drift, stroke)
+
+    @cached_property
+    def strained(self) -> tuple[int, ...]:
+        """Records that creep as if they had not been at rest as they began, where that explains much."""
+        regression = self._rows_of(_CREEPING, _FEW_ROWS)
+        kept: tuple[int, ...] = ()
+        cost = regression.rms()
+        alone = [replace(regression, strained=(q,)).rms() for q in range(len(self.training))]
+        # The one that explains most first, or a record at rest would be given what another one needs.
+        for q in np.argsort(alone, kind="stable").tolist():
+            trial = replace(regression, strained=(*kept, q)).rms()
+            if trial < _WORTH_OF_START * cost:
+                kept, cost = (*kept, q), trial
+        return tuple(sorted(kept))
+
+    def supports_creep(self) -> bool:
+        """Whether there are loops at different speeds, or a hold: else creep looks like hysteresis."""
+        cycles = [cycle.stop - cycle.start for item in self.training for cycle in item.record.cycles()]
+        times = [item.record.sample_time for item in self.training for _ in item.record.cycles()]
+        lasting = [count * step for count, step in zip(cycles, times, strict=True)]
+        return (len(lasting) > 1 and max(lasting) > _SPEEDS * min(lasting)) or any(map(_holds, self.training))
+
+    def chosen(self, start: Structure, tell: Callable[[str], None]) -> tuple[Structure, tuple[Trial, ...], list[str]]:
+        """The structure that the records support, the trials, and what they do not support."""
+        without: tuple[str, ...] = ()
+        remarks = []
+        if not self.supports_creep():
+            without = ("creep",)
+            remarks.append(
+                "Creep was not looked for: the records neither hold still for as long as their cycles last nor have "
+                "loops at two speeds; add a staircase or slower loops."
+            )
+        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, tell, without=without)
+        return best, trials, remarks
+
+
+def _holds(item: Prepared) -> bool:
+    """Whether the voltage stands still for as long as a cycle lasts somewhere, or for a tenth of the record."""
+    v, record = item.record.voltage, item.record
+    still = np.abs(np.diff(v)) < 1e-3 * _HELD * np.ptp(v)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+    longest = max((b - a for a, b in zip(edges[::2], edges[1::2], strict=True)), default=0) * record.sample_time
+    turns = turning_points(v, 0.02 * float(np.ptp(v)))
+    leg = cycle_time(record) / 2 if len(turns) > 1 else float(np.ptp(record.time))
+    return bool(longest > min(leg, 0.1 * float(np.ptp(record.time))))

@@ -1,0 +1,339 @@
+"""Measured against simulated: a model played along a record, from a state that the record itself tells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dehyst._native import stops
+from dehyst._threads import one_thread
+from dehyst._types import Array
+from dehyst.identification.preprocessing.denoising import without_jitter
+from dehyst.identification.preprocessing.dynamics import derivatives, undone
+from dehyst.identification.preprocessing.internal_states import Beside
+from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
+from dehyst.identification.preprocessing.regressors import Epoch, RowSource
+from dehyst.identification.regression.coefficients import coefficients_of, grid_of
+from dehyst.identification.regression.nuisances import find_datum
+from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.regression.streaming import Stream
+from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
+from dehyst.model.actuator import Actuator
+from dehyst.model.base import Motion, State
+from dehyst.model.fit import RecordErrors, Trace
+from dehyst.records.metrics import largest
+from dehyst.records.record import Record
+
+# Rows in memory: more are gone through in blocks.
+MOST_ROWS = 200_000
+# Of a longer record so many suffice for what is not found by going through them all.
+_FEW_ROWS = 20_000
+# Samples played at a time, and kept for pictures.
+_AT_A_TIME = 1 << 20
+_MOST_DRAWN = 1 << 20
+# Elongations of all elements are made for each of these samples.
+_STOPS_AT_A_TIME = 32_768
+# Least slope of a branch, of the mean one: a weight must not grow without bound.
+_LEAST = 0.05
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How a record is compared with a model.
+
+    Attributes
+    ----------
+    role : str
+        "training" or "validation".
+    delay : float
+        Seconds by which voltages are delayed.
+    datum : float or None
+        Shift [m] to the model's axis; None: find it.
+    drifting : bool
+        Whether a drift is set aside.
+    stroke : float
+        Reference of the percentages [m].
+    """
+
+    role: str
+    delay: float
+    datum: float | None
+    drifting: bool
+    stroke: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A record beside a model: its samples that count, and what it cannot be told without.
+
+    Attributes
+    ----------
+    record : Prepared
+    source : RowSource
+        Its pieces, voltages delayed; with dynamics the displacements are those that hysteresis makes, before the
+        resonance.
+    measured : list of Record
+        The same pieces with the displacements measured.
+    regression : Regression or WideRegression
+        Its rows (of a long record some, evenly), with its datum and drift.
+    found : Coefficients or WideCoefficients
+        The model's, with this record's constants and drift [V].
+    base : float
+        Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
+    """
+
+    record: Prepared
+    source: RowSource
+    measured: list[Record]
+    regression: Regression | WideRegression
+    found: Coefficients | WideCoefficients
+    base: float
+
+    @property
+    def pieces(self) -> list[tuple[int, Record, Array]]:
+        """Record number, piece and drift curve of each piece of `source`."""
+        return self.source.pieces
+
+    @property
+    def epochs(self) -> list[list[Epoch]]:
+        """Of each piece."""
+        return self.source.epochs
+
+    @property
+    def datum(self) -> float:
+        """Shift [m] to the model's axis."""
+        return float(self.regression.datum[0])
+
+    @property
+    def drift(self) -> float:
+        """Coefficient of the drift curve [V]."""
+        return self.found.drifts.get(0, 0.0)
+
+    @property
+    def start(self) -> Array:
+        """What creep branches held as the record began (J,) [V]."""
+        return self.found.starts.get(0, np.zeros(0)) if isinstance(self.found, WideCoefficients) else np.zeros(0)
+
+    @property
+    def offsets(self) -> list[float]:
+        """Offset [V] of each epoch; one of which thinning left no row has that of the nearest."""
+        known = sorted(self.found.offsets)
+        nearest = [min(known, key=lambda k: abs(k - epoch)) for epoch in range(self.source.count)]
+        return [self.found.offsets[k] - self.base for k in nearest]
+
+    def played(self, actuator: Actuator) -> list[tuple[int, Epoch, tuple[Array, ...]]]:
+        """Piece number, epoch, and what `play` gives, of every epoch."""
+        parts, left = [], iter(self.offsets)
+        for number, own in enumerate(self.epochs):
+            for epoch in own:
+                (played,) = self.play(actuator, number, epoch, next(left), epoch.stop - epoch.start)
+                parts.append((number, epoch, played))
+        return parts
+
+    def last_offsets(self) -> list[float]:
+        """Offset [V] of the last epoch of each piece, that of the one before where a piece has none."""
+        offsets = self.offsets
+        return [offsets[max(count - 1, 0)] for count in np.cumsum([len(own) for own in self.epochs])]
+
+    def play(
+        self, actuator: Actuator, number: int, epoch: Epoch, offset: float, size: int
+    ) -> Iterator[tuple[Array, ...]]:
+        """Time, voltage, measured, simulated, and simulated with the drift left in, `size` samples at a time.
+
+        Over an epoch of the piece of this number, its voltages less `offset` [V].
+        """
+        (_, piece, curve), y = self.pieces[number], self.measured[number].displacement
+        drift = self.drift * curve
+        level = float(drift[epoch.start : epoch.stop].mean())
+        steady = drifting = self.state_before(actuator, number, epoch).shifted(self.datum)
+        for start in range(epoch.start, epoch.stop, size):
+            # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
+            again = int(actuator.needs_time and start > epoch.start)
+            stop = min(start + size, epoch.stop)
+            run, own = slice(start - again, stop), slice(start, stop)
+            one = _driven(actuator, piece, run, (offset, drift[run]), steady)
+            other = _driven(actuator, piece, run, (offset, level), drifting)
+            steady, drifting = one.state, other.state
+            voltage = without_offset(actuator, piece.voltage[own], offset)
+            yield piece.time[own], voltage, y[own] + self.datum, one.displacement[again:], other.displacement[again:]
+
+    def state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
+        """The state at an epoch's first sample, which the displacement before it tells, on the record's axis."""
+        rho, grid = actuator.slip.breakaway, grid_of(actuator)
+        y = self.pieces[number][1].displacement[: epoch.start + 1]
+        carts = np.full(rho.size, y[0])
+        for start in range(0, y.size, _STOPS_AT_A_TIME):
+            _, carts = stops(rho, carts, np.ascontiguousarray(y[start : start + _STOPS_AT_A_TIME]))
+        carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
+        moved = self.source.moved_at(number, epoch.start)
+        creep, smooth, left = np.split(moved, np.cumsum([grid.time_constants.size, grid.lengths.size]))
+        if actuator.creep is not None and self.start.size:
+            c = actuator.creep.stiffness
+            creep = creep + np.divide(self.start * left, c, out=np.zeros_like(left), where=c > 0)
+        motion: list[float] = []
+        if actuator.dynamics is not None:
+            measured = self.measured[number]
+            motion = [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
+        return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), creep, motion, smooth)
+
+
+def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
+    """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
+    measured = record.delayed(0, protocol.delay, actuator.lag)
+    pieces = [(q, _path(actuator, piece, record.noise, protocol.stroke), drift) for q, piece, drift in measured]
+    source, regression, model = _beside(actuator, record, pieces, (0,) if protocol.drifting else ())
+    datum = protocol.datum
+    if datum is None:
+        datum = find_datum(regression, 0, protocol.stroke, given=model)
+    regression = replace(regression, datum=np.array([datum]))
+    found = (regression if actuator.wide else Stream(source, regression)).nuisances_of(model)
+    base = float(actuator.spring.voltage[0])
+    return Comparison(record, source, [piece for _, piece, _ in measured], regression, found, base)
+
+
+def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[tuple[Comparison, ...], float, float]:
+    """Put the records that an actuator was identified from beside it, by the options of its provenance.
+
+    Returns
+    -------
+    tuple of Comparison, float, float
+        One a record, the range of the widest loop [m], and the least slope that the spring was allowed [V/m].
+    """
+    prepared = [prepare(record) for record in as_list(records)]
+    options, spans = actuator.provenance, [high - low for low, high in (item.span() for item in prepared)]
+    stroke, widest = max(spans), prepared[int(np.argmax(spans))].record
+    datum = 0.0 if options.get("shared_datum") else None
+    # Where branches creep, a drift of the record would be told twice.
+    drift = bool(options.get("drift", True)) and actuator.creep is None
+    with one_thread():
+        compared = tuple(
+            compare(actuator, item, Protocol("training", actuator.delay, datum, drift and item.can_drift, stroke))
+            for item in prepared
+        )
+    return compared, stroke, float(np.ptp(widest.voltage)) / stroke * float(options.get("slope_floor", 0.2))
+
+
+def told(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:
+    """The state at a record's last sample, on the model's axis, and the offset of its voltages [V].
+
+    Its displacements tell them, and how far its sensor's zero lies from the model's: the offset by least squares over
+    the samples that count. Where none does, for the record is too short or has no full cycle, the offset is that of its
+    last sample, and what the record does not tell of the carts is none.
+    """
+    try:
+        record = prepare(lead)
+        beside = compare(actuator, record, Protocol("validation", actuator.delay, None, False, stroke))
+        number, own = len(beside.pieces) - 1, beside.epochs[-1]
+    except ValueError:
+        own = []
+    if own:
+        last = replace(own[-1], start=len(beside.pieces[number][1]) - 1)
+        return beside.state_before(actuator, number, last).shifted(beside.datum), beside.last_offsets()[-1]
+    y = lead.displacement
+    _, carts = stops(actuator.slip.breakaway, np.full(len(actuator.slip), y[0]), np.ascontiguousarray(y))
+    creep = () if actuator.creep is None else actuator.creep.strains(lead.time, y)[-1]
+    smooth = () if actuator.smooth is None else actuator.smooth.elongations(y)[-1]
+    state = State(float(y[-1]), carts, creep, smooth=smooth)
+    held, given = actuator.voltage(state), float(lead.voltage[-1])
+    tau = actuator.transformer
+    return state, given - held if tau is None else float(tau(given) - tau(held))
+
+
+def _beside(
+    actuator: Actuator, record: Prepared, pieces: list[tuple[int, Record, Array]], drifting: tuple[int, ...]
+) -> tuple[RowSource, Any, Any]:
+    """The samples of a record, their regression on some of them, and an actuator's coefficients in it."""
+    rho, sigma = actuator.slip.breakaway, [record.noise] * len(pieces)
+    if not actuator.wide:
+        source = RowSource.of(pieces, rho, sigma)
+        some = source.thinned(MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS)
+        every = np.ones(rho.size, dtype=bool)
+        regression = Regression(some, actuator.spring.displacement, 0.0, every, np.zeros(1), drifting)
+        model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
+        return source, regression, model
+    grid = grid_of(actuator)
+    source = RowSource.of(pieces, rho, sigma, moved=lambda _, piece: Beside(grid, piece, record.lead))
+    floor = _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
+    wide = WideRegression(source.thinned(_FEW_ROWS), grid, floor, np.zeros(1), drifting, (0,))
+    return source, wide, coefficients_of(actuator)
+
+
+def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
+    """What drives the elements of an actuator; plain ones take the measured displacement as it is."""
+    return without_jitter(undone(piece, actuator.dynamics), noise, stroke) if actuator.wide else piece
+
+
+def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:
+    """Simulate a record's last epoch, in which the range of the excitation no longer grows, and compare.
+
+    The state at its start follows from the displacement measured before. What a record cannot be told without, its
+    constant, datum and drift, is found by least squares with the model held fixed.
+    """
+    compared = compare(actuator, record, protocol)
+    found, regression = compared.found, compared.regression
+    sums = _Sums(max(1, sum(own[-1].stop - own[-1].start for own in compared.epochs if own) // _MOST_DRAWN))
+    for number, (own, offset) in enumerate(zip(compared.epochs, compared.last_offsets(), strict=True)):
+        if own:
+            for played in compared.play(actuator, number, own[-1], offset, _AT_A_TIME):
+                sums.add(played)
+    trace = Trace(record.name, protocol.role, *(np.concatenate(column) for column in zip(*sums.drawn, strict=True)))
+    slope = float(np.median(regression.slope(found)))  # type: ignore[arg-type]
+    offset = float(np.median(list(found.offsets.values()))) - compared.base
+    return RecordErrors(
+        record=record.name,
+        role=protocol.role,
+        samples=sums.samples,
+        left_out=record.samples - sums.samples,
+        largest=sums.largest[0],
+        rms=sums.rms[0],
+        largest_with_drift=sums.largest[1],
+        rms_with_drift=sums.rms[1],
+        stroke=protocol.stroke,
+        offset=offset,
+        datum=compared.datum,
+        drift=-compared.drift / slope,
+        decades=float(np.ptp(regression.rows.drift)),
+    ), trace
+
+
+class _Sums:
+    """Errors of a record, steady and with its drift, added up as it is played; every step-th sample is kept."""
+
+    def __init__(self, step: int) -> None:
+        self.samples, self.drawn, self.largest = 0, list[tuple[Array, ...]](), [0.0, 0.0]
+        self._step, self._squares = step, [0.0, 0.0]
+
+    @property
+    def rms(self) -> list[float]:
+        """Root mean squares of both errors [m]."""
+        return [float(np.sqrt(squares / self.samples)) for squares in self._squares]
+
+    def add(self, played: tuple[Array, ...]) -> None:
+        """Add a stretch, as `Comparison.play` yields it."""
+        first = -self.samples % self._step
+        self.drawn.append(tuple(column[first :: self._step].copy() for column in played[:4]))
+        self.samples += played[0].size
+        for k, simulated in enumerate(played[3:]):
+            error = played[2] - simulated
+            self.largest[k] = max(self.largest[k], largest(error))
+            self._squares[k] += float(np.sum(error**2))
+
+
+def _driven(actuator: Actuator, piece: Record, span: slice, less: tuple[float, Array | float], state: State) -> Motion:
+    """Play samples of a piece from a state, their voltages less offset and drift [V]."""
+    # The piece's voltages are those that act, behind the amplifier.
+    actuator = replace(actuator, lag=0.0) if actuator.lag else actuator
+    time = piece.time[span] if actuator.needs_time else None
+    voltage = without_offset(actuator, piece.voltage[span], *less)
+    return actuator.simulate(voltage, time=time, state=state, extrapolate=True)
+
+
+def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:
+    """Voltages (n,) [V] less offset and drift, which a transformer's curve does not bend."""
+    tau = actuator.transformer
+    if tau is None:
+        return voltage - offset - drift
+    return tau.inverse(tau(voltage) - offset - drift)

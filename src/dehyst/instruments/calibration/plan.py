@@ -1,0 +1,103 @@
+"""What a calibration will do, told before anything is sent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from dehyst._errors import RecordError
+from dehyst.control.tracking import Planner
+from dehyst.instruments.base import AbstractRig
+from dehyst.instruments.calibration.comparison_loop import replay
+from dehyst.instruments.calibration.protocol import Pace, sample_rate_for
+from dehyst.waveforms.excitation import Excitation, positive
+
+# What is known to come, for who watches.
+STEPS = ("look", "loops", "others", "identify", "nominal", "compensated", "report")
+# Cycles that each hold of the look lasts.
+_HOLD = 3.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a calibration does.
+
+    Parameters
+    ----------
+    frequency : float
+        Cycles a second [Hz] at which loops are recorded.
+    hold : float, optional
+        Time [s] at each voltage where creep is looked for; default three cycles.
+    protocol : tuple of Excitation
+        To be recorded in place of what `insight` would choose.
+    rounds : int
+        How often `insight` may ask for more records.
+    goal : float
+        Largest error along the path [% of the stroke] with which the calibration is good.
+
+    Raises
+    ------
+    RecordError
+        If a number is impossible.
+    """
+
+    frequency: float = 1.0
+    hold: float | None = None
+    protocol: tuple[Excitation, ...] = ()
+    rounds: int = 2
+    goal: float = 1.0
+
+    def __post_init__(self) -> None:
+        positive(self.frequency, "frequency")
+        positive(self.goal, "goal")
+        if not isinstance(self.rounds, int) or self.rounds < 0:
+            raise RecordError(f"rounds: got {self.rounds!r}, need a whole number, 0 or more")
+
+    def pace(self, rig: AbstractRig) -> Pace:
+        """How this is played on a rig."""
+        hold = _HOLD / self.frequency if self.hold is None else self.hold
+        rate = rig.nearest_rate(sample_rate_for(self.frequency))
+        return Pace(rig.limits.low, rig.limits.high, rate, self.frequency, hold, rig.slew_rate)
+
+
+class Step(NamedTuple):
+    """Something that would be played, and when; `excitation` None where it depends on what is found."""
+
+    name: str
+    words: str
+    excitation: Excitation | None
+
+
+def steps(rig: AbstractRig, plan: Plan) -> tuple[Step, ...]:
+    """What a calibration would send, for a look before anything is sent.
+
+    Raises
+    ------
+    RecordError
+        If it cannot be played within the rig's limits.
+    """
+    pace = plan.pace(rig)
+    # By a ratio, the voltages of a path depend on no displacement.
+    path = Planner(pace.homing(), (0.0, 1.0), rig.limits, pace.leg).nominal().excitation
+    look = pace.look()
+    return (
+        Step("comparison", "if the folder holds records: their loop twice, which must agree", replay(look)),
+        Step("look", "holds at both ends, two major loops", look),
+        *_planned(pace, plan),
+        Step("others", "loops of other heights, held out", pace.others()),
+        Step("nominal", "homing, then a path of nine reversals by a constant ratio", path),
+        Step("compensated", "homing, then the same path by the model; its voltages follow", path),
+    )
+
+
+def _planned(pace: Pace, plan: Plan) -> Iterator[Step]:
+    if plan.protocol:
+        for i, given in enumerate(plan.protocol, 1):
+            yield Step(f"given-{i}", f"{given.name}, as given", given)
+        return
+    yield Step("loops", "what insight chooses after the look, e.g. descending tops", pace.tops())
+    for name, excitation in zip(("fast", "stairs"), pace.slowly_and_fast(), strict=True):
+        yield Step(name, "if the look shows creep", excitation)
+    for i in range(1, plan.rounds + 1):
+        yield Step(f"more-{i}", "if insight finds directions open", None)

@@ -1,0 +1,289 @@
+"""A rig behind EPICS Channel Access: the IOC of `dehyst rig serve --epics`, or a laboratory's own."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+from dehyst._errors import DeviceError, LinkError, RigError
+from dehyst._types import Array
+from dehyst.control.limits import Limits
+from dehyst.instruments.base import AbstractRig, Reading, Samples
+from dehyst.instruments.channel_access import ChannelAccess
+from dehyst.instruments.host_timed import HIGHEST_RATE, host_timed
+
+# Seconds between two looks at a wave; reading samples may take this share of the time at most.
+_LOOK, _SHARE = 0.1, 0.1
+# Seconds that the recorder may be behind the wave's end, and sample times that it may be silent.
+_LATE, _SILENT = 1.0, 5
+# By so much of the range a voltage that was taken may differ from the one that was sent: its rounding.
+_ROUNDED = 1e-3
+
+
+@dataclass(frozen=True)
+class PvNames:
+    """Names of process variables, what follows the prefix; None for what an IOC does not have.
+
+    Voltages are in V, times in s; positions in the unit that their record's EGU says, m, mm, um or nm. `wave_period` is
+    seconds a sample. A put to `wave_start` has `count` begin anew before its callback comes, `wave_stop` ends the wave.
+    `error` is a text that stays until it is overwritten by an empty one.
+    """
+
+    voltage: str = "VOLTAGE"
+    readback: str = "VOLTAGE:RBV"
+    position: str = "POSITION"
+    time: str | None = "TIME"
+    identity: str | None = "IDN"
+    error: str | None = "ERROR"
+    low: str | None = "LIMIT:LOW"
+    high: str | None = "LIMIT:HIGH"
+    slew: str | None = "SLEW"
+    wave_voltage: str | None = "WAVE:VOLTAGE"
+    wave_period: str | None = "WAVE:PERIOD"
+    wave_start: str | None = "WAVE:START"
+    wave_stop: str | None = "WAVE:STOP"
+    wave_busy: str | None = "WAVE:BUSY"
+    record_count: str | None = "REC:COUNT"
+    record_time: str | None = "REC:TIME"
+    record_voltage: str | None = "REC:VOLTAGE"
+    record_position: str | None = "REC:POSITION"
+    joint: str = ":"
+
+    @property
+    def all(self) -> dict[str, str]:
+        """The names by what they are for, without those that are None."""
+        found = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "joint"}
+        return {what: name for what, name in found.items() if name is not None}
+
+    @property
+    def waves(self) -> dict[str, str]:
+        """Those of wave generator and recorder."""
+        return {what: name for what, name in self.all.items() if what.startswith(("wave_", "record_"))}
+
+    @property
+    def plays(self) -> bool:
+        """Whether waves can be played.
+
+        Raises
+        ------
+        RigError
+            If there are some of the names for that, but not all.
+        """
+        wanted = [field.name for field in fields(self) if field.name.startswith(("wave_", "record_"))]
+        missing = [what for what in wanted if what not in self.waves]
+        if missing and self.waves:
+            raise RigError(f"names: got none for {', '.join(missing)}; waves need all of them, or set all to None")
+        return not missing
+
+    def without_waves(self) -> PvNames:
+        """The same of an IOC that plays none."""
+        nothing: dict[str, Any] = dict.fromkeys(self.waves)
+        return replace(self, **nothing)
+
+
+class EpicsRig(AbstractRig):
+    """An IOC's process variables; made by `connect`."""
+
+    def __init__(
+        self, link: ChannelAccess, names: PvNames, *, limits: tuple[float, float] | None, slew_rate: float | None
+    ) -> None:
+        self._link, self._names, self._plays = link, names, names.plays
+        prefix = link.prefix.removesuffix(names.joint)
+        said = "" if names.identity is None else link.text(names.identity).strip()
+        # A record without a unit is in um, as are those of the emulator.
+        self._metres = link.metres(names.position) or 1e-6
+        self._recorded_metres, longest = self._metres, None
+        if self._plays:
+            self._recorded_metres = link.metres(self._of("record_position")) or self._metres
+            tables = ("wave_voltage", "record_time", "record_voltage", "record_position")
+            longest = min(link.length(self._of(table)) for table in tables)
+        self._last, self._began = 0.0, time.monotonic()
+        name = f"epics://{prefix}" + (f" ({said})" if said else "")
+        super().__init__(name, self._device(limits), limits=limits, slew_rate=slew_rate, longest=longest)
+        self._forget_error()
+
+    @classmethod
+    def connect(
+        cls,
+        prefix: str,
+        *,
+        limits: tuple[float, float] | None = None,
+        slew_rate: float | None = None,
+        timeout: float = 5.0,
+        names: PvNames = PvNames(),
+    ) -> Self:
+        """Connect to all variables; nothing is sent.
+
+        Parameters
+        ----------
+        prefix : str
+            What all names begin with, without the colon.
+        limits : (float, float), optional
+            Voltages that the user allows [V]. Those of the device are its own variables, or limits of the voltage's
+            record.
+        slew_rate : float, optional
+            [V/s].
+        timeout : float, optional
+            Seconds that one exchange may take.
+        names : PvNames, optional
+
+        Raises
+        ------
+        LinkError
+            If variables are missing; their names are in the message.
+        RigError
+            If the device's limits make no sense.
+        MissingExtraError
+            If aioca is not installed.
+
+        Warns
+        -----
+        UserWarning
+            If none of the variables for waves is there: the host then times every voltage, slowly.
+        """
+        link = ChannelAccess(prefix + names.joint, timeout)
+        names = _answering(link, names)
+        return cls(link, names, limits=limits, slew_rate=slew_rate)
+
+    def nearest_rate(self, sample_rate: float) -> float:
+        """The rate [Hz] that the device makes of `sample_rate`; it is set."""
+        if not self._plays:
+            return min(sample_rate, HIGHEST_RATE)
+        self._link.put(self._of("wave_period"), 1 / sample_rate)
+        self._demand_no_error()
+        (period,) = self._link.numbers(self._of("wave_period"))
+        if not period > 0:
+            raise DeviceError(f"{self.name}: its sample period is {period:.6g} s for {sample_rate:.6g} Hz asked for")
+        return 1 / period
+
+    def _read(self) -> Reading:
+        names = self._names
+        voltage, position, *clock = self._link.numbers(names.readback, names.position, *filter(None, [names.time]))
+        return Reading(clock[0] if clock else self._host_time(), voltage, self._metres * position)
+
+    def _put(self, voltage: float) -> None:
+        self._link.put(self._names.voltage, voltage)
+        self._demand_no_error()
+        (taken,) = self._link.numbers(self._names.voltage)
+        if not abs(taken - voltage) <= _ROUNDED * (self.limits.high - self.limits.low):
+            raise DeviceError(
+                f"{self.name}: took {taken:.6g} V when {voltage:.6g} V was sent: its limits are narrower than it says, "
+                "or somebody else sends too"
+            )
+
+    def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
+        if not self._plays:
+            yield from host_timed(self, voltage, rate)
+            return
+        for what, value in (("wave_voltage", voltage), ("wave_period", 1 / rate), ("wave_start", 1)):
+            self._link.put(self._of(what), value)
+            self._demand_no_error()
+        got, fresh, cost, shift = 0, time.monotonic(), 0.0, None
+        while got < voltage.size:
+            count, idle = self._progress(got, fresh, max(self._link.timeout, _SILENT / rate))
+            now = time.monotonic()
+            if count > got and (count >= voltage.size or idle or now - fresh >= cost / _SHARE):
+                samples = self._samples(got, min(count, voltage.size))
+                fresh = time.monotonic()
+                cost, got = fresh - now, got + samples.time.size
+                if shift is None:
+                    # Times of a recorder may begin anew with every wave.
+                    shift = 0.0 if samples.time[0] > self._last else self._last + 1 / rate - samples.time[0]
+                self._last = float(samples.time[-1] + shift)
+                yield samples._replace(time=samples.time + shift)
+            elif idle and now - fresh > _LATE:
+                raise DeviceError(f"{self.name}: stopped after {got} of {voltage.size} samples; did somebody stop it?")
+            if got < voltage.size:
+                self._wait(_LOOK)
+
+    def _progress(self, got: int, fresh: float, patience: float) -> tuple[int, bool]:
+        """Samples recorded, and whether the wave has ended."""
+        # In this order: what was recorded by the end is there when the end is seen.
+        names = self._of("wave_busy"), self._of("record_count")
+        if not self._link.connected(*names):
+            raise LinkError(f"{self.name}: the connection was lost after {got} samples; the IOC may play on")
+        busy, count = self._link.numbers(*names)
+        if not got <= count < float("inf"):
+            raise LinkError(f"{self.name}: its recorder counts {count:g} after {got} samples; who else uses it?")
+        if count == got and busy and time.monotonic() - fresh > patience:
+            raise LinkError(f"{self.name}: no new sample for {patience:.3g} s, {got} so far, though it says it plays")
+        return int(count), not busy
+
+    def _samples(self, first: int, stop: int) -> Samples:
+        tables = [self._of(f"record_{column}") for column in ("time", "voltage", "position")]
+        moment, voltage, position = (column[first:] for column in self._link.arrays(*tables, count=stop))
+        return Samples(moment, voltage, self._recorded_metres * position)
+
+    def _halt(self) -> None:
+        self._forget_error()
+        if not self._plays:
+            return
+        self._link.put(self._of("wave_stop"), 1)
+        end = time.monotonic() + self._link.timeout
+        while self._link.numbers(self._of("wave_busy"))[0]:
+            if time.monotonic() > end:
+                raise DeviceError(f"{self.name}: plays on {self._link.timeout:g} s after it was told to stop")
+            self._wait(_LOOK)
+
+    def _close(self) -> None:
+        """Channels belong to the process: another rig may use them."""
+
+    def _of(self, what: str) -> str:
+        return self._names.all[what]
+
+    def _host_time(self) -> float:
+        return time.monotonic() - self._began
+
+    def _demand_no_error(self) -> None:
+        said = "" if self._names.error is None else self._link.text(self._names.error)
+        if said:
+            raise DeviceError(f"{self.name}: says: {said}")
+
+    def _forget_error(self) -> None:
+        """An error stays until it is overwritten; what was said before is of no use."""
+        if self._names.error is not None and self._link.text(self._names.error):
+            self._link.clear(self._names.error)
+
+    def _device(self, asked: tuple[float, float] | None) -> Limits:
+        """What the device allows: its variables, and its record's limits where they are narrower."""
+        names, link = self._names, self._link
+        low, high = link.limits(names.voltage)
+        if names.low is not None and names.high is not None:
+            lowest, highest = link.numbers(names.low, names.high)
+            low, high = (max(low, lowest), min(high, highest)) if low < high else (lowest, highest)
+        elif not low < high and asked is not None:
+            low, high = asked
+        if not low < high:
+            raise RigError(
+                f"{link.prefix}{names.voltage}: its limits are {low:g} to {high:g} V; set DRVL and DRVH in its record"
+            )
+        slew = 0.0 if names.slew is None else link.numbers(names.slew)[0]
+        return Limits(low, high, slew if slew > 0 else None)
+
+
+def _answering(link: ChannelAccess, names: PvNames) -> PvNames:
+    """The names, without those for waves if nobody answers for all of these; refuses any other that is missing."""
+    absent = link.absent(list(names.all.values()))
+    if not absent:
+        return names
+    if names.plays and set(absent) == set(names.waves.values()):
+        warnings.warn(
+            f"{link.prefix}{absent[0]} and all others for waves are missing: every voltage is timed by this computer, "
+            f"{HIGHEST_RATE:g} a second at most and unevenly",
+            stacklevel=3,
+        )
+        return names.without_waves()
+    raise LinkError(_missing(link, absent, len(names.all)))
+
+
+def _missing(link: ChannelAccess, absent: Sequence[str], asked: int) -> str:
+    if len(absent) == asked:
+        return (
+            f"{link.prefix}*: none of {asked} process variables answered within {link.timeout:g} s, not even "
+            f"{link.prefix}{absent[0]}; is the IOC running, and does EPICS_CA_ADDR_LIST lead to it?"
+        )
+    names = ", ".join(link.prefix + name for name in absent)
+    return f"{names}: no such process variable within {link.timeout:g} s; give names=, with None for what there is not"

@@ -1,0 +1,99 @@
+"""What a data recorder answers: a GCS array, which is a header of `# KEY = value` lines and rows of numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dehyst._errors import LinkError
+from dehyst._types import Array
+from dehyst.instruments import gcs_syntax
+
+_HEADER = re.compile(r"#\s*([A-Z_]+)(\d*)\s*=\s*(.*)")
+_END = "# END_HEADER"
+
+
+class Table(NamedTuple):
+    """A GCS array.
+
+    Attributes
+    ----------
+    sample_time : float
+        [s] from one row to the next.
+    names : tuple of str
+        What each column is; empty texts where the header does not say.
+    columns : (k, n) array
+        In the controller's units.
+    """
+
+    sample_time: float
+    names: tuple[str, ...]
+    columns: Array
+
+
+def table(lines: Sequence[str], rows: int, columns: int) -> Table:
+    """Read an answer of DRR? of so many rows and columns.
+
+    Raises
+    ------
+    LinkError
+        If the header is not whole, tells other sizes, or a row is not so many finite numbers.
+    """
+    stripped = [line.strip() for line in lines]
+    if _END not in stripped:
+        raise LinkError(f"got {gcs_syntax.shown(lines)}, need an array with a header that ends {_END}")
+    end = stripped.index(_END)
+    header = _header(stripped[:end])
+    for key, needed in (("TYPE", 1), ("DIM", columns), ("NDATA", rows)):
+        found = gcs_syntax.integer(header.get(key, ""))
+        if found != needed:
+            raise LinkError(f"got an array with {key} = {found}, need {needed}")
+    sample_time = gcs_syntax.real(header.get("SAMPLE_TIME", ""))
+    if sample_time <= 0:
+        raise LinkError(f"got an array with SAMPLE_TIME = {sample_time}, need a time above 0 s")
+    separator = gcs_syntax.integer(header.get("SEPARATOR", "32"))
+    if separator not in {9, 32, 44, 59}:
+        raise LinkError(f"got an array with SEPARATOR = {separator}, need 32 (space), 9, 44 or 59")
+    body = stripped[end + 1 :]
+    if len(body) != rows:
+        raise LinkError(f"got an array of {len(body)} rows, need {rows}; was the answer cut?")
+    names = tuple(header.get(f"NAME{index}", "") for index in range(columns))
+    return Table(sample_time, names, _numbers(body, columns, chr(separator)))
+
+
+def position_and_voltage(found: Table) -> tuple[Array, Array]:
+    """Return the columns (n,) of position and voltage: as the names tell, else in the order asked for."""
+    position, voltage = 0, 1
+    told = [("position" in name.lower(), "voltage" in name.lower()) for name in found.names]
+    if told[:2] == [(False, True), (True, False)]:
+        position, voltage = 1, 0
+    return found.columns[position], found.columns[voltage]
+
+
+def _header(lines: Sequence[str]) -> dict[str, str]:
+    header: dict[str, str] = {}
+    for line in lines:
+        if not line.startswith("#"):
+            raise LinkError(f"got {gcs_syntax.shown(line)} in the header of an array, need lines that begin with #")
+        match = _HEADER.fullmatch(line)
+        if match is None:
+            continue
+        key = match.group(1) + match.group(2)
+        if key in header:
+            raise LinkError(f"got {key} twice in the header of an array")
+        header[key] = match.group(3).strip()
+    return header
+
+
+def _numbers(body: Sequence[str], columns: int, separator: str) -> Array:
+    """Rows of text as numbers (columns, n)."""
+    found = np.empty((len(body), columns))
+    for index, line in enumerate(body):
+        words = line.split(None if separator in " \t" else separator)
+        if len(words) != columns:
+            raise LinkError(f"got the row {gcs_syntax.shown(line)}, need {columns} numbers")
+        found[index] = [gcs_syntax.real(word.strip()) for word in words]
+    return np.ascontiguousarray(found.T)

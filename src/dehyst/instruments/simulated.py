@@ -1,0 +1,106 @@
+"""A rig without an instrument: a virtual bench in a time of its own, as fast as it computes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from dehyst._errors import DeviceError
+from dehyst._types import Array
+from dehyst.control.limits import Limits
+from dehyst.instruments.base import AbstractRig, Reading, Samples
+from dehyst.model.actuator import Actuator
+from dehyst.virtual import Truth
+from dehyst.virtual.bench import Instrument
+from dehyst.virtual.modelled import ModelledActuator
+
+# A wave comes in so many lots, for progress to be seen.
+_LOTS = 100
+
+
+class SimulatedRig(AbstractRig):
+    """A virtual actuator behind a virtual amplifier, generator, recorder and sensor.
+
+    Parameters
+    ----------
+    truth : Truth or Actuator
+        What is driven, at rest at 0 V; the rig's identity is its `dehyst.virtual.modelled.fingerprint`.
+    limits : (float, float), optional
+        Voltages that the user allows [V].
+    slew_rate : float, optional
+        Largest abs(dv/dt) [V/s] that the user allows.
+    device_limits : (float, float), optional
+        What the amplifier can put out [V]; default: the actuator's limits, or 0 V to its highest voltage.
+    options : optional
+        Of `Instrument`, but for its limits, slew rate, clock and speed.
+
+    Attributes
+    ----------
+    instrument : Instrument
+        The bench itself: its `log` tells what was put out.
+    """
+
+    def __init__(
+        self,
+        truth: Truth | Actuator,
+        *,
+        limits: tuple[float, float] | None = None,
+        slew_rate: float | None = None,
+        device_limits: tuple[float, float] | None = None,
+        **options: Any,
+    ) -> None:
+        name = f"simulated {truth.name if isinstance(truth, Actuator) else type(truth).__name__}"
+        if device_limits is None and isinstance(truth, Actuator):
+            device_limits = truth.limits
+        driven: Truth = ModelledActuator(truth) if isinstance(truth, Actuator) else truth
+        self._time = 0.0
+        self.instrument = Instrument(
+            driven, limits=device_limits or (0.0, driven.highest), clock=lambda: self._time, **options
+        )
+        longest = min(self.instrument.wave_points, self.instrument.record_points)
+        super().__init__(
+            name,
+            Limits(*self.instrument.limits),
+            limits=limits,
+            slew_rate=slew_rate,
+            longest=longest,
+            identity=f"simulated {self.instrument.serial}",
+        )
+
+    def nearest_rate(self, sample_rate: float) -> float:
+        """The rate [Hz] nearest to `sample_rate` with a whole number of servo periods between samples."""
+        return 1.0 / (self._divider(sample_rate) * self.instrument.servo_period)
+
+    def _divider(self, rate: float) -> int:
+        return max(1, round(1.0 / (rate * self.instrument.servo_period)))
+
+    def _read(self) -> Reading:
+        bench = self.instrument
+        return Reading(bench.now, bench.voltage, bench.displacement())
+
+    def _put(self, voltage: float) -> None:
+        if not self.instrument.set_voltage(voltage):
+            raise DeviceError(f"{self.name}: refused {voltage:.6g} V; its limits are {self.instrument.limits} V")
+
+    def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
+        bench, divider = self.instrument, self._divider(rate)
+        period = divider * bench.servo_period
+        # The last sample of a wave before this one may be of this very moment.
+        self._wait(period)
+        bench.start(voltage, divider)
+        lot = max(1, voltage.size // _LOTS)
+        seen = 0
+        while bench.playing or seen < bench.recorded:
+            yield Samples(*bench.samples(seen))
+            seen = bench.recorded
+            if bench.playing:
+                self._wait(min(lot, voltage.size - seen) * period)
+
+    def _halt(self) -> None:
+        self.instrument.stop()
+
+    def _close(self) -> None:
+        pass
+
+    def _wait(self, seconds: float) -> None:
+        self._time += seconds

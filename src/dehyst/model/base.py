@@ -1,0 +1,85 @@
+"""The words that every model shares: its interface, a motion, a state, the result of an identification."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import number, vector
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What an actuator remembers.
+
+    Attributes
+    ----------
+    displacement : float
+        [m]; with dynamics or a load, w: where the electrical side stands.
+    carts : (N,) array
+        Position of each cart [m].
+    creep : (J,) array
+        Strain d_j of each creep branch [m]; empty: none is strained.
+    motion : (0,) or (2,) array
+        With dynamics, displacement [m] and velocity [m/s] of the mass; empty: at rest at `displacement`.
+    smooth : (L,) array
+        Elongation q_l of each smooth element [m]; empty: none is elongated.
+    """
+
+    displacement: float
+    carts: Array
+    creep: Array
+    motion: Array
+    smooth: Array
+
+    def __init__(
+        self,
+        displacement: float,
+        carts: ArrayLike,
+        creep: ArrayLike = (),
+        motion: ArrayLike = (),
+        smooth: ArrayLike = (),
+    ) -> None:
+        object.__setattr__(self, "displacement", number(displacement, "state: displacement"))
+        for name, values, what in (
+            ("carts", carts, "carts"),
+            ("creep", creep, "creep strains"),
+            ("motion", motion, "motion"),
+            ("smooth", smooth, "smooth elongations"),
+        ):
+            object.__setattr__(self, name, vector(values, what))
+            getattr(self, name).flags.writeable = False
+        if self.motion.size not in (0, 2):
+            raise ModelError(f"state: got a motion of {self.motion.size} numbers, need displacement and velocity")
+
+    def shifted(self, by: float) -> State:
+        """The same state on a displacement axis moved by `by` [m]."""
+        motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
+        return State(self.displacement + by, self.carts + by, self.creep, motion, self.smooth)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Voltage (n,) [V] and displacement (n,) [m] that belong together, and the state at the last sample."""
+
+    voltage: Array
+    displacement: Array
+    state: Any
+
+
+class AbstractModel(ABC):
+    """A model of hysteresis: voltage to displacement, and back."""
+
+    @abstractmethod
+    def simulate(self, voltage: ArrayLike, *, time: ArrayLike | None = None, state: Any = None) -> Motion:
+        """Displacement that a voltage causes, from `state`; `time` (n,) [s] for models that know of it."""
+
+    @abstractmethod
+    def compensate(self, displacement: ArrayLike, *, time: ArrayLike | None = None, state: Any = None) -> Motion:
+        """Voltage that makes the model follow a displacement, from `state`; `time` as in `simulate`."""

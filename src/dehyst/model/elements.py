@@ -1,0 +1,267 @@
+"""The parts an actuator is made of: frozen, validated, in seconds, volts and metres of displacement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dehyst._computable import demand_curve, demand_divisors, demand_magnitudes
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import matrix, vector
+
+
+def frozen(array: Array) -> Array:
+    """Return a read-only copy."""
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy
+
+
+def checked_breakaway(breakaway: ArrayLike) -> Array:
+    """Return breakaway elongations (N,) [m]; refuse with `ModelError` what is not positive and strictly increasing."""
+    rho = vector(breakaway, "breakaway elongations")
+    if np.any(rho <= 0) or np.any(np.diff(rho) <= 0):
+        raise ModelError(f"breakaway elongations must be positive and strictly increasing, got {rho}")
+    return rho
+
+
+def segment_of(knots: Array, y: ArrayLike) -> NDArray[np.intp]:
+    """Number of the segment between knots (M,) in which each y lies, the end segments being unbounded."""
+    return np.clip(np.searchsorted(knots, y, side="right") - 1, 0, knots.size - 2)
+
+
+def parts_in_segments(knots: Array, y: Array) -> Array:
+    """The part of y that lies in each segment between knots, the end segments being unbounded, shape (n, M - 1).
+
+    A spring of slopes a_j between its knots holds ``eta(knots[0]) + sum_j a_j parts_j(y)``.
+    """
+    lower, upper = knots[:-1].copy(), knots[1:].copy()
+    lower[0], upper[-1] = -np.inf, np.inf
+    return np.asarray(np.clip(y[:, None], lower, upper) - knots[:-1])
+
+
+@dataclass(frozen=True, eq=False)
+class MaxwellSlip:
+    """N Maxwell-slip elements in parallel: springs in series with Coulomb friction (Eq. 1).
+
+    Element i holds the voltage ``stiffness_i * s_i``; its elongation follows the displacement y as the stop operator
+    ``s_i <- clip(s_i + dy, -breakaway_i, +breakaway_i)``.
+
+    Parameters
+    ----------
+    breakaway : (N,) array_like
+        Largest elongations rho_i = c r_i [m], positive and strictly increasing.
+    stiffness : (N,) array_like
+        kappa_i = k_i / (T c) [V/m], not negative.
+
+    Raises
+    ------
+    ModelError
+        If lengths differ, or a value is impossible.
+    """
+
+    breakaway: Array
+    stiffness: Array
+
+    def __init__(self, breakaway: ArrayLike, stiffness: ArrayLike) -> None:
+        rho, kappa = checked_breakaway(breakaway), vector(stiffness, "stiffnesses")
+        if rho.size != kappa.size:
+            raise ModelError(
+                f"got {rho.size} breakaway elongations and {kappa.size} stiffnesses, need one of each an element"
+            )
+        if np.any(kappa < 0):
+            raise ModelError(
+                f"stiffness {int(np.argmin(kappa))} is {kappa.min():g} V/m; a negative one grows without bound"
+            )
+        demand_magnitudes(kappa, "stiffnesses")
+        demand_magnitudes(rho, "breakaway elongations")
+        object.__setattr__(self, "breakaway", frozen(rho))
+        object.__setattr__(self, "stiffness", frozen(kappa))
+
+    def __len__(self) -> int:
+        return self.breakaway.size
+
+    @property
+    def friction(self) -> Array:
+        """(N,) breakaway voltages kappa_i rho_i [V]: f_i seen at the terminals."""
+        return self.stiffness * self.breakaway
+
+
+@dataclass(frozen=True, eq=False)
+class GradedSlip:
+    """N Maxwell-slip elements whose stiffness depends on where their cart sits (theory section 8).
+
+    Element i holds ``psi_i(y) - psi_i(b_i)``, b_i the position of its cart, dragged along at the distance
+    ``breakaway_i``; psi_i is piecewise linear on knots that all elements share, its end segments going on for ever.
+    With one segment it is `MaxwellSlip`.
+
+    Parameters
+    ----------
+    breakaway : (N,) array_like
+        Largest elongations rho_i [m], positive and strictly increasing.
+    knots : (M + 1,) array_like
+        [m], strictly increasing, M >= 1. The outer two only say where the end segments begin.
+    stiffness : (N, M) array_like
+        kappa_im [V/m], not negative: the slope of psi_i in each segment.
+
+    Raises
+    ------
+    ModelError
+        If shapes do not fit, or a value is impossible or cannot be computed with (see `dehyst._computable`).
+    """
+
+    breakaway: Array
+    knots: Array
+    stiffness: Array
+
+    def __init__(self, breakaway: ArrayLike, knots: ArrayLike, stiffness: ArrayLike) -> None:
+        rho, ends = checked_breakaway(breakaway), vector(knots, "grade knots")
+        kappa = matrix(stiffness, "stiffnesses")
+        if ends.size < 2 or kappa.shape != (rho.size, ends.size - 1):
+            raise ModelError(
+                f"got stiffnesses of shape {kappa.shape} for {rho.size} breakaway elongations and {ends.size} grade "
+                f"knots, need ({rho.size}, {max(ends.size, 2) - 1}): a row an element, a column a segment"
+            )
+        if np.any(np.diff(ends) <= 0):
+            raise ModelError(f"grade knots must strictly increase, got {ends}")
+        demand_magnitudes(ends, "grade knots")
+        demand_divisors(np.diff(ends), "grade knots: steps")
+        demand_magnitudes(kappa, "stiffnesses")
+        demand_magnitudes(rho, "breakaway elongations")
+        if np.any(kappa < 0):
+            i, m = np.unravel_index(int(np.argmin(kappa)), kappa.shape)
+            raise ModelError(f"stiffness {i}, {m} is {kappa.min():g} V/m; a negative one grows without bound")
+        object.__setattr__(self, "breakaway", frozen(rho))
+        object.__setattr__(self, "knots", frozen(ends))
+        object.__setattr__(self, "stiffness", frozen(kappa))
+
+    def __len__(self) -> int:
+        return self.breakaway.size
+
+    @property
+    def friction(self) -> Array:
+        """(N,) largest voltages [V] that the elements can hold, wherever they slide."""
+        bends = np.concatenate([self.knots[:, None] + np.zeros(len(self)), self.knots[:, None] + self.breakaway])
+        return np.asarray((self.held(bends) - self.held(bends - self.breakaway)).max(axis=0))
+
+    def stiffest(self) -> MaxwellSlip:
+        """Plain elements that hold as much where these hold most: for a picture, not for a simulation."""
+        return MaxwellSlip(self.breakaway, self.friction / self.breakaway)
+
+    def held(self, positions: ArrayLike) -> Array:
+        """psi_i [V] at positions [m] of shape (..., N) or (..., 1), as shape (..., N); 0 at the first knot."""
+        z = np.asarray(positions, dtype=np.float64)[..., None]
+        lower, upper = np.append(-np.inf, self.knots[1:-1]), np.append(self.knots[1:-1], np.inf)
+        return np.asarray(((np.clip(z, lower, upper) - self.knots[:-1]) * self.stiffness).sum(axis=-1))
+
+    def slopes_at(self, positions: ArrayLike) -> Array:
+        """kappa_i [V/m] at positions [m] of shape (..., N) or (..., 1), as shape (..., N)."""
+        z = np.broadcast_to(positions, (*np.shape(positions)[:-1], len(self)))
+        return np.asarray(self.stiffness[np.arange(len(self)), np.searchsorted(self.knots[1:-1], z, side="right")])
+
+
+@dataclass(frozen=True, eq=False)
+class Spring:
+    """The parallel spring h seen at the terminals: voltage eta(y), piecewise linear, continued linearly.
+
+    Parameters
+    ----------
+    displacement : (M,) array_like
+        Knots [m], strictly increasing, M >= 2.
+    voltage : (M,) array_like
+        eta at the knots [V], strictly increasing (Assumption I).
+
+    Raises
+    ------
+    ModelError
+        If lengths differ, a curve does not strictly increase, or cannot be computed with (see `dehyst._computable`).
+    """
+
+    displacement: Array
+    voltage: Array
+
+    def __init__(self, displacement: ArrayLike, voltage: ArrayLike) -> None:
+        y, v = vector(displacement, "spring knots"), vector(voltage, "spring voltages")
+        if y.size != v.size or y.size < 2:
+            raise ModelError(f"got {y.size} spring knots and {v.size} voltages, need the same number and two at least")
+        if np.any(np.diff(y) <= 0):
+            raise ModelError(f"spring knots must strictly increase, got {y}")
+        falls = np.flatnonzero(np.diff(v) <= 0)
+        if falls.size:
+            raise ModelError(
+                f"the spring's voltage must strictly increase (Assumption I); it does not between knots {falls[0]} and "
+                f"{falls[0] + 1}. Identify with a slope floor, or with fewer elements"
+            )
+        demand_curve(y, v, "spring")
+        object.__setattr__(self, "displacement", frozen(y))
+        object.__setattr__(self, "voltage", frozen(v))
+
+    @classmethod
+    def of_slopes(cls, displacement: Array, slopes: Array, first: float) -> Spring:
+        """Build a spring from the slopes of its segments (M - 1,) [V/m] and the voltage at its first knot [V]."""
+        return cls(displacement, first + np.concatenate([[0.0], np.cumsum(slopes * np.diff(displacement))]))
+
+    @property
+    def slopes(self) -> Array:
+        """(M - 1,) slopes of the segments [V/m]."""
+        return np.diff(self.voltage) / np.diff(self.displacement)
+
+    def __call__(self, displacement: ArrayLike) -> Array:
+        """Voltage [V] at displacements [m] of any shape."""
+        return on_curve(self.displacement, self.voltage, displacement)
+
+
+@dataclass(frozen=True, eq=False)
+class Transformer:
+    """A nonlinear transformer: tau(v) drives the elements in place of v (theory section 8).
+
+    Piecewise linear, strictly increasing, continued linearly. It is a fitted map: with it the charge no longer balances
+    power.
+
+    Parameters
+    ----------
+    voltage : (K,) array_like
+        Knots [V], strictly increasing, K >= 2.
+    drive : (K,) array_like
+        tau at the knots [V], strictly increasing.
+
+    Raises
+    ------
+    ModelError
+        If lengths differ, a curve does not strictly increase, or cannot be computed with (see `dehyst._computable`).
+    """
+
+    voltage: Array
+    drive: Array
+
+    def __init__(self, voltage: ArrayLike, drive: ArrayLike) -> None:
+        v, tau = vector(voltage, "transformer knots"), vector(drive, "transformer drives")
+        if v.size != tau.size or v.size < 2:
+            raise ModelError(
+                f"got {v.size} transformer knots and {tau.size} drives, need the same number and two at least"
+            )
+        for values, what in ((v, "knots"), (tau, "drives")):
+            if np.any(np.diff(values) <= 0):
+                raise ModelError(f"transformer {what} must strictly increase, got {values}; else no voltage is the one")
+        demand_curve(v, tau, "transformer")
+        object.__setattr__(self, "voltage", frozen(v))
+        object.__setattr__(self, "drive", frozen(tau))
+
+    def __call__(self, voltage: ArrayLike) -> Array:
+        """The drive tau(v) [V] at voltages [V] of any shape."""
+        return on_curve(self.voltage, self.drive, voltage)
+
+    def inverse(self, drive: ArrayLike) -> Array:
+        """Voltages [V] at which tau takes these values [V], of any shape."""
+        return on_curve(self.drive, self.voltage, drive)
+
+
+def on_curve(knots: Array, values: Array, at: ArrayLike) -> Array:
+    """A piecewise-linear curve through knots and values (M,), continued linearly, at places of any shape."""
+    x = np.asarray(at, dtype=np.float64)
+    j = segment_of(knots, x)
+    slopes = np.diff(values) / np.diff(knots)
+    return np.asarray(values[j] + slopes[j] * (x - knots[j]))

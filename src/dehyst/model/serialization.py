@@ -1,0 +1,204 @@
+"""What a model file holds: JSON values to an actuator's parts and back, strictly and without loss."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import number
+from dehyst.model.base import State
+from dehyst.model.creep import Creep
+from dehyst.model.dynamics import Dynamics
+from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.model.smooth_slip import SmoothSlip
+
+if TYPE_CHECKING:
+    from dehyst.model.actuator import Actuator
+
+FORMAT = "dehyst-actuator"
+VERSION = 2
+_PLAIN = {"format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance"}
+_KEYS = _PLAIN | {"transformer", "creep", "smooth", "dynamics", "load_stiffness_N_per_m", "lag_s"}
+
+
+def as_dict(actuator: Actuator) -> dict[str, Any]:
+    """JSON values of an actuator in SI units; parts that it lacks are null."""
+    slip, spring, transformer, creep = actuator.slip, actuator.spring, actuator.transformer, actuator.creep
+    smooth, dynamics = actuator.smooth, actuator.dynamics
+    elements: dict[str, Any] = {"breakaway_m": slip.breakaway.tolist()}
+    if isinstance(slip, GradedSlip):
+        elements["knots_m"] = slip.knots.tolist()
+    elements["stiffness_V_per_m"] = slip.stiffness.tolist()
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": actuator.name,
+        "slip": elements,
+        "spring": {"displacement_m": spring.displacement.tolist(), "voltage_V": spring.voltage.tolist()},
+        "transformer": None
+        if transformer is None
+        else {"voltage_V": transformer.voltage.tolist(), "drive_V": transformer.drive.tolist()},
+        "creep": None
+        if creep is None
+        else {"time_constants_s": creep.time_constants.tolist(), "stiffness_V_per_m": creep.stiffness.tolist()},
+        "smooth": None
+        if smooth is None
+        else {
+            "length_m": smooth.length.tolist(),
+            "closing": smooth.closing.tolist(),
+            "stiffness_V_per_m": smooth.stiffness.tolist(),
+        },
+        "dynamics": None
+        if dynamics is None
+        else {
+            "frequency_rad_per_s": dynamics.frequency,
+            "damping": dynamics.damping,
+            "series_V_per_m": dynamics.series,
+        },
+        "load_stiffness_N_per_m": actuator.load_stiffness,
+        "lag_s": actuator.lag,
+        "state": state_dict(actuator.state),
+        "limits": None if actuator.limits is None else {"voltage_V": list(actuator.limits)},
+        "delay_s": actuator.delay,
+        "provenance": dict(actuator.provenance),
+    }
+
+
+def state_dict(state: State) -> dict[str, Any]:
+    """JSON values of a state."""
+    return {
+        "displacement_m": state.displacement,
+        "carts_m": state.carts.tolist(),
+        "creep_m": state.creep.tolist(),
+        "smooth_m": state.smooth.tolist(),
+        "motion": None
+        if not state.motion.size
+        else {"displacement_m": float(state.motion[0]), "velocity_m_per_s": float(state.motion[1])},
+    }
+
+
+def parts(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What `Actuator` is made from, by name. Version 1 has plain elements and a spring only.
+
+    Raises
+    ------
+    ModelError
+        If the format or version is another one, a key is unknown or missing, or a number is impossible.
+    """
+    version = data.get("version")
+    if data.get("format") != FORMAT or type(version) is not int or version not in (1, VERSION):
+        raise ModelError(
+            f"got format {data.get('format')!r} version {data.get('version')!r}, need {FORMAT!r} version 1 or {VERSION}"
+        )
+    demand_keys(data, _PLAIN if version == 1 else _KEYS, "model")
+    if not isinstance(data["name"], str) or not isinstance(data["provenance"], Mapping):
+        raise ModelError("model: name must be text and provenance an object")
+    spring = _part(data, "spring", {"displacement_m", "voltage_V"})
+    limits = None if data["limits"] is None else _part(data, "limits", {"voltage_V"})["voltage_V"]
+    plain = {
+        "slip": _slip(data, graded=version > 1),
+        "spring": Spring(*_columns(spring, "spring", "displacement_m", "voltage_V")),
+        "limits": None if limits is None else _pair(limits),
+        "delay": number(data["delay_s"], "delay_s"),
+        "name": data["name"],
+        "provenance": data["provenance"],
+    }
+    return {**plain, "state": _state(data, set())} if version == 1 else {**plain, **_wider(data)}
+
+
+def _wider(data: Mapping[str, Any]) -> dict[str, Any]:
+    stiffness = data["load_stiffness_N_per_m"]
+    found: dict[str, Any] = {
+        "state": state(data),
+        "lag": number(data["lag_s"], "lag_s"),
+        "load_stiffness": None if stiffness is None else number(stiffness, "load_stiffness_N_per_m"),
+    }
+    if data["transformer"] is not None:
+        part = _part(data, "transformer", {"voltage_V", "drive_V"})
+        found["transformer"] = Transformer(*_columns(part, "transformer", "voltage_V", "drive_V"))
+    if data["creep"] is not None:
+        part = _part(data, "creep", {"time_constants_s", "stiffness_V_per_m"})
+        found["creep"] = Creep(*_columns(part, "creep", "time_constants_s", "stiffness_V_per_m"))
+    if data["smooth"] is not None:
+        part = _part(data, "smooth", {"length_m", "closing", "stiffness_V_per_m"})
+        found["smooth"] = SmoothSlip(*_columns(part, "smooth", "length_m", "closing", "stiffness_V_per_m"))
+    if data["dynamics"] is not None:
+        keys = ("frequency_rad_per_s", "damping", "series_V_per_m")
+        part = _part(data, "dynamics", set(keys))
+        found["dynamics"] = Dynamics(*(number(part[key], f"dynamics.{key}") for key in keys))
+    return found
+
+
+def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
+    keys, slip = {"breakaway_m", "stiffness_V_per_m"}, data["slip"]
+    if not (graded and isinstance(slip, Mapping) and "knots_m" in slip):
+        return MaxwellSlip(*_columns(_part(data, "slip", keys), "slip", "breakaway_m", "stiffness_V_per_m"))
+    slip = _part(data, "slip", keys | {"knots_m"})
+    rho, knots = _columns(slip, "slip", "breakaway_m", "knots_m")
+    rows, where = slip["stiffness_V_per_m"], "slip.stiffness_V_per_m"
+    if not isinstance(rows, list) or len(rows) != rho.size:
+        raise ModelError(f"{where}: need a list of {rho.size} lists of numbers, one an element")
+    table = [numbers(row, f"{where}[{i}]") for i, row in enumerate(rows)]
+    if any(row.size != knots.size - 1 for row in table):
+        raise ModelError(f"{where}: got rows of {[row.size for row in table]} numbers, need {knots.size - 1} in each")
+    return GradedSlip(rho, knots, np.array(table).reshape(rho.size, knots.size - 1))
+
+
+def state(data: Mapping[str, Any]) -> State:
+    """What the entry "state" holds, strictly.
+
+    Raises
+    ------
+    ModelError
+        If a key is unknown or missing, or a number is impossible.
+    """
+    return _state(data, {"creep_m", "smooth_m", "motion"})
+
+
+def _state(data: Mapping[str, Any], more: set[str]) -> State:
+    state = _part(data, "state", {"displacement_m", "carts_m"} | more)
+    w, carts = number(state["displacement_m"], "state.displacement_m"), numbers(state["carts_m"], "state.carts_m")
+    if not more:
+        return State(w, carts)
+    motion: tuple[float, ...] = ()
+    if state["motion"] is not None:
+        part = _part(state, "motion", {"displacement_m", "velocity_m_per_s"})
+        motion = tuple(number(part[key], f"motion.{key}") for key in ("displacement_m", "velocity_m_per_s"))
+    creep, smooth = _columns(state, "state", "creep_m", "smooth_m")
+    return State(w, carts, creep, motion, smooth)
+
+
+def demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
+    """Refuse unknown and missing keys by a `ModelError`."""
+    missing, unknown = sorted(needed - set(data)), sorted(set(data) - needed)
+    if missing or unknown:
+        raise ModelError(f"{where}: missing keys {missing}, unknown keys {unknown}; need exactly {sorted(needed)}")
+
+
+def _part(data: Mapping[str, Any], key: str, needed: set[str]) -> Mapping[str, Any]:
+    part = data[key]
+    if not isinstance(part, Mapping):
+        raise ModelError(f"model: {key} must be an object with keys {sorted(needed)}, got {type(part).__name__}")
+    demand_keys(part, needed, key)
+    return part
+
+
+def _columns(part: Mapping[str, Any], where: str, *keys: str) -> list[Array]:
+    return [numbers(part[key], f"{where}.{key}") for key in keys]
+
+
+def numbers(values: Any, where: str) -> Array:
+    """A list of finite numbers; else a `ModelError`."""
+    if not isinstance(values, list):
+        raise ModelError(f"{where}: got {type(values).__name__}, need a list of numbers")
+    return np.array([number(value, f"{where}[{i}]") for i, value in enumerate(values)], dtype=np.float64)
+
+
+def _pair(values: Any) -> tuple[float, float]:
+    if not isinstance(values, list) or len(values) != 2:
+        raise ModelError(f"limits.voltage_V: got {values!r}, need two numbers")
+    return number(values[0], "limits.voltage_V"), number(values[1], "limits.voltage_V")

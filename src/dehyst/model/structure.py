@@ -1,0 +1,192 @@
+"""How much model: which parts an actuator gets, and the grids on which they lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst import _validation
+from dehyst._errors import IdentifyError
+from dehyst._types import Array
+from dehyst.model.elements import segment_of
+
+# Lengths of smooth elements as parts of the stroke, each with both closings: they forget over a few lengths, so that
+# longer ones would still remember how a record began.
+_LENGTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5])
+_CLOSINGS = np.array([0.5, 1.0])
+# The fastest creep branch is this many samples long: faster ones are all but elastic.
+_FASTEST = 3.0
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What an actuator is made of.
+
+    Parameters
+    ----------
+    elements : int
+        N thresholds, rho_i = stroke / 2 (i / N)^spacing; the last lets go over the whole stroke only, and is one with
+        the spring.
+    spacing : float
+        1: the paper's uniform grid; 2: denser where loops are small.
+    grades : int
+        Segments of the stroke, on each of which an element has a stiffness of its own; 1: plain elements.
+    knots : int
+        Of the spring.
+    transformer : int
+        Segments of tau(v); 0: none.
+    creep : int
+        Branches, their time constants log-spaced from a few samples to the longest record; 0: none.
+    smooth : bool
+        Whether there are elements that let go gradually, on five lengths.
+    smoothing : float
+        How much alike neighbouring stiffnesses and slopes are held; 0: not at all. See `regularization`.
+
+    Raises
+    ------
+    IdentifyError
+        If a number is impossible.
+    """
+
+    elements: int = 20
+    spacing: float = 1.0
+    grades: int = 1
+    knots: int = 21
+    transformer: int = 0
+    creep: int = 0
+    smooth: bool = False
+    smoothing: float = 3e-3
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            ("elements", 1, 500),
+            ("grades", 1, 50),
+            ("knots", 2, 500),
+            ("transformer", 0, 200),
+            ("creep", 0, 50),
+        ):
+            _validation.count(getattr(self, name), name, least, most)
+        _validation.between(self.spacing, "spacing", 0.5, 4, "an exponent")
+        _validation.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
+        _validation.between(self.smoothing, "smoothing", 0, 1, "a number")
+        if self.transformer == 1:
+            raise IdentifyError("transformer: got 1, need 0 or two segments at least: one is a straight line")
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is the paper's class: elements of constant stiffness and a spring."""
+        return self.grades == 1 and not (self.transformer or self.creep or self.smooth)
+
+    @property
+    def parameters(self) -> int:
+        """Coefficients of the convex program, constants of records left out."""
+        smooth = _LENGTHS.size * _CLOSINGS.size if self.smooth else 0
+        return (self.elements - 1) * self.grades + self.knots - 1 + max(self.transformer - 1, 0) + self.creep + smooth
+
+    @property
+    def words(self) -> str:
+        """What it is, in words."""
+        parts = [f"{self.elements} elements" + ("" if self.spacing == 1 else ", dense where loops are small")]
+        if self.grades > 1:
+            parts.append(f"graded in {self.grades} segments")
+        if self.transformer:
+            parts.append(f"a transformer of {self.transformer} segments")
+        if self.creep:
+            parts.append(f"{self.creep} creep branches")
+        if self.smooth:
+            parts.append("smooth elements")
+        return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {
+            "elements": self.elements,
+            "spacing": self.spacing,
+            "grades": self.grades,
+            "knots": self.knots,
+            "transformer": self.transformer,
+            "creep": self.creep,
+            "smooth": self.smooth,
+            "smoothing": self.smoothing,
+        }
+
+    def grid(self, span: tuple[float, float], voltages: tuple[float, float], times: tuple[float, float]) -> Grid:
+        """Thresholds and knots for loops over these displacements [m], voltages [V] and times [s], low and high."""
+        low, high = span
+        stroke = high - low
+        breakaway = 0.5 * stroke * (np.arange(1, self.elements + 1) / self.elements) ** self.spacing
+        lengths = np.repeat(_LENGTHS * stroke, _CLOSINGS.size) if self.smooth else np.zeros(0)
+        return Grid(
+            breakaway,
+            np.linspace(low, high, self.grades + 1),
+            np.linspace(low, high, self.knots),
+            np.linspace(*voltages, self.transformer + 1) if self.transformer else np.zeros(0),
+            np.geomspace(min(_FASTEST * times[0], 0.1 * times[1]), times[1], self.creep),
+            lengths,
+            np.tile(_CLOSINGS, lengths.size // _CLOSINGS.size),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Where the parts of an actuator lie.
+
+    Attributes
+    ----------
+    breakaway : (N,) array
+        rho [m].
+    grades : (M + 1,) array
+        Knots [m] of the elements' stiffnesses; M = 1: plain.
+    knots : (K,) array
+        Of the spring [m].
+    drive : (T + 1,) or (0,) array
+        Knots of tau [V].
+    time_constants : (J,) array
+        Of creep [s].
+    lengths, closings : (L,) array
+        Of smooth elements [m], and their closings.
+    """
+
+    breakaway: Array
+    grades: Array
+    knots: Array
+    drive: Array
+    time_constants: Array
+    lengths: Array
+    closings: Array
+
+    @cached_property
+    def movable(self) -> NDArray[np.bool_]:
+        """(N,) elements that can slide both ways within the knots of the spring."""
+        return np.asarray(2 * self.breakaway < np.ptp(self.knots) * (1 - 1e-9))
+
+    @cached_property
+    def outermost(self) -> Array:
+        """Slopes of the outermost branches (p, q), a row a straight piece: sums of stiffnesses and of the spring's."""
+        rho = self.breakaway[self.movable]
+        elements = rho.size * self.segments
+        rows = []
+        for sign in (1.0, -1.0):
+            bends = np.unique(np.concatenate([self.knots, self.grades, (self.grades[:, None] + sign * rho).ravel()]))
+            for y in np.concatenate([[bends[0] - 1e-9], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1e-9]]):
+                row = np.zeros(elements + self.knots.size - 1)
+                blocks = row[:elements].reshape(rho.size, self.segments)
+                blocks[:, segment_of(self.grades, y)] += 1
+                blocks[np.arange(rho.size), segment_of(self.grades, y - sign * rho)] -= 1
+                row[elements + segment_of(self.knots, y)] = 1
+                rows.append(row)
+        return np.unique(np.array(rows), axis=0)
+
+    @property
+    def segments(self) -> int:
+        """M."""
+        return self.grades.size - 1
+
+    @property
+    def moved(self) -> int:
+        """Parts that are driven along the path besides the slip elements: J + L."""
+        return self.time_constants.size + self.lengths.size

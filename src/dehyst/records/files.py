@@ -1,0 +1,160 @@
+"""Files: measurements are read in every format of `loaders`, written as CSV or HDF5; JSON is read and written."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import FileFormatError
+from dehyst._io.drafts import PathLike, write_atomically
+from dehyst._io.marks import marked
+from dehyst._io.reading import reading_errors
+from dehyst._types import Array
+from dehyst.records import hdf5
+from dehyst.records.formats.columns import TEXT, UNITS, Table, listed
+from dehyst.records.formats.file_content import MOST, bytes_allowed, content_of
+from dehyst.records.formats.loaders import LOADERS
+from dehyst.records.formats.reader_process import load
+from dehyst.records.record import Record
+
+
+def read(
+    path: PathLike,
+    *,
+    time: str | None = None,
+    voltage: str | None = None,
+    displacement: str | None = None,
+    sample_rate: float | None = None,
+    name: str | None = None,
+    max_bytes: float = MOST,
+) -> Record:
+    """Read a record from a file whose kind follows from its suffix.
+
+    Parameters
+    ----------
+    path : path
+        .csv .tsv .txt .dat .mat .h5 .hdf5 .parquet .tdms or .npz; a named pipe is read once, and without a suffix its
+        first bytes decide.
+    time, voltage, displacement : str, optional
+        Columns, see `Table.column`.
+    sample_rate : float, optional
+        Samples a second [Hz], for a file without a time column.
+    name : str, optional
+        The record's name; by default the one that `write_hdf5` wrote, else the file's, without suffix.
+    max_bytes : float
+        What the file may have, and what the numbers in it may take in memory; headers that declare more are refused
+        before anything is read.
+
+    Raises
+    ------
+    FileFormatError
+        The file or a column cannot be read, or both a time column and a sample rate are there.
+    RecordError
+        The columns make no record.
+    MissingExtraError
+        The library for this kind of file is not installed.
+    """
+    table, stored = _loaded(Path(path), max_bytes, own=True)
+    v, y = table.column("voltage", voltage), table.column("displacement", displacement)
+    meta: dict[str, Any] = {"source": table.source, "sha256": table.sha256}
+    meta["columns"] = {"voltage": table.find("voltage", voltage)[0].name}
+    meta["columns"]["displacement"] = table.find("displacement", displacement)[0].name
+    meta["columns"]["time"] = (
+        table.find("time", time)[0].name if sample_rate is None else f"index / {sample_rate:.9g} Hz"
+    )
+    called = stored.name if stored else Path(path).stem
+    return Record(time_of(table, len(v), time, sample_rate), v, y, name or called, stored.meta if stored else meta)
+
+
+def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> Array:
+    """Return the time [s] of each sample: the table's column, or the index over the sample rate [Hz]."""
+    if sample_rate is None:
+        return table.column("time", wanted)
+    if wanted is not None or (table.has("time") and table.find("time")[1] in UNITS["time"]):
+        which = wanted or table.find("time")[0].name
+        raise FileFormatError(f"{table.source}: got sample_rate= and the time column '{which}'; leave one of them out")
+    if not 0 < sample_rate < float("inf"):
+        raise FileFormatError(f"{table.source}: sample_rate is {sample_rate} Hz; give a number above 0")
+    return np.arange(samples) / sample_rate
+
+
+def read_table(path: PathLike, *, max_bytes: float = MOST) -> Table:
+    """Read all numeric columns of a file whose kind follows from its suffix; raises as `read` does."""
+    return _loaded(Path(path), max_bytes, own=False)[0]
+
+
+def _loaded(path: Path, max_bytes: float, own: bool) -> tuple[Table, hdf5.Stored | None]:
+    """Read a file once; its columns and, if `own` is asked for and dehyst wrote it, name and meta."""
+    most = bytes_allowed(max_bytes)
+    with reading_errors(path, path.suffix):
+        if path.suffix.lower() not in LOADERS and not path.is_fifo() and not path.is_dir():
+            raise FileFormatError(f"{path}: unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}")
+        content = content_of(path, most)
+    columns, stored = load(content, most, own)
+    if not columns:
+        raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
+    return Table(path.name, hashlib.sha256(content.data).hexdigest(), tuple(columns)), stored
+
+
+def write_record(path: PathLike, record: Record) -> None:
+    """Write a record as CSV with the columns time_s, voltage_V and displacement_um, at full precision.
+
+    A file that is there is replaced. It is a measurement, not an output: no command replaces it without --force.
+    """
+    columns = {"time_s": record.time, "voltage_V": record.voltage, "displacement_um": record.displacement * 1e6}
+    write_atomically(path, "\n".join([*_lines(path, columns), ""]))
+
+
+def write_hdf5(path: PathLike, record: Record) -> None:
+    """Write a record as HDF5, atomically: `read` gives back every bit of its samples, its name and its meta.
+
+    The file holds the datasets time_s, voltage_V and displacement_m, as an attribute ``sha256`` the hash of the three,
+    one after the other as little-endian doubles, and as an attribute ``dehyst`` name and meta in JSON.
+
+    Raises
+    ------
+    FileFormatError
+        Another suffix than .h5 or .hdf5, a meta that cannot be told in JSON, or the file cannot be written.
+    MissingExtraError
+        If h5py is not installed.
+    """
+    if Path(path).suffix.lower() not in hdf5.SUFFIXES:
+        raise FileFormatError(f"{path}: HDF5 needs the suffix .h5 or .hdf5; rename it")
+    columns = record.time, record.voltage, record.displacement
+    write_atomically(path, hdf5.pack(columns, record.name, record.meta, path))
+
+
+def write_columns(path: PathLike, columns: Mapping[str, ArrayLike]) -> None:
+    """Write named (n,) arrays as CSV, at full precision, marked as an output of dehyst (`dehyst.marks`).
+
+    Raises
+    ------
+    FileFormatError
+        Another suffix than one of text, columns of several lengths, or the file cannot be written.
+    """
+    lines = _lines(path, columns)
+    if len(lines) > 1:
+        first, *rest = re.split(r"([,\t])", lines[1], maxsplit=1)
+        lines[1] = "".join([marked(first), *rest])
+    write_atomically(path, "\n".join([*lines, ""]))
+
+
+def _lines(path: PathLike, columns: Mapping[str, ArrayLike]) -> list[str]:
+    """Return a table as lines of text, the header first."""
+    if Path(path).suffix.lower() not in TEXT and (Path(path).is_file() or not Path(path).exists()):
+        raise FileFormatError(f"{path}: dehyst writes text only; try the suffix .csv")
+    if any(set(name) & set(',;\t\n"') for name in columns):
+        raise FileFormatError(f"{path}: column names {listed(tuple(columns))} hold a separator or a quote; rename them")
+    arrays = [np.asarray(values, dtype=np.float64) for values in columns.values()]
+    if not arrays or any(array.ndim != 1 or array.shape != arrays[0].shape for array in arrays):
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in zip(columns, arrays, strict=True))
+        raise FileFormatError(f"{path}: columns must be one-dimensional and of one length, got {shapes or 'none'}")
+    delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
+    rows = zip(*(map(repr, array.tolist()) for array in arrays), strict=True)
+    return [delimiter.join(columns), *map(delimiter.join, rows)]

@@ -1,0 +1,213 @@
+"""Binary files: NPZ, MAT, HDF5, Parquet and TDMS to columns; what headers declare is checked before it is read."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst.records.formats import hdf5_nodes
+from dehyst.records.formats.columns import Column, shortened
+from dehyst.records.formats.file_content import Allowance
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+# Words of a unit [bytes].
+_LONGEST_UNIT = 256
+# How MAT files of version 5 begin, and mark a compressed variable.
+_MAT_HEAD, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15
+_MAT_NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+_CHUNK = 1 << 20
+
+
+def library(module: str, purpose: str) -> Any:
+    """A module of an optional package; raises MissingExtraError."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError.of(module.split(".", maxsplit=1)[0], "files", purpose) from error
+
+
+def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
+    """Arrays of an NPZ archive; objects are never opened, for opening them would run code."""
+    columns: list[Column] = []
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+        for member in members:
+            columns += _member(archive, member, allowance)
+    return columns
+
+
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowance) -> list[Column]:
+    name = member.filename.removesuffix(".npy")
+    what = f"array '{shortened(name)}'"
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise FileFormatError(f"{allowance.path}: {what} is packed as NumPy never does; save it with numpy.savez")
+    with archive.open(member) as stream:
+        version = np.lib.format.read_magic(stream)
+        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        if version not in read_header:
+            raise FileFormatError(f"{allowance.path}: {what} has names in its type, need numbers; save plain arrays")
+        shape, _, dtype = read_header[version](stream)
+        if dtype.hasobject:
+            raise FileFormatError(
+                f"{allowance.path}: not a readable .npz file: {what} holds Python objects, which are not opened; save "
+                "arrays of numbers"
+            )
+        count = _product(shape)
+        if dtype.kind not in "fiu" or not shape or count < 2 or count != max(shape):
+            return []
+        allowance.take(count, what)
+        if count * dtype.itemsize > member.file_size:
+            raise FileFormatError(
+                f"{allowance.path}: {what} declares {count} numbers, but only {member.file_size} bytes are there; the "
+                "file is cut off or damaged, take a copy"
+            )
+    with archive.open(member) as stream:
+        return vectors(name, np.lib.format.read_array(stream, allow_pickle=False))
+
+
+def _product(shape: tuple[int, ...]) -> int:
+    """Number of elements, however large; negative if a size is."""
+    count = 1
+    for size in shape:
+        count *= int(size)
+    return -1 if any(size < 0 for size in shape) else count
+
+
+def vectors(name: str, array: Any, unit: str = "") -> list[Column]:
+    """A column of an array of real numbers that is 1-D, or 2-D with one row or column, as MATLAB has them."""
+    array = np.asarray(array)
+    if array.dtype.kind not in "fiu" or array.size < 2 or array.size != max(array.shape):
+        return []
+    with np.errstate(all="ignore"):
+        return [Column(name, array.ravel().astype(np.float64, copy=False), unit)]
+
+
+def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
+    """Variables of a MAT file of any version; structures, cells and text are passed over."""
+    if is_hdf5(data):
+        return read_hdf5(data, allowance)
+    scipy_io = library("scipy.io", "Reading .mat files")
+    _refuse_inflated(data, allowance)
+    wanted = []
+    for name, shape, kind in scipy_io.whosmat(io.BytesIO(data)):
+        count = _product(shape)
+        if kind in _MAT_NUMBERS and shape and count > 1 and count == max(shape) and not name.startswith("__"):
+            allowance.take(count, f"variable '{shortened(name)}'")
+            wanted.append(name)
+    if not wanted:
+        return []
+    found = scipy_io.loadmat(io.BytesIO(data), variable_names=wanted)
+    return [column for name in wanted for column in vectors(name, found[name])]
+
+
+def is_hdf5(data: bytes) -> bool:
+    """Whether a MAT file is one of version 7.3."""
+    return data.startswith((b"MATLAB 7.3", _HDF5)) or data[512:520] == _HDF5
+
+
+def _refuse_inflated(data: bytes, allowance: Allowance) -> None:
+    """Unpack the compressed variables piece by piece, and count."""
+    place, size = _MAT_HEAD, 0
+    order = ">" if data[126:128] == b"MI" else "<"
+    while place + _MAT_TAG <= len(data):
+        kind, length = struct.unpack_from(f"{order}II", data, place)
+        place += _MAT_TAG
+        if kind == _MAT_COMPRESSED:
+            for piece in _inflated(data[place : place + length]):
+                size += piece
+                allowance.check(size, "its compressed variables")
+        place += length
+
+
+def _inflated(packed: bytes) -> Iterator[int]:
+    """Bytes in each piece of what is unpacked."""
+    inflate = zlib.decompressobj()
+    while packed and not inflate.eof:
+        yield len(inflate.decompress(packed, _CHUNK))
+        packed = inflate.unconsumed_tail
+
+
+def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
+    """Datasets of an HDF5 file, in any group; those whose samples lie elsewhere have a fault."""
+    h5py = library("h5py", f"Reading {allowance.path.suffix} files")
+    columns: list[Column] = []
+    with h5py.File(io.BytesIO(data), "r") as file:
+        for name, dataset, fault in hdf5_nodes.nodes(file, h5py, allowance):
+            if name.startswith("#"):
+                continue
+            if fault:
+                columns.append(Column(name, np.empty(0), fault=fault, foreign=True))
+            elif hdf5_nodes.is_vector(dataset) and dataset.size > 1:
+                columns += vectors(name, hdf5_nodes.samples(dataset, name, allowance), _unit(dataset))
+    return columns
+
+
+def _unit(dataset: Any) -> str:
+    """The unit that an attribute states; attributes that are no short text are passed over."""
+    for name in ("unit", "units"):
+        if name in dataset.attrs:
+            kept = dataset.attrs.get_id(name)
+            if kept.shape in ((), (1,)) and kept.dtype.kind in "OSU" and kept.dtype.itemsize <= _LONGEST_UNIT:
+                unit = dataset.attrs[name]
+                unit = unit[0] if isinstance(unit, np.ndarray) else unit
+                return str(unit.decode() if isinstance(unit, bytes) else unit)[:_LONGEST_UNIT].strip()
+    return ""
+
+
+def read_parquet(data: bytes, allowance: Allowance) -> list[Column]:
+    """Columns of whole and real numbers of a Parquet file."""
+    pyarrow = library("pyarrow", "Reading Parquet files")
+    file = library("pyarrow.parquet", "Reading Parquet files").ParquetFile(io.BytesIO(data), pre_buffer=False)
+    is_number = pyarrow.types.is_integer, pyarrow.types.is_floating
+    wanted = [field.name for field in file.schema_arrow if any(holds(field.type) for holds in is_number)]
+    for name in wanted:
+        allowance.take(file.metadata.num_rows, f"column '{shortened(name)}'")
+    table = file.read(columns=wanted, use_threads=False)
+    return [
+        column
+        for name, values in zip(table.column_names, table.columns, strict=True)
+        for column in vectors(name, np.concatenate([_numbers(chunk) for chunk in values.chunks] or [np.empty(0)]))
+    ]
+
+
+def _numbers(chunk: Any) -> NDArray[np.float64]:
+    """Numbers of an Arrow array, NaN for those that are missing; its own way to NumPy would import pandas."""
+    valid, values = chunk.buffers()
+    kept = slice(chunk.offset, chunk.offset + len(chunk))
+    with np.errstate(all="ignore"):
+        numbers = np.frombuffer(values, dtype=chunk.type.to_pandas_dtype())[kept].astype(np.float64)
+    if chunk.null_count:
+        bits = np.unpackbits(np.frombuffer(valid, dtype=np.uint8), bitorder="little")
+        numbers[bits[kept] == 0] = np.nan
+    return numbers
+
+
+def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
+    """Channels of a TDMS file; a waveform brings its own time."""
+    reader = library("nptdms", "Reading TDMS files").TdmsFile
+    for group in reader.read_metadata(io.BytesIO(data)).groups():
+        for channel in group.channels():
+            allowance.take(len(channel), f"channel '{shortened(channel.name)}'")
+    columns: list[Column] = []
+    increments: set[tuple[int, float]] = set()
+    for group in reader.read(io.BytesIO(data)).groups():
+        for channel in group.channels():
+            unit = str(channel.properties.get("unit_string", ""))[:_LONGEST_UNIT].strip()
+            columns += vectors(f"{group.name}/{channel.name}", channel[:], unit)
+            increments.add((len(channel), float(channel.properties.get("wf_increment", 0.0))))
+    # A waveform has no time channel: its sampling stands in a property, the same for every channel of a run.
+    timed = any(column.parts[0].lower() in ("time", "t") for column in columns)
+    if not timed and len(increments) == 1 and (run := increments.pop())[1] > 0:
+        allowance.take(run[0], "the time of its waveforms")
+        with np.errstate(all="ignore"):
+            columns.append(Column("time", np.arange(float(run[0])) * run[1], "s"))
+    return columns

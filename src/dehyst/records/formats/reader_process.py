@@ -1,0 +1,262 @@
+"""Files whose libraries a damaged file can crash or stop are read in a process apart, under limits.
+
+Mutated files crash SciPy's reader of MAT files and stop the HDF5 library for ever; neither can be caught where it
+happens. One helper process is started when it is first needed, and ends with the program; it forks a child for each
+file, which takes milliseconds. Where processes cannot be forked the helper reads files itself, without the limits.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from math import ceil
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from dehyst import _errors
+from dehyst._errors import DehystError, FileFormatError
+from dehyst.records import hdf5
+from dehyst.records.formats.columns import Column
+from dehyst.records.formats.containers import library
+from dehyst.records.formats.file_content import Allowance, Content
+from dehyst.records.formats.loaders import LOADERS, package
+from dehyst.records.hdf5 import Stored
+
+# CPU time that a file may take [s], and in addition a second for so many bytes of it.
+_SECONDS, _A_SECOND = 5, 5_000_000
+# Memory that libraries need beside the numbers, twice over, that a file may hold [bytes].
+_BESIDE = 256_000_000
+# Exit status of the helper after a child ended by a signal: that and the signal's number.
+_SIGNAL = 64
+_START = "import sys, json; sys.path[:] = json.loads(sys.argv[1]); from dehyst import reader_process as r; r.serve()"
+
+
+class Loaded(NamedTuple):
+    """Columns of a file, and what dehyst wrote beside the samples if it wrote the file."""
+
+    columns: list[Column]
+    stored: Stored | None
+
+
+def load(content: Content, most: int, own: bool) -> Loaded:
+    """Read a file's columns, apart from this process if its format asks for that.
+
+    Parameters
+    ----------
+    content : Content
+    most : int
+        Memory that its numbers may take [bytes].
+    own : bool
+        Whether to look for what `write_hdf5` writes beside samples.
+
+    Raises
+    ------
+    FileFormatError, MissingExtraError
+    """
+    if not LOADERS[content.suffix].apart or not sys.executable or getattr(sys, "frozen", False):
+        return _load_here(content, most, own)
+    demand(*package(content))
+    with _LOCK:
+        return _HELPER.load(content, most, own)
+
+
+def demand(module: str, purpose: str) -> None:
+    """Refuse, as the helper would, when a module is not installed."""
+    from importlib.util import find_spec
+
+    if sys.modules.get(module, ...) is None or find_spec(module.split(".", maxsplit=1)[0]) is None:
+        library(module, purpose)
+
+
+def close() -> None:
+    """End the helper; it is started again when needed."""
+    with _LOCK:
+        _HELPER.close()
+
+
+class _Helper:
+    """The helper process, its pipes, and the process that it belongs to: a fork of that needs its own."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._owner = 0
+
+    def load(self, content: Content, most: int, own: bool) -> Loaded:
+        process, request = self._running(), [str(content.path), content.suffix, most, own, len(content.data)]
+        try:
+            found = _ask(process, request, content.data)
+        except BaseException:
+            # Half a conversation cannot be taken up again.
+            process.kill()
+            self.close()
+            raise
+        if found is None:
+            status = process.wait()
+            self.close()
+            raise FileFormatError(_ended(content, status))
+        if isinstance(found, DehystError):
+            raise found
+        return found
+
+    def close(self) -> None:
+        process, self._process = self._process, None
+        if process is not None and self._owner == os.getpid():
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    try:
+                        pipe.close()
+                    except BrokenPipeError:
+                        continue
+            process.wait()
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        if self._process is not None and self._owner == os.getpid() and self._process.poll() is None:
+            return self._process
+        self.close()
+        command = [sys.executable, "-c", _START, json.dumps(sys.path)]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
+        )
+        self._owner = os.getpid()
+        return self._process
+
+
+_HELPER, _LOCK = _Helper(), threading.Lock()
+atexit.register(close)
+
+
+def _ask(process: subprocess.Popen[bytes], request: list[Any], data: bytes) -> Loaded | DehystError | None:
+    """Send a file, return what comes back: columns, or what is to be raised; None if nothing comes."""
+    to, back = process.stdin, process.stdout
+    assert to is not None
+    assert back is not None
+    try:
+        to.write(json.dumps(request).encode() + b"\n")
+        to.write(data)
+        to.flush()
+    except BrokenPipeError:
+        return None
+    line = back.readline()
+    if not line.endswith(b"\n"):
+        return None
+    answer = json.loads(line)
+    if "error" in answer:
+        error: DehystError = getattr(_errors, answer["error"])(answer["message"])
+        return error
+    columns = []
+    for name, size, unit, fault, foreign in answer["columns"]:
+        values = np.empty(size)
+        raw = values.view(np.uint8)
+        if raw.size and back.readinto(raw) < raw.size:  # type: ignore[attr-defined]
+            return None
+        columns.append(Column(name, values, unit, fault, foreign))
+    return Loaded(columns, Stored(*answer["stored"]) if answer["stored"] else None)
+
+
+def _ended(content: Content, status: int) -> str:
+    number = status - _SIGNAL if status > _SIGNAL else -status
+    word = signal.Signals(number).name if number in set(signal.Signals) else f"status {status}"
+    how = f"crashed on it ({word})"
+    if word in ("SIGXCPU", "SIGKILL"):
+        how = f"did not come to an end with it in {_seconds(content)} s of CPU time, or was killed"
+    return (
+        f"{content.path}: not a readable {content.suffix} file: its library {how}; the file is damaged: take it from a "
+        "copy, or export the measurement again"
+    )
+
+
+def _load_here(content: Content, most: int, own: bool) -> Loaded:
+    """Read a file; every library has its own errors for broken content."""
+    try:
+        stored = hdf5.told(content.path, 2, content.data, most) if own and content.suffix in hdf5.SUFFIXES else None
+        return Loaded(LOADERS[content.suffix].load(content.data, Allowance(content.path, most)), stored)
+    except DehystError:
+        raise
+    except MemoryError as error:
+        raise FileFormatError(
+            f"{content.path}: reading it takes more memory than {most / 1e6:.4g} MB of numbers should; the file is "
+            "damaged, or allow more with max_bytes="
+        ) from error
+    except Exception as error:
+        raise FileFormatError(
+            f"{content.path}: not a readable {content.suffix} file ({type(error).__name__}: {str(error)[:300]}); check "
+            "that the suffix fits"
+        ) from error
+
+
+def _seconds(content: Content) -> int:
+    return _SECONDS + ceil(len(content.data) / _A_SECOND)
+
+
+def serve() -> None:
+    """The helper: read files from standard input until it is closed, answer on standard output."""
+    source = sys.stdin.buffer
+    with os.fdopen(os.dup(1), "wb") as answers:
+        # A library that prints must not print into an answer.
+        os.dup2(2, 1)
+        while line := source.readline():
+            path, suffix, most, own, size = json.loads(line)
+            data = source.read(size)
+            if len(data) < size:
+                return
+            content = Content(Path(path), data, suffix)
+            if not hasattr(os, "fork"):
+                _answer(content, most, own, answers)
+            elif status := _answered_by_child(content, most, own, answers):
+                os._exit(status)
+
+
+def _answered_by_child(content: Content, most: int, own: bool, answers: BinaryIO) -> int:
+    """Fork; return 0, or how the child ended."""
+    with suppress(DehystError):
+        library(*package(content))  # so that each child need not
+    child = os.fork()
+    if not child:
+        try:
+            _limit(content, most)
+            _answer(content, most, own, answers)
+            os._exit(0)
+        finally:
+            os._exit(1)
+    _, status = os.waitpid(child, 0)
+    return _SIGNAL + os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
+
+
+def _limit(content: Content, most: int) -> None:
+    """Bound the memory and the CPU time of this process."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for kind, allowed in ((resource.RLIMIT_CPU, _seconds(content)), (resource.RLIMIT_AS, _memory(most))):
+        _, hard = resource.getrlimit(kind)
+        resource.setrlimit(kind, (allowed if hard == resource.RLIM_INFINITY else min(allowed, hard), hard))
+
+
+def _memory(most: int) -> int:
+    """Address space that this process has, and that which reading may add [bytes]."""
+    try:
+        present = int(Path("/proc/self/statm").read_text("ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        present = 1 << 32
+    return present + 2 * most + _BESIDE
+
+
+def _answer(content: Content, most: int, own: bool, answers: BinaryIO) -> None:
+    try:
+        columns, stored = _load_here(content, most, own)
+    except DehystError as error:
+        answers.write(json.dumps({"error": type(error).__name__, "message": str(error)}).encode() + b"\n")
+    else:
+        heads = [[one.name, one.data.size, one.unit, one.fault, one.foreign] for one in columns]
+        answers.write(json.dumps({"columns": heads, "stored": stored and list(stored)}).encode() + b"\n")
+        for one in columns:
+            answers.write(np.ascontiguousarray(one.data, dtype=np.float64).data)
+    answers.flush()

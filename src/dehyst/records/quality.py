@@ -1,0 +1,214 @@
+"""What looks wrong with a record: what forbids it, or its use, and what the user should only know."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import RecordError
+from dehyst._text import counted
+from dehyst._types import Array
+from dehyst.records.butterfly import butterfly_of
+from dehyst.records.glitches import glitch_sentences, glitches
+from dehyst.records.signals import noise_span, resolution, white_noise
+
+if TYPE_CHECKING:
+    from dehyst.records.record import Record, Span
+
+# Larger numbers [V, m, s] and shorter steps of time [s] are no measurement, and computing with them overflows.
+LARGEST, SHORTEST = 1e30, 1e-30
+# A stroke [m] that no sensor shows: an atomic nucleus.
+_LEAST_STROKE = 1e-15
+# Part of the time step that rounding of large times may be, unsaid.
+_ROUNDED = 0.02
+
+
+def problems(record: Record) -> tuple[str, ...]:
+    """Sentences about what is suspicious but allowed, see `Record.problems`."""
+    found = []
+    steps, gaps = np.diff(record.time), record.gaps()
+    if gaps:
+        i, length = gaps[0]
+        found.append(f"{counted(len(gaps), 'gap')} in time, the first of {length:.4g} s after sample {i}.")
+    lost = rounding(record.time)
+    if lost > _ROUNDED * record.sample_time:
+        found.append(
+            f"Times this large are kept to {lost:.2g} s only, {100 * lost / record.sample_time:.2g} % of the time "
+            "step; count them from the record's first sample before they are saved."
+        )
+    jitter = float(np.std(steps[steps <= 1.5 * record.sample_time])) / record.sample_time
+    if jitter > 0.01:
+        found.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; resample the record.")
+    cycles = record.cycles()
+    points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
+    if points < 50:
+        found.append(f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners.")
+    for column, unit in (("voltage", "V"), ("displacement", "m")):
+        step, part = resolution(getattr(record, column))
+        if part > 0.005:
+            found.append(
+                f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
+            )
+    spikes = _spikes(record)
+    if len(spikes):
+        found.append(
+            f"The displacement jumps away and back at {counted(len(spikes), 'sample')}, the first at "
+            f"{record.time[spikes[0]]:.6g} s: take such spikes out, they spoil range and fit."
+        )
+    said = glitch_sentences(glitches(record.time, record.voltage, record.displacement))
+    found += [one[0].upper() + one[1:] for one in said]
+    if not 1e-9 <= record.stroke <= 1e-3:
+        found.append(
+            f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check the displacement's unit."
+        )
+    return tuple(found)
+
+
+def _spikes(record: Record) -> NDArray[np.intp]:
+    """Samples far from both neighbours, which are near one another."""
+    y = record.displacement
+    steps = np.abs(np.diff(y))
+    away = np.minimum(steps[:-1], steps[1:])
+    usual = max(20 * record.noise, 10 * float(np.quantile(steps, 0.9)))
+    return np.flatnonzero((away > usual) & (np.abs(y[2:] - y[:-2]) < 0.3 * away)) + 1
+
+
+def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
+    """Raise when no hysteresis loop can be learnt from the record, see `Record.check_usable`."""
+    if len(record) < min_samples:
+        raise RecordError(f"record '{record.name}': {len(record)} samples, {min_samples} are needed; record for longer")
+    refuse_constant(record)
+    cycles = record.cycles()
+    if len(cycles) < min_cycles:
+        raise RecordError(
+            f"record '{record.name}': {counted(len(cycles), 'full cycle')} of the voltage found, {min_cycles} needed; "
+            "drive it up and back down, for instance with a sine over the whole range"
+        )
+    refuse_butterfly(record)
+    refuse_inverted(record)
+    least = max(5, round(0.005 * len(record) / max(1, len(cycles))))
+    refuse_clipped(record, least)
+    refuse_leading(record, cycles)
+
+
+def refuse_not_finite(values: Array, column: str, unit: str, name: str) -> None:
+    """Raise when a value of the `column` is NaN or infinite."""
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise RecordError(
+            f"record '{name}': {column} holds {counted(len(bad), 'value')} not finite, the first is "
+            f"{column}[{bad[0]}] = {values[bad[0]]} {unit}; cut these rows out or fill them in"
+        )
+
+
+def refuse_implausible(values: Array, column: str, unit: str, name: str) -> None:
+    """Raise when a value of the `column` is larger than any measured: its powers would overflow."""
+    if (largest := max(-values.min(), values.max())) > LARGEST:
+        i = int(np.argmax(np.abs(values)))
+        raise RecordError(
+            f"record '{name}': {column}[{i}] = {values[i]:.6g} {unit} is no {column}; {largest / LARGEST:.3g} times "
+            f"the largest number that is taken ({LARGEST:g}): correct or cut that row, or check the column's unit"
+        )
+
+
+def refuse_not_rising(time: Array, name: str) -> None:
+    """Raise when a time [s] is not above the one before."""
+    steps = np.diff(time)
+    bad = np.flatnonzero(steps < SHORTEST)
+    if not len(bad):
+        return
+    i = int(bad[0])
+    if steps[i] > 0.0:
+        raise RecordError(
+            f"record '{name}': time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock tells apart, need "
+            f"{SHORTEST:g} s at least; drop one of the two rows, or check the time's unit"
+        )
+    advice = "sort the rows, drop repeated ones, or check the time unit's digits"
+    if (lost := rounding(time)) > 1e-9:
+        advice = (
+            f"times as large as these are kept to {lost:.2g} s only: count them from the record's first sample before "
+            "they are saved, or give sample_rate="
+        )
+    raise RecordError(
+        f"record '{name}': time must rise strictly, but time[{i + 1}] = {time[i + 1]:.9g} s follows "
+        f"time[{i}] = {time[i]:.9g} s; {advice}"
+    )
+
+
+def rounding(time: Array) -> float:
+    """What the largest of these times is rounded to [s]."""
+    return float(np.spacing(max(-time.min(), time.max())))
+
+
+def refuse_constant(record: Record) -> None:
+    """Raise when the voltage or, but for the sensor's noise, the displacement stands still."""
+    low, high = record.voltage_range
+    if high - low < max(1e-9, 1e-6 * max(abs(low), abs(high))):
+        raise RecordError(
+            f"record '{record.name}': the voltage is constant at {low:.6g} V; drive the actuator up and down"
+        )
+    least = max(noise_span(record.displacement), 1e-12 * max(map(abs, record.displacement_range)), _LEAST_STROKE)
+    if record.stroke <= least:
+        raise RecordError(
+            f"record '{record.name}': the displacement is constant but for noise: its stroke, {record.stroke:.3g} m, "
+            f"is no more than noise of {record.noise:.3g} m makes of so many samples; check the sensor and the column"
+        )
+
+
+def refuse_butterfly(record: Record) -> None:
+    """Raise when the displacement falls on one part of the range of the voltage and rises on another."""
+    found = butterfly_of(record.voltage, record.displacement)
+    if found is not None:
+        raise RecordError(
+            f"record '{record.name}': the displacement both rises, by {found.rise * 1e6:.3g} um, and falls, by "
+            f"{found.fall * 1e6:.3g} um, with rising voltage: a butterfly loop, of an actuator driven beyond its "
+            f"coercive field, or a sensor that folds over; record between {found.low:.3g} and {found.high:.3g} V"
+        )
+
+
+def refuse_inverted(record: Record) -> None:
+    """Raise when the displacement falls as the voltage rises."""
+    if np.corrcoef(record.voltage, record.displacement)[0, 1] < -0.5:
+        raise RecordError(
+            f"record '{record.name}': displacement falls when voltage rises: the actuator is poled the other "
+            "way, or the sensor's sign is inverted; try multiplying the displacement by -1"
+        )
+
+
+def refuse_clipped(record: Record, least: int) -> None:
+    """Raise when the sensor stays at its extreme while the voltage goes on in that direction."""
+    span_v = float(np.ptp(record.voltage))
+    needed = (0.02 + 3.0 * resolution(record.displacement)[1]) * span_v
+    for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
+        y, v = sign * record.displacement, sign * record.voltage
+        at_top = np.concatenate(([False], y >= y.max() - 1e-12 * record.stroke, [False]))
+        edges = np.flatnonzero(at_top[1:] != at_top[:-1])
+        for a, b in zip(edges[::2], edges[1::2], strict=True):
+            # A dead zone after a reversal is flat too, but there the voltage only goes back.
+            if b - a >= least and v[a:b].max() - v[a] > needed:
+                raise RecordError(
+                    f"record '{record.name}': the sensor is clipped, or the amplifier: the displacement sits at its "
+                    f"{side} {sign * y[a]:.6g} m over samples {a} to {b - 1} while the voltage still moves; "
+                    "lower the voltage range or shift the sensor's range"
+                )
+
+
+def refuse_leading(record: Record, cycles: list[Span]) -> None:
+    """Raise when the loops run clockwise in the (voltage, displacement) plane by more than noise can explain."""
+    area = box = var_y = var_v = 0.0
+    for cycle in cycles:
+        v, y = record.voltage[cycle], record.displacement[cycle]
+        dv, dy = np.diff(np.append(v, v[0])), np.diff(np.append(y, y[0]))
+        # Rising below falling is counter-clockwise: the actuator lags, and this sum is positive.
+        area -= float(np.dot(y - y.mean() + 0.5 * dy, dv))
+        box += float(np.ptp(v) * np.ptp(y))
+        var_y, var_v = var_y + float(dv @ dv), var_v + float(dy @ dy)
+    doubt = sqrt(record.noise**2 * var_y + white_noise(record.voltage) ** 2 * var_v)
+    if area < -(0.005 * box + 5.0 * doubt):
+        raise RecordError(
+            f"record '{record.name}': the displacement leads the voltage (loop area {100 * area / box:.2g} % of its "
+            "box): the columns look swapped (or the displacement's sign is inverted); check which column is which"
+        )

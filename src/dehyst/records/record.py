@@ -1,0 +1,238 @@
+"""A measured record: voltage sent and displacement measured over time, always in seconds, volts and metres."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from math import isfinite
+from typing import Any, TypeAlias, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import ModelError, RecordError
+from dehyst._text import counted
+from dehyst._types import Array
+from dehyst._units import plain
+from dehyst.records.quality import problems, refuse_implausible, refuse_not_finite, refuse_not_rising, refuse_unusable
+from dehyst.records.signals import interpolate, noise_span, outer_extreme, turning_points, white_noise
+
+__all__ = ["Array", "Record", "Span", "white_noise"]
+
+Span: TypeAlias = "slice[int, int, None]"
+
+_COLUMNS = {"time": "s", "voltage": "V", "displacement": "m"}
+
+
+@dataclass(frozen=True, eq=False, slots=True, repr=False)
+class Record:
+    """One measurement of an actuator; wrong input is refused at construction.
+
+    Parameters
+    ----------
+    time, voltage, displacement : (n,) array_like
+        Seconds (strictly rising), volts and metres, n >= 2, all finite and at most 1e30; kept as read-only
+        float64 copies (read-only arrays, as another record's, are shared). Quantities with units are converted.
+    name : str
+        Used in messages.
+    meta : mapping
+        Where the record comes from: source file, sha256, columns.
+
+    Raises
+    ------
+    RecordError
+        Not one-dimensional, not numbers, masked, of another unit, different lengths, fewer than 2 samples, NaN, inf or
+        beyond 1e30, time not rising.
+    """
+
+    time: Array
+    voltage: Array
+    displacement: Array
+    name: str = "record"
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for column in _COLUMNS:
+            object.__setattr__(self, column, _frozen_column(getattr(self, column), column, self.name))
+        object.__setattr__(self, "meta", dict(self.meta))
+        sizes = {column: len(getattr(self, column)) for column in _COLUMNS}
+        if len(set(sizes.values())) > 1:
+            got = ", ".join(f"{column} {size}" for column, size in sizes.items())
+            raise RecordError(f"record '{self.name}': columns differ in length ({got}); give one value each per sample")
+        if len(self) < 2:
+            raise RecordError(
+                f"record '{self.name}': {counted(len(self), 'sample')}, at least 2 are needed; check the row range"
+            )
+        for column, unit in _COLUMNS.items():
+            refuse_not_finite(getattr(self, column), column, unit, self.name)
+            refuse_implausible(getattr(self, column), column, unit, self.name)
+        refuse_not_rising(self.time, self.name)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __repr__(self) -> str:
+        (v0, v1), (y0, y1) = self.voltage_range, self.displacement_range
+        return (
+            f"<Record '{self.name}': {len(self)} samples, {self.time[-1] - self.time[0]:.6g} s, "
+            f"{v0:.4g} to {v1:.4g} V, {y0 * 1e6:.6g} to {y1 * 1e6:.6g} um>"
+        )
+
+    def __getitem__(self, span: Span) -> Record:
+        if not isinstance(span, slice) or span.step not in (None, 1):
+            raise RecordError(
+                f"record '{self.name}': got [{span!r}]; a record takes slices of step 1, try record[10:200]"
+            )
+        return self.slice(span.start, span.stop)
+
+    @property
+    def sample_time(self) -> float:
+        """Median time from one sample to the next [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def voltage_range(self) -> tuple[float, float]:
+        """Lowest and highest voltage [V]."""
+        return float(self.voltage.min()), float(self.voltage.max())
+
+    @property
+    def displacement_range(self) -> tuple[float, float]:
+        """Lowest and highest displacement [m]."""
+        return float(self.displacement.min()), float(self.displacement.max())
+
+    @property
+    def stroke(self) -> float:
+        """Displacement peak to peak [m]."""
+        return float(np.ptp(self.displacement))
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the sensor's white noise [m], see :func:`white_noise`."""
+        return white_noise(self.displacement)
+
+    def gaps(self) -> list[tuple[int, float]]:
+        """Where samples are missing: index i and time[i + 1] - time[i] [s], if above 1.5 sample times."""
+        steps = np.diff(self.time)
+        return [(int(i), float(steps[i])) for i in np.flatnonzero(steps > 1.5 * np.median(steps))]
+
+    def reversals(self, signal: str = "voltage", band: float | None = None) -> NDArray[np.intp]:
+        """Find the turning points of a signal, by a hysteresis band.
+
+        Parameters
+        ----------
+        signal : {"voltage", "displacement"}
+        band : float, optional
+            Way back [V or m] that makes a turning point of an extreme; by default the larger of 2 % of the
+            signal's range and what its noise spans: 6 standard deviations, more in a long record.
+
+        Returns
+        -------
+        (k,) int array
+            The extremes themselves (the last sample of a plateau), minima and maxima in turn; never the record's ends.
+
+        Raises
+        ------
+        RecordError
+            Unknown signal; band negative or not finite.
+        """
+        if signal not in ("voltage", "displacement"):
+            raise RecordError(f"record '{self.name}': no signal '{signal}'; try 'voltage' or 'displacement'")
+        values: Array = getattr(self, signal)
+        if band is None:
+            band = max(0.02 * float(np.ptp(values)), noise_span(values))
+        if not (isfinite(band) and band >= 0.0):
+            raise RecordError(f"record '{self.name}': band is {band}; give a number >= 0 in the signal's unit")
+        return turning_points(values, band)
+
+    def cycles(self, band: float | None = None) -> list[Span]:
+        """Full cycles between successive voltage minima, or maxima if these give more.
+
+        The record's start and end count as extremes when their leg covers 0.9 of the leg next to it, so that one
+        excursion up and down is one cycle. A slice holds both its turning points: neighbours share one sample.
+        """
+        turns = self.reversals("voltage", band)
+        if not len(turns):
+            return []
+        ends = [outer_extreme(self.voltage[turns[0] :: -1]), outer_extreme(self.voltage[turns[-1] :])]
+        points = np.concatenate(([turns[0] - ends[0]], turns, [turns[-1] + ends[1]]))
+        legs = np.abs(np.diff(self.voltage[points]))
+        points = points[int(legs[0] < 0.9 * legs[1]) : len(points) - int(legs[-1] < 0.9 * legs[-2])]
+        # An odd number has one more of the outer kind; otherwise minima are as many as maxima and are taken.
+        first = int(len(points) % 2 == 0 and self.voltage[points[0]] > self.voltage[points[1]])
+        best = points[first::2]
+        return [slice(int(a), int(b) + 1) for a, b in pairwise(best)]
+
+    def slice(self, start: int | None, stop: int | None) -> Record:
+        """Return samples start to stop - 1, counted as Python slices are."""
+        rows = slice(start, stop)
+        return replace(self, time=self.time[rows], voltage=self.voltage[rows], displacement=self.displacement[rows])
+
+    def between(self, t0: float, t1: float) -> Record:
+        """Return the samples with t0 <= time <= t1 [s]."""
+        return self.slice(int(np.searchsorted(self.time, t0)), int(np.searchsorted(self.time, t1, side="right")))
+
+    def with_name(self, name: str) -> Record:
+        """Return the same record under another name."""
+        return replace(self, name=name)
+
+    def resample(self, dt: float, kind: str = "linear") -> Record:
+        """Put the record on a uniform grid of step dt [s] from its first sample; kind is "linear" or "pchip"."""
+        span = float(self.time[-1] - self.time[0])
+        if not 0.0 < dt <= span:
+            raise RecordError(
+                f"record '{self.name}': dt is {dt} s; give a step above 0 and at most the record's {span:.6g} s"
+            )
+        if kind not in ("linear", "pchip"):
+            raise RecordError(f"record '{self.name}': no interpolation '{kind}'; try 'linear' or 'pchip'")
+        grid = np.minimum(self.time[0] + dt * np.arange(int(span / dt + 1e-9) + 1), self.time[-1])
+        v = interpolate(self.time, self.voltage, grid, kind)
+        return replace(self, time=grid, voltage=v, displacement=interpolate(self.time, self.displacement, grid, kind))
+
+    def delayed(self, delay: float) -> Record:
+        """Replace the voltage by voltage(t - delay), delay in s, shape-preserving; constant beyond the ends."""
+        if not isfinite(delay):
+            raise RecordError(f"record '{self.name}': delay is {delay} s; give a finite number of seconds")
+        asked = np.clip(self.time - delay, self.time[0], self.time[-1])
+        return replace(self, voltage=interpolate(self.time, self.voltage, asked, "pchip"))
+
+    def problems(self) -> tuple[str, ...]:
+        """Sentences about everything suspicious that does not forbid the record's use; empty when all is well."""
+        return problems(self)
+
+    def check_usable(self, min_samples: int = 20, min_cycles: int = 1) -> None:
+        """Refuse a record from which no hysteresis loop can be learnt.
+
+        Parameters
+        ----------
+        min_samples, min_cycles : int
+            Least number of samples and of full voltage cycles.
+
+        Raises
+        ------
+        RecordError
+            Too few samples or cycles, constant voltage or displacement, inverted or clipped sensor, swapped columns.
+        """
+        refuse_unusable(self, min_samples, min_cycles)
+
+
+def _frozen_column(raw: object, column: str, name: str) -> Array:
+    try:
+        given = plain(raw, column)
+    except ModelError as error:
+        raise RecordError(f"record '{name}': {error}") from error
+    try:
+        values = given if _is_frozen(given) else np.array(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordError(f"record '{name}': {column} is no array of numbers ({error}); give (n,) floats") from error
+    if values.ndim != 1:
+        raise RecordError(f"record '{name}': {column} has shape {values.shape}; give one dimension, try .ravel()")
+    values.flags.writeable = False
+    return values
+
+
+def _is_frozen(raw: object) -> TypeGuard[Array]:
+    """Whether nobody can write to an array, as to another record's: a long record is not copied with every slice."""
+    if not isinstance(raw, np.ndarray) or raw.dtype != np.float64 or raw.flags.writeable:
+        return False
+    return raw.base is None or (isinstance(raw.base, np.ndarray) and not raw.base.flags.writeable)

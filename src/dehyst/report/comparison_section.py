@@ -1,0 +1,137 @@
+"""A comparison of models, as a section of the report or as a page of its own."""
+
+from __future__ import annotations
+
+from os import PathLike
+
+from dehyst._io.drafts import write_atomically
+from dehyst.baselines.comparison import OURS, Comparison, Score
+from dehyst.baselines.tracking_trials import Tracking
+from dehyst.report.html import Row, document, escape, length, number, table
+
+_NONE = "–"
+
+
+def write_comparison(path: str | PathLike[str], found: Comparison, *, command: str | None = None) -> None:
+    """Write a page of its own to one HTML file that asks for nothing from outside.
+
+    Parameters
+    ----------
+    path : path-like
+        Replaced if it exists; never left half written.
+    found : Comparison
+    command : str, optional
+        The command line that made it, to be shown.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be written.
+    """
+    said = f"Training: {', '.join(found.records)} · held out: {', '.join(found.held_out) or 'none'}"
+    parts = [
+        "<h1>Models compared</h1>",
+        f'<p class="muted">{escape(said)} · stroke {escape(length(found.stroke))}</p>',
+        *comparison_sections(found),
+        f"<h2>How to reproduce</h2>\n<pre>{escape(command)}</pre>" if command else "",
+    ]
+    write_atomically(path, document("Models compared", parts))
+
+
+def comparison_sections(found: Comparison) -> list[str]:
+    """The page's sections, to stand in the report too."""
+    return [part for part in (_table(found), _each(found), _costs(found), _failures(found)) if part]
+
+
+def _table(found: Comparison) -> str:
+    head: Row = [
+        "Model",
+        "Training",
+        "Held out",
+        "Held out, no constant",
+        *(f"Tracking, {name}" for name in found.truths),
+    ]
+    rows: list[Row] = [
+        [
+            (row.name, "this package" if row.name == OURS else ""),
+            _errors(row.worst("training")),
+            _errors(row.worst("validation")),
+            _without(row.worst("validation")),
+            *(_tracking(row.tracking.get(name)) for name in found.truths),
+        ]
+        for row in found.rows
+    ]
+    return (
+        "<h2>Models compared</h2>\n"
+        '<p class="muted">Every model fitted to the same records. Measured minus simulated displacement of the record '
+        f"with the largest error, in % of the stroke ({escape(length(found.stroke))}): largest and, small, RMS. One "
+        "constant for each record is free, or none. Tracking: wanted minus reached displacement of a virtual actuator, "
+        "to whose own records the model was fitted, along a random path of 40 reversals."
+        f"{' ' + escape(found.note) if found.note else ''}</p>\n"
+        f"{table(head, rows, texts=1)}"
+    )
+
+
+def _costs(found: Comparison) -> str:
+    head = ("Model", "Fit (s)", "Simulate (ns a sample)", "Compensate (ns a sample)", "Coefficients")
+    rows: list[Row] = [
+        (
+            row.name,
+            *(_NONE if x is None else number(x) for x in (row.seconds, row.simulate, row.compensate)),
+            _NONE if row.parameters is None else str(row.parameters),
+        )
+        for row in found.rows
+    ]
+    return f"<h2>What they cost</h2>\n{table(head, rows, texts=1)}"
+
+
+def _without(score: Score | None) -> str | tuple[str, str]:
+    return _NONE if score is None else _pair(score.largest_without, score.rms_without)
+
+
+def _pair(largest: float, rms: float) -> tuple[str, str]:
+    return f"{number(largest)} %", f"{number(rms)} %"
+
+
+def _errors(score: Score | None) -> str | tuple[str, str]:
+    return _NONE if score is None else _pair(score.largest, score.rms)
+
+
+def _tracking(one: Tracking | None) -> str | tuple[str, str]:
+    return _NONE if one is None else _pair(one.largest, one.rms)
+
+
+def _each(found: Comparison) -> str:
+    rows: list[Row] = [
+        (
+            row.name,
+            score.record,
+            score.role,
+            *_pair(score.largest, score.rms),
+            *_pair(score.largest_without, score.rms_without),
+            str(score.samples),
+            str(score.left_out),
+        )
+        for row in found.rows
+        for score in row.scores
+    ]
+    if not rows:
+        return ""
+    head = (
+        "Model",
+        "Record",
+        "Role",
+        "Largest",
+        "RMS",
+        "Largest, no constant",
+        "RMS, no constant",
+        "Samples counted",
+        "Left out",
+    )
+    body = table(head, rows, texts=3)
+    return f"<details>\n<summary>Every model on every record</summary>\n<div>{body}</div>\n</details>"
+
+
+def _failures(found: Comparison) -> str:
+    said = "\n".join(f"<li>{escape(row.name)}: {escape(row.said)}</li>" for row in found.rows if row.said)
+    return f"<h2>What failed</h2>\n<ul>\n{said}\n</ul>" if said else ""

@@ -1,0 +1,349 @@
+"""Figures of an identification, each as SVG text to stand inside a page; the only door to matplotlib."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dehyst._errors import MissingExtraError
+from dehyst._io.drafts import write_atomically
+from dehyst._types import Array
+from dehyst.model.elements import MaxwellSlip, Spring
+from dehyst.model.fit import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Measured and simulated from Okabe and Ito, the branches from Tol: told apart by any colour vision, and in grey.
+MEASURED, SIMULATED = "#0072B2", "#D55E00"
+RISING, FALLING = "#44AA99", "#332288"
+INK, _PALE = "#333333", "#D9D9D9"
+_INCHES = 4.8
+_DPI = 170
+# Of journals: the width of a column and of a page [in], and the least resolution of a line drawing with greys.
+COLUMN, PAGE = 3.4, 7.0
+_JOURNAL_DPI = 600
+# More points than this become one image inside the figure: as vectors they would take 100 bytes each.
+_VECTOR_POINTS = 1500
+_VECTOR_VERTICES = 20_000
+# Beyond this many points the branch drawn last would hide the other.
+MOST_BRANCH_POINTS = 20_000
+# A line leaves out vertices that do not move by this part of its range, a quarter of a printed pixel.
+_CELLS = 2000
+# What an SVG file says of its making, which would make each one different.
+_UNSAID = ("Creator", "Date", "Format", "Type")
+_STYLE: dict[str, Any] = {
+    "svg.fonttype": "none",
+    "font.size": 8.5,
+    "axes.labelsize": 8.5,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "legend.handlelength": 1.4,
+    "legend.borderaxespad": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#ECECEC",
+    "grid.linewidth": 0.5,
+    "axes.formatter.useoffset": False,
+    "agg.path.chunksize": 20_000,
+}
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A finished figure: a whole SVG file, the part of it that may stand in a page, and a PNG file."""
+
+    svg: str
+    inline: str
+    png: bytes
+
+    def save(self, path: str | PathLike[str]) -> list[Path]:
+        """Write path.svg and path.png, each wholly or not at all; raises FileFormatError if that cannot be."""
+        target = Path(path)
+        written: list[tuple[Path, str | bytes]] = [
+            (target.with_name(f"{target.name}.svg"), self.svg),
+            (target.with_name(f"{target.name}.png"), self.png),
+        ]
+        for file, content in written:
+            write_atomically(file, content)
+        return [file for file, _ in written]
+
+
+def drawing(
+    name: str,
+    draw: Callable[..., None],
+    *,
+    size: tuple[float, float],
+    rows: int = 1,
+    columns: int = 1,
+    share: bool = False,
+    heights: tuple[float, ...] | None = None,
+) -> Drawing:
+    """Draw a figure for print in the house style.
+
+    Parameters
+    ----------
+    name : str
+        Makes the ids inside the SVG unique on a page.
+    draw : callable
+        Gets rows x columns axes, row by row.
+    size : (float, float)
+        Width and height [in]; widths of a journal are `COLUMN` and `PAGE`.
+    rows, columns : int
+    share : bool
+        Whether axes above one another share the abscissa, and those side by side the ordinate.
+    heights : tuple of float, optional
+        Relative heights of the rows.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    text, picture = io.StringIO(), io.BytesIO()
+    with _figure(name, size) as figure:
+        grid = None if heights is None else {"height_ratios": heights}
+        axes = figure.subplots(
+            rows,
+            columns,
+            squeeze=False,
+            gridspec_kw=grid,
+            sharex="col" if share else False,
+            sharey="row" if share else False,
+        )
+        draw(*axes.ravel())
+        figure.align_ylabels()
+        figure.savefig(text, format="svg", metadata=dict.fromkeys(_UNSAID))
+        figure.savefig(picture, format="png", dpi=_JOURNAL_DPI, metadata={"Software": None})
+    return Drawing(text.getvalue(), _inline(text.getvalue()), picture.getvalue())
+
+
+def line(ax: Axes, x: Array, y: Array, **style: Any) -> None:
+    """Draw a line through many samples with the vertices that print can show."""
+    ax.plot(*_thinned(np.arange(x.size, dtype=np.float64), x, y), **style)
+
+
+def loop(trace: Trace, *, name: str) -> str:
+    """Displacement against voltage, measured and simulated.
+
+    Parameters
+    ----------
+    trace : Trace
+    name : str
+        Tells this figure from others on a page: makes the ids inside it unique.
+    """
+    factor, unit = length_unit(float(np.ptp(trace.measured)))
+
+    def draw(ax: Axes) -> None:
+        for y, colour, width, alpha, label in (
+            (trace.measured, MEASURED, 2.4, 0.45, "measured"),
+            (trace.simulated, SIMULATED, 0.8, 1.0, "simulated"),
+        ):
+            v, scaled = _thinned(trace.time, trace.voltage, y * factor)
+            big = v.size > _VECTOR_VERTICES
+            ax.plot(v, scaled, color=colour, lw=width, alpha=alpha, label=label, rasterized=big)
+        ax.set(xlabel="voltage (V)", ylabel=f"displacement ({unit})")
+        ax.legend(loc="upper left")
+
+    return inline(name, draw)
+
+
+def residual_in_time(trace: Trace, stroke: float, limit: float, *, name: str) -> str:
+    """Residual against time, from -limit to limit [% of stroke]; a circle marks the largest."""
+
+    def draw(ax: Axes) -> None:
+        percent = 100 * trace.residual / stroke
+        _points(ax, trace.time, percent, INK, of=percent.size)
+        _mark_largest(ax, trace.time, percent)
+        _residual_axes(ax, stroke, limit)
+        ax.set_xlabel("time (s)")
+
+    return inline(name, draw)
+
+
+def residual_in_displacement(trace: Trace, stroke: float, limit: float, *, name: str) -> str:
+    """Residual against measured displacement, rising and falling branches apart; a circle marks the largest."""
+    factor, unit = length_unit(float(np.ptp(trace.measured)))
+
+    def draw(ax: Axes) -> None:
+        y, percent, up = trace.measured * factor, 100 * trace.residual / stroke, rising(trace)
+        some = _sample(percent.size)
+        for branch, colour, label in ((some & up, RISING, "rising"), (some & ~up, FALLING, "falling")):
+            _points(ax, y[branch], percent[branch], colour, of=int(some.sum()), label=label)
+        _mark_largest(ax, y, percent)
+        _residual_axes(ax, stroke, limit)
+        ax.set_xlabel(f"displacement ({unit})")
+        legend = ax.legend(loc="upper left", ncols=2, handlelength=0.8)
+        for handle in legend.legend_handles:
+            if handle is not None:
+                handle.set(alpha=1.0, markersize=6)
+
+    return inline(name, draw)
+
+
+def slip_elements(slip: MaxwellSlip, *, name: str) -> str:
+    """Stiffness and breakaway voltage of each element against its breakaway elongation; hollow where zero."""
+    factor, unit = length_unit(float(slip.breakaway[-1]))
+
+    def draw(upper: Axes, lower: Axes) -> None:
+        _stems(upper, slip.breakaway * factor, slip.stiffness * 1e-6, "stiffness (V/µm)")
+        _stems(lower, slip.breakaway * factor, slip.friction, "breakaway voltage (V)")
+        lower.set_xlabel(f"breakaway elongation ({unit})")
+        lower.set_xlim(0, 1.05 * float(slip.breakaway[-1]) * factor)
+
+    return inline(name, draw, rows=2, height=4.4)
+
+
+def parallel_spring(spring: Spring, *, name: str) -> str:
+    """Voltage of the parallel spring over displacement, its slope beneath with the least one marked."""
+    factor, unit = length_unit(float(np.ptp(spring.displacement)))
+    y, slopes = spring.displacement * factor, spring.slopes * 1e-6
+
+    def draw(upper: Axes, lower: Axes) -> None:
+        upper.plot(y, spring.voltage, color=MEASURED, lw=1, marker="o", ms=2.2)
+        upper.set_ylabel("spring voltage (V)")
+        lower.stairs(slopes, y, baseline=None, color=MEASURED, lw=1)
+        least = int(np.argmin(slopes))
+        lower.plot(y[least : least + 2], slopes[[least, least]], color=SIMULATED, lw=2.4, label="least slope")
+        lower.axhline(0, color=INK, lw=0.6)
+        lower.set_ylim(min(0.0, 1.1 * float(slopes.min())), 1.25 * max(float(slopes.max()), 0.0))
+        lower.set(xlabel=f"displacement ({unit})", ylabel="slope (V/µm)")
+        lower.legend(loc="upper right")
+
+    return inline(name, draw, rows=2, height=4.4)
+
+
+def length_unit(length: float) -> tuple[float, str]:
+    """Factor from metres and name of the unit in which a length is told: µm, or nm below 1 µm."""
+    return (1e9, "nm") if abs(length) < 1e-6 else (1e6, "µm")
+
+
+def rising(trace: Trace) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Whether each sample lies on a rising branch (n,); a hold counts to the branch before it."""
+    # The simulated displacement goes the way of the voltage, and a hold of the voltage holds it.
+    sign = np.sign(np.diff(trace.simulated, prepend=trace.simulated[:1]))
+    last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))
+    up: np.ndarray[Any, np.dtype[np.bool_]] = sign[last] >= 0
+    return up
+
+
+def _points(ax: Axes, x: Array, y: Array, colour: str, *, of: int, label: str | None = None) -> None:
+    alpha = min(0.8, max(0.06, 35 / np.sqrt(max(of, 1))))
+    ax.plot(
+        x,
+        y,
+        ls="none",
+        marker=".",
+        ms=2.4,
+        mew=0,
+        color=colour,
+        alpha=alpha,
+        label=label,
+        rasterized=of > _VECTOR_POINTS,
+    )
+
+
+def _sample(size: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Pick at random, but the same ones each time: every k-th sample would fall in step with the cycles."""
+    some = np.ones(size, bool)
+    if size > MOST_BRANCH_POINTS:
+        some[:] = False
+        some[np.random.default_rng(0).choice(size, MOST_BRANCH_POINTS, replace=False)] = True
+    return some
+
+
+def _mark_largest(ax: Axes, x: Array, y: Array) -> None:
+    worst = int(np.argmax(np.abs(y)))
+    ax.plot(x[worst], y[worst], marker="o", ms=6, mfc="none", mec=SIMULATED, mew=0.9, ls="none")
+
+
+def _residual_axes(ax: Axes, stroke: float, limit: float) -> None:
+    ax.axhline(0, color=INK, lw=0.6)
+    ax.set_ylim(-limit, limit)
+    ax.set_ylabel("residual (% of stroke)")
+    factor, unit = length_unit(limit / 100 * stroke)
+    scale = factor * stroke / 100
+    right = ax.secondary_yaxis("right", functions=(lambda p: np.multiply(p, scale), lambda u: np.divide(u, scale)))
+    right.set_ylabel(f"residual ({unit})")
+    right.spines["right"].set_visible(True)
+
+
+def _stems(ax: Axes, x: Array, height: Array, label: str) -> None:
+    zero = height <= 0
+    ax.vlines(x[~zero], 0, height[~zero], color=MEASURED, lw=1.2)
+    ax.plot(x[~zero], height[~zero], ls="none", marker="o", ms=3.4, color=MEASURED)
+    if zero.any():  # the layout cannot take an empty line that is not clipped
+        ax.plot(x[zero], height[zero], ls="none", marker="o", ms=3.4, mfc="white", mec=MEASURED, mew=0.8, clip_on=False)
+    ax.set_ylabel(label)
+    ax.set_ylim(0, 1.12 * float(height.max()) if height.any() else 1.0)
+
+
+def _thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    """Vertices of the line that samples draw, fewer where they are dense, and broken where samples are missing."""
+    steps = np.diff(time)
+    cuts = np.flatnonzero(steps > 3 * np.median(steps)) + 1 if steps.size else np.empty(0, np.intp)
+    cell = np.column_stack([(z - z.min()) * (_CELLS / (float(np.ptp(z)) or 1.0)) for z in (x, y)]).round()
+    keep = np.ones(x.size, bool)
+    keep[1:] = np.any(np.diff(cell, axis=0) != 0, axis=1)
+    keep[-1:] = keep[cuts] = keep[cuts - 1] = True
+    # A NaN lifts the pen.
+    where = np.cumsum(keep)[cuts - 1] if cuts.size else cuts
+    return np.insert(x[keep], where, np.nan), np.insert(y[keep], where, np.nan)
+
+
+def inline(name: str, draw: Callable[..., None], *, rows: int = 1, height: float = 3.3) -> str:
+    """Draw on `rows` axes, one above the other: SVG text to stand inside a page."""
+    text = io.StringIO()
+    with _figure(name, (_INCHES, height)) as figure:
+        axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+        draw(*axes)
+        figure.align_ylabels()
+        figure.savefig(text, format="svg", dpi=_DPI, metadata=dict.fromkeys(_UNSAID))
+    return _inline(text.getvalue())
+
+
+@contextmanager
+def _figure(name: str, size: tuple[float, float]) -> Iterator[Figure]:
+    """An empty figure in the house style, whatever the user's settings are."""
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtraError.of("matplotlib", "report", "Drawing") from error
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        style: Any = {**_STYLE, "svg.hashsalt": name}
+        matplotlib.rcParams.update(style)
+        yield Figure(figsize=size, layout="constrained")
+
+
+def _inline(svg: str) -> str:
+    """Leave of an SVG file what may stand many times in one page: no prolog, no size, no ids that nothing refers to."""
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r'<g id="[^"]*"', "<g", body)
+    head, rest = body.split(">", 1)
+    head = re.sub(r'\s(width|height|version)="[^"]*"', "", head)
+    return f"{head}>{rest}".strip()

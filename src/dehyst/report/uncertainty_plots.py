@@ -1,0 +1,189 @@
+"""Figures of what records tell: singular values, intervals of stiffnesses and spring, a trajectory's error band."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.identification.diagnostics.identifiability import Directions
+from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, inline, length_unit
+from dehyst.uncertainty.insight import Insight
+from dehyst.uncertainty.prediction_band import Band
+from dehyst.uncertainty.wide_insight import WideInsight
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_FREE = "#BBBBBB"
+# Singular values below this are rounding; drawn at the foot of the scale.
+_FOOT = 1e-5
+
+
+def singular_values(told: Directions, *, name: str) -> str:
+    """Singular value of each direction, filled if the records tell it, hollow if not."""
+
+    def draw(ax: Axes) -> None:
+        number, known = np.arange(1, told.values.size + 1), np.arange(told.values.size) < told.determined
+        shown = np.maximum(told.values, _FOOT)
+        for some, face, label in ((known, MEASURED, "known"), (~known, "white", "open")):
+            if some.any():
+                ax.plot(
+                    number[some],
+                    shown[some],
+                    ls="none",
+                    marker="o",
+                    ms=4.5,
+                    mfc=face,
+                    mec=MEASURED,
+                    label=label,
+                    clip_on=False,
+                )
+        ax.set(yscale="log", xlabel="direction", ylabel="singular value (V/V)")
+        ax.set_ylim(bottom=min(_FOOT, float(shown.min())))
+        ax.set_xlim(0.5, told.values.size + 0.5)
+        ax.legend(loc="lower left")
+
+    return inline(name, draw)
+
+
+def stiffness_intervals(found: Insight, *, name: str) -> str:
+    """Each stiffness with its interval by noise, and behind it what the records do not contradict."""
+    slip, noise, free, alone = found.actuator.slip, found.intervals, found.latitude, found.directions.alone
+    factor, unit = length_unit(float(slip.breakaway[-1]))
+
+    def draw(ax: Axes) -> None:
+        rho = slip.breakaway * factor
+        if free is not None:
+            ax.vlines(rho, *free.stiffness * 1e-6, color=_FREE, lw=5, label="not contradicted")
+        if noise is not None and alone.any():
+            low, high = noise.stiffness[:, alone] * 1e-6
+            ax.vlines(rho[alone], low, high, color=SIMULATED, lw=1.6, label=f"{100 * noise.level:.0f} % by noise")
+        ax.plot(rho, slip.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model", clip_on=False)
+        ax.set(xlabel=f"breakaway elongation ({unit})", ylabel="stiffness (V/µm)")
+        ax.set_xlim(0, 1.05 * float(rho[-1]))
+        ax.set_ylim(bottom=0)
+        ax.legend(loc="upper right")
+
+    return inline(name, draw)
+
+
+def spring_intervals(found: Insight, *, name: str) -> str:
+    """How far the spring's voltage may be off at its knots, by noise and by what the records do not contradict."""
+    spring, noise, free = found.actuator.spring, found.intervals, found.latitude
+    factor, unit = length_unit(float(np.ptp(spring.displacement)))
+    centre = spring.voltage - spring.voltage[0]
+
+    def draw(ax: Axes) -> None:
+        y = spring.displacement * factor
+        if free is not None:
+            ax.fill_between(
+                y, free.spring[0] - centre, free.spring[1] - centre, color=_FREE, lw=0, label="not contradicted"
+            )
+        if noise is not None:
+            ax.fill_between(
+                y,
+                noise.spring[0] - centre,
+                noise.spring[1] - centre,
+                color=SIMULATED,
+                alpha=0.6,
+                lw=0,
+                label=f"{100 * noise.level:.0f} % by noise",
+            )
+        ax.axhline(0, color=INK, lw=0.8)
+        ax.set(xlabel=f"displacement ({unit})", ylabel="spring voltage, off the model's (V)")
+        ax.legend(loc="upper left")
+
+    return inline(name, draw)
+
+
+def loop_interval(found: WideInsight, *, name: str) -> str:
+    """How far the displacement may be off by noise on the rise and the fall through the limits."""
+    loop = found.loop
+
+    def draw(ax: Axes) -> None:
+        if loop is None:
+            return
+        low, high = (loop.noise - loop.displacement) * 1e9
+        top = int(np.argmax(loop.voltage))
+        for branch, colour, label in ((slice(0, top + 1), RISING, "rising"), (slice(top, None), FALLING, "falling")):
+            ax.fill_between(loop.voltage[branch], low[branch], high[branch], color=colour, alpha=0.5, lw=0, label=label)
+        ax.axhline(0, color=INK, lw=0.8)
+        ax.set(xlabel="voltage (V)", ylabel="displacement, off the model's (nm)")
+        bottom, upper = ax.get_ylim()
+        ax.set_ylim(bottom, upper + 0.25 * (upper - bottom))
+        ax.legend(loc="upper left", ncols=2)
+
+    return inline(name, draw)
+
+
+def drive_interval(found: WideInsight, *, name: str) -> str:
+    """How far tau may be off at its knots by noise."""
+    tau, noise = found.actuator.transformer, found.intervals
+
+    def draw(ax: Axes) -> None:
+        if tau is not None and noise is not None and noise.drive is not None:
+            low, high = noise.drive - tau.drive
+            ax.fill_between(
+                tau.voltage, low, high, color=SIMULATED, alpha=0.6, lw=0, label=f"{100 * noise.level:.0f} % by noise"
+            )
+        ax.axhline(0, color=INK, lw=0.8)
+        ax.set(xlabel="voltage (V)", ylabel="tau, off the model's (V)")
+        ax.legend(loc="upper left")
+
+    return inline(name, draw)
+
+
+def creep_intervals(found: WideInsight, *, name: str) -> str:
+    """Stiffness of each creep branch with its interval by noise."""
+    creep, noise = found.actuator.creep, found.intervals
+
+    def draw(ax: Axes) -> None:
+        if creep is None:
+            return
+        if noise is not None and noise.creep is not None:
+            low, high = noise.creep * 1e-6
+            ax.vlines(
+                creep.time_constants, low, high, color=SIMULATED, lw=1.6, label=f"{100 * noise.level:.0f} % by noise"
+            )
+        ax.plot(creep.time_constants, creep.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model")
+        ax.set(xscale="log", xlabel="time constant (s)", ylabel="stiffness (V/µm)")
+        low, high = ax.get_ylim()
+        ax.set_ylim(0, 1.3 * high)
+        ax.legend(loc="upper left", ncols=2)
+
+    return inline(name, draw)
+
+
+def band(found: Band, stroke: float, *, name: str) -> str:
+    """The error to be expected along a trajectory, part by part, and the trajectory above."""
+    factor, unit = length_unit(float(np.ptp(found.displacement)))
+    sample = np.arange(found.displacement.size)
+
+    def percent(edge: Array) -> Array:
+        return np.asarray(100 * (edge - found.wanted) / stroke)
+
+    def draw(upper: Axes, lower: Axes) -> None:
+        upper.plot(sample, found.wanted * factor, color=MEASURED, lw=1)
+        upper.set_ylabel(f"displacement ({unit})")
+        lower.fill_between(sample, percent(found.lowest), percent(found.highest), color="#E5E5E5", lw=0, label="all")
+        if found.open is not None:
+            lower.fill_between(
+                sample,
+                percent(found.open[0]),
+                percent(found.open[1]),
+                color="#AAAAAA",
+                lw=0,
+                label="not contradicted by the records",
+            )
+        lower.fill_between(
+            sample, percent(found.noise[0]), percent(found.noise[1]), color=SIMULATED, lw=0, label="noise"
+        )
+        lower.axhline(0, color=FALLING, lw=0.6)
+        low, high = lower.get_ylim()
+        lower.set_ylim(low, high + 0.35 * (high - low))
+        lower.set(xlabel="sample", ylabel="error (% of stroke)")
+        lower.legend(loc="upper left", ncols=3)
+
+    return inline(name, draw, rows=2, height=4.4)

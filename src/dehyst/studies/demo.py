@@ -1,0 +1,140 @@
+"""The journey on a virtual actuator that is no instance of the model: record, identify, compensate, verify."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dehyst._io.drafts import PathLike
+from dehyst._io.json_files import write_json
+from dehyst._io.marks import demand_own_folder, make_own_folder
+from dehyst._types import Array
+from dehyst.control.compensator import Compensator
+from dehyst.control.tracking import wanted_path
+from dehyst.identification.identify import identify
+from dehyst.model.fit import Fit
+from dehyst.records.files import write_columns, write_record
+from dehyst.records.metrics import largest, percent, rms
+from dehyst.records.record import Record
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms.standard import Drive, descending_tops, raised_cosine
+
+_SAMPLES = 400
+_RATE = 0.01 * _SAMPLES
+# By this file a folder is known as the demo's.
+_OWN = ("demo.json", "dehyst-demo")
+# The paper: Sec. 4.3 and Fig. 12.
+_PAPER = {"linear": 13.63, "compensated": 0.76}
+
+
+@dataclass(frozen=True, eq=False)
+class Demo:
+    """What the demo found; errors in % of the stroke."""
+
+    records: tuple[Record, Record]
+    fit: Fit
+    time: Array
+    wanted: Array
+    linear: Array
+    compensated: Array
+    voltage: Array
+    stroke: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {
+            "stroke_um": self.stroke * 1e6,
+            "linear": self._errors(self.linear),
+            "compensated": self._errors(self.compensated),
+            "paper": {f"{kind}_largest_percent": value for kind, value in _PAPER.items()},
+            "fit": self.fit.as_dict(),
+        }
+
+    def _errors(self, reached: Array) -> dict[str, float]:
+        error = reached - self.wanted
+        return {
+            "largest_percent": percent(largest(error), self.stroke),
+            "rms_percent": percent(rms(error), self.stroke),
+            "largest_um": 1e6 * largest(error),
+        }
+
+
+def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
+    """Two major loops and descending tops in one run, for training; loops of other heights, for validation."""
+    drive = Drive(sample_rate=_RATE)
+    tops = descending_tops(truth.highest, drive=drive)
+    others = raised_cosine([0.75 * truth.highest, 0.45 * truth.highest], cycles=2, drive=drive)
+    return (
+        Record(tops.time, tops.voltage, truth.drive(tops.voltage), name="loops"),
+        Record(others.time, others.voltage, truth.drive(others.voltage), name="other-loops"),
+    )
+
+
+def run(progress: Callable[[str], None] = lambda _: None) -> Demo:
+    """Run the whole journey; everything is seeded, so that it always gives the same numbers."""
+    truth = PlayActuator()
+    progress("recording loops of a virtual actuator")
+    records = record_loops(truth)
+    fit = identify(records[0], validate=records[1], progress=progress)
+    progress("playing the compensating voltage into the virtual actuator")
+    wanted = wanted_path(truth.stroke)
+    # Up to the highest voltage and down to 0 V: after it the state is known, whatever it was.
+    homing = np.concatenate([np.linspace(0, truth.highest, _SAMPLES), np.linspace(truth.highest, 0, _SAMPLES)])
+    actuator = fit.actuator
+    homed = actuator.simulate(homing, time=np.arange(homing.size) / _RATE).state
+    command = Compensator(actuator, (0.0, truth.highest), period=1 / _RATE).trajectory(wanted, state=homed)
+    truth.drive(homing)
+    compensated = truth.drive(command.voltage, measured=False)
+    truth.drive(homing)
+    linear = truth.drive(wanted * truth.highest / truth.stroke, measured=False)
+    return Demo(
+        records, fit, np.arange(wanted.size) / _RATE, wanted, linear, compensated, command.voltage, truth.stroke
+    )
+
+
+def demand_folder(folder: PathLike) -> None:
+    """Refuse a folder that is neither new, nor empty, nor an earlier demo's, with FileFormatError."""
+    demand_own_folder(folder, *_OWN)
+
+
+def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
+    """Leave the records, the model, the path, the numbers and the report in a folder; returns what was written.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder cannot be made, or holds files that are not of a demo.
+    MissingExtraError
+        If a report is wanted and matplotlib is missing.
+    """
+    target = make_own_folder(folder, *_OWN)
+    # First, so that the folder is known as the demo's even if it is not finished.
+    write_json(target / "demo.json", {"format": _OWN[1], "version": 1, **demo.as_dict()})
+    for record in demo.records:
+        write_record(target / f"{record.name}.csv", record)
+    demo.fit.actuator.save(target / "model.json")
+    write_columns(
+        target / "tracking.csv",
+        {
+            "time_s": demo.time,
+            "wanted_um": demo.wanted * 1e6,
+            "voltage_V": demo.voltage,
+            "compensated_um": demo.compensated * 1e6,
+            "linear_um": demo.linear * 1e6,
+        },
+    )
+    names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json"]
+    if report:
+        from dehyst.report.report import write_report
+
+        write_report(
+            target / "report.html",
+            demo.fit,
+            command="dehyst identify loops.csv --validate other-loops.csv -o model.json --report report.html",
+        )
+        names.append("report.html")
+    return [target / name for name in names]

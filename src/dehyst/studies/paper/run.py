@@ -1,0 +1,123 @@
+"""`dehyst paper`: the paper redone on a virtual actuator, every figure and table beside the paper's own numbers."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dehyst._io.drafts import PathLike, write_atomically
+from dehyst._io.json_files import write_json
+from dehyst._io.marks import demand_own_folder, make_own_folder
+from dehyst.records.files import write_columns
+from dehyst.studies.paper import experiment, tables
+from dehyst.studies.paper.experiment import Experiment
+from dehyst.studies.paper.tables import MODELS, PAPER
+
+# By this file a folder is known as one of the paper's.
+_OWN = ("results.json", "dehyst-paper")
+_ACTUATORS = {"asymmetric": "virtual E-280.10", "symmetric": "without its asymmetric map"}
+
+
+@dataclass(frozen=True, eq=False)
+class Paper:
+    """What the experiment found.
+
+    Attributes
+    ----------
+    asymmetric : Experiment
+        On the virtual E-280.10.
+    symmetric : Experiment
+        On the same without its asymmetric map: the difference between the two is what the model class cannot do.
+    """
+
+    asymmetric: Experiment
+    symmetric: Experiment
+
+    @property
+    def experiments(self) -> dict[str, Experiment]:
+        """Both by name."""
+        return {name: getattr(self, name) for name in _ACTUATORS}
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values: errors in % of the range of the major loop, lengths in um."""
+        found = {name: tables.as_dict(one) for name, one in self.experiments.items()}
+        return {"paper": dict(PAPER), "protocol": tables.protocol(), **found}
+
+
+def run(progress: Callable[[str], None] = lambda _: None) -> Paper:
+    """Run the paper's protocol, identify and track; seeded, so that it always gives the same numbers."""
+
+    def of(name: str) -> Experiment:
+        truth = experiment.virtual_actuator(asymmetric=name == "asymmetric")
+        return experiment.run(truth, lambda words: progress(f"{_ACTUATORS[name]}: {words}"))
+
+    return Paper(of("asymmetric"), of("symmetric"))
+
+
+def demand_folder(folder: PathLike) -> None:
+    """Refuse a folder that is neither new, nor empty, nor one of an earlier run, with FileFormatError."""
+    demand_own_folder(folder, *_OWN)
+
+
+def write(result: Paper, folder: PathLike) -> list[Path]:
+    """Leave every figure (SVG, PNG, CSV), the tables, the numbers and a page in a folder; returns what was written.
+
+    Files are index.html, results.json, summary.csv, limits.csv, table1.csv, and figNN.svg, .png and .csv. Each is
+    written wholly or not at all, the page last, and none if a figure cannot be drawn.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder cannot be made or written to, or holds files that are not of this experiment.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    from dehyst.studies.paper.figures import plates
+    from dehyst.studies.paper.page import render
+
+    target = make_own_folder(folder, *_OWN)
+    drawn, written = plates(result.asymmetric, result.symmetric), []
+    # First, so that the folder is known as the paper's even if it is not finished.
+    write_json(target / _OWN[0], {"format": _OWN[1], "version": 1, **result.as_dict()})
+    for plate in drawn:
+        written += plate.drawing.save(target / plate.name)
+        for suffix, columns in plate.data.items():
+            written.append(target / f"{plate.name}{suffix}.csv")
+            write_columns(written[-1], columns)
+    write_columns(target / "table1.csv", tables.table1(result.asymmetric))
+    for name, rows in (("summary.csv", _summary(result)), ("limits.csv", _limits(result))):
+        write_atomically(target / name, _csv(rows))
+    written += [target / name for name in ("results.json", "table1.csv", "summary.csv", "limits.csv")]
+    page = render(result.asymmetric, result.symmetric, drawn, [path.name for path in written])
+    write_atomically(target / "index.html", page)
+    return [target / "index.html", *written]
+
+
+def _summary(result: Paper) -> Iterator[list[Any]]:
+    yield ["actuator", "quantity", "unit", "paper", "measured", *MODELS, *(f"{key}_against_noise" for key in MODELS)]
+    for name, found in result.experiments.items():
+        for row in tables.summary(found):
+            models = [row.models.get(key) for key in MODELS] + [row.against_noise.get(key) for key in MODELS]
+            yield [name, row.key, row.unit.replace("µ", "u"), row.paper, row.actuator, *models]
+
+
+def _limits(result: Paper) -> Iterator[list[Any]]:
+    first = True
+    for name, found in result.experiments.items():
+        for row in tables.limits(found):
+            entries = row.as_dict()
+            if first:
+                yield ["actuator", *entries]
+                first = False
+            yield [name, *entries.values()]
+
+
+def _csv(rows: Iterator[list[Any]]) -> str:
+    """Rows as CSV, numbers at full precision, cells empty where there is none."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,223 @@
+"""The paper's numbers beside ours: the summary, what limits the errors, and Table 1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.model.physical import Physical
+from dehyst.studies.paper.error_floors import chord_error, parabola_chord_error, symmetric_width_floor
+from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, PLANS, PRE_ENERGISED, Experiment, Plan, Trial
+from dehyst.virtual import PlayActuator
+
+# Sec. 4.2: T [N/V], km and ke [N/m].
+CONSTANTS = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
+# Secs. 4.2 and 4.3: errors in % of the range, lengths in um.
+PAPER = {
+    "major": 0.2,
+    "medium": 1.0,
+    "small": 1.25,
+    "tracking": 0.76,
+    "nominal": 13.63,
+    "spacing": 1.615,
+    "range": 16.152,
+}
+MODELS = {
+    "breakpoints": ("The paper's method", "N = 10"),
+    "record": ("Whole record", "N = 40, same records"),
+    "record_tops": ("Whole record", "N = 40, descending tops added"),
+    "goldfarb": ("Goldfarb and Celanovic", "N = 10, relaxed"),
+    "goldfarb_energised": ("Goldfarb and Celanovic", "N = 10, pre-energised"),
+}
+_NORMS = {"l1": "absolute sum", "l2": "sum of squares", "linf": "largest"}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A row of the summary.
+
+    Attributes
+    ----------
+    paper : float or None
+        The paper's number, if it gives one.
+    actuator : float or None
+        What was measured on the virtual actuator, where no model is needed.
+    models : Mapping
+        By each model, where it applies; errors are against the truth.
+    against_noise : Mapping
+        The same against the noisy measurement.
+    """
+
+    key: str
+    words: str
+    unit: str
+    paper: float | None
+    actuator: float | None
+    models: Mapping[str, float]
+    against_noise: Mapping[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {
+            "key": self.key,
+            "quantity": self.words,
+            "unit": self.unit,
+            "paper": self.paper,
+            "actuator": self.actuator,
+            **{key: self.models.get(key) for key in MODELS},
+            "against_measurement": dict(self.against_noise),
+        }
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A row of what limits the errors: one identification, its largest errors [% of the range] and its outcome."""
+
+    plan: Plan
+    errors: Mapping[str, float]
+    outcome: str
+
+    @property
+    def words(self) -> tuple[str, str]:
+        """Method, and what it was given."""
+        method = "The paper's method" if self.plan.method == "breakpoints" else "Whole record"
+        given = "perfect sensor" if self.plan.noiseless else "descending tops added" if self.plan.tops else ""
+        return method, given
+
+    @property
+    def norm(self) -> str:
+        """What of the residuals is made least."""
+        return _NORMS[self.plan.norm]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        plan = self.plan
+        return {
+            "key": plan.key,
+            "method": plan.method,
+            "elements": plan.elements,
+            "norm": plan.norm,
+            "descending_tops": plan.tops,
+            "perfect_sensor": plan.noiseless,
+            **self.errors,
+            "outcome": self.outcome,
+        }
+
+
+def summary(found: Experiment) -> tuple[Quantity, ...]:
+    """The paper's numbers beside those of one virtual actuator."""
+    trials = {key: found.trials[key] for key in MODELS}
+    rows = [
+        Quantity(
+            loop,
+            f"Model error, {loop} loop ({peak:g} V)",
+            "%",
+            PAPER[loop],
+            None,
+            {key: trial.errors[loop].true for key, trial in trials.items()},
+            {key: trial.errors[loop].measured for key, trial in trials.items()},
+        )
+        for loop, peak in PEAKS.items()
+    ]
+    tracked = {key: trial.tracking.largest for key, trial in trials.items()}
+    rows.append(Quantity("tracking", "Tracking error, inverse control", "%", PAPER["tracking"], None, tracked, {}))
+    rows.append(
+        Quantity("nominal", "Tracking error, nominal ratio", "%", PAPER["nominal"], found.nominal.largest, {}, {})
+    )
+    spacing = {key: 2e6 * float(trial.actuator.slip.breakaway[0]) for key, trial in trials.items() if "gold" not in key}
+    rows.append(Quantity("spacing", "Spacing of break points", "µm", PAPER["spacing"], None, spacing, {}))
+    rows.append(Quantity("range", "Range of the major loop", "µm", PAPER["range"], 1e6 * found.loops[0].range, {}, {}))
+    moved = {key: 1e6 * trial.shift for key, trial in trials.items() if key != "goldfarb_energised"}
+    words = f"Shift of the loop by {PRE_ENERGISED:g} V before (Eq. 10)"
+    rows.append(Quantity("shift", words, "µm", None, 1e6 * found.shift.loop, moved, {}))
+    return tuple(rows)
+
+
+def limits(found: Experiment) -> tuple[Limit, ...]:
+    """Every identification with its errors against the truth."""
+    rows = []
+    for plan in PLANS:
+        trial = found.trials[plan.key]
+        errors = {loop: trial.errors[loop].true for loop in PEAKS} | {"tracking": trial.tracking.largest}
+        rows.append(Limit(plan, errors, trial.outcome))
+    return tuple(rows)
+
+
+def floors(found: Experiment) -> dict[str, float]:
+    """What no model can do better than, [% of the range]; see `dehyst.studies.paper.error_floors`."""
+    chords = {f"chords_{n}": chord_error(found.exact, n) for n in (10, 20, 40)}
+    parabola = parabola_chord_error(PAPER["nominal"], 10)
+    return {"symmetric_width": symmetric_width_floor(found.exact), **chords, "parabola_chords_10": parabola}
+
+
+def physical(found: Experiment, key: str) -> Physical:
+    """A trial's model in the paper's symbols, with the paper's constants."""
+    return found.trials[key].actuator.physical(**CONSTANTS)
+
+
+def table1(found: Experiment) -> dict[str, Array]:
+    """Columns of Table 1, N = 10: by the paper's method, and by the whole-record method."""
+    ours, record = physical(found, "breakpoints"), physical(found, "record_10")
+    return {
+        "i": np.arange(1.0, ours.stiffness.size + 1),
+        "r_um": 1e6 * ours.breakaway,
+        "k_N_per_m": ours.stiffness,
+        "f_N": ours.friction,
+        "whole_record_k_N_per_m": record.stiffness,
+        "whole_record_f_N": record.friction,
+    }
+
+
+def open_directions(trial: Trial) -> str:
+    """The identification's own sentence about what its records leave open; empty if nothing is."""
+    return next((f"{remark.split(';')[0]}." for remark in trial.remarks if "directions" in remark), "")
+
+
+def subscript(i: int) -> str:
+    """Write a number as a subscript."""
+    return str(i).translate(str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"))
+
+
+def as_dict(found: Experiment) -> dict[str, Any]:
+    """JSON values of all that was found of one actuator."""
+    moved = found.shift
+    return {
+        "actuator": actuator(found.truth),
+        "summary": [row.as_dict() for row in summary(found)],
+        "limits": [row.as_dict() for row in limits(found)],
+        "floors_percent": floors(found),
+        "shift_um": {"loop": 1e6 * moved.loop, "deviation": 1e6 * moved.deviation, "rest": 1e6 * moved.rest},
+        "table1": {key: column.tolist() for key, column in table1(found).items()},
+        "remarks": {key: list(trial.remarks) for key, trial in found.trials.items()},
+        "clamped_samples": {key: trial.tracking.clamped for key, trial in found.trials.items()},
+    }
+
+
+def actuator(truth: PlayActuator) -> dict[str, Any]:
+    """What the virtual actuator is, as JSON values."""
+    return {
+        "stroke_um": 1e6 * truth.stroke,
+        "highest_V": truth.highest,
+        "width": truth.width,
+        "asymmetry": truth.asymmetry,
+        "bend": truth.bend,
+        "plays": truth.plays,
+        "noise_nm": 1e9 * truth.noise,
+        "seed": truth.seed,
+    }
+
+
+def protocol() -> dict[str, Any]:
+    """What was played, as JSON values."""
+    return {
+        "frequency_Hz": DRIVE.frequency,
+        "sample_rate_Hz": DRIVE.rate,
+        "cycles": CYCLES,
+        "peaks_V": dict(PEAKS),
+        "pre_energised_V": PRE_ENERGISED,
+        "constants": dict(CONSTANTS),
+    }

@@ -1,0 +1,147 @@
+"""What records tell of each part of a wider model: combinations of coefficients that they determine despite noise.
+
+Coefficients count as what their parts hold in volts: stiffness times breakaway elongation, slope times the length of
+its segment, and so on. Along the paths that the model itself makes of the records' voltages (noise could be taken for
+knowledge), a combination of a part's coefficients shows as an RMS voltage, everything else being free to make up for
+it. With the scatter of the legs' mean residuals that gives its standard deviation. That stiffnesses are not negative is
+left aside: it can only tell more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.identification.solvers.program import triangle_of
+from dehyst.records.metrics import rms
+from dehyst.records.record import Record
+from dehyst.records.signals import turning_points
+from dehyst.uncertainty.wide_evidence import WideEvidence
+
+# A combination is known if its standard deviation is at most this part of the range of the voltages.
+SHARP = 0.01
+# Less than this [V/V] is rounding.
+_ROUNDING = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What records tell of a part.
+
+    Attributes
+    ----------
+    part : str
+    deviations : (m,) array
+        Standard deviation of each combination of its coefficients, the best known first [V]; infinite where nothing is
+        told.
+    allowed : float
+        That up to which a combination counts as known [V].
+    """
+
+    part: str
+    deviations: Array
+    allowed: float
+
+    @property
+    def of(self) -> int:
+        """Number of coefficients."""
+        return self.deviations.size
+
+    @property
+    def known(self) -> int:
+        """Number of combinations known."""
+        return int(np.count_nonzero(self.deviations <= self.allowed))
+
+    @property
+    def sentence(self) -> str:
+        """Both in words."""
+        if self.known == self.of:
+            return f"{self.part}: {'all ' if self.of > 1 else ''}{self.of} known."
+        return f"{self.part}: {self.known} of {self.of} combinations known."
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        shown = [float(one) if np.isfinite(one) else None for one in self.deviations]
+        return {"part": self.part, "known": self.known, "of": self.of, "deviations_V": shown}
+
+
+def told(evidence: WideEvidence) -> tuple[Told, ...]:
+    """What records tell of each part of a model; `Told` of the creep before them is left out."""
+    regression = evidence.with_pieces(_made(evidence))
+    weights = evidence.weights / np.median(evidence.weights)
+    columns = regression.bounded / _holds(regression) * weights[:, None]
+    nuisances = regression.nuisances() * weights[:, None]
+    scatter = _scatter(evidence, weights)
+    allowed = SHARP * float(np.ptp(regression.rows.voltage))
+    found = []
+    for part, own in _parts(regression):
+        others = np.ones(columns.shape[1], dtype=bool)
+        others[own] = False
+        rest = np.hstack([nuisances, columns[:, others]])
+        # What no sample sees would make the factorisation divide by nothing.
+        rest = rest[:, np.abs(rest).max(axis=0) > _ROUNDING]
+        triangle = triangle_of(np.hstack([rest, columns[:, own]]))
+        values = np.linalg.svd(triangle[rest.shape[1] :, rest.shape[1] :], compute_uv=False)
+        seen = np.zeros(own.stop - own.start)
+        seen[: values.size] = values / np.sqrt(len(columns))
+        deviations = np.divide(scatter, seen, out=np.full(seen.size, np.inf), where=seen > _ROUNDING)
+        found.append(Told(part, deviations, allowed))
+    return tuple(found)
+
+
+def _parts(regression: WideRegression) -> list[tuple[str, slice]]:
+    """Name and columns of each part there is."""
+    grid = regression.grid
+    sizes = {
+        "slip elements" if grid.segments == 1 else "graded elements": int(grid.movable.sum()) * grid.segments,
+        "parallel spring": grid.knots.size - 1,
+        "creep": grid.time_constants.size,
+        "smooth elements": grid.lengths.size,
+        "transformer": max(grid.drive.size - 2, 0),
+    }
+    edges = np.cumsum([0, *sizes.values()]).tolist()
+    found = zip(sizes, edges[:-1], edges[1:], strict=True)
+    return [(name, slice(start, stop)) for name, start, stop in found if stop > start]
+
+
+def _holds(regression: WideRegression) -> Array:
+    """What a coefficient of each column must be to hold a volt, over one (q,)."""
+    grid = regression.grid
+    stroke, lengths = float(np.ptp(grid.knots)), np.diff(grid.drive)
+    found = np.concatenate(
+        [
+            np.repeat(grid.breakaway[grid.movable], grid.segments),
+            np.diff(grid.knots),
+            np.full(grid.time_constants.size, stroke),
+            grid.lengths,
+            lengths[:-1],
+        ]
+    )
+    return np.concatenate([found, np.ones(regression.bounded.shape[1] - found.size)])
+
+
+def _made(evidence: WideEvidence) -> list[list[Record]]:
+    """The pieces with the displacements that the model makes."""
+    made = []
+    for one in evidence.comparisons:
+        paths = [piece.displacement.copy() for piece in one.measured]
+        for number, epoch, played in one.played(evidence.actuator):
+            paths[number][epoch.start : epoch.stop] = played[3] - one.datum
+        made.append([replace(piece, displacement=y) for piece, y in zip(one.measured, paths, strict=True)])
+    return made
+
+
+def _scatter(evidence: WideEvidence, weights: Array) -> float:
+    """Standard deviation of a mean over all legs [V]."""
+    rows, residual = evidence.regression.rows, evidence.model.solution.residual * weights
+    cuts = np.flatnonzero(np.diff(rows.epoch)) + 1
+    turns = turning_points(rows.voltage, 0.02 * float(np.ptp(rows.voltage)))
+    starts = np.unique([0, *cuts, *turns])
+    counts = np.diff(np.append(starts, residual.size))
+    means = np.add.reduceat(residual, starts) / counts
+    white = rms(residual) / np.sqrt(residual.size)
+    return float(max(rms(means) / np.sqrt(means.size), white))

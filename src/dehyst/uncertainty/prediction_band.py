@@ -1,0 +1,149 @@
+"""Where the displacement of a trajectory may be when its compensating voltage is played."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.control.homing import shortest_homing
+from dehyst.control.trajectory import Command
+from dehyst.model.actuator import Actuator
+from dehyst.model.base import State
+from dehyst.records.metrics import largest
+from dehyst.uncertainty.bootstrap import Intervals
+from dehyst.uncertainty.feasible_set import Latitude
+from dehyst.waveforms.excitation import Excitation
+
+# What each of `Band.errors` comes from.
+ERRORS = {
+    "noise": "noise and finite records",
+    "open": "models that the records do not contradict",
+    "misfit": "largest misfit on the records themselves",
+    "clamped": "voltages that are not allowed",
+    "all": "all together",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Where the displacement of a trajectory may be, in metres on the model's axis.
+
+    Attributes
+    ----------
+    wanted : (n,) array
+        The path to follow [m].
+    voltage, displacement : (n,) array
+        Played [V], within the limits, and what the model does with it: the wanted path, but where it was clamped.
+    noise : (2, n) array
+        Lowest and highest prediction of models identified from resampled cycles.
+    open : (2, n) array or None
+        Lowest and highest prediction of models that the records do not contradict; None where it was not judged.
+    misfit : float
+        The largest error of the model on these records [m]: what no model of its class may be able to follow.
+    warnings : tuple of str
+        What was clamped or extrapolated.
+    """
+
+    wanted: Array
+    voltage: Array
+    displacement: Array
+    noise: Array
+    open: Array | None
+    misfit: float
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        wanted: Array,
+        command: Command,
+        intervals: Intervals,
+        free: Latitude | None,
+        *,
+        misfit: float,
+        limits: tuple[float, float] | None,
+        time: Array | None = None,
+        played: Excitation | None = None,
+    ) -> Band:
+        """Play a command on every model that might be the true one, each homed by a rise through the limits.
+
+        With `played`, the rise in time, and the command's `time` [s], where time has a say.
+        """
+
+        def state(model: Actuator) -> State:
+            return homed(model, limits) if played is None or limits is None else risen(model, limits, played)
+
+        noise = intervals.prediction(command.voltage, state, time)
+        free_ = None if free is None else free.prediction(command.voltage, state)
+        return cls(wanted, command.voltage, command.displacement, noise, free_, misfit, command.warnings)
+
+    @property
+    def lowest(self) -> Array:
+        """(n,) lowest displacement to be expected [m]: the lower of both bands, less the misfit."""
+        free = self.noise if self.open is None else self.open
+        return np.asarray(np.minimum(self.noise[0], free[0]) - self.misfit)
+
+    @property
+    def highest(self) -> Array:
+        """(n,) highest displacement to be expected [m]."""
+        free = self.noise if self.open is None else self.open
+        return np.asarray(np.maximum(self.noise[1], free[1]) + self.misfit)
+
+    @property
+    def error(self) -> float:
+        """The largest distance from the wanted path to be expected [m]."""
+        return max(largest(self.highest - self.wanted), largest(self.wanted - self.lowest))
+
+    def columns(self) -> dict[str, Array]:
+        """Columns for a file, in volts and micrometres."""
+        return {
+            "wanted_um": self.wanted * 1e6,
+            "voltage_V": self.voltage,
+            "expected_um": self.displacement * 1e6,
+            "lowest_um": self.lowest * 1e6,
+            "highest_um": self.highest * 1e6,
+        }
+
+    def errors(self) -> dict[str, float]:
+        """Largest errors [m] that noise, open directions, the misfit and clamping may cause, and all together."""
+
+        def off(band: Array) -> float:
+            return largest(np.maximum(band[1] - self.displacement, self.displacement - band[0]))
+
+        free = {} if self.open is None else {"open": off(self.open)}
+        return {
+            "noise": off(self.noise),
+            **free,
+            "misfit": self.misfit,
+            "clamped": largest(self.displacement - self.wanted),
+            "all": self.error,
+        }
+
+
+def homed(actuator: Actuator, limits: tuple[float, float] | None) -> State:
+    """The state at the top of the limits, after a rise through all of them; at that of the spring without limits.
+
+    Where time has a say, after the homing that ends there (`dehyst.control.homing.shortest_homing`).
+    """
+    ends = actuator.spring.displacement[[0, -1]]
+    if limits is None:
+        return actuator.turned(float(ends[1]))
+    return risen(actuator, limits, rise(actuator, limits))
+
+
+def rise(actuator: Actuator, limits: tuple[float, float]) -> Excitation | None:
+    """The voltage in time that homes to the top of the limits; None where time has no say."""
+    return shortest_homing(actuator, limits=limits, present=limits[0], end=limits[1]).played if actuator.wide else None
+
+
+def risen(actuator: Actuator, limits: tuple[float, float], played: Excitation | None) -> State:
+    """The state after a rise through the limits, played as it is given, or at any pace."""
+    start = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
+    if played is None:
+        after: State = actuator.simulate(np.array(limits), state=start, extrapolate=True).state
+        return after
+    time = played.time if actuator.needs_time else None
+    homed_: State = actuator.simulate(played.voltage, time=time, state=start, extrapolate=True).state
+    return homed_

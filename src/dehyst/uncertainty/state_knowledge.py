@@ -1,0 +1,75 @@
+"""From when on the state of an actuator is known along a record, nothing being known before it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dehyst.control.state_bounds import Bracket, known_by_displacement, moves_on
+from dehyst.identification.validation import Comparison
+from dehyst.model.actuator import Actuator
+from dehyst.model.elements import GradedSlip, MaxwellSlip
+
+# An element that holds less of the voltage than this has nothing to be homed for.
+_SMALL = 1e-9
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """From when on the state is known along a record, nothing being known before it.
+
+    Attributes
+    ----------
+    record : str
+    by_displacement, by_voltage : float or None
+        Time since the record's start [s] from which every element with stiffness is known: to one who sees the
+        displacement, and to one who sees the voltage alone; None if never.
+    judged : bool
+        Whether `by_voltage` was judged: the order of voltages does not tell where creep, inertia, a lag or smooth
+        elements have a say.
+    """
+
+    record: str
+    by_displacement: float | None
+    by_voltage: float | None
+    judged: bool = True
+
+    @classmethod
+    def of(cls, actuator: Actuator, compared: Comparison) -> Knowledge:
+        """What a record that was put beside an actuator makes known."""
+        stiff, record = _stiff(actuator), compared.record.record
+        # Noise widens a range by its extremes; what it adds is no excursion.
+        reach = 2 * stiff.slip.breakaway + 4 * compared.record.noise
+        ordered = not moves_on(actuator)
+        if not reach.size:
+            return cls(record.name, 0.0, 0.0 if ordered else None, ordered)
+        # With inertia the elements see what the resonance had to follow, which the pieces hold.
+        path = record.displacement if actuator.dynamics is None else compared.pieces[0][1].displacement
+        seen = known_by_displacement(0.5 * reach, path).first_known
+        played = None
+        if ordered:
+            bracket = Bracket.at_rest(stiff, float(record.voltage[0]))
+            played = bracket.drive(stiff, record.voltage).first_known
+
+        def time(sample: int | None) -> float | None:
+            return None if sample is None else float(record.time[sample] - record.time[0])
+
+        return cls(record.name, time(seen), time(played), ordered)
+
+    def as_dict(self) -> dict[str, object]:
+        """JSON values."""
+        return {
+            "record": self.record,
+            "known_by_displacement_s": self.by_displacement,
+            "known_by_voltage_s": self.by_voltage,
+        }
+
+
+def _stiff(actuator: Actuator) -> Actuator:
+    """The slip elements that hold something, the spring and the transformer: the rest has no carts."""
+    slip = actuator.slip
+    keep = slip.friction > _SMALL * float(np.ptp(actuator.spring.voltage))
+    rho, kappa = slip.breakaway[keep], slip.stiffness[keep]
+    kept = GradedSlip(rho, slip.knots, kappa) if isinstance(slip, GradedSlip) else MaxwellSlip(rho, kappa)
+    return Actuator(kept, actuator.spring, limits=actuator.limits, transformer=actuator.transformer)

@@ -1,0 +1,307 @@
+"""The virtual bench behind every emulator: amplifier, wave generator, data recorder and sensor around an actuator."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import DeviceError
+from dehyst._types import Array
+from dehyst._validation import interval, vector
+from dehyst.control.limits import Limits
+from dehyst.model.actuator import Actuator
+from dehyst.virtual import Truth
+from dehyst.virtual.amplifier import Amplifier, Extremes
+from dehyst.virtual.base import Sensor
+from dehyst.virtual.modelled import fingerprint
+
+__all__ = ["Extremes", "Instrument"]
+
+# The servo looks this often [s], follows with this time constant [s], and looks so many times at most after a pause.
+_LOOK, _FOLLOW, _LOOKS = 1e-3, 0.02, 400
+# Of what is missing the servo makes up so much at once: no actuator's loop is twice as steep as its end points' line.
+_CAREFUL = 0.5
+# Share of the stroke within which a move has arrived.
+_ARRIVED = 1e-3
+
+
+class Instrument:
+    """A piezo controller without a face: no input or output, no thread; its time is the clock's.
+
+    Every method brings all up to the present first. Not thread-safe: who serves it holds a lock.
+
+    Parameters
+    ----------
+    truth : Truth or Actuator
+        What is driven, at rest at 0 V.
+    limits : (float, float), optional
+        Voltages [V] that are put out, ever.
+    slew_rate : float, optional
+        The amplifier's own [V/s]: a voltage is reached at that rate, a wave followed no faster. Default: at once.
+    servo_period : float, optional
+        Seconds; samples of a wave are whole numbers of them apart.
+    wave_points, record_points : int, optional
+        Samples that the wave generator takes, and that the recorder holds.
+    sensor_range : (float, float), optional
+        Displacements [m] that the sensor can tell; it saturates beyond them.
+    clock : callable, optional
+        Seconds, never falling.
+    speed : float, optional
+        Seconds of the device in each second of the clock.
+    noise, seed : float, int, optional
+        Standard deviation [m] of the sensor, and where its noise begins; default: those of the truth, or none.
+
+    Attributes
+    ----------
+    log : Extremes
+        What was ever put out.
+    unplugged : bool
+        Whether the sensor's cable hangs loose: it reads one number.
+    stalled : bool
+        Whether the wave generator hangs: it plays no more, and does not end.
+    stroke : float
+        Of the actuator [m].
+    serial : str
+        Serial number: the actuator's `fingerprint`, whatever it is called and whoever serves it.
+
+    Raises
+    ------
+    ModelError
+        If the limits are no interval, or the slew rate is not positive.
+    """
+
+    def __init__(
+        self,
+        truth: Truth | Actuator,
+        *,
+        limits: tuple[float, float] = (0.0, 200.0),
+        slew_rate: float | None = None,
+        servo_period: float = 5e-5,
+        wave_points: int = 65536,
+        record_points: int = 65536,
+        sensor_range: tuple[float, float] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        speed: float = 1.0,
+        noise: float | None = None,
+        seed: int | None = None,
+    ) -> None:
+        self._amplifier = Amplifier(truth, Limits(*limits, slew_rate), servo_period)
+        allowed = self._amplifier.limits
+        self.limits, self.slew_rate, self.servo_period = (allowed.low, allowed.high), slew_rate, servo_period
+        self.wave_points, self.record_points = wave_points, record_points
+        self.sensor_range = None if sensor_range is None else interval(sensor_range)
+        self.unplugged = self.stalled = False
+        self.stroke, self.log = self._amplifier.stroke, self._amplifier.log
+        self.serial = fingerprint(truth)
+        self._deviation = float(getattr(truth, "noise", 0.0)) if noise is None else noise
+        self._sensor = Sensor(self._deviation, int(getattr(truth, "seed", 0)) if seed is None else seed)
+        self._clock, self._speed, self._began = clock, speed, clock()
+        self._servo, self._wanted, self._missing = False, 0.0, 0.0
+        self._wave, self._played, self._first, self._period = np.zeros(0), 0, 0.0, servo_period
+        self._record, self._rows = np.zeros((3, 0)), 0
+
+    @property
+    def now(self) -> float:
+        """The device's time [s]."""
+        return (self._clock() - self._began) * self._speed
+
+    @property
+    def voltage(self) -> float:
+        """What the amplifier puts out now [V]."""
+        self.advance()
+        return self._amplifier.voltage
+
+    @property
+    def target(self) -> float:
+        """The voltage that the output goes to [V]."""
+        self.advance()
+        return self._amplifier.target
+
+    @property
+    def playing(self) -> bool:
+        """Whether a wave is being played."""
+        self.advance()
+        return self._busy
+
+    @property
+    def moving(self) -> bool:
+        """Whether the output is on its way, or the servo not where it should be."""
+        self.advance()
+        return self._busy or self._amplifier.moving or not self.arrived
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the servo, if it is on, is where it should be."""
+        self.advance()
+        return not self._servo or self._missing <= max(_ARRIVED * self.stroke, 5 * self._deviation)
+
+    @property
+    def servo(self) -> bool:
+        """Whether the loop is closed; closing it holds the displacement that the sensor reads."""
+        return self._servo
+
+    @servo.setter
+    def servo(self, on: bool) -> None:
+        self.advance()
+        if on == self._servo:
+            return
+        if on and self._busy:
+            raise DeviceError("servo: a wave is being played, which is for an open loop; stop it first")
+        self._servo = on
+        self._amplifier.rest()
+        if on:
+            self._wanted, self._missing = self.displacement(), 0.0
+
+    @property
+    def recorded(self) -> int:
+        """Samples recorded of the present or last wave."""
+        self.advance()
+        return self._rows
+
+    @property
+    def planned(self) -> int:
+        """Samples of the present or last wave; a stopped one ends where it was stopped."""
+        return self._wave.size
+
+    def displacement(self) -> float:
+        """What the sensor reads now [m]; while a wave is played, what it saw at the last sample."""
+        self.advance()
+        return self._reading()
+
+    def set_voltage(self, voltage: float) -> bool:
+        """Put out a voltage [V]; with a slew rate, go there. Outside of the limits nothing is done, and False returned.
+
+        Raises
+        ------
+        DeviceError
+            If the servo is on or a wave is played.
+        """
+        self.advance()
+        self._demand_open("set_voltage")
+        if not self._amplifier.allows(np.array([voltage])):
+            return False
+        self._amplifier.aim(float(voltage))
+        return True
+
+    def move(self, target: float) -> None:
+        """Go to a displacement [m] as the sensor reads it, and hold it against creep.
+
+        Raises
+        ------
+        DeviceError
+            If the servo is off, or the target is no number.
+        """
+        self.advance()
+        if not self._servo or not math.isfinite(target):
+            raise DeviceError(f"move: got {target} m, servo {'on' if self._servo else 'off'}; need a number and it on")
+        self._wanted, self._missing = float(target), math.inf
+
+    def start(self, wave: ArrayLike, divider: int = 1) -> None:
+        """Play voltages (n,) [V]: sample k at the present + k divider servo_period, and recorded just after.
+
+        Parameters
+        ----------
+        wave : (n,) array_like
+            [V]; from one to the next the output goes in a straight line, to the first in a jump.
+        divider : int, optional
+            Servo periods from one to the next.
+
+        Raises
+        ------
+        DeviceError
+            If one lies outside of the limits, there are too many or none, another wave is played or the servo is on.
+        """
+        self.advance()
+        self._demand_open("start")
+        v = vector(wave, "wave")
+        if not 0 < v.size <= self.wave_points or divider < 1:
+            raise DeviceError(
+                f"start: got {v.size} samples and divider {divider}, need 1 to {self.wave_points} and 1 or more"
+            )
+        if not self._amplifier.allows(v):
+            raise DeviceError(f"start: got {v.min():.6g} to {v.max():.6g} V, need {self._amplifier.limits.words}")
+        self._wave, self._played, self._first, self._period = v, 0, self._amplifier.at, divider * self.servo_period
+        self._record, self._rows = np.zeros((3, min(v.size, self.record_points))), 0
+        self.advance()
+
+    def stop(self) -> None:
+        """Stop the wave, or the output on its way; the voltage stays. A servo holds where it is."""
+        self.advance()
+        self._wave = self._wave[: self._played]
+        self._amplifier.rest()
+        if self._servo:
+            self._wanted = self.displacement()
+
+    def samples(self, first: int = 0, count: int | None = None) -> tuple[Array, Array, Array]:
+        """Time [s], voltage [V] and displacement [m], (n,) each, of the present or last wave, from sample `first` on.
+
+        As many as there are, `count` at most.
+        """
+        self.advance()
+        stop = self._rows if count is None else min(self._rows, first + count)
+        found = self._record[:, max(first, 0) : max(stop, 0)].copy()
+        return found[0], found[1], found[2]
+
+    def advance(self) -> None:
+        """Bring all up to now: play what is due of the wave, fill the recorder, let the actuator creep."""
+        now = self.now
+        if self._busy:
+            self._play(now)
+        if self._busy or now <= self._amplifier.at:
+            return
+        if self._servo:
+            self._hold(now)
+        else:
+            self._amplifier.pass_time(now)
+
+    @property
+    def _busy(self) -> bool:
+        return self._played < self._wave.size
+
+    def _demand_open(self, what: str) -> None:
+        if self._servo:
+            raise DeviceError(f"{what}: the servo is on, need it off")
+        if self._busy:
+            raise DeviceError(f"{what}: a wave is being played; stop it first")
+
+    def _play(self, now: float) -> None:
+        """Put out the samples that are due, and record them."""
+        # Rounding must not lose the sample that is due at this very moment.
+        due = min(self._wave.size, math.floor((now - self._first) / self._period + 1e-6) + 1)
+        if due <= self._played or self.stalled:
+            return
+        at = np.asarray(self._first + self._period * np.arange(self._played, due), dtype=np.float64)
+        voltage, displacement = self._amplifier.follow(self._wave[self._played : due], at)
+        self._played = due
+        rows = slice(self._rows, min(due, self._record.shape[1]))
+        kept = max(0, rows.stop - rows.start)
+        self._record[:, rows] = np.stack([at, voltage, self._seen(displacement)])[:, :kept]
+        self._rows += kept
+
+    def _hold(self, now: float) -> None:
+        """Integrate what the sensor misses: coarser after a pause, so that an idle hour costs little."""
+        amplifier = self._amplifier
+        begin, span = amplifier.at, now - amplifier.at
+        looks = min(_LOOKS, max(1, math.ceil(span / _LOOK)))
+        each = span / looks
+        gain = _CAREFUL * -math.expm1(-each / _FOLLOW) / amplifier.gain
+        most = (self.slew_rate or math.inf) * each
+        for look in range(1, looks + 1):
+            missing = self._wanted - self._reading()
+            wished = amplifier.voltage + min(max(gain * missing, -most), most)
+            amplifier.drive(np.array([amplifier.limits.nearest(wished)]), np.array([begin + look * each]))
+            self._missing = abs(missing)
+
+    def _reading(self) -> float:
+        return float(self._seen(np.array([self._amplifier.position]))[0])
+
+    def _seen(self, displacement: Array) -> Array:
+        """What the sensor reads of displacements (n,) [m]."""
+        low, high = self.sensor_range or (-math.inf, math.inf)
+        if self.unplugged:
+            return np.full(displacement.size, low if math.isfinite(low) else 0.0)
+        return np.clip(self._sensor.read(displacement), low, high)

@@ -1,0 +1,191 @@
+"""A virtual actuator after Bouc and Wen, behind a resonance and a delay.
+
+Y.-K. Wen, "Method for random vibration of hysteretic systems", J. Eng. Mech. Div. ASCE 102(2), 1976, 249-263; for
+piezo actuators T. S. Low, W. Guo, "Modeling of a three-layer piezoelectric bimorph beam with hysteresis", J.
+Microelectromech. Syst. 4(4), 1995, 230-237.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import vector
+from dehyst.virtual.base import Clock, Sensor
+
+# Share of the highest voltage that one step of the Runge-Kutta rule goes.
+_FINEST = 1e-3
+
+
+@dataclass(eq=False)
+class BoucWenActuator:
+    """A lagging variable z of the voltage, a cubic map, a resonance and a delay; u is v / highest.
+
+    ``dz/du = slope (1 - |z / lag|^power (closing sgn(z du) + 1 - closing))``, w = u - z scaled to 0 and 1 at the ends
+    of the major loop, ``p = w + asymmetry w (w - 1) + bend w (w - 1)(w - 1/2)``, and
+    ``y'' + 2 zeta omega y' + omega^2 y = omega^2 stroke p(t - delay)``. Voltage is linear between samples.
+
+    Parameters
+    ----------
+    stroke : float
+        Displacement [m] at the highest voltage, driven slowly.
+    highest : float
+        Highest voltage [V].
+    lag, slope, power, closing : float
+        Largest z, its first slope, how sharply it levels off, and how much a reversal undoes; 2 slope closing < 1.
+    asymmetry, bend : float
+        Of the map; it must stay increasing.
+    resonance : float
+        omega / (2 pi) [Hz].
+    damping : float
+        zeta, above 0 and below 1.
+    delay : float
+        Of the voltage [s], 0 or more.
+    noise : float
+        Standard deviation of the sensor [m].
+    seed : int
+        Of the noise.
+    """
+
+    stroke: float = 16.0e-6
+    highest: float = 200.0
+    lag: float = 0.075
+    slope: float = 0.45
+    power: float = 1.2
+    closing: float = 0.6
+    asymmetry: float = 0.08
+    bend: float = 0.10
+    resonance: float = 300.0
+    damping: float = 0.03
+    delay: float = 2e-4
+    noise: float = 2e-9
+    seed: int = 0
+    _lagging: float = field(init=False, repr=False)
+    _ends: tuple[float, float] = field(init=False, repr=False)
+    _motion: tuple[float, float] = field(init=False, repr=False)
+    _now: float = field(init=False, repr=False)
+    _sent: tuple[Array, Array] = field(init=False, repr=False)
+    _clock: Clock = field(init=False, repr=False)
+    _sensor: Sensor = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._check()
+        self._sensor = Sensor(self.noise, self.seed)
+        self._ends = (0.0, 1.0)
+        self._lagging = 0.0
+        turns = np.concatenate([np.linspace(a, b, 1001)[1:] for a, b in pairwise([0.0, 1.0] * 4 + [0.0])])
+        w = self._lagged(np.concatenate([[0.0], turns]))
+        self._ends = float(w[-1]), float(w[-1001])
+        self.relax()
+
+    def relax(self) -> None:
+        """Forget: no residual strain, at rest at 0 V."""
+        self._lagging = 0.0
+        self._motion = self.stroke * float(self._mapped(self._lagged(np.zeros(2)))[0]), 0.0
+        self._now = 0.0
+        self._sent = np.array([self.delay]), np.zeros(1)
+        self._clock = Clock()
+
+    def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
+        """Play a voltage (n,) [V]; returns the displacement (n,) [m], with sensor noise if `measured`.
+
+        Parameters
+        ----------
+        voltage : (n,) array_like
+            [V].
+        time : (n,) array_like
+            [s], increasing; needed. A time after the last drive's goes on from there, one that begins anew follows the
+            last drive by its own first interval.
+        measured : bool, optional
+            Whether to add the sensor's noise.
+
+        Raises
+        ------
+        ModelError
+            If the voltage is not finite, or the time is missing or does not increase.
+        """
+        v = vector(voltage, "voltage")
+        at = self._now + np.cumsum(self._clock.steps(time, v.size, "swings"))
+        if not v.size:
+            return v
+        grid, u = self._arriving(at, v / self.highest)
+        pushed = self.stroke * self._mapped(self._lagged(u))
+        y = self._swung(grid, pushed)[np.searchsorted(grid, at)]
+        self._now = float(at[-1])
+        return self._sensor.read(y) if measured else y
+
+    def _check(self) -> None:
+        w = np.linspace(-0.1, 1.1, 400)
+        if np.any(np.diff(self._mapped(w)) <= 0):
+            raise ModelError(f"asymmetry {self.asymmetry} and bend {self.bend}: the map must increase; try less")
+        if min(self.lag, self.slope, self.closing) <= 0 or self.power < 1 or 2 * self.slope * self.closing >= 1:
+            raise ModelError(
+                f"lag {self.lag}, slope {self.slope}, power {self.power}, closing {self.closing}: need all above 0, "
+                "the power 1 or more and 2 slope closing below 1, or voltage would pull back"
+            )
+        if self.resonance <= 0 or not 0 < self.damping < 1 or not self.delay >= 0:
+            raise ModelError(
+                f"resonance {self.resonance}, damping {self.damping}, delay {self.delay}: need hertz above 0, a "
+                "damping between 0 and 1, and seconds, 0 or more"
+            )
+
+    def _arriving(self, at: Array, u: Array) -> tuple[Array, Array]:
+        """Times, from now to the last of `at`, and the delayed voltage at them, in steps of little voltage."""
+        when, sent = (np.concatenate(pair) for pair in zip(self._sent, (at + self.delay, u), strict=True))
+        knots = np.union1d(np.concatenate([[self._now], at]), when[(when > self._now) & (when < at[-1])])
+        level = np.interp(knots, when, sent)
+        parts = np.maximum(1, np.ceil(np.abs(np.diff(level)) / _FINEST)).astype(int)
+        index = np.arange(parts.size).repeat(parts)
+        part = (np.arange(index.size) - (np.cumsum(parts) - parts)[index] + 1) / parts[index]
+        whole = part == 1
+        times = np.where(whole, knots[1:][index], knots[index] + part * np.diff(knots)[index])
+        levels = np.where(whole, level[1:][index], level[index] + part * np.diff(level)[index])
+        # What is still under way, and the last that arrived.
+        first = max(0, int(np.searchsorted(when, at[-1], side="right")) - 1)
+        self._sent = when[first:], sent[first:]
+        return np.concatenate([knots[:1], times]), np.concatenate([level[:1], levels])
+
+    def _lagged(self, u: Array) -> Array:
+        """W (n,) along a path of voltages (n,), the first of which is where the last path ended."""
+        z, steps = self._lagging, np.diff(u).tolist()
+        out = [z]
+        for h in steps:
+            a = self._rate(z, h)
+            b = self._rate(z + 0.5 * h * a, h)
+            c = self._rate(z + 0.5 * h * b, h)
+            z += h / 6 * (a + 2 * b + 2 * c + self._rate(z + h * c, h))
+            out.append(z)
+        self._lagging = z
+        low, high = self._ends
+        return np.asarray((u - np.array(out) - low) / (high - low))
+
+    def _rate(self, z: float, h: float) -> float:
+        forward = self.closing if z * h > 0 else -self.closing
+        return self.slope * (1 - float(abs(z / self.lag) ** self.power) * (forward + 1 - self.closing))
+
+    def _mapped(self, w: Array) -> Array:
+        return w + self.asymmetry * w * (w - 1) + self.bend * w * (w - 1) * (w - 0.5)
+
+    def _swung(self, times: Array, pushed: Array) -> Array:
+        """Displacement (n,) at the times, exact where `pushed` is linear between them."""
+        omega, zeta = 2 * np.pi * self.resonance, self.damping
+        steps = np.diff(times)
+        damped = omega * np.sqrt(1 - zeta**2)
+        decay = np.exp(-zeta * omega * steps)
+        sine, cosine = decay * np.sin(damped * steps) / damped, decay * np.cos(damped * steps)
+        speed = np.diff(pushed) / steps
+        y, rate = self._motion
+        out = [y]
+        behind = 2 * zeta / omega
+        for c, s, v, a, b in zip(*(x.tolist() for x in (cosine, sine, speed, pushed[:-1], pushed[1:])), strict=True):
+            e, f = y - a + behind * v, rate - v
+            y = b - behind * v + e * (c + zeta * omega * s) + f * s
+            rate = v + f * (c - zeta * omega * s) - e * omega**2 * s
+            out.append(y)
+        self._motion = y, rate
+        return np.array(out)

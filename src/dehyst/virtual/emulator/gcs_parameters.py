@@ -1,0 +1,44 @@
+"""Parameters of an emulated controller that a client asks for: SPA? and HPA?."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dehyst.virtual.bench import Instrument
+from dehyst.virtual.emulator.gcs_errors import Error, demand, numeral, whole
+
+SERVO_PERIOD, WAVE_POINTS, RECORD_POINTS, SLEW_RATE = 0x0E000200, 0x13000004, 0x16000200, 0x07000201
+
+
+class Parameters:
+    """What an instrument is, by parameter numbers; read only.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Without a slew rate it has no such parameter.
+    """
+
+    def __init__(self, instrument: Instrument) -> None:
+        self._has = {
+            SERVO_PERIOD: (numeral(instrument.servo_period), "FLOAT", "Servo Update Time (s)"),
+            WAVE_POINTS: (str(instrument.wave_points), "INT", "Max Wave Points"),
+            RECORD_POINTS: (str(instrument.record_points), "INT", "Data Recorder Max Points"),
+        }
+        if instrument.slew_rate is not None:
+            self._has[SLEW_RATE] = (numeral(instrument.slew_rate), "FLOAT", "Open-Loop Slew Rate (V/s)")
+
+    def values(self, words: Sequence[str]) -> list[str]:
+        """SPA? [item parameter ...]: their values."""
+        demand(len(words) % 2 == 0, Error.MISSING)
+        demand(all(item == "1" for item in words[::2]), Error.PARAMETER_RANGE)
+        asked = [whole(word) for word in words[1::2]] or list(self._has)
+        demand(all(number in self._has for number in asked), Error.UNKNOWN_PARAMETER)
+        return [f"1 0x{number:08X}={self._has[number][0]}" for number in asked]
+
+    def help(self) -> list[str]:
+        """HPA?: number, command level, items, type, group and name of each."""
+        return [
+            *(f"0x{number:08X}=0\t1\t{kind}\tdevice\t{name}" for number, (_, kind, name) in self._has.items()),
+            "end of help",
+        ]

@@ -1,0 +1,129 @@
+"""The data recorder of an emulated controller: DRC, DRT, RTR, and the GCS array that DRR? answers with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dehyst._types import Array
+from dehyst.virtual.bench import Instrument
+from dehyst.virtual.emulator.gcs_errors import Error, counted, demand, lines, numeral, whole
+
+POSITION, VOLTAGE, NOTHING = 2, 16, 0
+NAMES = {NOTHING: "Nothing is recorded", POSITION: "Current Position of axis", VOLTAGE: "Voltage of output chn"}
+TABLES = 2
+
+
+class Recorder:
+    """What the data recorder has been told, and what it tells.
+
+    Parameters
+    ----------
+    instrument : Instrument
+    axis : str
+        Name of the axis, and of its output channel.
+
+    Attributes
+    ----------
+    told : int
+        Rows that DRR? has ever answered with.
+    """
+
+    def __init__(self, instrument: Instrument, axis: str) -> None:
+        self._instrument, self._axis = instrument, axis
+        self.options = {1: POSITION, 2: VOLTAGE}
+        self.trigger = ("1", "0")
+        self.divider, self._stride, self._period = 1, 1, instrument.servo_period
+        self.told = 0
+
+    def begin(self, divider: int) -> None:
+        """A wave starts whose samples are `divider` servo periods apart; the recorder takes each, or every nth."""
+        demand(self.divider % divider == 0, Error.PARAMETER_RANGE)
+        self._stride = self.divider // divider
+        self._period = self.divider * self._instrument.servo_period
+
+    @property
+    def count(self) -> int:
+        """Rows that are recorded."""
+        return -(-self._instrument.recorded // self._stride)
+
+    def configure(self, words: Sequence[str]) -> None:
+        """DRC table source option."""
+        counted(words, 3)
+        table = whole(words[0], 1, TABLES, Error.RECORD_TABLE)
+        demand(words[1] == self._axis, Error.AXIS)
+        option = whole(words[2])
+        demand(option in NAMES, Error.RECORD_OPTION)
+        self.options[table] = option
+
+    def configured(self, words: Sequence[str]) -> list[str]:
+        """DRC? [table]."""
+        return [f"{table}={self._axis} {self.options[table]}" for table in self._tables(words)]
+
+    def arm(self, words: Sequence[str]) -> None:
+        """DRT table trigger value; a wave triggers the recorder in any case."""
+        counted(words, 3)
+        whole(words[0], 0, TABLES, Error.RECORD_TABLE)
+        whole(words[1], 0, 4)
+        self.trigger = (words[1], words[2])
+
+    def armed(self, words: Sequence[str]) -> list[str]:
+        """DRT? [table]."""
+        return [f"{table}={' '.join(self.trigger)}" for table in self._tables(words)]
+
+    def slow(self, words: Sequence[str]) -> None:
+        """RTR divider."""
+        counted(words, 1)
+        self.divider = whole(words[0], 1, 10**6)
+
+    def lengths(self, words: Sequence[str]) -> list[str]:
+        """DRL? [table]: rows recorded so far."""
+        return [f"{table}={self.count}" for table in self._tables(words)]
+
+    def array(self, words: Sequence[str]) -> str:
+        """DRR? [first [count [table ...]]]: rows from `first`, which is 1 or more, as far as they are recorded."""
+        first = whole(words[0], 1) if words else 1
+        count = whole(words[1], 1) if len(words) > 1 else self.count
+        tables = [whole(word, 1, TABLES, Error.RECORD_TABLE) for word in words[2:]] or list(self.options)
+        available = self.count
+        demand(first <= available, Error.NOT_RECORDED)
+        stop = min(available, first - 1 + count)
+        columns = [self._column(table)[first - 1 : stop].tolist() for table in tables]
+        rows = [" ".join(map(numeral, row)) for row in zip(*columns, strict=True)]
+        self.told += len(rows)
+        return lines(*self._header(tables, stop - first + 1), *rows)
+
+    def help(self) -> list[str]:
+        """HDR?: what can be recorded."""
+        return [
+            "#RecordOptions",
+            *(f"{option}={name}" for option, name in NAMES.items()),
+            "#TriggerOptions",
+            "0=default setting",
+            "1=any command that changes the output, and the start of a wave",
+            "#Additional information",
+            f"{TABLES} record tables",
+            f"{self._instrument.record_points} datapoints per table",
+            "end of help",
+        ]
+
+    def _tables(self, words: Sequence[str]) -> list[int]:
+        return [whole(word, 1, TABLES, Error.RECORD_TABLE) for word in words] or list(self.options)
+
+    def _column(self, table: int) -> Array:
+        time, voltage, displacement = (column[:: self._stride] for column in self._instrument.samples())
+        return {POSITION: displacement * 1e6, VOLTAGE: voltage, NOTHING: time * 0.0}[self.options[table]]
+
+    def _header(self, tables: list[int], count: int) -> list[str]:
+        suffix = {NOTHING: ""}
+        names = [NAMES[self.options[table]] + suffix.get(self.options[table], self._axis) for table in tables]
+        return [
+            "# REM Recorded by an emulated controller of dehyst",
+            "# VERSION = 1",
+            "# TYPE = 1",
+            "# SEPARATOR = 32",
+            f"# DIM = {len(tables)}",
+            f"# SAMPLE_TIME = {numeral(self._period)}",
+            f"# NDATA = {count}",
+            *(f"# NAME{index} = {name}" for index, name in enumerate(names)),
+            "# END_HEADER",
+        ]

@@ -1,0 +1,137 @@
+"""Wave tables of an emulated controller: WAV, WSL, WGC, WTR and what WGO is to play."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.virtual.bench import Instrument
+from dehyst.virtual.emulator.gcs_errors import CommandError, Error, counted, demand, real, whole
+
+TABLES = 4
+# Points that one command line may bring.
+_LONGEST_SEGMENT = 4096
+
+
+class Waves:
+    """What the wave generator has been told.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Whose limits and wave table size count.
+    """
+
+    def __init__(self, instrument: Instrument) -> None:
+        self._instrument = instrument
+        self.tables: dict[int, Array] = {number: np.zeros(0) for number in range(1, TABLES + 1)}
+        self.selected, self.cycles, self.divider, self.interpolation = 0, 0, 1, 1
+        self._shapes: dict[str, Callable[[Sequence[str]], Array]] = {
+            "PNT": self._points,
+            "SIN_P": self._sine,
+            "LIN": _line,
+            "RAMP": self._ramp,
+        }
+
+    def write(self, words: Sequence[str]) -> None:
+        """WAV table X|& shape ...: write a table, or append to it."""
+        demand(len(words) >= 4, Error.MISSING)
+        number, how, kind = whole(words[0], 1, TABLES), words[1].upper(), words[2].upper()
+        demand(how in ("X", "&") and kind in self._shapes, Error.PARAMETER_RANGE)
+        demand(self.selected != number or not self._instrument.playing, Error.WAVE_RUNNING)
+        segment = self._shapes[kind](words[3:])
+        low, high = self._instrument.limits
+        if segment.min() < low or segment.max() > high:
+            self._instrument.log.refused += 1
+            raise CommandError(Error.VOLTAGE)
+        table = segment if how == "X" else np.concatenate([self.tables[number], segment])
+        demand(table.size <= self._instrument.wave_points, Error.WAVE_TOO_LARGE)
+        self.tables[number] = table
+
+    def clear(self, words: Sequence[str]) -> None:
+        """WCL table."""
+        counted(words, 1)
+        self.tables[whole(words[0], 1, TABLES)] = np.zeros(0)
+
+    def lengths(self, words: Sequence[str]) -> list[str]:
+        """WAV? [table [1]]: how many points each table has."""
+        counted(words, 0, 2)
+        demand(len(words) < 2 or whole(words[1]) == 1, Error.PARAMETER_RANGE)
+        numbers = [whole(words[0], 1, TABLES)] if words else list(self.tables)
+        return [f"{number} 1={self.tables[number].size}" for number in numbers]
+
+    def select(self, words: Sequence[str]) -> None:
+        """WSL generator table, where 0 is none."""
+        generator(words, 2)
+        self.selected = whole(words[1], 0, TABLES)
+
+    def repeat(self, words: Sequence[str]) -> None:
+        """WGC generator cycles, where 0 is as many as the generator takes."""
+        generator(words, 2)
+        self.cycles = whole(words[1])
+
+    def slow(self, words: Sequence[str]) -> None:
+        """WTR generator divider interpolation."""
+        counted(words, 3)
+        demand(whole(words[0]) in (0, 1), Error.PARAMETER_RANGE)
+        divider, interpolation = whole(words[1], 1, 10**6), whole(words[2], 0, 1)
+        self.divider, self.interpolation = divider, interpolation
+
+    def chosen(self) -> Array:
+        """The voltages (n,) [V] that a start plays."""
+        demand(self.selected in self.tables and self.tables[self.selected].size > 0, Error.NO_WAVE_SELECTED)
+        table = self.tables[self.selected]
+        most = self._instrument.wave_points // table.size
+        demand(self.cycles <= most, Error.WAVE_TOO_LARGE)
+        return np.tile(table, self.cycles or most)
+
+    def _points(self, words: Sequence[str]) -> Array:
+        demand(len(words) >= 3, Error.MISSING)
+        whole(words[0])
+        size = whole(words[1], 1, _LONGEST_SEGMENT)
+        counted(words, 2 + size)
+        return np.array([real(word) for word in words[2:]])
+
+    def _curve(self, words: Sequence[str], count: int) -> tuple[Array, float, float, int, list[int]]:
+        """Points (n,) after the start of a curve, its amplitude, offset and length, and the numbers that remain."""
+        counted(words, count)
+        size, amplitude, offset = whole(words[0], 1, self._instrument.wave_points), real(words[1]), real(words[2])
+        length = whole(words[3], 1, size)
+        start, *rest = (whole(word, 0, size) for word in words[4:])
+        return np.arange(size, dtype=np.float64) - start, amplitude, offset, length, rest
+
+    def _sine(self, words: Sequence[str]) -> Array:
+        """SIN_P size amplitude offset length start centre: one raised cosine."""
+        point, amplitude, offset, length, (centre,) = self._curve(words, 6)
+        return np.asarray(offset + amplitude * 0.5 * (1 - np.cos(2 * np.pi * _phase(point, length, centre))))
+
+    def _ramp(self, words: Sequence[str]) -> Array:
+        """RAMP size amplitude offset length start speed centre: up and down, with sharp corners."""
+        point, amplitude, offset, length, (_, centre) = self._curve(words, 7)
+        phase = _phase(point, length, centre)
+        return np.asarray(offset + amplitude * (1 - np.abs(1 - 2 * phase)))
+
+
+def _line(words: Sequence[str]) -> Array:
+    """LIN size amplitude offset length start speed: one rise, with sharp corners."""
+    counted(words, 6)
+    size, amplitude, offset = whole(words[0], 1, 10**6), real(words[1]), real(words[2])
+    length, start = whole(words[3], 1, size), whole(words[4], 0, size)
+    whole(words[5], 0, size)
+    share = np.clip((np.arange(size) - start) / max(1, length - 1), 0.0, 1.0)
+    return np.asarray(offset + amplitude * share)
+
+
+def _phase(point: Array, length: int, centre: int) -> Array:
+    """Share of a curve that points (n,) have behind them: a half at its centre."""
+    demand(0 < centre < length, Error.PARAMETER_RANGE)
+    inside = np.clip(point, 0, length)
+    return np.interp(inside, [0.0, centre, length], [0.0, 0.5, 1.0])
+
+
+def generator(words: Sequence[str], count: int) -> None:
+    """Refuse a wave generator other than 1, or another number of arguments."""
+    counted(words, count)
+    whole(words[0], 1, 1)

@@ -1,0 +1,140 @@
+"""Virtual actuators by name, or from a model file: what an emulated instrument is put around."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import untimely, vector
+from dehyst.model.actuator import Actuator
+from dehyst.model.base import State
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, Truth
+
+# Share of a step that the creeping one adds in each decade of time.
+_CREEP = 0.01
+# What a model file holds beside the actuator itself.
+_NOT_THE_ACTUATOR = {"format", "version", "name", "provenance", "state", "limits"}
+_DIGITS = 12
+
+
+class ModelledActuator:
+    """An identified actuator as a `Truth`: driven on and on, with its state carried along.
+
+    Parameters
+    ----------
+    actuator : Actuator
+
+    Attributes
+    ----------
+    highest : float
+        Upper limit of the actuator [V], or where its spring ends.
+    stroke : float
+        Between 0 V and `highest` on the major loop [m].
+    """
+
+    def __init__(self, actuator: Actuator) -> None:
+        self.actuator = actuator
+        spring = actuator.spring.displacement
+        held = actuator.voltage(actuator.turned(float(spring[-1])))
+        self.highest = float(held if actuator.limits is None else actuator.limits[1])
+        if not self.highest > 0:
+            raise ModelError(f"{actuator.name}: its highest voltage is {self.highest:.6g} V, need one above 0 V")
+        swing = np.array([0.0, self.highest, 0.0, self.highest, 0.0])
+        slowly = 1e3 * np.arange(swing.size) if actuator.needs_time else None
+        y = actuator.simulate(swing, time=slowly, state=actuator.relaxed(), extrapolate=True).displacement
+        self.stroke = float(y[3] - y[4])
+        self.relax()
+
+    def relax(self) -> None:
+        """Forget: at rest at 0 V, without residual strain."""
+        self._state: State = self.actuator.relaxed()
+        self._voltage, self._time = 0.0, -np.inf
+
+    def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
+        """Play a voltage (n,) [V] as `Truth.drive`; without a sensor, `measured` makes no difference.
+
+        Raises
+        ------
+        ModelError
+            If the voltage is not finite, or an actuator that needs the time lacks it, or it does not fit.
+        """
+        v = vector(voltage, "voltage")
+        if not v.size:
+            return v
+        if not self.actuator.needs_time:
+            motion = self.actuator.simulate(v, state=self._state, extrapolate=True)
+            self._state = motion.state
+            return motion.displacement
+        if time is None:
+            raise ModelError("this actuator needs the time of each sample; give time=, in seconds")
+        at = vector(time, "time")
+        if at.size != v.size:
+            raise ModelError(untimely(at, v.size))
+        if not np.isfinite(self._time) or not at[0] > self._time:
+            if at.size < 2:
+                raise ModelError("time: got one sample that does not go on from an earlier one; need two at least")
+            self._time = float(2 * at[0] - at[1])
+        motion = self.actuator.simulate(
+            np.concatenate([[self._voltage], v]),
+            time=np.concatenate([[self._time], at]),
+            state=self._state,
+            extrapolate=True,
+        )
+        self._state, self._voltage, self._time = motion.state, float(v[-1]), float(at[-1])
+        return motion.displacement[1:]
+
+
+VIRTUAL: dict[str, Callable[[], Truth]] = {
+    "play": PlayActuator,
+    "creep": lambda: PlayActuator(creep=_CREEP),
+    "preisach": PreisachActuator,
+    "boucwen": BoucWenActuator,
+}
+
+
+def virtual_actuator(name: str) -> Truth | Actuator:
+    """A virtual actuator: one of `VIRTUAL`, or the path of a model file.
+
+    Raises
+    ------
+    ModelError
+        If it is no name, and no file of that name is there.
+    FileFormatError
+        If the file cannot be read.
+    """
+    if name in VIRTUAL:
+        return VIRTUAL[name]()
+    if not Path(name).suffix and not Path(name).exists():
+        raise ModelError(f"actuator: got '{name}', need one of {', '.join(VIRTUAL)}, or the path of a model file")
+    return Actuator.load(name)
+
+
+def fingerprint(truth: Truth | Actuator) -> str:
+    """Kind and hash of a virtual actuator: equal for equal parameters, from whatever name or file they come.
+
+    Name, provenance, state and limits of a model do not count: the same actuator may have others.
+    """
+    if isinstance(truth, ModelledActuator):
+        truth = truth.actuator
+    kind = "model" if isinstance(truth, Actuator) else type(truth).__name__.removesuffix("Actuator").lower()
+    text = json.dumps(_parameters(truth), sort_keys=True, default=float)
+    return f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}"
+
+
+def _parameters(truth: Truth | Actuator) -> dict[str, Any]:
+    """What a virtual actuator is made of, by name."""
+    if isinstance(truth, Actuator):
+        parts = truth.as_dict().items()
+        return {key: value for key, value in parts if key not in _NOT_THE_ACTUATOR and value is not None}
+    if is_dataclass(truth):
+        return {field.name: getattr(truth, field.name) for field in fields(truth) if field.init}
+    return {"stroke": truth.stroke, "highest": truth.highest}

@@ -1,0 +1,142 @@
+"""A virtual actuator of play operators. Where a model says v = stops(y) + eta(y), it says y = map(plays(v)) + creep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import vector
+from dehyst.virtual.base import Clock, Sensor
+
+# Times [s] of the first-order branches that together creep by a logarithm of time.
+_CREEP_TIMES = np.geomspace(0.05, 1000.0, 12)
+
+
+@dataclass(eq=False)
+class PlayActuator:
+    """Play operators of the voltage, summed and seen through an asymmetric map.
+
+    ``w = (1 - width) v / highest + width sum_j p_j play_{r_j}[v]``, 0 and 1 at the ends of the major loop, then
+    ``y = stroke (w + asymmetry w (w - 1) + bend w (w - 1)(w - 1/2))``: the loop is not anti-symmetric and its width
+    changes along the stroke. With creep, each low-pass of y is added to y: after a step, the displacement grows by a
+    logarithm of time from 0.1 s to 500 s, and beyond the stroke.
+
+    Parameters
+    ----------
+    stroke : float
+        Displacement [m] at the highest voltage.
+    highest : float
+        Highest voltage [V]; displacement is 0 at 0 V after a long descent.
+    width : float
+        Share of w that the plays hold, 0 to 1.
+    asymmetry, bend : float
+        Of the map; it must stay increasing.
+    plays : int
+        Number of play operators, thresholds uniform up to half of `highest`.
+    noise : float
+        Standard deviation of the sensor [m].
+    seed : int
+        Of the noise.
+    creep : float
+        Share of a step that is added in each decade of time; 0.01 is 1 %. With it, `drive` needs the time.
+    """
+
+    stroke: float = 16.152e-6
+    highest: float = 200.0
+    width: float = 0.55
+    asymmetry: float = 0.10
+    bend: float = 0.12
+    plays: int = 300
+    noise: float = 2e-9
+    seed: int = 0
+    creep: float = 0.0
+    _thresholds: Array = field(init=False, repr=False)
+    _weights: Array = field(init=False, repr=False)
+    _outputs: Array = field(init=False, repr=False)
+    _crept: Array = field(init=False, repr=False)
+    _before: float = field(init=False, repr=False)
+    _clock: Clock = field(init=False, repr=False)
+    _sensor: Sensor = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.creep < 1:
+            raise ModelError(f"creep: got {self.creep}, need a share of the step for each decade, 0 to 1")
+        w = np.linspace(-0.1, 1.1, 400)
+        if np.any(np.diff(self._mapped(w)) <= 0):
+            raise ModelError(f"asymmetry {self.asymmetry} and bend {self.bend}: the map must increase; try less")
+        self._thresholds = 0.5 * self.highest * (np.arange(self.plays) + 0.5) / self.plays
+        density = np.exp(-2.5 * self._thresholds / (0.5 * self.highest))
+        reach = self.highest - 2 * self._thresholds
+        self._weights = self.width * density / float(density @ reach)
+        self._sensor = Sensor(self.noise, self.seed)
+        self.relax()
+
+    def relax(self) -> None:
+        """Forget: no residual strain, 0 V."""
+        self._outputs = np.zeros(self.plays)
+        self._crept = np.zeros(_CREEP_TIMES.size)
+        self._before = 0.0
+        self._clock = Clock()
+
+    def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
+        """Play a voltage (n,) [V]; returns the displacement (n,) [m], with sensor noise if `measured`.
+
+        Parameters
+        ----------
+        voltage : (n,) array_like
+            [V].
+        time : (n,) array_like, optional
+            [s], increasing; only creep needs it. A time after the last drive's goes on from there, so that a pause
+            creeps too; one that begins anew follows the last drive by its own first interval.
+        measured : bool, optional
+            Whether to add the sensor's noise.
+
+        Raises
+        ------
+        ModelError
+            If the voltage is not finite, or there is creep and the time is missing or does not increase.
+        """
+        v = vector(voltage, "voltage")
+        steps = self._clock.steps(time, v.size, "creeps") if self.creep else None
+        y = self.stroke * self._mapped(self._played(v))
+        if steps is not None:
+            y = y + self._creeping(y - self.stroke * self._mapped(self._level(np.zeros(1))), steps)
+        return self._sensor.read(y) if measured else y
+
+    def _played(self, v: Array) -> Array:
+        outputs, low, high = self._outputs, -self._thresholds, self._thresholds
+        summed = np.empty(v.size)
+        for t, now in enumerate(v):
+            np.clip(outputs, now + low, now + high, out=outputs)
+            summed[t] = self._weights @ outputs
+        return (1 - self.width) * v / self.highest + self._level(summed)
+
+    def _level(self, summed: Array) -> Array:
+        # A long descent to 0 V leaves each play at its threshold, a long rise to the highest voltage that far below it.
+        rest = float(self._weights @ self._thresholds)
+        span = float(self._weights @ (self.highest - 2 * self._thresholds))
+        return self.width * (summed - rest) / span
+
+    def _creeping(self, y: Array, steps: Array) -> Array:
+        """What the branches add to a displacement (n,) since rest, exact where it is linear within a time step."""
+        ratio = steps[:, None] / _CREEP_TIMES
+        kept = np.exp(-ratio)
+        # Of a linear rise over the step: what the branch has of it at the step's end.
+        followed = 1 + np.expm1(-ratio) / ratio
+        start = np.concatenate([[self._before], y[:-1]]) if y.size else y
+        pushed = start[:, None] * -np.expm1(-ratio) + (y - start)[:, None] * followed
+        added, state = np.empty(y.size), self._crept
+        for t in range(y.size):
+            state = kept[t] * state + pushed[t]
+            added[t] = state.sum()
+        if y.size:
+            self._crept, self._before = state, float(y[-1])
+        decades = np.log10(_CREEP_TIMES[1] / _CREEP_TIMES[0])
+        return np.asarray(self.creep * decades * added)
+
+    def _mapped(self, w: Array) -> Array:
+        return w + self.asymmetry * w * (w - 1) + self.bend * w * (w - 1) * (w - 0.5)

@@ -1,0 +1,151 @@
+"""A virtual actuator of Preisach's relays with a smooth density, summed exactly over the staircase of its memory.
+
+I. D. Mayergoyz, Mathematical Models of Hysteresis, Springer 1991, chapter 1 (Everett's integral, the staircase).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import vector
+from dehyst.virtual.base import Sensor
+
+# The relays' plane, in units of the highest voltage: beyond it only the reversible share moves.
+_LOWEST, _UPPERMOST = -0.5, 1.5
+_NODES, _SHARES = np.polynomial.legendre.leggauss(32)
+_CYCLES_TO_RELAX = 60
+
+
+@dataclass(eq=False)
+class PreisachActuator:
+    """Relays that switch up at alpha and down at beta <= alpha, and a reversible share; u is v / highest.
+
+    Their density is ``exp(-(d / ridge)^2 / 2) exp(-((m - centre) / spread)^2 / 2) + uniform`` with d = alpha - beta and
+    m = (alpha + beta) / 2, from -1/2 to 3/2 of the highest voltage. The reversible share is
+    ``u + bend u (u - 1)``. Displacement is 0 and `stroke` at the ends of the major loop from 0 V to `highest`.
+
+    Parameters
+    ----------
+    stroke : float
+        Displacement [m] at the highest voltage.
+    highest : float
+        Highest voltage [V].
+    reversible : float
+        Share of the stroke that relays do not hold, above 0 and below 1.
+    bend : float
+        Of the reversible share.
+    ridge, centre, spread, uniform : float
+        Of the density, in units of the highest voltage; `uniform` relative to its peak.
+    noise : float
+        Standard deviation of the sensor [m].
+    seed : int
+        Of the noise.
+    """
+
+    stroke: float = 16.0e-6
+    highest: float = 200.0
+    reversible: float = 0.55
+    bend: float = 0.15
+    ridge: float = 0.25
+    centre: float = 0.60
+    spread: float = 0.45
+    uniform: float = 0.25
+    noise: float = 2e-9
+    seed: int = 0
+    _links: list[tuple[float, float]] = field(init=False, repr=False)
+    _sensor: Sensor = field(init=False, repr=False)
+    _bottom: float = field(init=False, repr=False)
+    _span: float = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.reversible < 1 or not abs(self.bend) < 0.5:
+            raise ModelError(
+                f"reversible {self.reversible} and bend {self.bend}: need a share between 0 and 1 and a bend below "
+                "0.5, so that more voltage is more displacement"
+            )
+        if min(self.ridge, self.spread) <= 0 or self.uniform < 0:
+            raise ModelError(
+                f"density: got ridge {self.ridge}, spread {self.spread}, uniform {self.uniform}; need the first two "
+                "above 0 and the last 0 or more"
+            )
+        self._sensor = Sensor(self.noise, self.seed)
+        self._span = float(self._everett(np.ones(1), np.zeros(1))[0])
+        self._bottom = float(self._everett(np.ones(1), np.full(1, _LOWEST))[0]) - self._span
+        self.relax()
+
+    def relax(self) -> None:
+        """Forget: an alternating voltage that decayed to 0 V."""
+        self._links = [(_LOWEST, 0.0)]
+        decay = 0.5 * (1 - np.arange(2 * _CYCLES_TO_RELAX + 1) / (2 * _CYCLES_TO_RELAX))
+        self._switched(decay * (-1.0) ** np.arange(decay.size))
+
+    def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
+        """Play a voltage (n,) [V]; returns the displacement (n,) [m], with sensor noise if `measured`.
+
+        `time` is not looked at: relays know none.
+
+        Raises
+        ------
+        ModelError
+            If the voltage is not finite.
+        """
+        u = vector(voltage, "voltage") / self.highest
+        relays = (self._switched(np.clip(u, _LOWEST, _UPPERMOST)) - self._bottom) / self._span
+        free = u + self.bend * np.where((u > 0) & (u < 1), u * (u - 1), np.where(u > 0, u - 1, -u))
+        y = self.stroke * (self.reversible * free + (1 - self.reversible) * relays)
+        return self._sensor.read(y) if measured else y
+
+    def _switched(self, u: Array) -> Array:
+        """Integral of the density over the relays that are up, for each voltage of a path (n,).
+
+        A link is an extreme of the memory and the integral when the voltage stood there; they alternate between minima
+        (the first is the plane's corner) and maxima, each nested within the one before.
+        """
+        links = self._links
+        turn, held, up = np.empty(u.size), np.empty(u.size), np.empty(u.size, dtype=bool)
+        # The last link is the voltage itself; the one before it is where the present branch began.
+        for t, now in enumerate(u.tolist()):
+            self._follow(links, now)
+            (begin, level), rising = links[-2] if len(links) > 1 else links[-1], len(links) % 2 == 0
+            turn[t], held[t], up[t] = begin, level, rising
+        moved = self._everett(np.where(up, u, turn), np.where(up, turn, u))
+        return held + np.where(up, moved, -moved)
+
+    def _follow(self, links: list[tuple[float, float]], now: float) -> None:
+        """Move the last link to `now`: a reversal adds a link, passing an older extreme wipes two out."""
+        if len(links) > 1:
+            rising = len(links) % 2 == 0
+            if (now < links[-1][0]) if rising else (now > links[-1][0]):
+                links[-1] = (links[-1][0], self._level(links))
+                links.append((now, 0.0))
+                rising = not rising
+            while len(links) > 2 and ((now >= links[-3][0]) if rising else (now <= links[-3][0])):
+                del links[-3:-1]
+            if not rising and now <= _LOWEST:
+                del links[1:]
+                links[0] = (_LOWEST, 0.0)
+                return
+            links[-1] = (now, 0.0)
+        elif now > _LOWEST:
+            links.append((now, 0.0))
+
+    def _level(self, links: list[tuple[float, float]]) -> float:
+        (a, held), (b, _) = links[-2], links[-1]
+        moved = float(self._everett(np.array([max(a, b)]), np.array([min(a, b)]))[0])
+        return held + (moved if b > a else -moved)
+
+    def _everett(self, high: Array, low: Array) -> Array:
+        """Integral of the density over the triangle low <= beta <= alpha <= high, by Gauss's rule in alpha - beta."""
+        from scipy.special import ndtr
+
+        reach = (high - low)[:, None]
+        d = 0.5 * reach * (_NODES + 1)
+        above = ndtr((high[:, None] - 0.5 * d - self.centre) / self.spread)
+        below = ndtr((low[:, None] + 0.5 * d - self.centre) / self.spread)
+        peak = np.exp(-0.5 * (d / self.ridge) ** 2) * self.spread * np.sqrt(2 * np.pi) * (above - below)
+        return np.asarray(0.5 * reach[:, 0] * ((peak + self.uniform * (reach - d)) @ _SHARES))

@@ -1,0 +1,233 @@
+"""How a voltage is played: sampling, legs between turning points, limits and slew rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, NamedTuple, TypeAlias, get_args
+
+import numpy as np
+
+from dehyst._errors import ModelError, RecordError
+from dehyst._types import Array
+from dehyst._units import plain
+from dehyst.waveforms.excitation import Excitation, positive, refuse_long, volts
+
+Shape: TypeAlias = Literal["cosine", "triangle"]
+Pace: TypeAlias = Literal["frequency", "rate"]
+
+_CYCLE_SAMPLES = 400
+_LEG_SAMPLES = 4
+# Largest slope of a leg over its mean slope.
+_STEEPEST = {"cosine": math.pi / 2, "triangle": 1.0}
+# What rounding may add to a step, over the largest voltage: mostly the cosine's argument, up to 2 pi, rounded twice.
+_ROUNDING = 32 * float(np.finfo(np.float64).eps)
+# By this much of it a slew rate may be surpassed, so that a leg that meets it exactly is left alone.
+_SLACK = 9e-10
+
+
+class Leg(NamedTuple):
+    """A monotone stretch of a voltage [V], a hold if it ends where it starts; `asked` unless its time [s] is free."""
+
+    start: float
+    end: float
+    seconds: float
+    asked: bool = True
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How a voltage is played; the same options for every kind of excitation.
+
+    Parameters
+    ----------
+    frequency : float
+        Cycles a second [Hz]; a leg between two turning points takes half a cycle, to the nearest sample.
+    sample_rate : float, optional
+        Samples a second [Hz]; by default 400 a cycle.
+    base : float
+        Voltage [V] that a protocol starts from and comes back to.
+    present : float, optional
+        Voltage [V] on the actuator now, if that is not the base: a ramp of half a cycle at most leads from there.
+    limits : (float, float), optional
+        Lowest and highest voltage [V] allowed. What lies outside is refused: clipped tops would make another protocol.
+    slew_rate : float, optional
+        Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, and a warning says so.
+    shape : {"cosine", "triangle"}
+        Half a cosine for each leg (the paper's, Sec. 3), or a straight line.
+    pace : {"frequency", "rate"}
+        Half a cycle for each leg, whatever its height (the paper's), or for the highest leg of a protocol only, and for
+        the others in proportion to their heights.
+
+    Raises
+    ------
+    RecordError
+        If a number is not finite, frequency, sample rate or slew rate are not positive, there are fewer than 8 samples
+        a cycle, the limits are no interval or do not hold base and present voltage, or a word is unknown.
+    """
+
+    frequency: float = 0.01
+    sample_rate: float | None = None
+    base: float = 0.0
+    present: float | None = None
+    limits: tuple[float, float] | None = None
+    slew_rate: float | None = None
+    shape: Shape = "cosine"
+    pace: Pace = "frequency"
+
+    def __post_init__(self) -> None:
+        for name in ("frequency", "sample_rate", "slew_rate"):
+            if getattr(self, name) is not None or name == "frequency":
+                object.__setattr__(self, name, positive(getattr(self, name), name))
+        for name, words in (("shape", get_args(Shape)), ("pace", get_args(Pace))):
+            if getattr(self, name) not in words:
+                raise RecordError(f"{name}: got {getattr(self, name)!r}, need {' or '.join(map(repr, words))}")
+        if self.rate < 2 * _LEG_SAMPLES * self.frequency:
+            raise RecordError(
+                f"sample_rate: got {self.rate:g} Hz for {self.frequency:g} Hz, need 8 samples a cycle at least; "
+                f"try {_CYCLE_SAMPLES * self.frequency:g} Hz"
+            )
+        if self.limits is not None:
+            object.__setattr__(self, "limits", _interval(self.limits))
+        for name in ("base", "present"):
+            if getattr(self, name) is not None or name == "base":
+                object.__setattr__(self, name, volts(getattr(self, name), name))
+                self._refuse_outside([getattr(self, name)], name)
+
+    @property
+    def rate(self) -> float:
+        """Samples a second [Hz]."""
+        return _CYCLE_SAMPLES * self.frequency if self.sample_rate is None else self.sample_rate
+
+    @property
+    def half(self) -> float:
+        """Half a cycle [s]."""
+        return 0.5 / self.frequency
+
+    @property
+    def start(self) -> float:
+        """Voltage [V] at which a record begins."""
+        return self.base if self.present is None else self.present
+
+    def approach(self, highest: float) -> list[Leg]:
+        """From the present voltage to the base at the mean speed of a leg of `highest` [V]; half a cycle at most."""
+        way = abs(self.start - self.base)
+        return [Leg(self.start, self.base, self.half * way / max(way, highest), asked=False)] if way else []
+
+    def legs(self, path: Sequence[float]) -> list[Leg]:
+        """Legs between the voltages of a path (m,) [V], m >= 2, at the drive's pace.
+
+        Raises
+        ------
+        RecordError
+            If a voltage comes twice in a row.
+        """
+        heights = [abs(b - a) for a, b in pairwise(path)]
+        if 0.0 in heights:
+            raise RecordError(
+                f"turns: got {path[heights.index(0.0)]:.9g} V twice in a row, need different voltages; leave one out"
+            )
+        highest = max(heights)
+        shares = [1.0 if self.pace == "frequency" else height / highest for height in heights]
+        return [Leg(a, b, self.half * share) for (a, b), share in zip(pairwise(path), shares, strict=True)]
+
+    def play(self, name: str, legs: Sequence[Leg]) -> Excitation:
+        """Sample legs that follow one another; refuses before memory is taken.
+
+        Raises
+        ------
+        RecordError
+            If a voltage lies outside of the limits, there are more than 5e7 samples, or the slew rate is so low that
+            steps from one sample to the next are lost in rounding.
+        """
+        ends = [legs[0].start, *(leg.end for leg in legs)]
+        self._refuse_outside(ends, name)
+        step = self._largest_step(max(map(abs, ends)))
+        asked = [self._asked(leg) for leg in legs]
+        counts = [max(n, self._needed(leg, step)) for n, leg in zip(asked, legs, strict=True)]
+        refuse_long(1 + sum(counts), self.rate)
+        voltage = np.empty(1 + sum(counts))
+        voltage[0], at = ends[0], 1
+        for leg, count in zip(legs, counts, strict=True):
+            voltage[at : at + count] = _sampled(leg, count, self.shape)
+            at += count
+        longer = [(n, m) for leg, n, m in zip(legs, asked, counts, strict=True) if leg.asked and m > 1.000001 * n]
+        moving = sum(leg.asked and leg.start != leg.end for leg in legs)
+        return Excitation(name, voltage, self.rate, self._stretched(longer, moving, sum(counts)))
+
+    def _asked(self, leg: Leg) -> int:
+        """Samples for the time that was asked for."""
+        if leg.start == leg.end:
+            return max(1, math.ceil(leg.seconds * self.rate * (1 - 1e-12)))
+        return max(_LEG_SAMPLES, math.floor(leg.seconds * self.rate + 0.5))
+
+    def _needed(self, leg: Leg, step: float) -> int:
+        """Samples that keep the slew rate."""
+        return math.ceil(_STEEPEST[self.shape] * abs(leg.end - leg.start) / step)
+
+    def _largest_step(self, highest: float) -> float:
+        """Largest step [V] from one sample to the next, of voltages up to `highest`."""
+        if self.slew_rate is None:
+            return math.inf
+        step, lost = self.slew_rate / self.rate, _ROUNDING * highest
+        if lost > 0.5 * step:
+            raise RecordError(
+                f"slew_rate: got {self.slew_rate:g} V/s at {self.rate:g} Hz, steps of {step:.3g} V, which are lost in "
+                f"the rounding of {highest:g} V; lower the sample rate"
+            )
+        return (1 + _SLACK) * step - lost
+
+    def _refuse_outside(self, values: Sequence[float], what: str) -> None:
+        low, high = self.limits or (-math.inf, math.inf)
+        worst = max(values, key=lambda v: max(low - v, v - high))
+        if not low <= worst <= high:
+            raise RecordError(
+                f"{what}: got {worst:.9g} V, but the limits are {low:g} to {high:g} V; ask for less, or widen the "
+                "limits if actuator and amplifier allow it"
+            )
+
+    def _stretched(self, longer: Sequence[tuple[int, int]], legs: int, samples: int) -> tuple[str, ...]:
+        if not longer:
+            return ()
+        asked, taken = max(longer, key=lambda pair: pair[1] / pair[0])
+        extra = sum(m - n for n, m in longer)
+        return (
+            f"{len(longer)} of {legs} legs take longer to keep {self.slew_rate:g} V/s, up to {taken / self.rate:.4g} s "
+            f"for {asked / self.rate:.4g} s; the whole takes {samples / self.rate:.5g} s for "
+            f"{(samples - extra) / self.rate:.5g} s",
+        )
+
+
+def _interval(limits: object) -> tuple[float, float]:
+    pair = _pair(limits)
+    if isinstance(pair, Sequence | np.ndarray) and len(pair) == 2:
+        low, high = (volts(limit, "limits") for limit in pair)
+        if low < high:
+            return low, high
+    raise RecordError(f"limits: got {limits!r}, need the lowest and the highest voltage, such as (0, 200)")
+
+
+def _pair(limits: object) -> object:
+    try:
+        return plain(limits, "limits")
+    except ModelError as error:
+        raise RecordError(str(error)) from error
+
+
+def _sampled(leg: Leg, count: int, shape: Shape) -> Array:
+    """Voltages of a leg after its start [V]: monotone, between its ends and at the end exactly."""
+    if leg.start == leg.end:
+        return np.full(count, leg.end)
+    rising = leg.end > leg.start
+    low, high = sorted((leg.start, leg.end))
+    k = np.arange(1, count + 1)
+    if shape == "cosine":
+        share = 0.5 - 0.5 * np.cos(np.pi * (k if rising else k + count) / count)
+    else:
+        share = (k if rising else count - k) / count
+    values = np.clip(low + (high - low) * share, low, high)
+    values[-1] = leg.end
+    # Rounding makes neighbours near a turning point change places.
+    return np.maximum.accumulate(values) if rising else np.minimum.accumulate(values)

@@ -1,0 +1,307 @@
+"""What every scan is: a wanted path for each axis, sampled so that a period is a whole number of samples."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from math import ceil, floor, inf, log10, sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError, RecordError
+from dehyst._types import Array
+from dehyst._validation import number, vector
+from dehyst.waveforms.excitation import positive, refuse_long
+from dehyst.waveforms.profiles import Point, Travel
+
+# As many samples a period as `Drive` takes, and the fewest for each part of one.
+CYCLE_SAMPLES = 400
+LEG_SAMPLES = 4
+# By this much a limit may be surpassed, so that what meets it exactly is let pass.
+SLACK = 1e-9
+_MOST_METRES = 1.0
+_MOST_WHOLE = 10**7
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A wanted displacement on uniform samples.
+
+    Parameters
+    ----------
+    displacement, velocity, acceleration : (n,) array_like
+        [m], [m/s], [m/s^2], the latter two the true derivatives; kept as read-only copies.
+    sample_rate : float
+        Samples a second [Hz].
+    periodic : bool
+        Whether the sample after the last one is the first again.
+
+    Raises
+    ------
+    RecordError
+        If the rows are empty or not of one length, or hold what is not finite.
+    """
+
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+    sample_rate: float
+    periodic: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("displacement", "velocity", "acceleration"):
+            row = _row(getattr(self, name), name)
+            if not row.size or row.size != np.size(self.displacement):
+                raise RecordError(
+                    f"{name}: got {row.size} values for {np.size(self.displacement)} displacements, need as many, and "
+                    "one at least"
+                )
+            row.flags.writeable = False
+            object.__setattr__(self, name, row)
+        object.__setattr__(self, "sample_rate", positive(self.sample_rate, "sample_rate"))
+
+    def __len__(self) -> int:
+        return self.displacement.size
+
+    @property
+    def time(self) -> Array:
+        """Time of each sample (n,) [s], from 0."""
+        return np.arange(len(self)) / self.sample_rate
+
+    @property
+    def rows(self) -> Travel:
+        """Displacement, velocity and acceleration (n,)."""
+        return Travel(self.displacement, self.velocity, self.acceleration)
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Lowest and highest displacement [m]."""
+        return float(self.displacement.min()), float(self.displacement.max())
+
+    @property
+    def first(self) -> Point:
+        """The motion at the first sample."""
+        return Point(float(self.displacement[0]), float(self.velocity[0]), float(self.acceleration[0]))
+
+    @property
+    def last(self) -> Path:
+        """The last sample alone."""
+        y, v, a = (row[-1:] for row in self.rows)
+        return Path(y, v, a, self.sample_rate, periodic=False)
+
+    def repeated(self, cycles: int) -> Path:
+        """So many periods and the sample that closes the last one; of no period the first sample.
+
+        Raises
+        ------
+        RecordError
+            If the path is not periodic, `cycles` is no number of cycles, or there are more than 5e7 samples.
+        """
+        if not self.periodic:
+            raise RecordError("cycles: got a path that ends elsewhere than it begins, need a periodic one")
+        times = whole(cycles, "cycles", 0)
+        refuse_long(times * len(self) + 1, self.sample_rate)
+        y, v, a = (np.append(np.tile(row, times), row[0]) for row in self.rows)
+        return Path(y, v, a, self.sample_rate, periodic=False)
+
+    def then(self, other: Path) -> Path:
+        """Put another one behind this one."""
+        y, v, a = (np.concatenate(pair) for pair in zip(self.rows, other.rows, strict=True))
+        return Path(y, v, a, self.sample_rate, periodic=False)
+
+
+class Scan(ABC):
+    """A path for each axis.
+
+    A period takes as many samples as it needs, to the next whole one: it is never faster than asked for.
+    """
+
+    frequency: float | None
+    sample_rate: float | None
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return ("x",)
+
+    @property
+    def periodic(self) -> bool:
+        """Whether it can be repeated."""
+        return True
+
+    @property
+    @abstractmethod
+    def rate(self) -> float:
+        """Samples a second [Hz]."""
+
+    @property
+    @abstractmethod
+    def samples(self) -> int:
+        """Of a period."""
+
+    @property
+    def period(self) -> float:
+        """Seconds that a period really takes."""
+        return self.samples / self.rate
+
+    @property
+    def asked(self) -> float | None:
+        """Seconds that a period was asked to take; None if nothing was asked."""
+        return None if self.frequency is None else 1 / self.frequency
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is not quite as asked for, in sentences."""
+        if self.asked is None or abs(self.period / self.asked - 1) <= 1e-9:
+            return ()
+        return (
+            f"a period takes {self.samples} samples at {self.rate:.9g} Hz: {1 / self.period:.9g} Hz for "
+            f"{1 / self.asked:.9g} Hz",
+        )
+
+    def path(self, axis: str = "x") -> Path:
+        """One period of an axis, or all of a scan that has none.
+
+        Raises
+        ------
+        RecordError
+            If there is no such axis.
+        """
+        if axis not in self.axes:
+            raise RecordError(f"axis: got {axis!r}, need {' or '.join(map(repr, self.axes))}")
+        return Path(*self.travel(axis), self.rate, self.periodic)
+
+    @abstractmethod
+    def travel(self, axis: str) -> Travel:
+        """Displacement, velocity and acceleration at each sample of the axis (n,)."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Largest abs(velocity) [m/s] and abs(acceleration) [m/s^2] of an axis, each or None."""
+
+    speed: float | None = None
+    acceleration: float | None = None
+
+    def refuse(self, what: str, peaks: tuple[float, float], frequency: float, height: float) -> None:
+        """Raise RecordError if a shape at this frequency [Hz] and height [m] goes beyond; speed and acceleration given.
+
+        The one grows with the frequency, the other with its square, both with the height.
+        """
+        v, a = (self.speed or inf) / peaks[0], (self.acceleration or inf) / peaks[1]
+        if min(v, a) >= 1 - SLACK:
+            return
+        name, worst, unit = ("speed", 0, "m/s") if v < a else ("acceleration", 1, "m/s^2")
+        raise RecordError(
+            f"{name}: got {_both(getattr(self, name), unit)}, but {what} takes {_both(peaks[worst], unit)}; try "
+            f"{below(frequency * min(v, sqrt(a)))} Hz or less in place of {frequency:.6g}, or "
+            f"{below(height * min(v, a) * 1e6)} um in place of {height * 1e6:.6g}"
+        )
+
+    @property
+    def words(self) -> str:
+        """Those that are given."""
+        given = (self.acceleration, "m/s^2"), (self.speed, "m/s")
+        return " and ".join(_both(value, unit) for value, unit in given if value is not None)
+
+    def hold(self, peaks: tuple[float, float]) -> bool:
+        """Whether these speed and acceleration keep them."""
+        return all(
+            limit is None or peak <= limit * (1 + SLACK)
+            for peak, limit in zip(peaks, (self.speed, self.acceleration), strict=True)
+        )
+
+
+def _both(value: float, unit: str) -> str:
+    return f"{value:.4g} {unit} ({value * 1e6:.6g} u{unit})"
+
+
+def below(value: float) -> str:
+    """Write a positive number with four digits, rounded down: what is said to be possible shall be."""
+    unit = 10.0 ** (floor(log10(value)) - 3)
+    return f"{floor(value * (1 - 1e-6) / unit) * unit:.6g}"
+
+
+def above(value: float) -> str:
+    """Write a positive number with four digits, rounded up."""
+    unit = 10.0 ** (floor(log10(value)) - 3)
+    return f"{ceil(value * (1 + 1e-6) / unit) * unit:.6g}"
+
+
+def length(value: object, what: str) -> float:
+    """Return `value` as a displacement [m]; raises RecordError."""
+    try:
+        found = number(value, what, "m")
+    except ModelError as error:
+        raise RecordError(str(error)) from error
+    if abs(found) > _MOST_METRES:
+        raise RecordError(f"{what}: got {found:g} m, need {_MOST_METRES:g} m at most; give metres, such as 5e-6")
+    return found
+
+
+def between(low: object, high: object, names: tuple[str, str] = ("low", "high")) -> tuple[float, float]:
+    """Return two displacements [m], the lower one first; raises RecordError."""
+    bottom, top = length(low, names[0]), length(high, names[1])
+    if not bottom < top:
+        raise RecordError(f"{names[0]}, {names[1]}: got {bottom:g} and {top:g} m, need the lower one first")
+    return bottom, top
+
+
+def share(value: object, what: str, most: float = 1.0) -> float:
+    """Return `value` as a share above 0; raises RecordError."""
+    found = positive(value, what)
+    if found > most:
+        raise RecordError(f"{what}: got {found:g}, need a share above 0 and up to {most:g}")
+    return found
+
+
+def whole(value: object, what: str, least: int = 1) -> int:
+    """Return `value` as a whole number; raises RecordError."""
+    if isinstance(value, int | np.integer) and not isinstance(value, bool) and least <= value <= _MOST_WHOLE:
+        return int(value)
+    raise RecordError(f"{what}: got {value!r}, need a whole number, {least} or more, {_MOST_WHOLE} at most")
+
+
+def counted(number: int, noun: str) -> str:
+    """Write so many of a noun, plural if that is right."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def one_of(value: object, what: str, words: tuple[str, ...]) -> None:
+    """Raise RecordError unless `value` is one of the words."""
+    if value not in words:
+        raise RecordError(f"{what}: got {value!r}, need {' or '.join(map(repr, words))}")
+
+
+def samples_of(seconds: float, rate: float) -> int:
+    """Samples that so many seconds take, to the next whole one.
+
+    Raises
+    ------
+    RecordError
+        If they are fewer than a leg needs, or more than 5e7.
+    """
+    count = seconds * rate * (1 - 1e-12)
+    if count > LEG_SAMPLES - 1:
+        refuse_long(int(min(count, 1e15)) + 1, rate)
+        return int(np.ceil(count))
+    few = f"{count:.3g}"
+    raise RecordError(
+        f"sample_rate: got {rate:g} Hz, {few} sample{'s' * (few != '1')} for {seconds:.4g} s, need {LEG_SAMPLES} at "
+        f"least; try {LEG_SAMPLES / seconds:.4g} Hz"
+    )
+
+
+def set_positive(scan: object, *names: str) -> None:
+    """Check the fields that are given; raises RecordError."""
+    for name in names:
+        if getattr(scan, name) is not None:
+            object.__setattr__(scan, name, positive(getattr(scan, name), name))
+
+
+def _row(values: ArrayLike, what: str) -> Array:
+    try:
+        return vector(values, what)
+    except ModelError as error:
+        raise RecordError(str(error)) from error

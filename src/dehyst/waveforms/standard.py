@@ -1,0 +1,264 @@
+"""Excitation: kinds of voltage that make an actuator show its loops, forget its past, or creep."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import RecordError
+from dehyst.waveforms.excitation import Excitation, positive, voltages, volts
+from dehyst.waveforms.playback import Drive, Leg
+
+__all__ = [
+    "Drive",
+    "Excitation",
+    "descending_tops",
+    "homing",
+    "minor_loop",
+    "raised_cosine",
+    "reversal_curves",
+    "staircase",
+]
+
+_PAPER = Drive()
+_MOST_TURNS = 1_000_000
+
+
+def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Drive = _PAPER) -> Excitation:
+    """Cycles base -> peak -> base, ``v = base + (peak - base) (1 - cos(2 pi f t)) / 2`` (the paper's, Sec. 3).
+
+    Parameters
+    ----------
+    peaks : float or (m,) array_like
+        [V], above the base.
+    cycles : int
+        Of each peak, before the next peak's.
+    drive : Drive
+        How it is played.
+
+    Raises
+    ------
+    RecordError
+        If a peak is no number above the base or lies outside of the limits, `cycles` is no number of cycles, the record
+        would have more than 5e7 samples, or the slew rate is too low for the sample rate.
+    """
+    alone = isinstance(peaks, Real) or getattr(peaks, "ndim", None) == 0
+    given: Any = [peaks] if alone else peaks
+    tops = voltages(given, "peaks")
+    if not tops.size or np.any(tops <= drive.base):
+        raise RecordError(f"peaks: got {tops}, need voltages above the base {drive.base:g} V")
+    turns = [v for top in tops.tolist() for v in _cycles(cycles, "cycles", top, drive.base, of=tops.size)]
+    return _through("raised-cosine" if drive.shape == "cosine" else "triangle", turns, drive)
+
+
+def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: Drive = _PAPER) -> Excitation:
+    """Major cycles, then cycles with tops falling from `highest` to 1/steps of it in equal steps, all to the base.
+
+    As many tops as elements tell every stiffness that loops can tell. The first cycle makes the state known, whatever
+    it was.
+
+    Parameters
+    ----------
+    highest : float
+        [V], above the base.
+    steps : int
+        Number of tops; the first is `highest` once more.
+    majors : int
+        Cycles up to `highest` before them.
+    drive : Drive
+        How it is played.
+
+    Raises
+    ------
+    RecordError
+        As `raised_cosine`.
+    """
+    top, count = _top(highest, drive), _count(steps, "steps")
+    tops = drive.base + (top - drive.base) * np.linspace(1, 1 / count, count)
+    tops[0] = top
+    falling = [v for peak in tops.tolist() for v in (peak, drive.base)]
+    return _through("descending-tops", _cycles(majors, "majors", top, drive.base, least=0) + falling, drive)
+
+
+def reversal_curves(
+    highest: float, *, lowest: float | None = None, count: int = 10, majors: int = 1, drive: Drive = _PAPER
+) -> Excitation:
+    """First-order reversal curves: major cycles, then highest -> a -> highest for falling a, then back to the base.
+
+    Parameters
+    ----------
+    highest : float
+        [V], above the base.
+    lowest : float, optional
+        The last a [V], below `highest`; by default the base. Major cycles go down to it if it lies below the base.
+    count : int
+        Number of curves; from `highest` on, each a lies lower than the last by the same step.
+    majors : int
+        Cycles before them.
+    drive : Drive
+        How it is played.
+
+    Raises
+    ------
+    RecordError
+        As `raised_cosine`, or if `lowest` is not below `highest`.
+    """
+    top = _top(highest, drive)
+    bottom = drive.base if lowest is None else volts(lowest, "lowest")
+    if not bottom < top:
+        raise RecordError(f"lowest: got {bottom:g} V, need a voltage below the highest, {top:g} V")
+    levels = np.linspace(top, bottom, _count(count, "count") + 1)[1:]
+    curves = [top, *(v for level in levels.tolist() for v in (level, top)), drive.base]
+    majority = _cycles(majors, "majors", top, min(bottom, drive.base), least=0)
+    return _through("reversal-curves", majority + curves, drive)
+
+
+def minor_loop(
+    low: float, high: float, *, highest: float, cycles: int = 1, majors: int = 2, drive: Drive = _PAPER
+) -> Excitation:
+    """Major cycles, then a minor loop with its approach: base -> high -> low -> high ... -> base.
+
+    The first major cycle makes the state known, the second one is the major loop.
+
+    Parameters
+    ----------
+    low, high : float
+        Where the minor loop turns [V], base <= low < high <= highest.
+    highest : float
+        Top [V] of the major cycles.
+    cycles : int
+        Times that the minor loop is gone round.
+    majors : int
+        Cycles before it.
+    drive : Drive
+        How it is played.
+
+    Raises
+    ------
+    RecordError
+        As `raised_cosine`, or if the minor loop does not lie within the major one.
+    """
+    top, lower, upper = _top(highest, drive), volts(low, "low"), volts(high, "high")
+    if not drive.base <= lower < upper <= top:
+        raise RecordError(
+            f"minor loop: got {lower:g} to {upper:g} V, need low below high, both between the base {drive.base:g} V "
+            f"and the highest, {top:g} V"
+        )
+    rounds = [upper, *_cycles(cycles, "cycles", lower, upper), drive.base]
+    return _through("minor-loop", _cycles(majors, "majors", top, drive.base, least=0) + rounds, drive)
+
+
+def staircase(
+    highest: float,
+    *,
+    steps: int = 5,
+    hold: float = 60.0,
+    ramp: float | None = None,
+    back: bool = False,
+    drive: Drive = _PAPER,
+) -> Excitation:
+    """Equal steps from the base up to `highest` and down again, a hold after each: creep shows there.
+
+    Parameters
+    ----------
+    highest : float
+        [V], above the base.
+    steps : int
+        Number of steps up, and down.
+    hold : float
+        Time at each voltage [s], to the next sample; the last hold is at the base.
+    ramp : float, optional
+        Time from one voltage to the next [s], at least four samples; by default all steps up take half a cycle.
+    back : bool
+        Whether each two steps are followed by one back: these inner loops, at all levels, tell what tops that all fall
+        back to the base leave open.
+    drive : Drive
+        How it is played; its pace does not matter.
+
+    Raises
+    ------
+    RecordError
+        As `raised_cosine`, or if `hold` or `ramp` is not positive.
+    """
+    top, count = _top(highest, drive), _count(steps, "steps")
+    waiting = positive(hold, "hold")
+    moving = drive.half / count if ramp is None else positive(ramp, "ramp")
+    levels = np.linspace(drive.base, top, count + 1).tolist()
+    up = [levels[i] for i in _places(count, back)]
+    path = up + [levels[count - i] for i in _places(count, back)][1:]
+    stairs = [part for a, b in pairwise(path) for part in (Leg(a, b, moving), Leg(b, b, waiting))]
+    return drive.play("staircase", drive.approach(top - drive.base) + stairs)
+
+
+def _places(steps: int, back: bool) -> list[int]:
+    """Numbers of the levels that a climb visits."""
+    if not back:
+        return list(range(steps + 1))
+    places = [0]
+    while places[-1] < steps:
+        places.append(min(places[-1] + 2, steps))
+        if places[-1] < steps:
+            places.append(places[-1] - 1)
+    return places
+
+
+def homing(highest: float | None = None, *, turns: ArrayLike | None = None, drive: Drive = _PAPER) -> Excitation:
+    """Bring an actuator into a known state: base -> highest -> base, or straight through given turning points.
+
+    Parameters
+    ----------
+    highest : float, optional
+        [V], above the base.
+    turns : (m,) array_like, optional
+        Instead of it: voltages [V] to visit in this order, from the present one (the base, unless the drive says
+        otherwise). The record ends at the last of them.
+    drive : Drive
+        How it is played.
+
+    Raises
+    ------
+    RecordError
+        As `raised_cosine`, or unless one of `highest` and `turns` is given.
+    """
+    if (turns is None) == (highest is None):
+        got = "neither" if turns is None else "both"
+        raise RecordError(f"homing: got {got} of highest and turns, need one; try highest=, the highest voltage in use")
+    if turns is None:
+        return _through("homing", [_top(highest, drive), drive.base], drive)
+    stops = voltages(turns, "turns").tolist()
+    if stops[:1] == [drive.start]:
+        del stops[0]
+    if not 0 < len(stops) <= _MOST_TURNS:
+        raise RecordError(
+            f"turns: got {len(stops)} beside the present {drive.start:g} V, need 1 to {_MOST_TURNS} voltages"
+        )
+    return drive.play("homing", drive.legs([drive.start, *stops]))
+
+
+def _through(name: str, turns: list[float], drive: Drive) -> Excitation:
+    """From the present voltage to the base and on through the turning points."""
+    path = [drive.base, *turns]
+    legs = drive.legs(path)
+    return drive.play(name, drive.approach(max(path) - min(path)) + legs)
+
+
+def _cycles(count: object, what: str, first: float, second: float, *, least: int = 1, of: int = 1) -> list[float]:
+    """The two turning points as often as `count` says, for one of `of` such rows."""
+    return [first, second] * _count(count, what, least, _MOST_TURNS // (2 * of))
+
+
+def _top(highest: object, drive: Drive) -> float:
+    top = volts(highest, "highest")
+    if top <= drive.base:
+        raise RecordError(f"highest: got {top:g} V, need a voltage above the base {drive.base:g} V")
+    return top
+
+
+def _count(value: object, what: str, least: int = 1, most: int = _MOST_TURNS // 4) -> int:
+    if isinstance(value, int | np.integer) and not isinstance(value, bool) and least <= value <= most:
+        return int(value)
+    raise RecordError(f"{what}: got {value!r}, need a whole number, {least} to {most}")
