@@ -23,8 +23,8 @@ from typing import Any
 
 import dehyst
 from dehyst import Actuator
-from dehyst.baselines.comparison import OURS, Row, compare, contenders
-from dehyst.baselines.tracking_trials import TRIALS, Trial
+from dehyst.baselines.comparison import OURS, ModelScore, compare, contenders
+from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
 from dehyst.model.base import AbstractModel, Motion
 from dehyst.model.replay import simulated
 from dehyst.studies import demo
@@ -90,7 +90,7 @@ def measured(folder: Path) -> dict:
     return results
 
 
-def compared_on(one: Trial, name: str, identification: Any, seeds: int) -> dict:
+def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) -> dict:
     """A model's row on a virtual actuator's records, and how it tracks each path."""
     kept: list[AbstractModel] = []
 
@@ -113,7 +113,7 @@ def compared_on(one: Trial, name: str, identification: Any, seeds: int) -> dict:
     return found
 
 
-def on_measured(folder: Path, name: str, identification: Any) -> tuple[Row, float]:
+def on_measured(folder: Path, name: str, identification: Any) -> tuple[ModelScore, float]:
     """Trained on what comes before a hold, every model is taken over that again and predicts what comes after it."""
     major, ramps = p885(folder)
     lead = float(ramps.time[SPLIT] - ramps.time[0])

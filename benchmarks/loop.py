@@ -31,7 +31,7 @@ import stage
 from stage import HIGHEST, PERIOD, Stage
 
 import dehyst
-from dehyst.control.preview import Foresight
+from dehyst.control.preview import Preview
 from dehyst.model.replay import simulated
 
 OUTPUT = Path(__file__).with_suffix(".json")
@@ -53,7 +53,7 @@ class Bench:
     stage: Stage
     model: dehyst.Actuator
     state: dehyst.State
-    foresight: Foresight
+    foresight: Preview
     gains: dict[str, float]
 
     @classmethod
@@ -62,7 +62,7 @@ class Bench:
         one, voltage = Stage(seed=1), stage.homing()
         one.drive(voltage)
         state = simulated(model, voltage, PERIOD * np.arange(voltage.size)).state
-        foresight = Foresight.of(model, PERIOD)
+        foresight = Preview.of(model, PERIOD)
         return cls(one, model, state, foresight, gains(model, foresight))
 
     @property
@@ -88,7 +88,7 @@ class Bench:
         return y
 
 
-def gains(model: dehyst.Actuator, foresight: Foresight) -> dict[str, float]:
+def gains(model: dehyst.Actuator, foresight: Preview) -> dict[str, float]:
     """Of the integral, for each sample."""
     w = 2 * np.pi * np.geomspace(0.5, 0.5 / PERIOD, 40_000)
     late = np.exp(-1j * np.outer(w * PERIOD, np.arange(foresight.taps.size)))

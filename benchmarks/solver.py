@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize  # noqa: F401
 
-from dehyst._native import stops
+from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst.identification.solvers.program import solve
 from dehyst.model.elements import parts_in_segments
@@ -31,7 +31,7 @@ def columns(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
         return rng.normal(size=(ROWS, count))
     t, elements = np.linspace(0, 1, ROWS), count // 2
     y = (0.5 - 0.5 * np.cos(2 * np.pi * 60 * t)) * (1 - 0.8 * t) + 1e-4 * rng.normal(size=ROWS)
-    slip, _ = stops(0.5 / elements * np.arange(1, elements + 1), np.zeros(elements), y)
+    slip, _ = slip_elongations(0.5 / elements * np.arange(1, elements + 1), np.zeros(elements), y)
     return np.hstack([slip, parts_in_segments(np.linspace(0, 1, count - elements + 1), y)])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 import dehyst
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Drive, descending_tops, raised_cosine, staircase
+from dehyst.waveforms.standard import Sampling, descending_tops, raised_cosine, staircase
 
 PERIOD = 1e-4
 HIGHEST = 200.0
@@ -81,5 +81,5 @@ def homing() -> np.ndarray:
     return raised_cosine(HIGHEST, cycles=2, drive=driven(SLOW)).voltage
 
 
-def driven(frequency: float) -> Drive:
-    return Drive(frequency=frequency, sample_rate=1 / PERIOD)
+def driven(frequency: float) -> Sampling:
+    return Sampling(frequency=frequency, sample_rate=1 / PERIOD)

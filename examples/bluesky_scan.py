@@ -22,7 +22,7 @@ from ophyd_async.core import init_devices
 import dehyst
 from dehyst.instruments.bluesky_axis import CompensatedAxis, homing
 from dehyst.instruments.epics import EpicsRig
-from dehyst.waveforms.standard import Drive, descending_tops
+from dehyst.waveforms.standard import Sampling, descending_tops
 
 POINTS = 13
 
@@ -32,7 +32,7 @@ def recorded_model(prefix):
     with EpicsRig.connect(prefix) as rig:
         low, high = rig.limits.low, rig.limits.high
         rig.set_voltage(low)
-        drive = Drive(frequency=2, base=low, limits=(low, high), slew_rate=rig.slew_rate)
+        drive = Sampling(frequency=2, base=low, limits=(low, high), slew_rate=rig.slew_rate)
         record = rig.play(descending_tops(high, drive=drive))
         rig.retreat()
     return dehyst.identify(record).actuator

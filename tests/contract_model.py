@@ -15,12 +15,12 @@ import pytest
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Record, SmoothSlip, Spring, Transformer
 from dehyst.baselines.bouc_wen import BoucWen
 from dehyst.baselines.duhem import Duhem
-from dehyst.baselines.generalized_prandtl_ishlinskii import Generalised
-from dehyst.baselines.goldfarb_celanovic import Goldfarb
-from dehyst.baselines.krasnoselskii_pokrovskii import Krasnoselskii
+from dehyst.baselines.generalized_prandtl_ishlinskii import GeneralizedPrandtlIshlinskii
+from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
+from dehyst.baselines.krasnoselskii_pokrovskii import KrasnoselskiiPokrovskii
 from dehyst.baselines.linear import Linear
-from dehyst.baselines.modified_prandtl_ishlinskii import Kuhnen
-from dehyst.baselines.prandtl_ishlinskii import Prandtl
+from dehyst.baselines.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from dehyst.baselines.prandtl_ishlinskii import PrandtlIshlinskii
 from dehyst.baselines.preisach import Preisach
 from dehyst.model.base import AbstractModel, Motion
 from dehyst.virtual import PlayActuator
@@ -59,7 +59,7 @@ def wider(elements, *, creep):
 def goldfarb():
     """Return the rival identified from a rise to 10 um and 100 V."""
     u = np.linspace(0, 1, 101)
-    return Goldfarb.fit(Record(u, VOLTS * (0.7 * u + 0.3 * np.sqrt(u)), 1e-5 * u))
+    return GoldfarbCelanovic.fit(Record(u, VOLTS * (0.7 * u + 0.3 * np.sqrt(u)), 1e-5 * u))
 
 
 def preisach():
@@ -88,7 +88,7 @@ def smooth():
 @cache
 def fitted(kind, **options):
     """Return a rival identified from loops of falling tops up to 100 V."""
-    voltage = standard.descending_tops(VOLTS, steps=5, drive=standard.Drive(sample_rate=1.0)).voltage
+    voltage = standard.descending_tops(VOLTS, steps=5, drive=standard.Sampling(sample_rate=1.0)).voltage
     y = PlayActuator(highest=VOLTS).drive(voltage)
     return kind.fit(Record(np.arange(y.size), voltage, y), delay=0.0, **options)
 
@@ -102,10 +102,10 @@ MODELS = [
     Candidate("graded elements, a transformer and creep", lambda: wider(10, creep=True)),
     Candidate("plain elements and creep", lambda: replace(actuator(10, [0, 1e-5], [0, 80]), creep=CREEP)),
     Candidate("Goldfarb and Celanovic", goldfarb),
-    Candidate("Prandtl and Ishlinskii", partial(fitted, Prandtl)),
-    Candidate("Kuhnen", partial(fitted, Kuhnen)),
-    Candidate("generalised Prandtl and Ishlinskii", partial(fitted, Generalised, lowpasses=())),
-    Candidate("Krasnosel'skii and Pokrovskii", partial(fitted, Krasnoselskii)),
+    Candidate("Prandtl and Ishlinskii", partial(fitted, PrandtlIshlinskii)),
+    Candidate("Kuhnen", partial(fitted, ModifiedPrandtlIshlinskii)),
+    Candidate("generalised Prandtl and Ishlinskii", partial(fitted, GeneralizedPrandtlIshlinskii, lowpasses=())),
+    Candidate("Krasnosel'skii and Pokrovskii", partial(fitted, KrasnoselskiiPokrovskii)),
     Candidate("linear ratio", lambda: Linear(1e-7, 1e-6)),
     Candidate("Preisach", preisach),
     Candidate("Bouc-Wen", boucwen, wipes_out=False),

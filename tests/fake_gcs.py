@@ -1,7 +1,7 @@
 """A controller and a connected device of our own making, around a virtual bench: for odd controllers and for faults."""
 
 from dehyst.virtual import PlayActuator
-from dehyst.virtual.bench import Instrument
+from dehyst.virtual.bench import VirtualBench
 
 IDENTITY = "Fake Instruments, F-1.CD, 0001, 1.0"
 WAVES = ["WAV", "WAV?", "WSL", "WGC", "WTR", "WGO", "WGO?", "DRC", "DRL?", "DRR?", "RTR", "DRT", "SPA?", "TNR?", "HDR?"]
@@ -24,7 +24,7 @@ class FakeController:
     def __init__(self, *, limits=(-20.0, 120.0), clock=None, without=(), told=None, **options):
         options = {"record_points": 4096, "wave_points": 4096} | options
         self.clock = clock or Clock()
-        self.bench = Instrument(PlayActuator(), limits=limits, clock=self.clock, **options)
+        self.bench = VirtualBench(PlayActuator(), limits=limits, clock=self.clock, **options)
         self.known = [word for word in ASKING + WAVES if word not in without]
         self.told = dict(told or {})
         self.error, self.divider, self.table, self.lines = 0, 1, [], []

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dehyst.control.limits import Limits
+from dehyst.control.limits import VoltageLimits
 from dehyst.instruments.base import AbstractRig, Reading, Samples
 from dehyst.virtual.amplifier import Extremes
 
@@ -33,7 +33,7 @@ class FakeRig(AbstractRig):
     def __init__(self, device=(-20.0, 100.0), *, device_slew=None, **options):
         self.instrument = FakeInstrument(device)
         self.done = []
-        super().__init__("fake", Limits(*device, device_slew), **options)
+        super().__init__("fake", VoltageLimits(*device, device_slew), **options)
 
     def _read(self):
         v = self.instrument.voltage

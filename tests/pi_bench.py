@@ -7,7 +7,7 @@ from meddler import PipeLink, QuickRig
 
 from dehyst.instruments.pi import PiRig
 from dehyst.virtual import PlayActuator
-from dehyst.virtual.bench import Instrument
+from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.gcs_controller import Controller
 from dehyst.virtual.emulator.gcs_server import Server
 
@@ -31,7 +31,7 @@ class Locked:
 
 def _instrument(longest, **options):
     # A controller divides its recorder between two tables.
-    return Instrument(
+    return VirtualBench(
         PlayActuator(highest=HIGH, noise=1e-10),
         limits=(LOW, HIGH),
         wave_points=longest,

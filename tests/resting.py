@@ -8,8 +8,8 @@ import strategies as our
 from hypothesis import strategies as st
 
 from dehyst import State
-from dehyst._native import stops
-from dehyst.control.state_bounds import Bracket
+from dehyst._native import slip_elongations
+from dehyst.control.state_bounds import StateBounds
 
 EXACT = 1e-12
 PLANT = bench.plant(10, seed=4)
@@ -63,7 +63,7 @@ def metres(actuator, *paths):
 
 def carts_along(actuator, voltage, state):
     y = actuator.simulate(voltage, state=state, extrapolate=True).displacement
-    return y, y[:, None] - stops(actuator.slip.breakaway, state.carts, y)[0]
+    return y, y[:, None] - slip_elongations(actuator.slip.breakaway, state.carts, y)[0]
 
 
 def range_of(actuator):
@@ -76,7 +76,7 @@ def travel(turns):
 
 def ends_known(actuator, turns, stiff_only=False):
     """Whether two simulations meet, by the carts alone and without the stack."""
-    start = Bracket.at_rest(actuator, turns[0])
+    start = StateBounds.at_rest(actuator, turns[0])
     low, high = (
         actuator.simulate(turns, state=state, stack=False, extrapolate=True).state
         for state in (start.lower, start.upper)

@@ -15,7 +15,7 @@ from strategies import SEEDS, make_slip
 
 import dehyst
 from dehyst import Actuator, MaxwellSlip, Outcome, Record, Spring
-from dehyst.identification.diagnostics.assumptions import checks
+from dehyst.identification.diagnostics.assumptions import assumption_checks
 from dehyst.identification.diagnostics.branches import Family, averaged_at, families, voltage_at
 from dehyst.identification.diagnostics.closure import creep, gaps
 from dehyst.identification.diagnostics.symmetry import Mirrored
@@ -35,7 +35,7 @@ def looked_at(actuator, *records, drift=0.0, **options):
     """Check records beside an actuator that nothing was fitted to."""
     stroke = max(record.stroke for record in records)
     errors = [RecordErrors(r.name, "training", len(r), 0, 0.0, 0.0, 0.0, 0.0, stroke, 0.0, 0.0, drift) for r in records]
-    return by_name(checks(actuator, [prepare(record) for record in records], errors, **options))
+    return by_name(assumption_checks(actuator, [prepare(record) for record in records], errors, **options))
 
 
 def by_name(found):

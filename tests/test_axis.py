@@ -30,8 +30,8 @@ from ophyd_async.core import init_devices
 from dehyst import Compensator, Creep, MissingExtraError, ModelError
 from dehyst._errors import DeviceError, RigError
 from dehyst.control.homing import shortest_homing
-from dehyst.control.limits import Limits
-from dehyst.control.ramps import homing_steps, towards
+from dehyst.control.limits import VoltageLimits
+from dehyst.control.ramps import homing_steps, ramp_step
 from dehyst.instruments.bluesky_axis import CompensatedAxis, homing
 from dehyst.instruments.channel_access import ChannelAccess
 
@@ -105,8 +105,8 @@ def read_into(axis, found):
     period=st.floats(1e-3, 1.0),
 )
 def test_a_step_keeps_limits_and_slew_rate(wish, present, slew, period):
-    limits = Limits(0.0, 200.0, slew)
-    step = towards(wish, present, limits, period)
+    limits = VoltageLimits(0.0, 200.0, slew)
+    step = ramp_step(wish, present, limits, period)
     assert 0.0 <= step <= 200.0
     assert abs(step - present) <= slew * period * (1 + 1e-9)
     assert abs(step - limits.nearest(wish)) <= abs(present - limits.nearest(wish))
@@ -114,7 +114,7 @@ def test_a_step_keeps_limits_and_slew_rate(wish, present, slew, period):
 
 @given(present=st.floats(0, 200), slew=st.floats(20, 1e4), period=st.floats(1e-2, 0.1))
 def test_a_homing_in_steps_is_that_homing(present, slew, period):
-    limits = Limits(0.0, 200.0, slew)
+    limits = VoltageLimits(0.0, 200.0, slew)
     found = shortest_homing(plant(), limits=(0, 200), present=present)
     steps = np.array([(present, period), *homing_steps(found, limits, period)])
     assert np.abs(np.diff(steps[:, 0])).max(initial=0.0) <= slew * period * (1 + 1e-9)
@@ -130,7 +130,7 @@ def creeping():
 
 
 def test_a_homing_in_time_takes_its_time():
-    limits, period = Limits(0.0, 200.0, 1e4), 0.02
+    limits, period = VoltageLimits(0.0, 200.0, 1e4), 0.02
     found = shortest_homing(creeping(), limits=(0, 200), present=0.0)
     steps = np.array(list(homing_steps(found, limits, period)))
     assert found.played.duration <= steps[:, 1].sum() <= 1.5 * found.played.duration + 10 * period

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from resting import EXACT, PLANT, SOME, carts_along, drives, equilibrium, metres, roomy
 
 from dehyst import ModelError
-from dehyst._native import stops
+from dehyst._native import slip_elongations
 from dehyst.control.homing import shortest_homing
-from dehyst.control.state_bounds import Bracket, first_move_error, known_by_displacement, least_range
+from dehyst.control.state_bounds import StateBounds, first_move_error, known_by_displacement, least_range
 
 
 @given(our.motions(bank=our.actuators(0, 30)))
@@ -25,11 +25,11 @@ def test_widths_from_a_known_displacement_are_exact(motion):
     assert known.widths.shape == (path.size, rho.size)
     if not path.size:
         return
-    lowest, _ = stops(rho, path[0] + rho, path)
-    highest, _ = stops(rho, path[0] - rho, path)
+    lowest, _ = slip_elongations(rho, path[0] + rho, path)
+    highest, _ = slip_elongations(rho, path[0] - rho, path)
     allowance = metres(actuator, path)
     np.testing.assert_allclose(highest - lowest, known.widths, rtol=0, atol=allowance)
-    between, _ = stops(rho, path[0] + np.random.default_rng(path.size).uniform(-rho, rho), path)
+    between, _ = slip_elongations(rho, path[0] + np.random.default_rng(path.size).uniform(-rho, rho), path)
     assert np.all((between >= lowest - allowance) & (between <= highest + allowance))
 
 
@@ -69,7 +69,7 @@ def test_breakaway_alone_will_do():
 @given(drives(bank=our.actuators(0, 15)))
 def test_no_equilibrium_leaves_the_bracket(drive):
     actuator, start, path, seed = drive
-    bracket = Bracket.at_rest(actuator, start)
+    bracket = StateBounds.at_rest(actuator, start)
     known = bracket.drive(actuator, path)
     low, carts_low = carts_along(actuator, path, bracket.lower)
     high, carts_high = carts_along(actuator, path, bracket.upper)
@@ -92,7 +92,7 @@ def test_no_equilibrium_leaves_the_bracket(drive):
 def test_brackets_are_attained(drive):
     """The extremes are themselves equilibria, and what is reported lies between just their two motions."""
     actuator, start, path, _ = drive
-    bracket = Bracket.at_rest(actuator, start)
+    bracket = StateBounds.at_rest(actuator, start)
     volts = EXACT * (our.volts_of(actuator) + abs(start))
     slope = max(actuator.spring.slopes.max(), 0.0) * metres(actuator)
     assert actuator.voltage(bracket.lower) == pytest.approx(start, abs=volts + slope)
@@ -108,7 +108,7 @@ def test_brackets_are_attained(drive):
 @given(drives())
 def test_the_widest_bracket_never_grows(drive):
     actuator, start, path, _ = drive
-    bracket = Bracket.at_rest(actuator, start)
+    bracket = StateBounds.at_rest(actuator, start)
     known = bracket.drive(actuator, path)
     allowance = metres(actuator, known.lowest, known.highest)
     assert np.all(np.diff(known.width, prepend=bracket.width) <= allowance)
@@ -120,7 +120,7 @@ def test_the_widest_bracket_never_grows(drive):
 def test_the_widest_bracket_in_closed_form(drive):
     """It is max(0, 2 rho_N - D), D from the extremes of the voltage alone: why no homing is shorter than ours."""
     actuator, start, path, _ = drive
-    known = Bracket.at_rest(actuator, start).drive(actuator, path)
+    known = StateBounds.at_rest(actuator, start).drive(actuator, path)
     visited = np.concatenate([[start], path])
     extremes = zip(np.minimum.accumulate(visited)[1:], np.maximum.accumulate(visited)[1:], strict=True)
     least = np.array([least_range(actuator, low, high) for low, high in extremes])
@@ -143,7 +143,7 @@ def test_every_state_covers_the_least_range(drive):
 @given(drives(), st.integers(0, 60))
 def test_a_drive_in_two_parts_is_one_drive(drive, cut):
     actuator, start, path, _ = drive
-    bracket = Bracket.at_rest(actuator, start)
+    bracket = StateBounds.at_rest(actuator, start)
     whole = bracket.drive(actuator, path)
     first = bracket.drive(actuator, path[:cut])
     second = first.bracket.drive(actuator, path[cut:])
@@ -157,8 +157,8 @@ def test_a_drive_in_two_parts_is_one_drive(drive, cut):
 def test_long_records_and_their_turning_points_say_the_same():
     turns = [0, 150, 20, 120, 60, 170, 5]
     steps = [np.linspace(a, b, 1500)[1:] for a, b in pairwise(turns)]
-    dense = Bracket.at_rest(PLANT).drive(PLANT, np.concatenate(steps))
-    sparse = Bracket.at_rest(PLANT).drive(PLANT, turns[1:])
+    dense = StateBounds.at_rest(PLANT).drive(PLANT, np.concatenate(steps))
+    sparse = StateBounds.at_rest(PLANT).drive(PLANT, turns[1:])
     assert dense.width.size == 6 * 1499
     np.testing.assert_allclose(dense.width[1498::1499], sparse.width, rtol=0, atol=metres(PLANT))
     np.testing.assert_allclose(dense.bracket.lower.carts, sparse.bracket.lower.carts, rtol=0, atol=metres(PLANT))
@@ -167,18 +167,20 @@ def test_long_records_and_their_turning_points_say_the_same():
 
 def test_the_first_sample_at_which_all_is_known():
     voltage = np.concatenate([np.linspace(0, 230, 100), np.linspace(230, 0, 100)])
-    known = Bracket.at_rest(PLANT).drive(PLANT, voltage)
+    known = StateBounds.at_rest(PLANT).drive(PLANT, voltage)
     assert known.first_known is not None
     assert known.unknown[0] == 10
     assert np.all(known.unknown[known.first_known :] == 0)
     assert known.unknown[known.first_known - 1] > 0
     assert known.bracket.known(metres(PLANT))
-    assert Bracket.at_rest(PLANT).drive(PLANT, [10.0, 0.0]).first_known is None
-    assert not Bracket.at_rest(PLANT).known(1e-9)
+    assert StateBounds.at_rest(PLANT).drive(PLANT, [10.0, 0.0]).first_known is None
+    assert not StateBounds.at_rest(PLANT).known(1e-9)
 
 
 def test_looser_tolerances_know_earlier():
-    counts = [Bracket.at_rest(PLANT).drive(PLANT, [180.0, 0.0], tolerance=t).unknown[-1] for t in (1e-18, 1e-6, 1e-5)]
+    counts = [
+        StateBounds.at_rest(PLANT).drive(PLANT, [180.0, 0.0], tolerance=t).unknown[-1] for t in (1e-18, 1e-6, 1e-5)
+    ]
     assert counts[0] == 10
     assert counts[2] == 0
     assert sorted(counts, reverse=True) == counts
@@ -189,7 +191,7 @@ def test_the_error_bar_of_a_first_move(actuator, seed):
     """Readings from a sensor that starts at zero: as far apart as the starts, once all have homed."""
     limits, present, end = roomy(actuator, seed)
     homing = shortest_homing(actuator, limits=limits, present=present, end=end)
-    bracket = Bracket.at_rest(actuator, present)
+    bracket = StateBounds.at_rest(actuator, present)
     rng = np.random.default_rng(seed)
     states = [bracket.lower, bracket.upper, *(equilibrium(actuator, present, rng) for _ in range(20))]
     readings = [
@@ -207,27 +209,27 @@ def test_the_error_bar_of_a_first_move(actuator, seed):
 def test_the_error_bar_in_closed_form():
     friction = PLANT.slip.friction.sum()
     ends = [PLANT.core.spring_inverse(60 + sign * friction) for sign in (-1, 1)]
-    assert first_move_error(Bracket.at_rest(PLANT, 60)) == pytest.approx(ends[1] - ends[0])
-    assert first_move_error(Bracket(PLANT.relaxed(), PLANT.relaxed())) == 0.0
+    assert first_move_error(StateBounds.at_rest(PLANT, 60)) == pytest.approx(ends[1] - ends[0])
+    assert first_move_error(StateBounds(PLANT.relaxed(), PLANT.relaxed())) == 0.0
 
 
 def test_refusals_of_wrong_types():
-    rest = Bracket.at_rest(PLANT)
-    for call in (shortest_homing, Bracket.at_rest, lambda a: rest.drive(a, [0.0]), lambda a: least_range(a, 0, 1)):
+    rest = StateBounds.at_rest(PLANT)
+    for call in (shortest_homing, StateBounds.at_rest, lambda a: rest.drive(a, [0.0]), lambda a: least_range(a, 0, 1)):
         with pytest.raises(ModelError, match="actuator: got str, need an Actuator"):
             call("plant")
 
 
 def test_brackets_refuse():
-    rest = Bracket.at_rest(PLANT)
+    rest = StateBounds.at_rest(PLANT)
     with pytest.raises(ModelError, match="lower: got float, need a State"):
-        Bracket(0.0, rest.upper)
+        StateBounds(0.0, rest.upper)
     with pytest.raises(ModelError, match="got 10 and 3 carts, need states of one actuator"):
-        Bracket(rest.lower, bench.plant(3).relaxed())
+        StateBounds(rest.lower, bench.plant(3).relaxed())
     with pytest.raises(ModelError, match="the lower state lies above the upper one"):
-        Bracket(rest.upper, rest.lower)
+        StateBounds(rest.upper, rest.lower)
     with pytest.raises(ModelError, match="voltage: got nan"):
-        Bracket.at_rest(PLANT, np.nan)
+        StateBounds.at_rest(PLANT, np.nan)
     with pytest.raises(ModelError, match="voltage: 1 of 2 values are not finite"):
         rest.drive(PLANT, [0.0, np.inf])
     with pytest.raises(ModelError, match="this actuator has 3 elements"):

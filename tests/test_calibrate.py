@@ -10,7 +10,7 @@ from dehyst._errors import DeviceError
 from dehyst._io.marks import written_by_dehyst
 from dehyst.instruments.calibration.experiment import RESULTS, calibrate
 from dehyst.instruments.calibration.plan import Plan, steps
-from dehyst.instruments.calibration.protocol import Pace, creep_of
+from dehyst.instruments.calibration.protocol import ExcitationPlan, creep_of
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.report.report import write_calibration
 from dehyst.virtual import PlayActuator
@@ -98,7 +98,7 @@ def test_the_loop_error_is_told_while_it_plays(finished):
     found, _, _, heard = finished
     told = np.concatenate(heard.expected)
     assert np.nanmax(told) == pytest.approx(0.01 * found.nominal.largest_percent)
-    assert np.isnan(told).sum() == 2 * len(Pace(0, 200, 400.0).homing())
+    assert np.isnan(told).sum() == 2 * len(ExcitationPlan(0, 200, 400.0).homing())
 
 
 def test_a_second_call_plays_one_loop_only(finished):
@@ -168,14 +168,14 @@ def test_a_folder_of_another_instrument_is_refused(finished):
 
 
 def test_a_given_protocol_is_played_as_it_is(tmp_path):
-    given = raised_cosine([200, 150, 100, 50], cycles=2, drive=Pace(0, 200, 400.0).drive())
+    given = raised_cosine([200, 150, 100, 50], cycles=2, drive=ExcitationPlan(0, 200, 400.0).drive())
     found = calibrate(SimulatedRig(PlayActuator()), tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
     assert [one.name for one in found.training] == ["look", "given-1"]
     np.testing.assert_allclose(read(tmp_path / "records" / "given-1.h5").voltage, given.voltage, atol=1e-9)
 
 
 def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
-    given = raised_cosine([150.0], drive=Pace(0, 200, 400.0).drive())
+    given = raised_cosine([150.0], drive=ExcitationPlan(0, 200, 400.0).drive())
     rig = SimulatedRig(PlayActuator(), limits=(0, 100))
     with pytest.raises(RecordError, match=r"raised-cosine: 0 to 150 V, but .* may have 0 to 100 V"):
         calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
@@ -185,7 +185,7 @@ def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
 
 def test_it_retreats_from_what_stops_it_between_records(tmp_path):
     """The given protocol ends at 100 V, where the voltage stays while the model is identified."""
-    rising = raised_cosine([200, 100], cycles=1, drive=Pace(0, 200, 400.0).drive())
+    rising = raised_cosine([200, 100], cycles=1, drive=ExcitationPlan(0, 200, 400.0).drive())
     given = Excitation("rising", rising.voltage[:-200], rising.sample_rate)
     rig = SimulatedRig(PlayActuator())
 
@@ -271,7 +271,7 @@ def test_impossible_plans_are_refused(wrong):
 def test_creep_is_told_from_the_look(creep):
     """The virtual actuator creeps by this share a decade; between 0.15 and 0.95 of a hold lie 0.8 decades."""
     truth = PlayActuator(creep=creep, noise=2e-9)
-    pace = Pace(0, 200, 400.0, hold=10.0)
+    pace = ExcitationPlan(0, 200, 400.0, hold=10.0)
     look = SimulatedRig(truth).play(pace.look())
     found = creep_of(look)
     assert found.share == pytest.approx(np.log10(0.95 / 0.15) * creep, rel=0.3, abs=4 * found.doubt)

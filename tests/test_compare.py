@@ -9,10 +9,10 @@ import pytest
 
 import dehyst
 from dehyst import FileFormatError, Fit, IdentifyError, ModelError, Outcome, Record, RecordError
-from dehyst.baselines import RIVALS
-from dehyst.baselines.comparison import OURS, Comparison, Row, compare, contenders, parameters_of, speeds
+from dehyst.baselines import BASELINES
+from dehyst.baselines.comparison import OURS, ModelComparison, ModelScore, compare, contenders, parameters_of, speeds
 from dehyst.baselines.linear import Linear
-from dehyst.baselines.tracking_trials import TRIALS, Trial, trial
+from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial, trial
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.model.base import AbstractModel
 from dehyst.report.comparison_section import comparison_sections, write_comparison
@@ -195,10 +195,10 @@ def test_refusals(records):
 
 def test_every_rival_has_an_entry_that_takes_records():
     assert next(iter(contenders())) == OURS
-    assert {"Preisach", "Bouc-Wen", "Duhem", "linear ratio", "Goldfarb-Celanovic"} <= set(RIVALS)
+    assert {"Preisach", "Bouc-Wen", "Duhem", "linear ratio", "Goldfarb-Celanovic"} <= set(BASELINES)
     tops = TRIALS["play"].records()[:1]
     for name in ("Duhem", "linear ratio", "Goldfarb-Celanovic"):
-        assert parameters_of(RIVALS[name](tops)) > 0
+        assert parameters_of(BASELINES[name](tops)) > 0
 
 
 def test_speeds_are_nanoseconds():
@@ -223,7 +223,7 @@ class Ruler:
 
 
 def test_tracking_is_exact_where_the_model_is():
-    ruler = Trial("ruler", lambda seed: Ruler(), 0.01, 0.05, 5.0)
+    ruler = TrackingTrial("ruler", lambda seed: Ruler(), 0.01, 0.05, 5.0)
     found = ruler.track(Linear(2e-7))
     assert found == pytest.approx((0, 0, 0), abs=1e-10)
     worse = ruler.track(Linear(2.5e-7))
@@ -248,7 +248,7 @@ def test_the_path_has_forty_reversals_within_the_stroke(name):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "most"), [("Preisach", 0.4), ("Bouc-Wen", 5.0), ("Duhem", 6.0)])
 def test_rivals_track_a_play_actuator_better_than_no_model(name, most):
-    found = compare(truths=["play"], models={name: RIVALS[name], "linear ratio": RIVALS["linear ratio"]})
+    found = compare(truths=["play"], models={name: BASELINES[name], "linear ratio": BASELINES["linear ratio"]})
     model, line = (row.tracking["play"] for row in found.rows)
     assert model.largest < most < line.largest
     assert model.rms < 0.5 * line.rms
@@ -257,7 +257,7 @@ def test_rivals_track_a_play_actuator_better_than_no_model(name, most):
 
 def table_of(name="a <b>"):
     score = compare(bench.loops(PLANT, bench.THREE_LOOPS, name="three"), models={name: plant}).rows[0]
-    return Comparison((score, Row("broken", "it <failed>")), 1e-5, ("three",), (), ("play",))
+    return ModelComparison((score, ModelScore("broken", "it <failed>")), 1e-5, ("three",), (), ("play",))
 
 
 def test_the_page_shows_every_model_and_what_failed(tmp_path):

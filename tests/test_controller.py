@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from test_instrument import Hand
 
 from dehyst.virtual import PlayActuator
-from dehyst.virtual.bench import Instrument
+from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.gcs_controller import _WORDS, Controller
 
 
@@ -22,7 +22,7 @@ def controller(hand):
 
 
 def made(hand, **options):
-    return Controller(Instrument(PlayActuator(plays=20, noise=0), clock=hand, limits=(-20, 120), **options))
+    return Controller(VirtualBench(PlayActuator(plays=20, noise=0), clock=hand, limits=(-20, 120), **options))
 
 
 def error_after(controller, *lines):
@@ -232,7 +232,7 @@ def test_a_table_too_long_for_the_generator_is_refused_and_stays_as_it_was(hand)
 
 
 def test_a_controller_may_tell_wider_limits_than_it_has(hand):
-    bench = Instrument(PlayActuator(plays=20), clock=hand, limits=(0, 80))
+    bench = VirtualBench(PlayActuator(plays=20), clock=hand, limits=(0, 80))
     controller = Controller(bench, told=(0, 100))
     assert controller.answer("VMA?") == "1=100\n"
     assert error_after(controller, "SVA 1 90") == 302

@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Spring, State
-from dehyst._native import Core, stops
+from dehyst._native import Core, slip_elongations
 
 RANGE = 1e-12
 SOURCES = bench.CORE_SOURCES
@@ -262,7 +262,7 @@ ZERO, TWO = np.zeros(1), np.zeros(2)
         (lambda: ACTUATOR.core.voltage(np.nan, TWO), "not finite"),
         (lambda: ACTUATOR.core.depth(ZERO, 0.0, TWO + 1), "farther from the displacement"),
         (lambda: ACTUATOR.core.depth(ZERO, 0.0, np.array([1e-6, -2e-6])), "no history from rest"),
-        (lambda: stops(SLIP.breakaway, ZERO, ZERO), "different lengths"),
+        (lambda: slip_elongations(SLIP.breakaway, ZERO, ZERO), "different lengths"),
     ],
 )
 def test_the_core_itself_refuses_what_python_did_not(make, message):

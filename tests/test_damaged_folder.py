@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from dehyst import DehystError, FileFormatError, RecordError, read
-from dehyst.instruments.calibration.protocol import Pace
-from dehyst.instruments.calibration.session import Campaign, Unwatched
+from dehyst.instruments.calibration.protocol import ExcitationPlan
+from dehyst.instruments.calibration.session import NullProgress, Session
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import files
 from dehyst.records.hdf5 import digest
 from dehyst.records.recording import salvage
 from dehyst.virtual import PlayActuator
 
-LOOK = Pace(0, 200, 200.0, hold=0.5).look()
+LOOK = ExcitationPlan(0, 200, 200.0, hold=0.5).look()
 RECORD = "records/look.h5"
 JOURNAL = "records/look.h5.part.csv"
 HEAD = '# {"name": "look", "meta": {"rig": "x"}, "started": "2026-01-01"}\ntime_s,voltage_V,displacement_m\n'
@@ -34,7 +34,7 @@ FLIPS = int(os.environ.get("DEHYST_FLIPS", "60"))
 @pytest.fixture(scope="module")
 def base(tmp_path_factory):
     folder = tmp_path_factory.mktemp("base") / "out"
-    Campaign(folder, SimulatedRig(PlayActuator()), Unwatched()).record(LOOK, "look")
+    Session(folder, SimulatedRig(PlayActuator()), NullProgress()).record(LOOK, "look")
     return folder
 
 
@@ -45,7 +45,7 @@ def folder(base, tmp_path):
 
 def go_on(folder):
     """Go on in a folder; returns whether its record was kept."""
-    job = Campaign(folder, SimulatedRig(PlayActuator()), Unwatched())
+    job = Session(folder, SimulatedRig(PlayActuator()), NullProgress())
     record = job.record(LOOK, "look")
     assert len(record) == len(LOOK)
     assert read(folder / RECORD).meta["complete"] is True
@@ -220,7 +220,7 @@ def test_no_right_to_read_is_no_record(folder, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(files, "content_of", refuse)
-        job = Campaign(folder, SimulatedRig(PlayActuator()), Unwatched())
+        job = Session(folder, SimulatedRig(PlayActuator()), NullProgress())
         assert not job.holds(LOOK, "look")
     assert go_on(folder)
 
@@ -231,8 +231,8 @@ def test_an_undamaged_record_is_kept(folder, base):
 
 
 def test_a_record_of_another_name_copied_over_is_not_taken(folder):
-    job = Campaign(folder, SimulatedRig(PlayActuator()), Unwatched())
-    job.record(Pace(0, 200, 200.0).homing(), "homing")
+    job = Session(folder, SimulatedRig(PlayActuator()), NullProgress())
+    job.record(ExcitationPlan(0, 200, 200.0).homing(), "homing")
     shutil.copy(folder / "records" / "homing.h5", folder / RECORD)
     assert not go_on(folder)
 
@@ -410,7 +410,7 @@ def test_flipped_bits_are_never_kept(base, tmp_path, seed):
         if beside:
             (folder / JOURNAL).write_text(HEAD + ROWS)
         try:
-            job = Campaign(folder, rig, Unwatched())
+            job = Session(folder, rig, NullProgress())
             job.record(LOOK, "look")
         except DehystError as error:
             pytest.fail(f"flip {number} of seed {seed} ends it: {error}")

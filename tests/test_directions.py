@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, Spring
-from dehyst.identification.diagnostics.identifiability import directions
+from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.records.record import Record
@@ -94,7 +94,7 @@ def told(records, elements=10, *, movable=None, relaxed=()):
     rows, _ = collect([(q, one, np.zeros(len(one))) for q, one in enumerate(records)], rho, [0.0] * len(records))
     every = np.ones(elements, dtype=bool) if movable is None else movable
     knots = np.linspace(0, bench.STROKE, elements + 1)
-    return directions(records, rho, Regression(rows, knots, 1.0, every, np.zeros(len(records))), relaxed=relaxed)
+    return identifiability(records, rho, Regression(rows, knots, 1.0, every, np.zeros(len(records))), relaxed=relaxed)
 
 
 def told_of(turns, elements=10, **options):

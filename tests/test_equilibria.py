@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Record, RecordError, Spring, State
-from dehyst._native import stops
+from dehyst._native import slip_elongations
 from dehyst.records.metrics import largest, percent, rms
 from dehyst.uncertainty.initial_state import state_from_first_rise
-from dehyst.uncertainty.rest_states import Equilibria, shift, sliding_order
+from dehyst.uncertainty.rest_states import RestStates, shift, sliding_order
 from dehyst.virtual import PlayActuator
 
 SOME = our.actuators(1, 20)
@@ -41,7 +41,7 @@ def elongations(state):
 
 def draw(actuator, seed, kind, reachable, voltage=0.0):
     """One equilibrium: inside the set, or a corner of it."""
-    rest = Equilibria(actuator, voltage, reachable)
+    rest = RestStates(actuator, voltage, reachable)
     if kind == "random":
         return rest.random(1, seed=seed % 1000)[0]
     return rest.vertex(np.random.default_rng(seed).normal(size=len(actuator.slip)) / actuator.slip.breakaway)
@@ -60,7 +60,7 @@ def raised_cosine(peaks, samples=400):
 def test_range_of_displacements(actuator, share, reachable):
     """It is eta^-1([V - sum f_i, V + sum f_i]), and both ends are equilibria."""
     voltage, force = share * our.volts_of(actuator), float(actuator.slip.friction.sum())
-    rest = Equilibria(actuator, voltage, reachable)
+    rest = RestStates(actuator, voltage, reachable)
     expected = [actuator.relaxed(voltage - side * force).displacement for side in (1, -1)]
     assert largest(np.subtract(rest.range(), expected)) <= 1e-9 * (expected[1] - expected[0]) + 1e-14 * size(actuator)
     relaxed = actuator.relaxed(voltage).displacement
@@ -95,14 +95,14 @@ def range_by_segments(actuator, voltage, reachable):
 @settings(max_examples=25)
 def test_range_by_one_program_a_segment(actuator, share, reachable):
     voltage = share * our.volts_of(actuator)
-    found = Equilibria(actuator, voltage, reachable).range()
+    found = RestStates(actuator, voltage, reachable).range()
     assert largest(np.subtract(found, range_by_segments(actuator, voltage, reachable))) <= 1e-8 * size(actuator)
 
 
 @given(SOME, our.SEEDS, st.booleans())
 def test_vertex(actuator, seed, reachable):
     """It goes as far as the box of elongations, or of their increments, allows, and lies in a corner of it."""
-    rho, rest = actuator.slip.breakaway, Equilibria(actuator, reachable=reachable)
+    rho, rest = actuator.slip.breakaway, RestStates(actuator, reachable=reachable)
     direction = np.random.default_rng(seed).normal(size=rho.size) / rho
     state = rest.vertex(direction)
     s = elongations(state)
@@ -119,12 +119,12 @@ def test_vertex(actuator, seed, reachable):
 
 @given(SOME, our.SEEDS, st.booleans(), st.floats(-0.5, 0.5))
 def test_random_states_rest_inside(actuator, seed, reachable, share):
-    rest = Equilibria(actuator, share * our.volts_of(actuator), reachable)
+    rest = RestStates(actuator, share * our.volts_of(actuator), reachable)
     states = rest.random(5, seed=seed)
     low, high = rest.range()
     for state in states:
         assert rest.holds(state)
-        assert Equilibria(actuator, rest.voltage).holds(state)
+        assert RestStates(actuator, rest.voltage).holds(state)
         assert abs(actuator.voltage(state) - rest.voltage) <= 1e-11 * (our.volts_of(actuator) + abs(rest.voltage))
         assert low - 1e-9 * size(actuator) <= state.displacement <= high + 1e-9 * size(actuator)
     again = rest.random(5, seed=seed)
@@ -136,7 +136,7 @@ def test_random_states_rest_inside(actuator, seed, reachable, share):
 def test_random_states_are_uniform(reachable):
     """Mean and variance of 4000 draws in the coordinates in which the set is a box, within five standard errors."""
     actuator, count = bench.plant(6), 4000
-    s = np.array([elongations(state) for state in Equilibria(actuator, 0.0, reachable).random(count)])
+    s = np.array([elongations(state) for state in RestStates(actuator, 0.0, reachable).random(count)])
     box = np.diff(s, axis=1, prepend=0.0) / gaps(actuator) if reachable else s / actuator.slip.breakaway
     assert np.abs(box).max() <= 1 + 1e-9
     assert np.abs(box.mean(axis=0)).max() <= 5 / np.sqrt(3 * count)
@@ -151,7 +151,7 @@ def test_what_a_history_leaves_is_reachable(motion, seed, share):
     voltage = share * our.volts_of(actuator)
     driven = np.append(our.voltages_like(actuator, state, path, seed), voltage)
     left = actuator.simulate(driven, state=state, extrapolate=True).state
-    assert Equilibria(actuator, voltage, reachable=True).holds(left)
+    assert RestStates(actuator, voltage, reachable=True).holds(left)
 
 
 @given(SOME, our.SEEDS, st.sampled_from(KINDS))
@@ -168,18 +168,18 @@ def test_what_is_reachable_some_history_leaves(actuator, seed, kind):
 
 def test_a_state_that_no_history_leaves():
     actuator = Actuator(MaxwellSlip([1e-6, 2e-6], [1e6, 1e6]), Spring([0, 1e-5], [0, 100]))
-    torn = Equilibria(actuator).state([1e-6, -2e-6])
-    assert Equilibria(actuator).holds(torn)
-    assert not Equilibria(actuator, reachable=True).holds(torn)
-    assert not Equilibria(actuator, 5.0).holds(torn)
-    assert Equilibria(actuator, actuator.voltage(actuator.turned(3e-6)), reachable=True).holds(actuator.turned(3e-6))
+    torn = RestStates(actuator).state([1e-6, -2e-6])
+    assert RestStates(actuator).holds(torn)
+    assert not RestStates(actuator, reachable=True).holds(torn)
+    assert not RestStates(actuator, 5.0).holds(torn)
+    assert RestStates(actuator, actuator.voltage(actuator.turned(3e-6)), reachable=True).holds(actuator.turned(3e-6))
 
 
 def moved(actuator, state, path):
     """Which carts have moved at each displacement of a rise (n, N), by stepping the stop operators."""
     carts, found = state.carts, []
     for y in path:
-        carts = stops(actuator.slip.breakaway, carts, np.array([y]))[1]
+        carts = slip_elongations(actuator.slip.breakaway, carts, np.array([y]))[1]
         found.append(carts > state.carts + 1e-12 * size(actuator))
     return np.array(found)
 
@@ -211,7 +211,7 @@ def test_sliding_order_by_hand():
     order, begin = sliding_order(actuator, actuator.relaxed())
     assert order.tolist() == [0, 1, 2]
     np.testing.assert_allclose(begin, [1e-6, 2e-6, 4e-6], rtol=1e-12)
-    torn = Equilibria(actuator).state([-1e-6, 2e-6, 4e-6])
+    torn = RestStates(actuator).state([-1e-6, 2e-6, 4e-6])
     order, begin = sliding_order(actuator, torn)
     assert order.tolist() == [1, 2, 0]
     np.testing.assert_allclose(begin - torn.displacement, [0, 0, 2e-6], atol=1e-18)
@@ -229,7 +229,7 @@ def loop_after_peak(actuator, state, peak):
 
 def highest_peak(actuator):
     """A voltage at which every element has slid whatever the equilibrium at 0 V was."""
-    highest = Equilibria(actuator).range()[1] + 2 * float(actuator.slip.breakaway[-1])
+    highest = RestStates(actuator).range()[1] + 2 * float(actuator.slip.breakaway[-1])
     return actuator.voltage(actuator.turned(highest, extrapolate=True))
 
 
@@ -296,7 +296,7 @@ def test_first_rise_without_noise(elements, seed, kind):
     assert np.all(error <= np.maximum(found.doubt[:-1], 1e-9 * record.stroke))
     spacing = np.diff(record.displacement[:1001]).max()
     assert error.max() <= spacing
-    assert Equilibria(actuator, reachable=True).holds(found.state)
+    assert RestStates(actuator, reachable=True).holds(found.state)
     if kind == "random":
         assert np.median(error) <= 1e-9 * record.stroke
         assert not found.relaxed
@@ -395,7 +395,7 @@ def test_a_torn_state_is_not_met():
     """After an abrupt discharge carts may lie where no slow history puts them: the estimate says that it misses."""
     actuator = bench.plant(10)
     signs = np.where(np.arange(10) % 2, 1.0, -1.0)
-    torn = Equilibria(actuator).state(signs * actuator.slip.breakaway)
+    torn = RestStates(actuator).state(signs * actuator.slip.breakaway)
     found = state_from_first_rise(actuator, measured(actuator, torn))
     assert "no slow history leaves" in found.remarks[-1]
     assert "of its height only (RMS)" in found.remarks[-1]
@@ -424,28 +424,28 @@ def test_the_record_s_delay_is_the_actuator_s():
 
 def test_no_elements():
     spring = Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 100]))
-    assert Equilibria(spring, 50.0).range() == (5e-6, 5e-6)
-    assert Equilibria(spring, 50.0).holds(Equilibria(spring, 50.0).random(1)[0])
+    assert RestStates(spring, 50.0).range() == (5e-6, 5e-6)
+    assert RestStates(spring, 50.0).holds(RestStates(spring, 50.0).random(1)[0])
     assert sliding_order(spring, spring.relaxed())[0].size == 0
     assert shift(spring, spring.relaxed()) == 0
 
 
 ONE = Actuator(MaxwellSlip([1e-6, 2e-6], [1e6, 1e6]), Spring([0, 1e-5], [0, 100]))
 REFUSED = [
-    (lambda: Equilibria("x"), "actuator: got str, need an Actuator"),
-    (lambda: Equilibria(ONE, np.nan), "voltage: got nan, need a finite number"),
-    (lambda: Equilibria(ONE, reachable=1), "reachable: got 1, need True or False"),
-    (lambda: Equilibria(ONE).vertex([1.0]), "direction: got .* need a number for each of 2 elements"),
-    (lambda: Equilibria(ONE).vertex([0.0, 0.0]), "direction: .* not all of them 0"),
-    (lambda: Equilibria(ONE).vertex([0.0, np.inf]), "direction: 1 of 2 values are not finite"),
-    (lambda: Equilibria(ONE).state([0.0, 2.1e-6]), "elongation: .* one for each of 2 elements, none beyond"),
-    (lambda: Equilibria(ONE).state([0.0]), "elongation: .* one for each of 2 elements"),
-    (lambda: Equilibria(ONE).random(-1), "count: got -1, need an integer of 0 or more"),
-    (lambda: Equilibria(ONE).random(1.5), "count: got 1.5"),
-    (lambda: Equilibria(ONE).random(1, seed=-3), "seed: got -3"),
-    (lambda: Equilibria(ONE).holds(3.0), "state: got float, need a State"),
-    (lambda: Equilibria(ONE).holds(State(0.0, [0.0])), "state: got 1 carts, this actuator has 2 elements"),
-    (lambda: Equilibria(ONE).holds(ONE.relaxed(), -1), "tolerance: got -1, need 0 or more"),
+    (lambda: RestStates("x"), "actuator: got str, need an Actuator"),
+    (lambda: RestStates(ONE, np.nan), "voltage: got nan, need a finite number"),
+    (lambda: RestStates(ONE, reachable=1), "reachable: got 1, need True or False"),
+    (lambda: RestStates(ONE).vertex([1.0]), "direction: got .* need a number for each of 2 elements"),
+    (lambda: RestStates(ONE).vertex([0.0, 0.0]), "direction: .* not all of them 0"),
+    (lambda: RestStates(ONE).vertex([0.0, np.inf]), "direction: 1 of 2 values are not finite"),
+    (lambda: RestStates(ONE).state([0.0, 2.1e-6]), "elongation: .* one for each of 2 elements, none beyond"),
+    (lambda: RestStates(ONE).state([0.0]), "elongation: .* one for each of 2 elements"),
+    (lambda: RestStates(ONE).random(-1), "count: got -1, need an integer of 0 or more"),
+    (lambda: RestStates(ONE).random(1.5), "count: got 1.5"),
+    (lambda: RestStates(ONE).random(1, seed=-3), "seed: got -3"),
+    (lambda: RestStates(ONE).holds(3.0), "state: got float, need a State"),
+    (lambda: RestStates(ONE).holds(State(0.0, [0.0])), "state: got 1 carts, this actuator has 2 elements"),
+    (lambda: RestStates(ONE).holds(ONE.relaxed(), -1), "tolerance: got -1, need 0 or more"),
     (lambda: sliding_order(None, ONE.relaxed()), "actuator: got NoneType"),
     (lambda: sliding_order(ONE, None), "need a State"),
     (lambda: shift("x", ONE.relaxed()), "actuator: got str"),

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Record, RecordError
-from dehyst._native import stops
+from dehyst._native import slip_elongations
 from dehyst.records.signals import turning_points
 from dehyst.waveforms import excitation
 from dehyst.waveforms.standard import (
-    Drive,
+    Sampling,
     descending_tops,
     homing,
     minor_loop,
@@ -48,7 +48,7 @@ def drives(draw):
     """Any way to play voltages of some 100 V; a slew rate that stretches nothing, some legs, or a hundredfold."""
     frequency = draw(log_uniform(1e-4, 1e4))
     base = draw(st.sampled_from([0.0, -20.0]) | st.floats(-300, 300))
-    return Drive(
+    return Sampling(
         frequency=frequency,
         sample_rate=draw(st.none() | log_uniform(8.001 * frequency, 300 * frequency)),
         base=base,
@@ -153,7 +153,7 @@ class TestLaws:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(excitation, "_MOST_SAMPLES", 100_000)
             try:
-                drive = Drive(**options)
+                drive = Sampling(**options)
                 result = homing(turns=[data.draw(anything), data.draw(anything)], drive=drive)
             except RecordError as error:
                 assert any(word in str(error) for word in ("need", "; give voltages", "lower the sample rate"))
@@ -173,7 +173,7 @@ class TestLaws:
     def test_one_can_follow_another(self, case, steps):
         drive, first, _ = case
         end = float(first.voltage[-1])
-        onward = Drive(
+        onward = Sampling(
             frequency=drive.frequency, sample_rate=drive.rate, base=drive.base, present=end, slew_rate=drive.slew_rate
         )
         second = staircase(drive.base + 50, steps=steps, hold=0.1 / drive.frequency, drive=onward)
@@ -188,7 +188,9 @@ class TestLaws:
     def test_a_leg_mirrored_is_the_leg_back(self, case):
         """Up and down take the same voltages in turn."""
         drive, _, _ = case
-        loop = homing(drive.base + 100, drive=Drive(drive.frequency, drive.sample_rate, drive.base, shape=drive.shape))
+        loop = homing(
+            drive.base + 100, drive=Sampling(drive.frequency, drive.sample_rate, drive.base, shape=drive.shape)
+        )
         np.testing.assert_allclose(loop.voltage, loop.voltage[::-1], atol=1e-12)
         assert len(loop) % 2 == 1
         assert loop.voltage[len(loop) // 2] == drive.base + 100
@@ -218,13 +220,13 @@ class TestKinds:
         np.testing.assert_array_equal(made.voltage[401:801], made.voltage[1:401])
 
     def test_peaks_follow_one_another_at_one_frequency(self):
-        made = raised_cosine([200.0, 61.7], cycles=2, drive=Drive(base=0.1, sample_rate=2.0))
+        made = raised_cosine([200.0, 61.7], cycles=2, drive=Sampling(base=0.1, sample_rate=2.0))
         assert made.turns.tolist() == [0.1, 200, 0.1, 200, 0.1, 61.7, 0.1, 61.7, 0.1]
         np.testing.assert_array_equal(made.voltage[::100], made.turns)
         assert made.name == "raised-cosine"
 
     def test_straight_legs(self):
-        made = raised_cosine(100.0, drive=Drive(shape="triangle", sample_rate=0.1))
+        made = raised_cosine(100.0, drive=Sampling(shape="triangle", sample_rate=0.1))
         np.testing.assert_allclose(made.voltage, [0, 20, 40, 60, 80, 100, 80, 60, 40, 20, 0])
         assert made.name == "triangle"
 
@@ -233,7 +235,7 @@ class TestKinds:
         assert made.turns.tolist() == [0, 200, 0, 200, 0, 200, 0, 150, 0, 100, 0, 50, 0]
         assert len(made) == 6 * 400 + 1
         assert turns_of(descending_tops, 200.0, steps=1, majors=0) == [0, 200, 0]
-        lifted = descending_tops(130.0, steps=4, drive=Drive(base=30.0)).turns
+        lifted = descending_tops(130.0, steps=4, drive=Sampling(base=30.0)).turns
         np.testing.assert_allclose(lifted[5::2], [130, 105, 80, 55])
 
     def test_reversal_curves(self):
@@ -269,22 +271,22 @@ class TestKinds:
         assert levels == pytest.approx([100, 50, 150, 100, 200, 100, 150, 50, 100, 0])
 
     def test_staircase_with_quick_steps(self):
-        made = staircase(90.0, steps=3, hold=0.9, ramp=4.0, drive=Drive(sample_rate=1.0))
+        made = staircase(90.0, steps=3, hold=0.9, ramp=4.0, drive=Sampling(sample_rate=1.0))
         # Four seconds up, then one sample of hold, as 0.9 s are less than one.
         np.testing.assert_array_equal(made.voltage[4::5], [30, 60, 90, 60, 30, 0])
         np.testing.assert_array_equal(made.voltage[5::5], made.voltage[4::5])
 
     def test_homing(self):
         assert turns_of(homing, 200.0) == [0, 200, 0]
-        assert turns_of(homing, 200.0, drive=Drive(present=55.0)) == [55, 0, 200, 0]
+        assert turns_of(homing, 200.0, drive=Sampling(present=55.0)) == [55, 0, 200, 0]
 
     def test_homing_through_turns_goes_there_straight(self):
-        drive = Drive(present=55.0)
+        drive = Sampling(present=55.0)
         assert turns_of(homing, turns=[200, 20, 150], drive=drive) == [55, 200, 20, 150]
         assert turns_of(homing, turns=[55, 200, 20], drive=drive) == [55, 200, 20]
 
     def test_a_partial_leg_takes_its_part_at_a_constant_rate(self):
-        made = descending_tops(200.0, steps=4, majors=0, drive=Drive(pace="rate"))
+        made = descending_tops(200.0, steps=4, majors=0, drive=Sampling(pace="rate"))
         at = np.flatnonzero(np.isin(made.voltage, made.turns) & (made.voltage > 0))
         np.testing.assert_array_equal(
             at, [200, 200 * 2 + 150, 200 * 2 + 150 * 2 + 100, 200 * 2 + 150 * 2 + 100 * 2 + 50]
@@ -302,7 +304,7 @@ class TestKinds:
 class TestRamps:
     @every_kind
     def test_from_the_present_voltage(self, kind):
-        plain, ramped = kind(), kind(drive=Drive(present=-40.0))
+        plain, ramped = kind(), kind(drive=Sampling(present=-40.0))
         assert ramped.voltage[0] == -40
         if "turns" in kind.keywords:
             return
@@ -314,28 +316,28 @@ class TestRamps:
 
     @every_kind
     def test_none_where_there_is_nowhere_to_go(self, kind):
-        np.testing.assert_array_equal(kind(drive=Drive(present=0.0)).voltage, kind().voltage)
+        np.testing.assert_array_equal(kind(drive=Sampling(present=0.0)).voltage, kind().voltage)
 
     def test_a_long_way_takes_half_a_cycle(self):
-        made = raised_cosine(10.0, drive=Drive(present=200.0))
+        made = raised_cosine(10.0, drive=Sampling(present=200.0))
         assert made.turns.tolist() == [200, 0, 10, 0]
         assert made.voltage[200] == 0
 
     def test_it_keeps_the_slew_rate_without_a_word(self):
-        made = raised_cosine(10.0, drive=Drive(present=200.0, slew_rate=1.0))
+        made = raised_cosine(10.0, drive=Sampling(present=200.0, slew_rate=1.0))
         assert made.warnings == ()
         assert np.flatnonzero(made.voltage == 0)[0] == math.ceil(4 * 200 * math.pi / 2)
 
 
 class TestSlewRate:
     def test_a_leg_that_meets_it_exactly_is_left_alone(self):
-        triangle = raised_cosine(200.0, drive=Drive(shape="triangle", slew_rate=4.0))
+        triangle = raised_cosine(200.0, drive=Sampling(shape="triangle", slew_rate=4.0))
         assert (triangle.warnings, triangle.duration) == ((), 100.0)
-        cosine = raised_cosine(200.0, drive=Drive(slew_rate=2 * math.pi))
+        cosine = raised_cosine(200.0, drive=Sampling(slew_rate=2 * math.pi))
         assert (cosine.warnings, cosine.duration) == ((), 100.0)
 
     def test_only_legs_that_are_too_steep_take_longer(self):
-        made = raised_cosine([200.0, 50.0], drive=Drive(shape="triangle", slew_rate=2.0))
+        made = raised_cosine([200.0, 50.0], drive=Sampling(shape="triangle", slew_rate=2.0))
         assert made.duration == 300.0
         assert made.warnings == (
             "2 of 4 legs take longer to keep 2 V/s, up to 100 s for 50 s; the whole takes 300 s for 200 s",
@@ -343,40 +345,40 @@ class TestSlewRate:
         assert np.abs(np.diff(made.voltage[:801])).max() == pytest.approx(0.5)
 
     def test_holds_and_the_ramp_from_the_present_voltage_are_not_counted(self):
-        drive = Drive(present=50.0, slew_rate=1.0, shape="triangle", sample_rate=1.0)
+        drive = Sampling(present=50.0, slew_rate=1.0, shape="triangle", sample_rate=1.0)
         made = staircase(100.0, steps=2, hold=10.0, ramp=25.0, drive=drive)
         assert made.warnings == (
             "4 of 4 legs take longer to keep 1 V/s, up to 50 s for 25 s; the whole takes 290 s for 190 s",
         )
 
     def test_a_cosine_is_steeper_than_its_mean(self):
-        made = raised_cosine(200.0, drive=Drive(slew_rate=4.0))
+        made = raised_cosine(200.0, drive=Sampling(slew_rate=4.0))
         assert made.duration == pytest.approx(100 * math.pi / 2, abs=0.5)
         assert np.abs(np.diff(made.voltage)).max() * made.sample_rate == pytest.approx(4.0, rel=5e-3)
 
     def test_a_long_fine_leg_keeps_it_too(self):
         """Steps of a microvolt, on which rounding counts."""
-        made = homing(turns=[999.9], drive=Drive(frequency=1e-4, sample_rate=200.0, slew_rate=0.3, base=999.0))
+        made = homing(turns=[999.9], drive=Sampling(frequency=1e-4, sample_rate=200.0, slew_rate=0.3, base=999.0))
         assert np.abs(np.diff(made.voltage)).max() * 200 <= 0.3 * (1 + 1e-9)
 
     def test_steps_that_rounding_swallows_are_refused(self):
         with pytest.raises(RecordError, match=r"slew_rate: got 1e-10 V/s .* lost in the rounding of 200 V; lower the"):
-            raised_cosine(200.0, drive=Drive(slew_rate=1e-10, sample_rate=1e6))
+            raised_cosine(200.0, drive=Sampling(slew_rate=1e-10, sample_rate=1e6))
 
 
 class TestLimits:
     @every_kind
     def test_beyond_the_limits_nothing_is_clipped(self, kind):
         with pytest.raises(RecordError, match=r"got (200|150) V, but the limits are -10 to 100 V; ask for"):
-            kind(drive=Drive(limits=(-10.0, 100.0)))
-        assert kind(drive=Drive(limits=(0.0, 200.0))).voltage.min() >= 0
+            kind(drive=Sampling(limits=(-10.0, 100.0)))
+        assert kind(drive=Sampling(limits=(0.0, 200.0))).voltage.min() >= 0
 
 
 def rank(path, elements=10):
     """Directions of the stiffnesses that a path over 0..1 tells beside a free spring and one constant; theory 6."""
     rho = np.arange(1, elements + 1) / (2 * elements)
     dense = np.concatenate([np.linspace(a, b, 200, endpoint=False) for a, b in pairwise(path)])
-    strained, _ = stops(rho, path[0] - rho, dense)
+    strained, _ = slip_elongations(rho, path[0] - rho, dense)
     # All states are known after the first major cycle, theory 7.
     start = np.flatnonzero(dense < 1e-12)[1]
     strained, dense = strained[start:], dense[start:]

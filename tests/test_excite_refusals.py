@@ -9,8 +9,8 @@ import pytest
 from dehyst import ModelError, RecordError
 from dehyst.waveforms import excitation
 from dehyst.waveforms.standard import (
-    Drive,
     Excitation,
+    Sampling,
     descending_tops,
     homing,
     minor_loop,
@@ -53,7 +53,7 @@ from dehyst.waveforms.standard import (
 )
 def test_drives(options, message):
     with pytest.raises(RecordError, match=message):
-        Drive(**options)
+        Sampling(**options)
 
 
 @pytest.mark.parametrize("peaks", [[], [0.0], -5.0, [10.0, 0.0]])
@@ -105,9 +105,9 @@ def test_kinds(make, message):
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: raised_cosine(1.0, cycles=10_000, drive=Drive(sample_rate=1000.0)),
-        lambda: raised_cosine(1.0, drive=Drive(frequency=1e-12, sample_rate=1e12)),
-        lambda: raised_cosine(200.0, drive=Drive(slew_rate=1e-6)),
+        lambda: raised_cosine(1.0, cycles=10_000, drive=Sampling(sample_rate=1000.0)),
+        lambda: raised_cosine(1.0, drive=Sampling(frequency=1e-12, sample_rate=1e12)),
+        lambda: raised_cosine(200.0, drive=Sampling(slew_rate=1e-6)),
         lambda: staircase(1.0, hold=1e12),
         lambda: staircase(1.0, ramp=1e12),
     ],
@@ -125,9 +125,9 @@ def test_too_long_before_memory_is_taken(make):
 def test_what_does_not_fit_behind():
     first = raised_cosine(10.0)
     with pytest.raises(RecordError, match="ends at 0 V, but 'homing' begins at 5 V; make that one with present=0"):
-        first.then(homing(turns=[9.0], drive=Drive(present=5.0)))
+        first.then(homing(turns=[9.0], drive=Sampling(present=5.0)))
     with pytest.raises(RecordError, match="sample rates: got 4 and then 8 Hz, need one; make both with the same"):
-        first.then(raised_cosine(10.0, drive=Drive(sample_rate=8.0)))
+        first.then(raised_cosine(10.0, drive=Sampling(sample_rate=8.0)))
 
 
 def test_both_together_too_long(monkeypatch):

@@ -25,7 +25,7 @@ import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, FileFormatError, MaxwellSlip, ModelError, Spring
 from dehyst.exports.firmware import SOURCES, code, export, sizes, worst_case
 from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4F, STRICT
-from dehyst.exports.golden_trace import Call, golden
+from dehyst.exports.golden_trace import Call, golden_trace
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -126,7 +126,7 @@ def test_a_wrong_number_or_a_wrong_number_type_is_found(tmp_path, unmeasured):
 
 
 def test_the_trace_has_every_kind_of_call():
-    trace = golden(firmware.plain(slew=2e4, period=1e-3))
+    trace = golden_trace(firmware.plain(slew=2e4, period=1e-3))
     assert {row.what for row in trace.rows} == set(Call)
     assert trace.clamps.limited > 5
     assert trace.clamps.slewed > 5
@@ -141,7 +141,7 @@ def test_the_trace_has_every_kind_of_call():
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_actuator_of_the_trace_is_the_virtual_one(kind):
     compensator = KINDS[kind]()
-    rows = [row for row in golden(compensator).rows if row.what is Call.SIMULATE]
+    rows = [row for row in golden_trace(compensator).rows if row.what is Call.SIMULATE]
     actuator, state = compensator.actuator, compensator.state
     voltages = np.array([actuator.voltage(state), *(row.given for row in rows)])
     time = np.arange(voltages.size) * (compensator.period or 1.0)
@@ -156,7 +156,7 @@ def test_an_export_leaves_the_compensator_alone_and_begins_at_its_start(tmp_path
     compensator.run(np.linspace(0, bench.STROKE, 50))
     before = compensator.snapshot()
     assert code(compensator) == first
-    golden(compensator)
+    golden_trace(compensator)
     assert compensator.snapshot().counts == before.counts
     np.testing.assert_array_equal(compensator.snapshot().rest, before.rest)
 
@@ -610,6 +610,6 @@ def test_steps_warn_once_as_ever():
     with warnings.catch_warnings():
         warnings.simplefilter("error", ClampWarning)
         compensator = firmware.plain()
-        golden(compensator)
+        golden_trace(compensator)
         with pytest.raises(ClampWarning):
             compensator.step(1.0)

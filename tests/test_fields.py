@@ -12,12 +12,12 @@ from scipy.integrate import solve_ivp
 from strategies import SEEDS
 
 from dehyst import IdentifyError, ModelError, Record, State
-from dehyst.baselines.bouc_wen import BoucWen, Lag
-from dehyst.baselines.duhem import Duhem, Point
+from dehyst.baselines.bouc_wen import BoucWen, BoucWenState
+from dehyst.baselines.duhem import Duhem, DuhemState
 from dehyst.records.metrics import largest, rms
 from dehyst.virtual import BoucWenActuator, PlayActuator
 from dehyst.waveforms import standard
-from dehyst.waveforms.standard import Drive
+from dehyst.waveforms.standard import Sampling
 
 VOLTS = 100.0
 STROKE = 1e-5
@@ -72,7 +72,7 @@ def test_boucwen_follows_its_equation(seed):
     )
     t = (v - h + 5.0) / 95.0
     inside = np.polynomial.polynomial.polyval(t, model.cubic)
-    y = model.simulate(v, state=Lag(0.0, h[0])).displacement
+    y = model.simulate(v, state=BoucWenState(0.0, h[0])).displacement
     kept = (t > 0) & (t < 1)
     np.testing.assert_allclose(y[kept], inside[kept], rtol=0, atol=1e-8 * STROKE)
 
@@ -168,7 +168,7 @@ def test_fits_are_seeded():
 @pytest.mark.parametrize(("fit", "own", "other"), [(BoucWen.fit, 0.5, 4.0), (Duhem.fit, 2.0, 5.0)])
 def test_as_good_as_their_literature(fit, own, other):
     """Largest error in % of the stroke on held-out loops; the ratio of the ends alone misses by 10 % and more."""
-    drive = Drive(sample_rate=4.0)
+    drive = Sampling(sample_rate=4.0)
     tops, others = (
         standard.descending_tops(200, drive=drive),
         standard.raised_cosine([200, 150, 90], cycles=2, drive=drive),
@@ -183,7 +183,7 @@ def test_as_good_as_their_literature(fit, own, other):
 
 
 def test_a_lag_that_the_model_explains_is_not_taken_for_a_delay():
-    truth, tops = BoucWenActuator(seed=2), standard.descending_tops(200, drive=Drive(sample_rate=4.0))
+    truth, tops = BoucWenActuator(seed=2), standard.descending_tops(200, drive=Sampling(sample_rate=4.0))
     record = Record(tops.time, tops.voltage, truth.drive(tops.voltage, time=tops.time))
     assert BoucWen.fit(record, starts=30).delay == 0.0
 
@@ -196,8 +196,8 @@ def test_a_lag_that_the_model_explains_is_not_taken_for_a_delay():
         (lambda: BoucWen(0.5, 1, 1, (0, 1), [0, 1, -1, 0]), "does not increase from 0 to 1"),
         (lambda: BoucWen(0.5, 1, 1, (1, 0), [0, 1, 0, 0]), "need an interval and four coefficients"),
         (lambda: BoucWen(0.5, 1, 1, (0, 1), [0, 1, 0]), "need an interval and four coefficients"),
-        (lambda: boucwen(0).simulate([1.0], state=Point(0, 0)), "need a Lag"),
-        (lambda: boucwen(0).compensate([0.0], state=Lag(0.0, 1e3)), "need a Lag whose hidden part"),
+        (lambda: boucwen(0).simulate([1.0], state=DuhemState(0, 0)), "need a Lag"),
+        (lambda: boucwen(0).compensate([0.0], state=BoucWenState(0.0, 1e3)), "need a Lag whose hidden part"),
         (lambda: Duhem((0, 1), 0.0, [0, 1], [1]), "a rate above 0"),
         (lambda: Duhem((1, 0), 1.0, [0, 1], [1]), "need an interval"),
         (lambda: Duhem((0, 1), 5.0, [0, 1], [0.1]), "displacement would fall somewhere"),

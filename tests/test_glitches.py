@@ -13,7 +13,7 @@ from test_cli import run
 
 import dehyst
 from dehyst import Actuator, Compensator, Record
-from dehyst.baselines import Goldfarb
+from dehyst.baselines import GoldfarbCelanovic
 from dehyst.baselines.comparison import compare
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.instruments.calibration.experiment import _ends
@@ -267,7 +267,7 @@ def test_every_reader_of_records_leaves_glitches_out(clean_fit):
     record = Record(np.arange(800) / 200, volts, rising.displacement, "rise")
     bad = with_voltage(record, [40, 300], 500.0)
     assert _ends(bad) == pytest.approx(_ends(record), rel=1e-9)
-    clean, found = Goldfarb.fit(record, elements=5), Goldfarb.fit(bad, elements=5)
+    clean, found = GoldfarbCelanovic.fit(record, elements=5), GoldfarbCelanovic.fit(bad, elements=5)
     assert bench.stiffness_error(found.actuator, clean.actuator) < 0.02
     assert any("glitch at sample 40" in said for said in found.remarks)
     first, again = (state_from_first_rise(plant, one) for one in (record, bad))

@@ -11,7 +11,7 @@ from strategies import SEEDS
 
 import dehyst
 from dehyst import Actuator, IdentifyError, MaxwellSlip, Record, Spring, State
-from dehyst.baselines.goldfarb_celanovic import Goldfarb
+from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
 
 N = 10
 HEIGHT = 16e-6
@@ -72,7 +72,7 @@ def test_every_element_is_recovered_from_the_rise_and_the_loop_follows(case):
     rho, kappa, slope, rest, volts = case
     moved = np.unique(np.concatenate([[0.0], rho, np.linspace(0, HEIGHT, 97)]))
     record = Record(np.arange(moved.size), volts + virgin(kappa, rho, slope, moved), rest + moved)
-    found = Goldfarb.fit(record, breakaway=rho)
+    found = GoldfarbCelanovic.fit(record, breakaway=rho)
     scale = max(kappa.max(), slope)
     assert found.remarks == ()
     np.testing.assert_allclose(found.actuator.slip.stiffness, kappa, atol=1e-9 * scale, rtol=0)
@@ -91,7 +91,7 @@ def test_equal_to_ours_and_to_the_plant_on_a_relaxed_actuator_without_g(seed):
     plant = relaxed_plant(seed)
     rho, kappa, spring = plant.slip.breakaway, plant.slip.stiffness, plant.spring.slopes[0]
     record = played(plant, path(MINOR_LOOPS, rho))
-    theirs = Goldfarb.fit(record, breakaway=rho).actuator
+    theirs = GoldfarbCelanovic.fit(record, breakaway=rho).actuator
     ours = dehyst.identify(record, elements=N, delay=0.0, drift=False).actuator
     np.testing.assert_allclose(theirs.slip.stiffness, kappa, atol=1e-9 * kappa.max(), rtol=0)
     assert theirs.spring.slopes[0] == pytest.approx(spring, rel=1e-9)
@@ -115,7 +115,7 @@ def test_the_rise_is_met_at_every_break_point_that_is_kept_and_never_below(seed,
     rng = np.random.default_rng(seed)
     y = np.cumsum(np.append(0.0, rng.uniform(0.1, 1, samples)))
     v = np.cumsum(np.append(0.0, rng.exponential(size=samples)))
-    found = Goldfarb.fit(Record(np.arange(y.size), v, y), elements=elements).actuator
+    found = GoldfarbCelanovic.fit(Record(np.arange(y.size), v, y), elements=elements).actuator
     places = y[-1] * np.arange(elements + 2) / (elements + 1)
     model, measured = found.compensate(places).voltage, np.interp(places, y, v)
     kept = np.concatenate([[True], found.slip.stiffness > 0, [True]])
@@ -138,9 +138,9 @@ def test_the_rise_is_met_at_every_break_point_that_is_kept_and_never_below(seed,
 def test_break_points_cut_the_rise_in_equal_parts_and_the_last_part_is_the_springs():
     plant = relaxed_plant(at=3e-6)
     record = played(plant, plant.state.displacement + np.linspace(0, HEIGHT, 401))
-    found = Goldfarb.fit(record)
+    found = GoldfarbCelanovic.fit(record)
     np.testing.assert_allclose(found.actuator.slip.breakaway, HEIGHT / 11 * np.arange(1, 11), rtol=1e-12)
-    assert len(Goldfarb.fit(record, elements=3).actuator.slip) == 3
+    assert len(GoldfarbCelanovic.fit(record, elements=3).actuator.slip) == 3
     last = np.diff(np.interp(3e-6 + HEIGHT * np.array([10 / 11, 1]), record.displacement, record.voltage))[0]
     assert found.actuator.spring.slopes[0] == pytest.approx(last / (HEIGHT / 11), rel=1e-9)
     assert found.actuator.state.displacement == 3e-6
@@ -152,7 +152,7 @@ def test_nothing_after_the_first_rise_matters():
     plant = relaxed_plant(1)
     whole = played(plant, path(MINOR_LOOPS, plant.slip.breakaway))
     turn = int(np.argmax(whole.voltage))
-    one, other = Goldfarb.fit(whole).actuator, Goldfarb.fit(whole[: turn + 1]).actuator
+    one, other = GoldfarbCelanovic.fit(whole).actuator, GoldfarbCelanovic.fit(whole[: turn + 1]).actuator
     np.testing.assert_array_equal(one.slip.stiffness, other.slip.stiffness)
     np.testing.assert_array_equal(one.spring.voltage, other.spring.voltage)
 
@@ -165,7 +165,7 @@ def test_noise_in_the_displacement_moves_the_rise_by_no_more_than_itself():
     errors = []
     for seed in range(20):
         record = bench.driven(plant, voltage, noise=sigma, seed=seed)
-        found = Goldfarb.fit(record)
+        found = GoldfarbCelanovic.fit(record)
         places = found.actuator.state.displacement + np.append(found.actuator.slip.breakaway, HEIGHT * 0.999)
         volts = found.compensate(places).voltage
         errors.append(np.interp(volts, voltage[200:1201], clean[200:1201]) - places)
@@ -178,7 +178,7 @@ def test_a_rest_before_the_rise_is_averaged():
     sigma, starts = 5e-9, []
     for seed in range(20):
         record = bench.driven(plant, np.concatenate([np.zeros(400), cosines([200.0])]), noise=sigma, seed=seed)
-        starts.append(Goldfarb.fit(record).actuator.state.displacement)
+        starts.append(GoldfarbCelanovic.fit(record).actuator.state.displacement)
     # The standard error of 401 samples is a twentieth of sigma; 20 of them stay within four of it.
     assert np.abs(starts).max() < 4 * sigma / 20
 
@@ -189,7 +189,7 @@ def test_a_rise_that_is_not_concave_has_no_negative_stiffness_and_is_told():
     record = played(plant, rise)
     slopes = np.diff(record.voltage[::20]) / (HEIGHT / 11)
     negative = 1 + np.flatnonzero(np.diff(slopes) > 0)
-    found = Goldfarb.fit(record)
+    found = GoldfarbCelanovic.fit(record)
     assert negative.size
     assert np.all(found.actuator.slip.stiffness >= 0)
     np.testing.assert_array_equal(found.actuator.slip.stiffness[negative - 1], 0)
@@ -200,14 +200,14 @@ def test_a_rise_that_is_not_concave_has_no_negative_stiffness_and_is_told():
 
 def test_what_is_said_of_a_negative_stiffness_and_of_its_neighbours():
     y = np.array([0.0, 1, 2, 3, 4])
-    found = Goldfarb.fit(Record(np.arange(5), [0.0, 5, 6, 10, 12], y), elements=3)
+    found = GoldfarbCelanovic.fit(Record(np.arange(5), [0.0, 5, 6, 10, 12], y), elements=3)
     # Slopes 5, 1, 4, 2, of mean 3: the middle two are pooled to 2.5.
     np.testing.assert_allclose(found.actuator.slip.stiffness, [2.5, 0, 0.5])
     assert (
         "concave: element 2 came out with a negative stiffness, at most 100 % of the mean slope, and got none. "
         in (found.remarks[0])
     )
-    found = Goldfarb.fit(Record(np.arange(5), [0.0, 3, 5, 6, 12], y), elements=3)
+    found = GoldfarbCelanovic.fit(Record(np.arange(5), [0.0, 3, 5, 6, 12], y), elements=3)
     # Slopes 3, 2, 1, 6, of mean 3: all are pooled.
     np.testing.assert_allclose(found.actuator.slip.stiffness, 0, atol=1e-12)
     assert "element 3 came out" in found.remarks[0]
@@ -223,7 +223,7 @@ def prediction_errors(plant, start):
     y = plant.simulate(voltage, state=start).displacement
     record = Record(np.arange(y.size) / 20, voltage, y - y[0])
     after = slice(1000, None)
-    error = (Goldfarb.fit(record).simulate(voltage).displacement - record.displacement)[after]
+    error = (GoldfarbCelanovic.fit(record).simulate(voltage).displacement - record.displacement)[after]
     ours = dehyst.identify(record, elements=N, delay=0.0, drift=False).errors[0].largest_percent
     percent = 100 / np.ptp(record.displacement[after])
     return percent * np.abs(error).max(), percent * 0.5 * np.ptp(error), ours
@@ -282,7 +282,7 @@ RISE = Record(np.arange(50), np.linspace(0, 100, 50), np.linspace(0, 1e-5, 50), 
 )
 def test_impossible_options_are_refused(options, message):
     with pytest.raises(IdentifyError, match=message):
-        Goldfarb.fit(RISE, **options)
+        GoldfarbCelanovic.fit(RISE, **options)
 
 
 def test_records_without_a_rise_are_refused():
@@ -291,15 +291,15 @@ def test_records_without_a_rise_are_refused():
     with pytest.raises(
         IdentifyError, match=r"'falls': its voltage does not rise first but goes from 100 to 0 V; need a first rise"
     ):
-        Goldfarb.fit(falls)
+        GoldfarbCelanovic.fit(falls)
     with pytest.raises(IdentifyError, match=r"'rests': its voltage does not rise first but goes from 0 to 0 V"):
-        Goldfarb.fit(Record(time, flat, 1e-5 * up, "rests"))
+        GoldfarbCelanovic.fit(Record(time, flat, 1e-5 * up, "rests"))
     with pytest.raises(
         IdentifyError, match=r"'inverted': the displacement goes from 10 to 0 um while the voltage rises"
     ):
-        Goldfarb.fit(Record(time, up, 1e-5 * (1 - up), "inverted"))
+        GoldfarbCelanovic.fit(Record(time, up, 1e-5 * (1 - up), "inverted"))
     saturated = Record(time, 100 * np.minimum(up, 0.5), 1e-5 * up, "saturated")
     with pytest.raises(IdentifyError, match=r"'saturated': the voltage does not rise beyond 9.091 um.*Leave out"):
-        Goldfarb.fit(saturated)
+        GoldfarbCelanovic.fit(saturated)
     with pytest.raises(IdentifyError, match=r"got list, need a record; read a file with dehyst.read\(path\)"):
-        Goldfarb.fit([RISE])
+        GoldfarbCelanovic.fit([RISE])

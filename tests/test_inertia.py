@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Dynamics, Record
-from dehyst.identification.dynamics_search import Inertia, find_inertia
-from dehyst.identification.preprocessing.dynamics import derivatives, undone
+from dehyst.identification.dynamics_search import SensedDynamics, find_dynamics
+from dehyst.identification.preprocessing.dynamics import derivatives, remove_dynamics
 
 PLANT = bench.plant(20, seed=2)
 STEP, PERIOD = 1e-4, 0.02
@@ -38,7 +38,7 @@ def with_dynamics(resonance, damping):
 @given(frequency=st.floats(10, 1e5), damping=st.floats(0, 2))
 def test_as_a_part_of_an_actuator(frequency, damping):
     """The law y + damping y' + mass y'' is the one that Dynamics.lead adds."""
-    inertia = Inertia(0.0, 2 * damping / frequency, 1 / frequency**2)
+    inertia = SensedDynamics(0.0, 2 * damping / frequency, 1 / frequency**2)
     dynamics = inertia.dynamics
     assert dynamics.frequency == pytest.approx(frequency)
     assert dynamics.damping == pytest.approx(damping)
@@ -48,9 +48,9 @@ def test_as_a_part_of_an_actuator(frequency, damping):
 
 
 def test_without_mass_there_are_no_dynamics():
-    assert Inertia(1e-3, 0.0, 0.0).dynamics is None
+    assert SensedDynamics(1e-3, 0.0, 0.0).dynamics is None
     record = bench.loops(PLANT, bench.MAJOR)
-    assert undone(record, None) is record
+    assert remove_dynamics(record, None) is record
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -69,7 +69,7 @@ def test_what_the_resonance_had_to_follow_comes_back():
     expected = driven(replace(actuator, dynamics=None)).displacement
     seen, left = (
         np.abs(y - expected)[10:-10].max() / np.ptp(expected)
-        for y in (made.displacement, undone(made, actuator.dynamics).displacement)
+        for y in (made.displacement, remove_dynamics(made, actuator.dynamics).displacement)
     )
     assert seen > 0.04
     assert left < 1e-3
@@ -94,7 +94,7 @@ def test_a_delay_below_a_hundredth_of_a_sample_is_none(delay):
         off = abs(inertia.delay - delay) / STEP + abs(inertia.mass / STEP**2 - 1) + inertia.damping / STEP
         return SimpleNamespace(rms=lambda: 1e-2 + off)
 
-    found = find_inertia(build, 0.0, STEP, PERIOD)
+    found = find_dynamics(build, 0.0, STEP, PERIOD)
     assert found.mass > 0
     assert found.delay == (pytest.approx(delay, abs=0.02 * STEP) if delay > 0.1 * STEP else 0)
 
@@ -123,6 +123,6 @@ def test_a_mass_that_is_not_worth_it_is_left_out():
         tried.append(inertia)
         return replace(frame, inertia=inertia).regression(wide.STRUCTURES["plain"], 1000)
 
-    assert find_inertia(build, 0.0, STEP, PERIOD) == Inertia(0.0, 0.0, 0.0)
+    assert find_dynamics(build, 0.0, STEP, PERIOD) == SensedDynamics(0.0, 0.0, 0.0)
     assert 10 < len(tried) < 100
     assert all(one.delay >= 0 and one.damping >= 0 and one.mass >= 0 for one in tried)

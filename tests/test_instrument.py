@@ -16,7 +16,7 @@ from dehyst.model.creep import Creep
 from dehyst.model.dynamics import Dynamics
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.virtual.amplifier import Extremes
-from dehyst.virtual.bench import Instrument
+from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
 
 PERIOD = 5e-5
@@ -55,7 +55,7 @@ def hand():
 @pytest.mark.parametrize("kind", TRUTHS)
 def test_a_recorded_wave_is_what_the_truth_does_with_its_voltages_and_times(kind, hand):
     wave = cosine()
-    bench = Instrument(TRUTHS[kind](), clock=hand, noise=0)
+    bench = VirtualBench(TRUTHS[kind](), clock=hand, noise=0)
     bench.start(wave, divider=7)
     while bench.playing:
         hand.wait(0.0131)
@@ -73,7 +73,7 @@ def test_a_recorded_wave_is_what_the_truth_does_with_its_voltages_and_times(kind
 def test_noise_is_the_truths_own_unless_told():
     def record(**options):
         clock = Hand()
-        bench = Instrument(PlayActuator(plays=10), clock=clock, **options)
+        bench = VirtualBench(PlayActuator(plays=10), clock=clock, **options)
         bench.start(cosine())
         clock.wait(1.0)
         return bench.samples()[2]
@@ -98,7 +98,7 @@ STEPS = st.one_of(
 @given(st.lists(STEPS, max_size=25), st.sampled_from(["play", "boucwen"]), st.sampled_from([None, 500.0]))
 def test_whatever_is_asked_no_voltage_leaves_the_limits(steps, kind, slew):
     hand = Hand()
-    bench = Instrument(TRUTHS[kind](), clock=hand, limits=(-10, 130), slew_rate=slew)
+    bench = VirtualBench(TRUTHS[kind](), clock=hand, limits=(-10, 130), slew_rate=slew)
     for what, value in steps:
         try:
             if what == "set":
@@ -125,7 +125,7 @@ def test_whatever_is_asked_no_voltage_leaves_the_limits(steps, kind, slew):
 
 
 def test_what_lies_outside_is_refused_counted_and_not_put_out(hand):
-    bench = Instrument(PlayActuator(plays=10), clock=hand, limits=(0, 100))
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand, limits=(0, 100))
     assert bench.set_voltage(40)
     for outside in (-1e-9, 100.0001, math.nan, math.inf, -math.inf):
         assert not bench.set_voltage(outside)
@@ -136,7 +136,7 @@ def test_what_lies_outside_is_refused_counted_and_not_put_out(hand):
 
 
 def test_the_amplifiers_own_slew_rate_is_kept_by_steps_and_waves(hand):
-    bench = Instrument(PlayActuator(plays=10), clock=hand, slew_rate=100.0)
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand, slew_rate=100.0)
     bench.set_voltage(50)
     for passed in (0.1, 0.2, 0.3):
         hand.time = passed
@@ -151,7 +151,7 @@ def test_the_amplifiers_own_slew_rate_is_kept_by_steps_and_waves(hand):
 
 
 def test_the_recorder_fills_as_the_wave_is_played_and_says_when(hand):
-    bench = Instrument(PlayActuator(plays=10), clock=hand)
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand)
     hand.time = 3.0
     bench.start(np.linspace(0, 100, 11), divider=200)
     assert (bench.recorded, bench.planned, bench.playing) == (1, 11, True)
@@ -167,7 +167,7 @@ def test_the_recorder_fills_as_the_wave_is_played_and_says_when(hand):
 
 
 def test_a_full_recorder_stops_and_a_long_wave_is_refused(hand):
-    bench = Instrument(PlayActuator(plays=10), clock=hand, wave_points=20, record_points=7)
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand, wave_points=20, record_points=7)
     bench.start(np.ones(20))
     hand.wait(1)
     assert bench.recorded == 7
@@ -180,7 +180,7 @@ def test_a_full_recorder_stops_and_a_long_wave_is_refused(hand):
 
 
 def test_a_wave_that_is_stopped_leaves_its_voltage(hand):
-    bench = Instrument(PlayActuator(plays=10), clock=hand)
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand)
     bench.start(np.linspace(0, 100, 101), divider=20)
     hand.wait(0.0305)
     bench.stop()
@@ -190,7 +190,7 @@ def test_a_wave_that_is_stopped_leaves_its_voltage(hand):
 
 
 def test_open_loop_and_closed_loop_do_not_mix(hand):
-    bench = Instrument(PlayActuator(plays=10), clock=hand)
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand)
     with pytest.raises(DeviceError, match=r"move: .* servo off"):
         bench.move(1e-6)
     bench.servo = True
@@ -207,7 +207,7 @@ def test_open_loop_and_closed_loop_do_not_mix(hand):
 
 @pytest.mark.parametrize("kind", TRUTHS)
 def test_the_servo_reaches_its_target_and_holds_it_against_creep(kind, hand):
-    bench = Instrument(TRUTHS[kind](), clock=hand, noise=1e-10)
+    bench = VirtualBench(TRUTHS[kind](), clock=hand, noise=1e-10)
     bench.servo = True
     for share in (0.3, 0.7, 0.45):
         target = share * bench.stroke
@@ -221,7 +221,7 @@ def test_the_servo_reaches_its_target_and_holds_it_against_creep(kind, hand):
 
 
 def test_the_sensor_saturates_at_its_range_and_reads_one_number_unplugged(hand):
-    bench = Instrument(PlayActuator(plays=10), clock=hand, sensor_range=(0.0, 4e-6))
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand, sensor_range=(0.0, 4e-6))
     bench.set_voltage(150)
     assert bench.displacement() == 4e-6
     bench.unplugged = True
@@ -231,7 +231,7 @@ def test_the_sensor_saturates_at_its_range_and_reads_one_number_unplugged(hand):
 def test_the_actuator_creeps_in_idle_time_and_an_idle_hour_costs_little():
     def at_the_end(looks):
         hand = Hand()
-        bench = Instrument(PlayActuator(plays=40, creep=0.01, noise=0), clock=hand)
+        bench = VirtualBench(PlayActuator(plays=40, creep=0.01, noise=0), clock=hand)
         bench.set_voltage(100)
         early = bench.displacement()
         for _ in range(looks):
@@ -247,7 +247,7 @@ def test_the_actuator_creeps_in_idle_time_and_an_idle_hour_costs_little():
 
 
 def test_speed_makes_the_device_faster_than_the_clock(hand):
-    bench = Instrument(PlayActuator(plays=10), clock=hand, speed=50.0)
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand, speed=50.0)
     bench.start(np.linspace(0, 100, 1001), divider=20)
     hand.wait(0.01)
     assert bench.now == pytest.approx(0.5)
@@ -255,7 +255,7 @@ def test_speed_makes_the_device_faster_than_the_clock(hand):
 
 
 def test_a_stalled_generator_plays_no_more_and_does_not_end(hand):
-    bench = Instrument(PlayActuator(plays=10), clock=hand)
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand)
     bench.start(np.linspace(0, 100, 11), divider=20)
     hand.wait(0.0035)
     assert bench.recorded == 4

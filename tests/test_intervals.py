@@ -14,7 +14,7 @@ from dehyst import IdentifyError, Outcome
 from dehyst.model.elements import MaxwellSlip
 from dehyst.uncertainty.bootstrap import Intervals, resample
 from dehyst.uncertainty.evidence import Evidence
-from dehyst.uncertainty.feasible_set import latitude
+from dehyst.uncertainty.feasible_set import feasible_set
 
 TOPS = (1, 0, *(turn for top in (1, 0.8, 0.6, 0.4, 0.2) for turn in (top, 0, top, 0)))
 MAJOR = (1, 0) * 5
@@ -153,11 +153,11 @@ def test_open_directions_keep_the_models_values():
     record = recorded(MAJOR)
     truth = replace(identified(record), slip=MaxwellSlip(PLANT.slip.breakaway[:-1], TRUTH), spring=PLANT.spring)
     one = Evidence.of(truth, record)
-    assert (one.directions.determined, one.directions.of) == (2, 4)
+    assert (one.identifiability.determined, one.identifiability.of) == (2, 4)
     found = resample(one, repeats=60)
     # k_1 + k_4 and k_2 + k_3 may move, k_1 - k_4 and k_2 - k_3 (in volts of breakaway orthogonal to those told) not.
     rho = truth.slip.breakaway
-    still = one.directions.vectors[one.directions.determined :] * rho
+    still = one.identifiability.vectors[one.identifiability.determined :] * rho
     moved = np.array([a.slip.stiffness - TRUTH for a in found.actuators])
     assert np.abs(moved @ still.T).max() < 1e-6 * (TRUTH @ rho)
     assert np.abs(moved).max() > 1e-4 * TRUTH.max()
@@ -165,7 +165,7 @@ def test_open_directions_keep_the_models_values():
 
 def test_noise_says_nothing_of_open_directions_but_latitude_does():
     one = evidence(MAJOR)
-    found, free = resample(one, repeats=60), latitude(one).stiffness
+    found, free = resample(one, repeats=60), feasible_set(one).stiffness
     assert (free[0] <= TRUTH).all()
     assert (free[1] >= TRUTH).all()
     assert (widths(found) < 0.2 * np.diff(free, axis=0)[0]).all()

@@ -13,7 +13,7 @@ from ioc_process import IocProcess  # noqa: E402
 
 from dehyst._errors import RigError  # noqa: E402
 from dehyst.virtual import PlayActuator  # noqa: E402
-from dehyst.virtual.bench import Instrument  # noqa: E402
+from dehyst.virtual.bench import VirtualBench  # noqa: E402
 from dehyst.virtual.emulator.epics_ioc import serve_ioc  # noqa: E402
 
 LOOP = asyncio.new_event_loop()
@@ -229,7 +229,7 @@ def test_the_network_does_not_see_it(ioc):
 @pytest.mark.parametrize("prefix", ["", "A B", "X" * 41, "Ä", 'B"'])
 def test_a_prefix_that_is_none_is_refused(prefix):
     with pytest.raises(RigError, match=r"prefix: got .* need 1 to 40 letters"):
-        serve_ioc(Instrument(PlayActuator()), prefix, None)
+        serve_ioc(VirtualBench(PlayActuator()), prefix, None)
 
 
 def test_a_process_serves_one(ioc):

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, Spring, State
-from dehyst._native import stops
+from dehyst._native import slip_elongations
 from dehyst.records.metrics import loop_area
 
 EXACT = 1e-12
@@ -295,7 +295,7 @@ def test_superposition(motion, seed):
             Spring(spring.displacement, part * spring.voltage),
         )
         halves = halves + compensated(half, path, State(state.displacement, state.carts[chosen]))
-    elongations, _ = stops(slip.breakaway, state.carts, path)
+    elongations, _ = slip_elongations(slip.breakaway, state.carts, path)
     volts = EXACT * (our.volts_of(actuator) + np.ptp(np.append(whole, 0)))
     assert close(whole, halves, volts)
     assert close(whole, elongations @ slip.stiffness + spring(path), volts)
@@ -308,13 +308,13 @@ def test_what_is_known_of_the_state(motion):
     """
     actuator, state, path = motion
     rho, y0 = actuator.slip.breakaway, state.displacement
-    low, high = (stops(rho, y0 + side * rho, path)[0] for side in (1, -1))
+    low, high = (slip_elongations(rho, y0 + side * rho, path)[0] for side in (1, -1))
     seen = np.append(y0, path)
     ranges = (np.maximum.accumulate(seen) - np.minimum.accumulate(seen))[1:, None]
     metres = EXACT * (our.span_of(actuator) + np.ptp(seen))
     assert close(high - low, np.maximum(0, 2 * rho - ranges), metres)
     sweep = y0 + np.array([0.5, 0, 2.0]) * rho[-1]
-    one, two = (stops(rho, y0 + side * rho, sweep)[1] for side in (1, -1))
+    one, two = (slip_elongations(rho, y0 + side * rho, sweep)[1] for side in (1, -1))
     assert close(one, two, metres)
 
 
@@ -347,7 +347,7 @@ def test_carts_slide_in_increasing_order(motion, seed):
     metres = EXACT * (our.span_of(actuator) + abs(state.displacement))
     gaps = np.diff(np.append(state.displacement, state.carts))
     assert np.all(np.abs(gaps) <= np.diff(np.append(0, rho)) + metres)
-    _, after = stops(rho, state.carts, state.displacement + np.array([rho[-1] / 2]))
+    _, after = slip_elongations(rho, state.carts, state.displacement + np.array([rho[-1] / 2]))
     moved = after - state.carts > metres
     assert not np.any(~moved[:-1] & (after - state.carts > 2 * metres)[1:])
 

@@ -8,14 +8,14 @@ from firmware import KINDS
 
 from dehyst import Compensator
 from dehyst.exports.firmware import export
-from dehyst.exports.start import Outset
+from dehyst.exports.start import ExportedStart
 
 
 @pytest.mark.parametrize("kind", ["plain", "all", "moving"])
 def test_the_files_say_where_memory_begins(tmp_path, kind):
     compensator = KINDS[kind]()
     export(compensator, tmp_path / "c", measure=False)
-    outset = Outset.of(compensator)
+    outset = ExportedStart.of(compensator)
     held = compensator.actuator.voltage(compensator.afresh().state)
     assert outset.voltage == pytest.approx(np.clip(held, *compensator.limits), rel=1e-12)
     for file in ("README.md", "model.h"):
@@ -30,7 +30,7 @@ def test_the_way_to_where_memory_begins_leads_there(rising):
     actuator = bench.plant(10, seed=4)
     low, high = actuator.voltage(actuator.turned(0, rising=False)), actuator.voltage(actuator.turned(bench.STROKE))
     state = actuator.turned(bench.STROKE if rising else 0, rising=rising)
-    outset = Outset.of(Compensator(actuator, (low, high), state=state))
+    outset = ExportedStart.of(Compensator(actuator, (low, high), state=state))
     first, words = (low, "raise the voltage slowly from its lowest") if rising else (high, "lower the voltage slowly")
     assert outset.way.startswith(words)
     elsewhere = actuator.relaxed(0.5 * (low + high))
@@ -42,6 +42,9 @@ def test_the_way_to_where_memory_begins_leads_there(rising):
 def test_other_states_are_reached_by_other_ways():
     actuator = bench.plant(10, seed=4)
     odd = actuator.simulate([0.0, 120.0, 60.0], state=actuator.relaxed()).state
-    ways = [Outset.of(Compensator(actuator, firmware.LIMITS, state=state)).way for state in (actuator.relaxed(80), odd)]
+    ways = [
+        ExportedStart.of(Compensator(actuator, firmware.LIMITS, state=state)).way
+        for state in (actuator.relaxed(80), odd)
+    ]
     assert ways[0].startswith("swing the voltage about 80 V, each swing smaller")
     assert ways[1].startswith("play the voltages after which the actuator was in this state")

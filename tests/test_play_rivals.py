@@ -7,25 +7,25 @@ import numpy as np
 import pytest
 
 from dehyst import IdentifyError, ModelError, Record, RecordError
-from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.bouc_wen import BoucWen
 from dehyst.baselines.duhem import Duhem
 from dehyst.baselines.fitting import training as made_ready
-from dehyst.baselines.generalized_prandtl_ishlinskii import Generalised
-from dehyst.baselines.goldfarb_celanovic import Goldfarb
-from dehyst.baselines.krasnoselskii_pokrovskii import Krasnoselskii
+from dehyst.baselines.generalized_prandtl_ishlinskii import GeneralizedPrandtlIshlinskii
+from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
+from dehyst.baselines.krasnoselskii_pokrovskii import KrasnoselskiiPokrovskii
 from dehyst.baselines.linear import Linear
-from dehyst.baselines.modified_prandtl_ishlinskii import Kuhnen
+from dehyst.baselines.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from dehyst.baselines.nonnegative_fit import differences, ramps
 from dehyst.baselines.play_bank import PlayBank
 from dehyst.baselines.play_regressors import PlayRows, from_anywhere, lowpassed
-from dehyst.baselines.prandtl_ishlinskii import Prandtl
+from dehyst.baselines.prandtl_ishlinskii import PrandtlIshlinskii
 from dehyst.baselines.preisach import Preisach
 from dehyst.baselines.tracking_trials import TRIALS
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.waveforms import standard
 
-RIVALS = [Prandtl, Kuhnen, Generalised, Krasnoselskii]
+RIVALS = [PrandtlIshlinskii, ModifiedPrandtlIshlinskii, GeneralizedPrandtlIshlinskii, KrasnoselskiiPokrovskii]
 VOLTS, STROKE = 200.0, 16e-6
 TOPS = (0, 1, 0, 1, 0, 0.9, 0, 0.8, 0, 0.7, 0, 0.6, 0, 0.5, 0, 0.4, 0, 0.3, 0, 0.2, 0, 0.1, 0)
 CURVES = (0, 1, 0, 1, *(x for low in np.arange(0.95, 0, -0.05) for x in (low, 1)), 0)
@@ -80,7 +80,7 @@ def training(kind, **options):
         recorded(kind(seed=i, **options).drive, through(TOPS, 100 + 100 * i), seconds=0.02 + 0.03 * i) for i in range(2)
     ]
     if options:
-        stairs = standard.staircase(VOLTS, steps=5, hold=60.0, ramp=1.0, drive=standard.Drive(sample_rate=20.0))
+        stairs = standard.staircase(VOLTS, steps=5, hold=60.0, ramp=1.0, drive=standard.Sampling(sample_rate=20.0))
         voltage = np.concatenate([through((0, 1, 0, 1, 0), 200), stairs.voltage])
         records.append(recorded(kind(seed=9, **options).drive, voltage, name="stairs"))
     return records
@@ -91,7 +91,7 @@ def test_the_weights_of_a_prandtl_ishlinskii_truth_are_recovered():
     weights = rng.exponential(2e-9, 20) * (rng.random(20) > 0.3)
     weights[0] = 5e-8
     bank = PlayBank(0.5 * VOLTS * np.arange(20) / 20, [()] * 20, list(weights[:, None]), 2e-6)
-    found = Prandtl.fit(of_bank(bank, through(TOPS)), delay=0.0, drift=False)
+    found = PrandtlIshlinskii.fit(of_bank(bank, through(TOPS)), delay=0.0, drift=False)
     np.testing.assert_allclose(found.weights, weights, rtol=0, atol=1e-9 * weights.max())
     assert found.parameters == 21
     lowest = bank.simulate(np.zeros(1), bank.descended(0.0), None)[0]
@@ -105,7 +105,7 @@ def test_plays_that_never_moved_add_a_constant_only():
     start = bank.simulate(through((0, 1, 0.3, 0.6)), bank.descended(0.0), None)[1]
     small = recorded(lambda v, time: bank.simulate(v, start, time)[0] + 3e-6, through((0.6, 0.4, 0.65, 0.4, 0.65, 0.4)))
     large = of_bank(bank, through((0, 1, 0, 1, 0)))
-    found = Prandtl.fit([small, large], plays=10, delay=0.0, drift=False)
+    found = PrandtlIshlinskii.fit([small, large], plays=10, delay=0.0, drift=False)
     np.testing.assert_allclose(found.weights, weights, rtol=0, atol=1e-9 * weights.max())
 
 
@@ -116,9 +116,9 @@ def test_a_modified_prandtl_ishlinskii_truth_is_recovered():
     bank = PlayBank(thresholds, [()] * 10, list(weights[:, None]), -float(weights @ thresholds))
     places = np.linspace(0, VOLTS, 6)
     values = np.concatenate([[0.0], np.cumsum([1.4, 0.9, 0.7, 0.9, 1.1])]) / 5.0 * STROKE
-    own = Kuhnen(bank, places, values, bank.descended(0.0))
+    own = ModifiedPrandtlIshlinskii(bank, places, values, bank.descended(0.0))
     record = recorded(lambda v, time: own.simulate(v, time=time).displacement, through(TOPS))
-    found = Kuhnen.fit(record, plays=10, segments=5, delay=0.0, drift=False)
+    found = ModifiedPrandtlIshlinskii.fit(record, plays=10, segments=5, delay=0.0, drift=False)
     np.testing.assert_allclose(found.weights, weights, rtol=0, atol=1e-4)
     np.testing.assert_allclose(found.values, values, rtol=0, atol=1e-4 * STROKE)
     assert found.parameters == 15
@@ -126,7 +126,7 @@ def test_a_modified_prandtl_ishlinskii_truth_is_recovered():
 
 def test_kernels_by_their_own_definition():
     """k <- min(max(k, r(v - p2)), r(v - p1)), kernel by kernel, against the plays with ramps."""
-    found = Krasnoselskii.fit(recorded(PreisachActuator().drive, through(TOPS)), levels=6, delay=0.0)
+    found = KrasnoselskiiPokrovskii.fit(recorded(PreisachActuator().drive, through(TOPS)), levels=6, delay=0.0)
     voltage, spacing = wander(5, 40, 10)[1:], VOLTS / 6
     expected = np.zeros(voltage.size)
     for i, (knots, slopes) in enumerate(zip(found.bank.knots, found.bank.slopes, strict=True)):
@@ -145,11 +145,13 @@ def test_kernels_by_their_own_definition():
 
 def test_a_krasnoselskii_pokrovskii_truth_is_recovered():
     rng = np.random.default_rng(2)
-    first = Krasnoselskii.fit(recorded(PreisachActuator().drive, through(TOPS)), levels=10, delay=0.0)
+    first = KrasnoselskiiPokrovskii.fit(recorded(PreisachActuator().drive, through(TOPS)), levels=10, delay=0.0)
     slopes = [s * np.where(s > 0, rng.uniform(0.5, 1.5, s.size), 0) for s in first.bank.slopes]
     slopes[0][[0, -1]] = slopes[0][[1, -2]]
     truth = PlayBank(first.bank.thresholds, first.bank.knots, slopes)
-    found = Krasnoselskii.fit(of_bank(truth, through(CURVES)), levels=10, smoothing=0.0, delay=0.0, drift=False)
+    found = KrasnoselskiiPokrovskii.fit(
+        of_bank(truth, through(CURVES)), levels=10, smoothing=0.0, delay=0.0, drift=False
+    )
     voltage = wander(8)
     y, guess = truth.simulate(voltage, truth.descended(0.0), None)[0], found.simulate(voltage).displacement
     np.testing.assert_allclose(guess - guess[0], y - y[0], rtol=0, atol=1e-7 * STROKE)
@@ -158,16 +160,16 @@ def test_a_krasnoselskii_pokrovskii_truth_is_recovered():
 CREEPING = partial(PlayActuator, creep=0.02)
 # Largest and RMS error simulated, then tracked, in % of the stroke, as measured. The first truth is of Kuhnen's class.
 NUMBERS = [
-    (Prandtl, PlayActuator, (2.67, 0.69, 2.37, 0.64)),
-    (Kuhnen, PlayActuator, (0.12, 0.021, 0.089, 0.021)),
-    (Generalised, PlayActuator, (0.19, 0.039, 0.26, 0.053)),
-    (Krasnoselskii, PlayActuator, (0.17, 0.037, 0.24, 0.051)),
-    (Prandtl, PreisachActuator, (3.06, 1.48, 3.02, 1.33)),
-    (Kuhnen, PreisachActuator, (0.40, 0.12, 0.43, 0.12)),
-    (Generalised, PreisachActuator, (0.049, 0.012, 0.053, 0.011)),
-    (Krasnoselskii, PreisachActuator, (0.037, 0.010, 0.047, 0.010)),
-    (Generalised, CREEPING, (0.36, 0.14, 0.30, 0.072)),
-    (Krasnoselskii, CREEPING, (3.1, 0.55, 2.2, 0.46)),
+    (PrandtlIshlinskii, PlayActuator, (2.67, 0.69, 2.37, 0.64)),
+    (ModifiedPrandtlIshlinskii, PlayActuator, (0.12, 0.021, 0.089, 0.021)),
+    (GeneralizedPrandtlIshlinskii, PlayActuator, (0.19, 0.039, 0.26, 0.053)),
+    (KrasnoselskiiPokrovskii, PlayActuator, (0.17, 0.037, 0.24, 0.051)),
+    (PrandtlIshlinskii, PreisachActuator, (3.06, 1.48, 3.02, 1.33)),
+    (ModifiedPrandtlIshlinskii, PreisachActuator, (0.40, 0.12, 0.43, 0.12)),
+    (GeneralizedPrandtlIshlinskii, PreisachActuator, (0.049, 0.012, 0.053, 0.011)),
+    (KrasnoselskiiPokrovskii, PreisachActuator, (0.037, 0.010, 0.047, 0.010)),
+    (GeneralizedPrandtlIshlinskii, CREEPING, (0.36, 0.14, 0.30, 0.072)),
+    (KrasnoselskiiPokrovskii, CREEPING, (3.1, 0.55, 2.2, 0.46)),
 ]
 
 
@@ -182,9 +184,9 @@ def test_how_good_they_are_on_held_out_paths(kind, truth, numbers):
 
 
 def test_low_passes_are_kept_where_there_is_creep_and_only_there():
-    assert Generalised.fit(training(CREEPING.func, **CREEPING.keywords), delay=0.0).bank.times.size > 4
-    assert Generalised.fit(training(PreisachActuator), delay=0.0).bank.times.size == 0
-    assert Generalised.fit(training(BoucWenActuator), delay=0.0).bank.times.size == 0
+    assert GeneralizedPrandtlIshlinskii.fit(training(CREEPING.func, **CREEPING.keywords), delay=0.0).bank.times.size > 4
+    assert GeneralizedPrandtlIshlinskii.fit(training(PreisachActuator), delay=0.0).bank.times.size == 0
+    assert GeneralizedPrandtlIshlinskii.fit(training(BoucWenActuator), delay=0.0).bank.times.size == 0
 
 
 def test_low_passes_of_a_record_are_exact_for_straight_legs():
@@ -231,7 +233,7 @@ def test_a_resonance_does_not_shift_the_axis(kind):
     """Driven slowly, a model of an actuator that was recorded swinging is nowhere far off, and on the whole not off."""
     one = TRIALS["boucwen"]
     found = kind.fit(one.records(), delay=2e-4)
-    slow = standard.raised_cosine(VOLTS, cycles=2, drive=standard.Drive(frequency=1.0, sample_rate=2000.0))
+    slow = standard.raised_cosine(VOLTS, cycles=2, drive=standard.Sampling(frequency=1.0, sample_rate=2000.0))
     y = one.truth(3).drive(slow.voltage, time=slow.time, measured=False)
     error = (found.simulate(slow.voltage, time=slow.time).displacement - y)[slow.time.size // 2 :] / STROKE
     assert np.abs(error).max() < 0.03
@@ -256,15 +258,26 @@ def test_what_low_passes_held_before_a_record_does_not_matter():
 
 
 @pytest.mark.parametrize(
-    "kind", [Prandtl, Kuhnen, Generalised, Krasnoselskii, BoucWen, Duhem, Goldfarb, Linear, Preisach]
+    "kind",
+    [
+        PrandtlIshlinskii,
+        ModifiedPrandtlIshlinskii,
+        GeneralizedPrandtlIshlinskii,
+        KrasnoselskiiPokrovskii,
+        BoucWen,
+        Duhem,
+        GoldfarbCelanovic,
+        Linear,
+        Preisach,
+    ],
 )
 def test_every_rival_is_one_and_none_is_built_upon(kind):
-    assert issubclass(kind, AbstractRival)
+    assert issubclass(kind, AbstractBaseline)
     assert kind.__final__
 
 
 def test_a_creeping_model_needs_the_time_and_others_do_not():
-    creeping = Generalised.fit(training(PlayActuator), lowpasses=[1.0, 30.0], delay=0.0)
+    creeping = GeneralizedPrandtlIshlinskii.fit(training(PlayActuator), lowpasses=[1.0, 30.0], delay=0.0)
     with pytest.raises(ModelError, match=r"this model creeps: it needs the time"):
         creeping.simulate([0, 1])
     with pytest.raises(ModelError, match=r"this model creeps: it needs the time"):
@@ -296,7 +309,11 @@ def test_ramps_and_their_neighbours():
     ],
 )
 def test_impossible_options_are_refused(kind, options, message):
-    own = {key: value for key, value in options.items() if key != ("plays" if kind is Krasnoselskii else "levels")}
+    own = {
+        key: value
+        for key, value in options.items()
+        if key != ("plays" if kind is KrasnoselskiiPokrovskii else "levels")
+    }
     with pytest.raises(IdentifyError, match=message):
         kind.fit(recorded(PlayActuator().drive, through(TOPS)), **own)
 
@@ -314,11 +331,11 @@ def test_what_are_no_records_is_refused(kind):
 def test_impossible_curves_and_times_are_refused():
     record = recorded(PlayActuator().drive, through(TOPS))
     with pytest.raises(IdentifyError, match=r"lowpasses: got .*need time constants above 0"):
-        Generalised.fit(record, lowpasses=[0.0])
+        GeneralizedPrandtlIshlinskii.fit(record, lowpasses=[0.0])
     with pytest.raises(IdentifyError, match=r"lowpasses: 1 of 1 values are not finite"):
-        Generalised.fit(record, lowpasses=[np.nan])
+        GeneralizedPrandtlIshlinskii.fit(record, lowpasses=[np.nan])
     bank = PlayBank([0.0], [()], [[1.0]])
     with pytest.raises(ModelError, match=r"values: got .*strictly increasing"):
-        Kuhnen(bank, [0, 1], [1, 1], bank.risen(0))
+        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 1], bank.risen(0))
     with pytest.raises(ModelError, match=r"values: got 3, need one for each of 2 places"):
-        Kuhnen(bank, [0, 1], [1, 2, 3], bank.risen(0))
+        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 2, 3], bank.risen(0))

@@ -11,11 +11,11 @@ from strategies import SEEDS
 
 import dehyst
 from dehyst import IdentifyError, ModelError, Record
-from dehyst.baselines.preisach import Preisach, Staircase
+from dehyst.baselines.preisach import Preisach, PreisachState
 from dehyst.records.metrics import largest, rms
 from dehyst.virtual import PlayActuator, PreisachActuator
 from dehyst.waveforms import standard
-from dehyst.waveforms.standard import Drive
+from dehyst.waveforms.standard import Sampling
 
 VOLTS = 100.0
 STROKE = 1e-5
@@ -132,7 +132,7 @@ def test_a_curve_that_turns_early_tells_only_what_it_went_through():
     cells = 8
     truth = of(densities(1, cells))
     record = recorded(truth, VOLTS * np.arange(cells - 1, 0, -1) / cells)
-    short = standard.raised_cosine([VOLTS, VOLTS], cycles=1, drive=Drive(sample_rate=4.0)).voltage
+    short = standard.raised_cosine([VOLTS, VOLTS], cycles=1, drive=Sampling(sample_rate=4.0)).voltage
     down = VOLTS * (0.75 + 0.25 * np.cos(np.pi * np.arange(1, 101) / 100))
     voltage = np.concatenate([short, short[: short.size // 4 + 1], down, down[::-1], down])
     stairs = Record(np.arange(voltage.size) / 100, voltage, truth.simulate(voltage).displacement)
@@ -154,8 +154,8 @@ def test_slow_curves_count_where_there_are_slow_and_fast_ones():
 @pytest.fixture(scope="module")
 def plays():
     truth = PlayActuator(seed=1)
-    tops = standard.descending_tops(truth.highest, drive=Drive(sample_rate=4.0))
-    others = standard.raised_cosine([200, 150, 90, 120], cycles=2, drive=Drive(sample_rate=4.0))
+    tops = standard.descending_tops(truth.highest, drive=Sampling(sample_rate=4.0))
+    others = standard.raised_cosine([200, 150, 90, 120], cycles=2, drive=Sampling(sample_rate=4.0))
     return (Record(tops.time, tops.voltage, truth.drive(tops.voltage)), others, truth)
 
 
@@ -192,7 +192,7 @@ def test_refusals():
     with pytest.raises(ModelError, match="need a Staircase"):
         Preisach((0, 1), table).simulate([0.5], state=dehyst.State(0.0, []))
     with pytest.raises(ModelError, match="need a Staircase"):
-        Preisach((0, 1), table).simulate([0.5], state=Staircase(0.5, 0.0, np.zeros((0, 2))))
+        Preisach((0, 1), table).simulate([0.5], state=PreisachState(0.5, 0.0, np.zeros((0, 2))))
     for turns in (
         [[0, 0], [0.4, 0], [0.6, 0]],
         [[0, 0], [2, 0]],
@@ -201,7 +201,7 @@ def test_refusals():
         [[0, 0], [0.4, 0]],
     ):
         with pytest.raises(ModelError, match="need a Staircase that a motion of this model left"):
-            Preisach((0, 1), table).compensate([0.5], state=Staircase(0.5, 0.0, np.array(turns)))
+            Preisach((0, 1), table).compensate([0.5], state=PreisachState(0.5, 0.0, np.array(turns)))
     record = bench.loops(bench.plant(), bench.MAJOR)
     for options, said in (
         ({"cells": 1}, "cells: got 1"),

@@ -9,8 +9,8 @@ import wide_bench as wide
 
 import dehyst
 from dehyst import IdentifyError
-from dehyst.identification.output_error import _descended, _Point, refine
-from dehyst.identification.structured_fit import Wider
+from dehyst.identification.output_error import _descended, _Iterate, refine
+from dehyst.identification.structured_fit import StructuredFit
 from dehyst.model.structure import Structure
 from dehyst.records.metrics import rms
 
@@ -27,13 +27,13 @@ def made(name, noise=0.0, off=0.0):
     state = replace(plant.state, carts=carts)
     actuator = replace(plant.actuator, slip=replace(slip, breakaway=slip.breakaway * shift), state=state)
     moved = replace(plant, actuator=actuator, state=state)
-    return Wider.solve(wide.frame([moved.record(noise=noise * bench.STROKE)]), structure, "l2"), actuator
+    return StructuredFit.solve(wide.frame([moved.record(noise=noise * bench.STROKE)]), structure, "l2"), actuator
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_unknowns_make_the_actuator_again(name):
     solved, _ = made(name)
-    point = _Point.of(solved)
+    point = _Iterate.of(solved)
     again = point.actuator
     np.testing.assert_allclose(again.slip.stiffness, solved.actuator.slip.stiffness, rtol=1e-9, atol=1e-3)
     np.testing.assert_allclose(again.spring.voltage, solved.actuator.spring.voltage, rtol=1e-9, atol=1e-9)
@@ -43,7 +43,7 @@ def test_the_unknowns_make_the_actuator_again(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_slopes_tell_what_a_small_change_does(name):
     """A random small change of every coefficient: the linearised simulation against the simulation."""
-    point, rng = _Point.of(made(name, noise=1e-4)[0]), np.random.default_rng(3)
+    point, rng = _Iterate.of(made(name, noise=1e-4)[0]), np.random.default_rng(3)
     errors, rows = point.errors(), np.arange(point.errors().size)
     by_x, by_rho = point._slopes(errors, rows)
     change = 1e-4 * point._sizes() * rng.uniform(0, 1, point.x.size)
@@ -73,13 +73,13 @@ def test_what_only_follows_noise_is_left_out():
     assert not found.kept
     assert found.actuator is solved.actuator
     # The steps did lower the error of the cycles that they saw.
-    point = _Point.of(solved)
+    point = _Iterate.of(solved)
     seen = np.ones(point.errors().size, dtype=bool)
     assert rms(_descended(point, seen).errors()) < rms(point.errors())
 
 
 def test_thresholds_keep_their_order():
-    point = _Point.of(made("plain")[0])
+    point = _Iterate.of(made("plain")[0])
     for moves in (np.full(point.breakaway.size, 5.0), np.resize([9.0, -9.0], point.breakaway.size)):
         rho = point.towards(point.x, moves, 1.0).breakaway
         assert np.all(np.diff(rho, prepend=0.0) > 0)

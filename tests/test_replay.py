@@ -22,14 +22,14 @@ from dehyst.instruments import open_rig
 from dehyst.instruments.calibration.comparison_loop import agreement, cycles, replay
 from dehyst.instruments.calibration.experiment import calibrate
 from dehyst.instruments.calibration.plan import Plan, steps
-from dehyst.instruments.calibration.protocol import Pace
-from dehyst.instruments.calibration.session import Campaign, Unwatched
+from dehyst.instruments.calibration.protocol import ExcitationPlan
+from dehyst.instruments.calibration.session import NullProgress, Session
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.virtual.modelled import VIRTUAL, fingerprint, virtual_actuator
 from dehyst.waveforms.standard import staircase
 
-PACE = Pace(0, 200, 400.0)
+PACE = ExcitationPlan(0, 200, 400.0)
 STROKE = PlayActuator().stroke
 
 
@@ -169,7 +169,7 @@ def test_neither_noise_nor_creep_lets_60_percent_of_the_stroke_pass(truth):
 @pytest.fixture
 def folder(tmp_path):
     """A folder with two records of a play actuator, made on a rig that answers as any other does."""
-    job = Campaign(tmp_path / "out", rig_of(PlayActuator()), Unwatched())
+    job = Session(tmp_path / "out", rig_of(PlayActuator()), NullProgress())
     for name, excitation in (("look", PACE.look()), ("loops", PACE.tops())):
         job.record(excitation, name)
     assert job.agreement is None
@@ -179,7 +179,7 @@ def folder(tmp_path):
 def test_records_are_kept_after_one_loop(folder):
     before, heard = contents(folder), Heard()
     rig = rig_of(PlayActuator(seed=7))
-    job = Campaign(folder, rig, heard)
+    job = Session(folder, rig, heard)
     look, loops = job.record(PACE.look(), "look"), job.record(PACE.tops(), "loops")
     assert (job.kept, job.played, heard.steps) == (["look", "loops"], [], ["comparison"])
     assert job.agreement.record == "look"
@@ -199,7 +199,7 @@ def test_records_are_kept_after_one_loop(folder):
 def test_another_actuator_behind_an_equal_identity_is_refused(folder):
     before, rig = contents(folder), rig_of(PlayActuator(stroke=0.6 * STROKE))
     for attempt in (1, 2):
-        job = Campaign(folder, rig, Unwatched())
+        job = Session(folder, rig, NullProgress())
         for _ in range(2):
             with pytest.raises(RecordError, match=r"looks like another actuator \(loop differs by 4\d %.*give another"):
                 job.record(PACE.look(), "look")
@@ -208,7 +208,7 @@ def test_another_actuator_behind_an_equal_identity_is_refused(folder):
     assert {name: after[name] for name in before} == before
     assert all(name.startswith("records/comparisons/") for name in set(after) - set(before))
     # The one that was recorded goes on.
-    job = Campaign(folder, rig_of(PlayActuator()), Unwatched())
+    job = Session(folder, rig_of(PlayActuator()), NullProgress())
     job.record(PACE.look(), "look")
     assert job.kept == ["look"]
 
@@ -217,7 +217,7 @@ def test_a_calibration_refuses_it_and_leaves_a_safe_voltage(folder):
     rig = rig_of(PreisachActuator())
     look = Plan().pace(rig).look()
     (folder / "records" / "look.h5").unlink()
-    Campaign(folder, rig_of(PlayActuator()), Unwatched()).record(look, "look")
+    Session(folder, rig_of(PlayActuator()), NullProgress()).record(look, "look")
     before = contents(folder)
     with pytest.raises(RecordError, match="looks like another actuator") as caught:
         calibrate(rig, folder)
@@ -232,8 +232,8 @@ def test_a_calibration_refuses_it_and_leaves_a_safe_voltage(folder):
 
 def test_a_record_without_a_loop_is_played_anew_not_trusted(tmp_path):
     stairs = staircase(200, steps=5, hold=0.1, back=True, drive=PACE.drive())
-    Campaign(tmp_path, rig_of(PlayActuator()), Unwatched()).record(stairs, "stairs")
-    job = Campaign(tmp_path, rig_of(PlayActuator(stroke=0.6 * STROKE)), Unwatched())
+    Session(tmp_path, rig_of(PlayActuator()), NullProgress()).record(stairs, "stairs")
+    job = Session(tmp_path, rig_of(PlayActuator(stroke=0.6 * STROKE)), NullProgress())
     job.record(stairs, "stairs")
     assert job.played == ["stairs"]
     assert len(list((tmp_path / "records" / "set-aside").iterdir())) == 1
@@ -241,7 +241,7 @@ def test_a_record_without_a_loop_is_played_anew_not_trusted(tmp_path):
 
 def test_a_later_record_is_compared_if_the_first_was_lost(folder):
     (folder / "records" / "look.h5").write_bytes(b"")
-    job = Campaign(folder, rig_of(PlayActuator(stroke=0.6 * STROKE)), Unwatched())
+    job = Session(folder, rig_of(PlayActuator(stroke=0.6 * STROKE)), NullProgress())
     job.record(PACE.look(), "look")
     with pytest.raises(RecordError, match="record 'loops' in this folder"):
         job.record(PACE.tops(), "loops")
@@ -251,11 +251,11 @@ def test_a_later_record_is_compared_if_the_first_was_lost(folder):
 def test_an_interrupted_comparison_loses_nothing(folder, after):
     before = contents(folder)
     with pytest.raises(KeyboardInterrupt):
-        Campaign(folder, rig_of(PlayActuator()), Heard("comparison", after)).record(PACE.look(), "look")
+        Session(folder, rig_of(PlayActuator()), Heard("comparison", after)).record(PACE.look(), "look")
     left = contents(folder)
     assert {name: left[name] for name in before} == before
     assert read(folder / "records/comparisons/comparison.h5").meta["complete"] is False
-    job = Campaign(folder, rig_of(PlayActuator()), Unwatched())
+    job = Session(folder, rig_of(PlayActuator()), NullProgress())
     job.record(PACE.look(), "look")
     assert job.kept == ["look"]
     assert read(folder / "records/comparisons/comparison-2.h5").meta["complete"] is True
@@ -266,7 +266,7 @@ def test_a_killed_comparison_is_salvaged(folder):
     comparisons.mkdir()
     head = '# {"name": "comparison", "meta": {}, "started": null}\ntime_s,voltage_V,displacement_m\n'
     (comparisons / "comparison.h5.part.csv").write_text(f"{head}0.0,0.0,0.0\n1.0,1.0,1e-6\n")
-    job = Campaign(folder, rig_of(PlayActuator()), Unwatched())
+    job = Session(folder, rig_of(PlayActuator()), NullProgress())
     job.record(PACE.look(), "look")
     assert job.kept == ["look"]
     assert sorted(path.name for path in comparisons.iterdir()) == ["comparison-2.h5", "comparison.h5"]
@@ -277,7 +277,7 @@ def test_it_goes_on_from_any_step(tmp_path):
     truth, names = PlayActuator(), ["look", "loops", "others"]
     protocol = dict(zip(names, (PACE.look(), PACE.tops(), PACE.others()), strict=True))
     for done in range(len(names)):
-        job = Campaign(tmp_path, rig_of(truth), Unwatched())
+        job = Session(tmp_path, rig_of(truth), NullProgress())
         for name in names[: done + 1]:
             job.record(protocol[name], name)
         assert (job.kept, job.played) == (names[:done], names[done : done + 1])
@@ -319,18 +319,18 @@ def test_a_second_model_under_the_same_file_name_is_another_rig(tmp_path):
         (tmp_path / name).mkdir()
         as_model(scale).save(tmp_path / name / "model.json")
     (tmp_path / "c.json").write_bytes((tmp_path / "a" / "model.json").read_bytes())
-    pace = Pace(0, 90, 400.0)
+    pace = ExcitationPlan(0, 90, 400.0)
     with open_rig(f"sim://{tmp_path}/a/model.json") as rig:
-        Campaign(tmp_path / "out", rig, Unwatched()).record(pace.look(), "look")
+        Session(tmp_path / "out", rig, NullProgress()).record(pace.look(), "look")
     before = contents(tmp_path / "out")
     with (
         open_rig(f"sim://{tmp_path}/b/model.json") as rig,
         pytest.raises(FileFormatError, match=r"holds a calibration of simulated model-.*give another folder with -o"),
     ):
-        Campaign(tmp_path / "out", rig, Unwatched())
+        Session(tmp_path / "out", rig, NullProgress())
     assert contents(tmp_path / "out") == before
     with open_rig(f"sim://{tmp_path}/c.json") as rig:
-        job = Campaign(tmp_path / "out", rig, Unwatched())
+        job = Session(tmp_path / "out", rig, NullProgress())
         job.record(pace.look(), "look")
     assert job.kept == ["look"]
 
@@ -348,7 +348,7 @@ def test_a_second_actuator_behind_the_emulator_is_refused(tmp_path):
     first_model, second_model = (str(tmp_path / name / "model.json") for name in ("a", "b"))
     with Served("--actuator", first_model, "--speed", "20") as served, open_rig(served.address) as rig:
         first = rig.identity
-        Campaign(tmp_path / "out", rig, Unwatched()).record(Plan().pace(rig).look(), "look")
+        Session(tmp_path / "out", rig, NullProgress()).record(Plan().pace(rig).look(), "look")
     before = contents(tmp_path / "out")
     with Served("--actuator", second_model) as served:
         done = calibrated(served.address, tmp_path / "out")
@@ -372,7 +372,7 @@ def test_a_rig_of_ones_own_with_another_actuator_is_refused(tmp_path):
     own = tmp_path / "own.py"
     own.write_text(source.format(stroke=STROKE))
     with open_rig(f"{own}:make") as rig:
-        Campaign(tmp_path / "out", rig, Unwatched()).record(Plan().pace(rig).look(), "look")
+        Session(tmp_path / "out", rig, NullProgress()).record(Plan().pace(rig).look(), "look")
     before = contents(tmp_path / "out")
     own.write_text(source.format(stroke=0.6 * STROKE))
     done = calibrated(f"{own}:make", tmp_path / "out")

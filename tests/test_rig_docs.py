@@ -10,7 +10,7 @@ import pytest
 from dehyst import read
 from dehyst.instruments import open_rig
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Drive, raised_cosine
+from dehyst.waveforms.standard import Sampling, raised_cosine
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 MY_LAB = """
@@ -42,7 +42,7 @@ def my_rig(tmp_path, monkeypatch):
 def test_a_rig_of_fifty_lines_plays_and_keeps_its_limits(my_rig):
     with open_rig(my_rig, limits=(0, 100), slew_rate=400) as rig:
         lab = sys.modules["my_lab"]
-        drive = Drive(frequency=2, sample_rate=rig.nearest_rate(400), limits=(0, 100), slew_rate=rig.slew_rate)
+        drive = Sampling(frequency=2, sample_rate=rig.nearest_rate(400), limits=(0, 100), slew_rate=rig.slew_rate)
         excitation = raised_cosine([100.0, 50.0], drive=drive)
         record = rig.play(excitation)
         rig.retreat()

@@ -16,7 +16,7 @@ from dehyst._errors import DehystError, DeviceError, LinkError, SensorError
 from dehyst.instruments import open_rig
 from dehyst.instruments.pi import PiRig
 from dehyst.virtual import PlayActuator
-from dehyst.virtual.bench import Instrument
+from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.faults import Fault, Rehearsal
 from dehyst.virtual.emulator.gcs_controller import Controller
 from dehyst.virtual.emulator.gcs_server import Server
@@ -164,7 +164,7 @@ def test_ctrl_c_in_the_middle_of_an_answer_still_retreats(seed):
 
 
 def served(faults=(), **options):
-    bench = Instrument(PlayActuator(), limits=DEVICE, **({"speed": 20.0} | options))
+    bench = VirtualBench(PlayActuator(), limits=DEVICE, **({"speed": 20.0} | options))
     return bench, Server(Controller(bench), port=0, rehearsal=Rehearsal([Fault.parse(fault) for fault in faults]))
 
 
@@ -221,7 +221,7 @@ def test_fuzzed_replies_over_real_sockets(cases):
 
 
 def test_limits_narrower_than_told_over_a_socket():
-    bench = Instrument(PlayActuator(), limits=(-20.0, 40.0), speed=10.0)
+    bench = VirtualBench(PlayActuator(), limits=(-20.0, 40.0), speed=10.0)
     wave = Excitation("too far", 27 * (1 - np.cos(np.linspace(0, 6, 2000))), 1000.0)
     with (
         Server(Controller(bench, told=DEVICE), port=0) as server,

@@ -9,11 +9,11 @@ import wide_bench as wide
 import dehyst
 from dehyst import Dynamics
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.resonance_tuning import rung
-from dehyst.identification.simulation_error import Playback
+from dehyst.identification.resonance_tuning import tune_resonance
+from dehyst.identification.simulation_error import SimulationError
 from dehyst.records.metrics import rms
 from dehyst.records.record import Record
-from dehyst.waveforms.standard import Drive, descending_tops, staircase
+from dehyst.waveforms.standard import Sampling, descending_tops, staircase
 
 RATE, OMEGA = 5000.0, 2 * np.pi * 250
 NOISE = 3e-9
@@ -22,7 +22,7 @@ TRUE = replace(wide.plant(wide.STRUCTURES["plain"]).actuator, dynamics=Dynamics(
 
 def records(actuator, delay=0.0):
     """Fast loops and steps that let it ring, measured late and with noise."""
-    rng, found, drive = np.random.default_rng(4), [], Drive(frequency=40.0, sample_rate=RATE)
+    rng, found, drive = np.random.default_rng(4), [], Sampling(frequency=40.0, sample_rate=RATE)
     for one in (descending_tops(150.0, drive=drive), staircase(150.0, steps=6, hold=0.05, back=True, drive=drive)):
         acting = Record(one.time, one.voltage, np.zeros(one.time.size)).delayed(delay) if delay else one
         y = actuator.simulate(acting.voltage, time=one.time, state=actuator.relaxed()).displacement
@@ -36,11 +36,11 @@ def off(actuator, **changes):
 
 def played(actuator, given):
     stroke = float(np.ptp(actuator.spring.displacement))
-    return Playback.of(actuator, [prepare(one) for one in given], np.zeros(len(given)), stroke)
+    return SimulationError.of(actuator, [prepare(one) for one in given], np.zeros(len(given)), stroke)
 
 
 def tuned(actuator, given):
-    return rung(actuator, played(actuator, given))
+    return tune_resonance(actuator, played(actuator, given))
 
 
 @pytest.mark.parametrize("delay", [0.0, 3.3e-4])

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dehyst.identification.regression.regularization import roughness
+from dehyst.identification.regression.regularization import regularization_rows
 from dehyst.model.structure import Structure
 
 STROKE, HIGHEST = 16e-6, 200.0
@@ -37,13 +37,13 @@ def columns(own, density, spring, drive):
 def test_even_densities_and_straight_slopes_are_smooth(spacing):
     own = grid(spacing=spacing)
     even = columns(own, lambda rho, place: 0 * rho + 0 * place + 3.0, lambda j: 2 + 0.5 * j, lambda j: 1 - 0.1 * j)
-    np.testing.assert_allclose(roughness(own, SLOPE) @ even, 0, atol=1e-12 / SLOPE)
+    np.testing.assert_allclose(regularization_rows(own, SLOPE) @ even, 0, atol=1e-12 / SLOPE)
 
 
 @pytest.mark.parametrize("changes", [{}, {"grades": 1}, {"transformer": 0}, {"creep": 0, "smooth": True}])
 def test_there_is_a_row_for_each_pair_of_neighbours(changes):
     own = grid(**changes)
-    rows = roughness(own, SLOPE)
+    rows = regularization_rows(own, SLOPE)
     count, segments, spring = int(own.movable.sum()), own.segments, own.knots.size - 1
     drive = max(own.drive.size - 2, 0)
     assert rows.shape == (
@@ -59,7 +59,7 @@ def test_differences_by_hand():
     own, rng = grid(creep=0), np.random.default_rng(5)
     rho = own.breakaway[own.movable]
     kappa, slopes, drive = rng.random((rho.size, 3)), rng.random(4), rng.random(5)
-    found = roughness(own, SLOPE) @ np.concatenate([kappa.ravel(), slopes, drive])
+    found = regularization_rows(own, SLOPE) @ np.concatenate([kappa.ravel(), slopes, drive])
     width = np.diff(rho, prepend=0.0)
     expected = [r * np.sqrt(3) * (b - a) for r, row in zip(rho, kappa, strict=True) for a, b in pairwise(row)]
     density = kappa / width[:, None]
@@ -77,6 +77,6 @@ def test_finer_grades_of_the_same_density_are_about_as_rough():
     def sum_of_squares(grades):
         own = grid(grades=grades)
         slanted = columns(own, lambda rho, place: 1 + 0 * rho + place / grades, lambda j: 0.0 * j, lambda j: 0.0 * j)
-        return float(np.sum((roughness(own, SLOPE) @ slanted) ** 2))
+        return float(np.sum((regularization_rows(own, SLOPE) @ slanted) ** 2))
 
     assert sum_of_squares(16) == pytest.approx(sum_of_squares(8), rel=0.1)

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from dehyst._errors import RecordError
 from dehyst.waveforms import Raster, Spiral, Triangle
 from dehyst.waveforms.lissajous import Lissajous
-from dehyst.waveforms.profiles import Bridge, Edge, Point, highest, least_blend, least_seconds
-from dehyst.waveforms.scan import Path
+from dehyst.waveforms.profiles import Bridge, Edge, PathPoint, highest, least_blend, least_seconds
+from dehyst.waveforms.scan import ScanPath
 from dehyst.waveforms.steps import Steps
 
 UM = 1e-6
@@ -244,7 +244,7 @@ def test_steps_keep_their_limits(levels, shape, speed, acceleration):
 
 @given(st.lists(st.floats(-1, 1), min_size=6, max_size=6), st.floats(0.1, 10))
 def test_a_bridge_joins_two_motions_and_knows_its_peaks(numbers, seconds):
-    bridge = Bridge(Point(*numbers[:3]), Point(*numbers[3:]), seconds)
+    bridge = Bridge(PathPoint(*numbers[:3]), PathPoint(*numbers[3:]), seconds)
     travel = bridge.at(np.linspace(0, seconds, 4001))
     for row, first, last in zip(travel, numbers[:3], numbers[3:], strict=True):
         assert row[0] == pytest.approx(first, abs=1e-9) and row[-1] == pytest.approx(last, abs=1e-8)
@@ -296,8 +296,8 @@ def test_a_bridge_joins_two_motions_and_knows_its_peaks(numbers, seconds):
         (lambda: Steps((0, UM), 1, seconds=1e-4, acceleration=1), "seconds: got 0.0001 s .*; try .* s, or none"),
         (lambda: SCANS["open"].path().repeated(2), "cycles: got a path that ends elsewhere than it begins"),
         (lambda: SCANS["triangle"].path().repeated(1.5), "cycles: got 1.5, need a whole number"),
-        (lambda: Path([0, 1], [0], [0, 0], 1), "velocity: got 1 values for 2 displacements"),
-        (lambda: Path([0, np.nan], [0, 0], [0, 0], 1), "displacement: 1 of 2 values are not finite"),
+        (lambda: ScanPath([0, 1], [0], [0, 0], 1), "velocity: got 1 values for 2 displacements"),
+        (lambda: ScanPath([0, np.nan], [0, 0], [0, 0], 1), "displacement: 1 of 2 values are not finite"),
     ],
 )
 def test_what_cannot_be_is_refused(make, said):

@@ -8,7 +8,7 @@ import pytest
 import wide_bench as wide
 
 from dehyst.identification import structure_selection
-from dehyst.identification.structure_selection import PARTS, Trial, blocks, held_out_errors, select
+from dehyst.identification.structure_selection import PARTS, StructureTrial, blocks, held_out_errors, select
 from dehyst.model.structure import Structure
 
 START = Structure()
@@ -16,7 +16,9 @@ START = Structure()
 
 def errors_by(monkeypatch, error):
     """Let trials have a held-out error that is a function of the structure; returns what was told."""
-    monkeypatch.setattr(structure_selection, "_tried", lambda build, one, tell: Trial(one, error(one), 0.0, 0.0))
+    monkeypatch.setattr(
+        structure_selection, "_tried", lambda build, one, tell: StructureTrial(one, error(one), 0.0, 0.0)
+    )
 
 
 def test_parts_are_added_while_one_is_worth_it(monkeypatch):
@@ -129,7 +131,7 @@ def test_a_plain_actuator_keeps_the_plain_structure(noise):
 
 
 def test_a_trial_says_what_it_was():
-    one = Trial(Structure(creep=3), 1e-9, 2e-9, 0.5)
+    one = StructureTrial(Structure(creep=3), 1e-9, 2e-9, 0.5)
     assert one.as_dict() == {
         "structure": Structure(creep=3).as_dict(),
         "words": "20 elements and 3 creep branches",

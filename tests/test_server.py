@@ -15,7 +15,7 @@ import pytest
 
 from dehyst._errors import LinkError, ModelError
 from dehyst.virtual import PlayActuator
-from dehyst.virtual.bench import Instrument
+from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.faults import Fault, Rehearsal, narrowed
 from dehyst.virtual.emulator.gcs_controller import Controller
 from dehyst.virtual.emulator.gcs_server import Server
@@ -55,7 +55,7 @@ class Line:
 @contextmanager
 def served(*faults, speed=1.0, limits=(0.0, 120.0), **options):
     rehearsed = [Fault.parse(fault) for fault in faults]
-    bench = Instrument(PlayActuator(plays=20), limits=narrowed(limits, rehearsed), speed=speed, **options)
+    bench = VirtualBench(PlayActuator(plays=20), limits=narrowed(limits, rehearsed), speed=speed, **options)
     with Server(Controller(bench, told=limits), port=0, rehearsal=Rehearsal(rehearsed)) as server:
         yield server
 

@@ -12,12 +12,12 @@ from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import PlayActuator
 from dehyst.virtual.modelled import VIRTUAL, virtual_actuator
 from dehyst.waveforms import standard
-from dehyst.waveforms.playback import Drive
+from dehyst.waveforms.playback import Sampling
 
 
 @pytest.mark.parametrize("kind", VIRTUAL)
 def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
-    protocol = standard.descending_tops(150.0, drive=Drive(sample_rate=200, frequency=0.1, limits=(0, 200)))
+    protocol = standard.descending_tops(150.0, drive=Sampling(sample_rate=200, frequency=0.1, limits=(0, 200)))
     rig, lots = SimulatedRig(virtual_actuator(kind), wave_points=5000), []
     began = time.process_time()
     record = rig.play(protocol, lots.append)
@@ -31,7 +31,7 @@ def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
 
 
 def test_the_displacement_is_the_truths_own():
-    protocol = standard.raised_cosine(120.0, cycles=2, drive=Drive(sample_rate=100, frequency=0.5))
+    protocol = standard.raised_cosine(120.0, cycles=2, drive=Sampling(sample_rate=100, frequency=0.5))
     record = SimulatedRig(PlayActuator(noise=0)).play(protocol)
     np.testing.assert_array_equal(record.displacement, PlayActuator(noise=0).drive(protocol.voltage))
 

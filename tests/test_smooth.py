@@ -24,8 +24,8 @@ from dehyst import (
     State,
     Transformer,
 )
-from dehyst._native import Held, Pace
-from dehyst.control.state_bounds import Bracket
+from dehyst._native import CoreState, StepCoefficients
+from dehyst.control.state_bounds import StateBounds
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
@@ -332,7 +332,7 @@ def test_a_sample_that_is_not_a_number_moves_nothing():
     core, held = ACTUATOR.model.core, ACTUATOR.model.held(ACTUATOR.state)
 
     def pace(samples):
-        return Pace(np.array([0, samples]), *np.empty((3, 1, 0)))
+        return StepCoefficients(np.array([0, samples]), *np.empty((3, 1, 0)))
 
     for run, drive in ((core.compensate, [9e-6, np.nan, 7e-6]), (core.simulate, [90.0, np.inf, 60.0])):
         out, reached = run(np.array(drive), pace(3), held)
@@ -395,10 +395,13 @@ def test_a_compensator_clamps_with_them():
             lambda: ACTUATOR.voltage(State(0, [0, 0], smooth=[0, -3.1e-6])),
             "state: smooth element 1 is elongated by -3.1e-06 m, its length is 3e-06 m",
         ),
-        (lambda: Bracket.at_rest(ACTUATOR), "this actuator has smooth elements"),
-        (lambda: ACTUATOR.model.core.voltage(Held(0.0, np.zeros(2), np.zeros(1), NONE)), "arrays of different lengths"),
+        (lambda: StateBounds.at_rest(ACTUATOR), "this actuator has smooth elements"),
         (
-            lambda: ACTUATOR.model.core.voltage(Held(0.0, np.zeros(2), np.ones(2), NONE)),
+            lambda: ACTUATOR.model.core.voltage(CoreState(0.0, np.zeros(2), np.zeros(1), NONE)),
+            "arrays of different lengths",
+        ),
+        (
+            lambda: ACTUATOR.model.core.voltage(CoreState(0.0, np.zeros(2), np.ones(2), NONE)),
             "farther .*, or a smooth element",
         ),
     ],

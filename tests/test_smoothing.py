@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Record
-from dehyst.identification.preprocessing.denoising import monotone, without_jitter
+from dehyst.identification.preprocessing.denoising import monotone, remove_jitter
 from dehyst.records.signals import turning_points
 from dehyst.virtual import PlayActuator
 
@@ -61,7 +61,7 @@ def test_the_mean_of_a_leg_stays_and_no_error_grows(seed, noise):
 @settings(max_examples=20)
 def test_without_noise_nothing_changes(seed, hold):
     record, true = made(seed, hold=hold)
-    for smoothed in (monotone(record), without_jitter(record, 0.0, bench.STROKE)):
+    for smoothed in (monotone(record), remove_jitter(record, 0.0, bench.STROKE)):
         assert np.abs(smoothed.displacement - true).max() < 1e-12 * bench.STROKE
 
 
@@ -78,7 +78,7 @@ def test_jitter_falls_without_a_bias(samples, kept):
     errors = []
     for seed in range(60):
         noisy = replace(record, displacement=true + NOISE * np.random.default_rng(seed).normal(size=true.size))
-        errors.append(without_jitter(noisy, NOISE, bench.STROKE).displacement - true)
+        errors.append(remove_jitter(noisy, NOISE, bench.STROKE).displacement - true)
     errors = np.array(errors) / NOISE
     bias, chance = errors.mean(axis=0), errors.std() / np.sqrt(len(errors))
     assert errors.std() < 1.05 * kept**0.5
@@ -107,9 +107,9 @@ def test_creep_in_a_hold_goes_one_way():
 
 def test_parabolas_come_first_only_where_noise_counts():
     record, _ = made(5, noise=NOISE)
-    quiet = without_jitter(record, 1e-4 * bench.STROKE, bench.STROKE)
+    quiet = remove_jitter(record, 1e-4 * bench.STROKE, bench.STROKE)
     np.testing.assert_array_equal(quiet.displacement, monotone(record).displacement)
-    loud = without_jitter(record, NOISE, bench.STROKE)
+    loud = remove_jitter(record, NOISE, bench.STROKE)
     assert np.abs(loud.displacement - quiet.displacement).max() > 0.1 * NOISE
 
 
@@ -119,7 +119,7 @@ def test_smooth_elements_are_not_dragged_by_jitter():
     record = plant.record(noise=NOISE)
     smooth = plant.actuator.smooth
     true = smooth.elongations(plant.path)
-    kept = without_jitter(record, NOISE, bench.STROKE).displacement
+    kept = remove_jitter(record, NOISE, bench.STROKE).displacement
     shortest = smooth.length == smooth.length.min()
     errors = [
         np.std((smooth.elongations(y) - true)[:, shortest]) / np.std(true[:, shortest])
@@ -132,4 +132,4 @@ def test_smooth_elements_are_not_dragged_by_jitter():
 def test_a_short_piece_and_one_without_turns_are_taken():
     rising = Record(np.arange(6) / 10, np.arange(6.0), np.array([0, 1, 3, 2, 4, 5]) * 1e-6)
     np.testing.assert_allclose(monotone(rising).displacement, np.array([0, 1, 2.5, 2.5, 4, 5]) * 1e-6)
-    np.testing.assert_allclose(without_jitter(rising, 1e-6, 5e-6).displacement, np.array([0, 1, 2.5, 2.5, 4, 5]) * 1e-6)
+    np.testing.assert_allclose(remove_jitter(rising, 1e-6, 5e-6).displacement, np.array([0, 1, 2.5, 2.5, 4, 5]) * 1e-6)

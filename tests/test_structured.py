@@ -10,11 +10,11 @@ import wide_bench as wide
 
 import dehyst
 from dehyst import Record, State
-from dehyst.identification.preprocessing.internal_states import Beside
+from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.model.structure import Structure
 from dehyst.virtual import BoucWenActuator
-from dehyst.waveforms.standard import Drive, descending_tops
+from dehyst.waveforms.standard import Sampling, descending_tops
 
 CREEPING = Structure(elements=8, knots=7, creep=4)
 HOLDING = wide.wandering(30, samples=30, hold=30)
@@ -54,7 +54,7 @@ def test_a_record_goes_on_from_its_lead():
     record = plant.record()
 
     def moved_along(grid, piece, lead):
-        return np.vstack(list(Beside(grid, piece, lead).blocks(97)))
+        return np.vstack(list(InternalStates(grid, piece, lead).blocks(97)))
 
     whole = moved_along(plant.grid, record, None)
     cut = 200
@@ -149,7 +149,7 @@ def test_delayed_voltages_are_taken_back():
 def test_friction_that_lets_go_gradually_is_no_delay():
     """A Bouc-Wen actuator at 0.01 Hz: plain elements take it to be seconds late, wider ones know better."""
     truth = BoucWenActuator()
-    tops = descending_tops(truth.highest, drive=Drive(frequency=0.01, sample_rate=4.0))
+    tops = descending_tops(truth.highest, drive=Sampling(frequency=0.01, sample_rate=4.0))
     record = Record(tops.time, tops.voltage, truth.drive(tops.voltage, time=tops.time), "slow")
     frame = wide.frame([record], delay=0.9)
     assert frame.with_checked_delay().inertia.delay == 0

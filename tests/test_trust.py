@@ -9,15 +9,15 @@ import pytest
 import dehyst
 from dehyst import Outcome, Record
 from dehyst._io.json_files import finite
-from dehyst.identification.diagnostics.identifiability import directions
+from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.uncertainty.evidence import Evidence
 from dehyst.uncertainty.experiment_design import advise
-from dehyst.uncertainty.feasible_set import latitude
+from dehyst.uncertainty.feasible_set import feasible_set
 from dehyst.uncertainty.insight import insight
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Drive, raised_cosine
+from dehyst.waveforms.standard import Sampling, raised_cosine
 
 PLANT = bench.plant(10, seed=2)
 MAJOR = (1, 0, 1, 0)
@@ -40,7 +40,7 @@ def told(turns, plant=PLANT, relaxed=False):
     record, rho = bench.loops(plant, turns), plant.slip.breakaway
     rows, _ = collect([(0, record, np.zeros(len(record)))], rho, [0.0])
     regression = Regression(rows, plant.spring.displacement, 1.0, np.ones(rho.size, dtype=bool), np.zeros(1))
-    return directions([record], rho, regression, relaxed=(0,) if relaxed else ())
+    return identifiability([record], rho, regression, relaxed=(0,) if relaxed else ())
 
 
 @pytest.mark.parametrize(("turns", "determined"), TABLE)
@@ -78,10 +78,10 @@ def hidden(change, turns):
     """What is left of the voltages of a change of stiffnesses when spring and constant have taken what they can [V]."""
     y = bench.path(turns)
     first = PLANT.turned(float(y[0]))
-    from dehyst._native import stops
+    from dehyst._native import slip_elongations
     from dehyst.model.elements import parts_in_segments
 
-    elongation, _ = stops(PLANT.slip.breakaway, first.carts, y)
+    elongation, _ = slip_elongations(PLANT.slip.breakaway, first.carts, y)
     others = np.column_stack([parts_in_segments(PLANT.spring.displacement, y), np.ones(y.size)])
     volts = elongation @ change
     return volts - others @ np.linalg.lstsq(others, volts, rcond=None)[0]
@@ -104,7 +104,7 @@ def test_open_changes_do_not_show_on_the_record_but_elsewhere(turns):
 def test_the_truth_is_not_contradicted(noise):
     record = bench.loops(PLANT, MAJOR * 2, noise=noise)
     actuator = dehyst.identify(record, elements=10, delay=0.0).actuator
-    found = latitude(Evidence.of(actuator, record))
+    found = feasible_set(Evidence.of(actuator, record))
     slack = 1e-6 * PLANT.slip.stiffness.max() if not noise else 0.05 * PLANT.slip.stiffness.max()
     assert np.all(found.stiffness[0][:9] <= PLANT.slip.stiffness[:9] + slack)
     assert np.all(PLANT.slip.stiffness[:9] - slack <= found.stiffness[1][:9])
@@ -114,7 +114,7 @@ def test_the_truth_is_not_contradicted(noise):
 def test_what_is_determined_has_no_latitude():
     record = bench.loops(PLANT, bench.DESCENDING_TOPS)
     actuator = dehyst.identify(record, elements=10, delay=0.0).actuator
-    found = latitude(Evidence.of(actuator, record))
+    found = feasible_set(Evidence.of(actuator, record))
     assert np.ptp(found.stiffness, axis=0).max() < 1e-3 * PLANT.slip.stiffness.max()
 
 
@@ -138,7 +138,7 @@ def test_the_first_advice_closes_what_is_open():
 
 
 def trapped(truth, cycles):
-    drive = Drive(sample_rate=4.0)
+    drive = Sampling(sample_rate=4.0)
     made = raised_cosine([truth.highest], cycles=cycles, drive=drive)
     return Record(made.time, made.voltage, truth.drive(made.voltage), "major")
 

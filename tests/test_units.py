@@ -19,7 +19,7 @@ from dehyst.cli.commands import main
 from dehyst.control.wave_table import wave_table
 from dehyst.instruments.samples import Inspection, Samples
 from dehyst.waveforms import Triangle, standard
-from dehyst.waveforms.playback import Drive
+from dehyst.waveforms.playback import Sampling
 
 U = pint.UnitRegistry()
 # 3.6 V move it by 45 um, as the measured one, from -119 um on.
@@ -333,7 +333,7 @@ def test_voltages_limits_and_times_are_converted():
         Compensator(ACTUATOR, (0, 3 * U.um))
     assert ACTUATOR.turned(-100 * U.um).displacement == pytest.approx(-1e-4)
     assert ACTUATOR.relaxed(1000 * U.mV).displacement == ACTUATOR.relaxed(1.0).displacement
-    assert Drive(frequency=1.0, limits=[0, 1] * U.kV).limits == (0.0, 1000.0)
+    assert Sampling(frequency=1.0, limits=[0, 1] * U.kV).limits == (0.0, 1000.0)
     assert standard.raised_cosine(100 * U.V).voltage_range == (0.0, 100.0)
     assert standard.raised_cosine([50, 100] * U.V).voltage_range == (0.0, 100.0)
     scan = Triangle(2 * U.um, 12 * U.um, 10, sample_rate=1 * U.kHz)

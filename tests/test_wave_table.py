@@ -16,7 +16,7 @@ from dehyst.control.steady_state import steady_state
 from dehyst.control.wave_table import wave_table
 from dehyst.waveforms import Spiral, Triangle
 from dehyst.waveforms.lissajous import Lissajous
-from dehyst.waveforms.scan import Limits
+from dehyst.waveforms.scan import MotionLimits
 from dehyst.waveforms.steps import Steps
 
 UM = 1e-6
@@ -148,7 +148,7 @@ def test_the_approach_is_smooth_and_keeps_the_limits_of_the_scan(seed, kind, sca
     state = our.make_state(PLAIN, seed, kind)
     wild = Compensator(PLAIN, (-1e4, 1e4))
     rate = 2000.0 if slewed else None
-    way = approach_to(path, Compensator(wild.actuator, wild.limits, rate), state, Limits())
+    way = approach_to(path, Compensator(wild.actuator, wild.limits, rate), state, MotionLimits())
     if way is None:
         return
     assert way.displacement[0] == state.displacement and way.velocity[0] == 0

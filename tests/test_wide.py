@@ -359,14 +359,14 @@ def test_charge_balances_power(motion):
 
 
 def test_what_knows_plain_actuators_only_says_so():
-    from dehyst.control.state_bounds import Bracket
+    from dehyst.control.state_bounds import StateBounds
     from dehyst.uncertainty.initial_state import state_from_first_rise
-    from dehyst.uncertainty.rest_states import Equilibria
+    from dehyst.uncertainty.rest_states import RestStates
 
     wider = Actuator(GRADED, SPRING, transformer=TAU, creep=CREEP, limits=(0, 100))
     for ask, message in (
-        (lambda: Bracket.at_rest(wider), "this actuator creeps; use dehyst.control.homing.shortest_homing"),
-        (lambda: Equilibria(wider).vertex(np.ones(len(GRADED))), "no polytope of elongations; .*bounds it"),
+        (lambda: StateBounds.at_rest(wider), "this actuator creeps; use dehyst.control.homing.shortest_homing"),
+        (lambda: RestStates(wider).vertex(np.ones(len(GRADED))), "no polytope of elongations; .*bounds it"),
         (lambda: state_from_first_rise(wider, None), "plain slip elements and a spring only; home a wider actuator"),
     ):
         with pytest.raises(ModelError, match=message):

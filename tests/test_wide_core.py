@@ -9,7 +9,7 @@ import pytest
 import strategies as our
 
 from dehyst import Dynamics, SmoothSlip
-from dehyst._native import Pace
+from dehyst._native import StepCoefficients
 
 SOURCES = bench.CORE_SOURCES
 
@@ -119,7 +119,12 @@ def bench(kind, seed):
     time = np.arange(path.size) * 0.01
     pace = model._pace(time, path.size)
     # One pace for all, as a harness has it.
-    return model, model.held(state), Pace(np.array([0, path.size]), *(table[-1:] for table in pace[1:])), path
+    return (
+        model,
+        model.held(state),
+        StepCoefficients(np.array([0, path.size]), *(table[-1:] for table in pace[1:])),
+        path,
+    )
 
 
 def numbers(model, held, pace, path):

@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, SmoothSlip, Spring
 from dehyst.control.homing import shortest_homing
 from dehyst.control.homing_in_time import Swing
-from dehyst.control.major_loop import Outermost
-from dehyst.control.state_bounds import Bracket
+from dehyst.control.major_loop import MajorLoop
+from dehyst.control.state_bounds import StateBounds
 from dehyst.model.structure import Structure
-from dehyst.uncertainty.prediction_band import homed
-from dehyst.uncertainty.rest_states import Equilibria
-from dehyst.waveforms.playback import Drive
+from dehyst.uncertainty.prediction_band import state_at_top
+from dehyst.uncertainty.rest_states import RestStates
+from dehyst.waveforms.playback import Sampling
 
 LIMITS = -40.0, 260.0
-DRIVE = Drive(frequency=0.01, sample_rate=2.0)
+DRIVE = Sampling(frequency=0.01, sample_rate=2.0)
 ORDERED = {
     name: replace(wide_bench.plant(wide_bench.STRUCTURES[name]).actuator, limits=LIMITS)
     for name in ("graded", "transformer", "graded, transformer")
@@ -67,7 +67,7 @@ def distance(a, b, slip):
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_outermost_branch_is_where_a_long_way_ends(name, side):
     actuator, far = ORDERED[name], 100 * side
-    branch = Outermost(actuator)
+    branch = MajorLoop(actuator)
     for v in np.linspace(*LIMITS, 23):
         y = branch.displacement(float(v), side)
         start = actuator.turned(y - far * bench.STROKE, rising=side > 0, extrapolate=True)
@@ -79,7 +79,7 @@ def test_the_outermost_branch_is_where_a_long_way_ends(name, side):
 @pytest.mark.parametrize("name", ORDERED)
 def test_no_state_at_rest_leaves_the_bracket(name):
     actuator, rng = ORDERED[name], np.random.default_rng(1)
-    bracket = Bracket.at_rest(actuator, 70.0)
+    bracket = StateBounds.at_rest(actuator, 70.0)
     for seed in range(40):
         state = past(actuator, seed, 70.0)
         slack = 1e-12 * bench.STROKE
@@ -114,7 +114,7 @@ def test_a_little_less_does_not_home(name):
         for k in range(1, len(found.turns) - 1):
             turns = list(found.turns)
             turns[k] += share * ways * np.sign(turns[k - 1] - turns[k])
-            assert Bracket.at_rest(actuator, 0.0).drive(actuator, turns).bracket.width > 1e-6 * bench.STROKE
+            assert StateBounds.at_rest(actuator, 0.0).drive(actuator, turns).bracket.width > 1e-6 * bench.STROKE
 
 
 @pytest.mark.parametrize("name", TIMED)
@@ -171,7 +171,7 @@ def test_smooth_elements_are_said_to_be_simulated_not_proven():
 @pytest.mark.parametrize("name", [*ORDERED, *TIMED])
 def test_homed_is_at_the_top_of_the_limits(name):
     actuator = {**ORDERED, **TIMED}[name]
-    state = homed(actuator, LIMITS)
+    state = state_at_top(actuator, LIMITS)
     assert actuator.voltage(state) == pytest.approx(LIMITS[1], abs=0.05 if name in TIMED else 1e-9)
     start = past(actuator, 3, LIMITS[0])
     found = shortest_homing(actuator, present=LIMITS[0], end=LIMITS[1])
@@ -186,7 +186,7 @@ def test_homed_is_at_the_top_of_the_limits(name):
 @pytest.mark.parametrize("name", ORDERED)
 def test_equilibria_lie_between_the_outermost_branches(name):
     actuator = ORDERED[name]
-    rests = Equilibria(actuator, 70.0)
+    rests = RestStates(actuator, 70.0)
     low, high = rests.range()
     assert rests.residual_range()[0] < 0 < rests.residual_range()[1]
     slack = 1e-12 * bench.STROKE
@@ -200,7 +200,7 @@ def test_equilibria_lie_between_the_outermost_branches(name):
 def test_a_transformer_only_bends_the_voltage_of_equilibria():
     actuator = ORDERED["transformer"]
     tau = actuator.transformer
-    bent, straight = Equilibria(actuator, 70.0), Equilibria(replace(actuator, transformer=None), float(tau(70.0)))
+    bent, straight = RestStates(actuator, 70.0), RestStates(replace(actuator, transformer=None), float(tau(70.0)))
     np.testing.assert_allclose(bent.range(), straight.range(), rtol=1e-12)
     for one, other in zip(bent.random(5), straight.random(5), strict=True):
         np.testing.assert_allclose(one.carts, other.carts, rtol=1e-12)
@@ -209,7 +209,7 @@ def test_a_transformer_only_bends_the_voltage_of_equilibria():
 
 def test_a_bracket_of_what_moves_on_is_refused_with_a_way_out():
     with pytest.raises(ModelError, match=re.escape("this actuator creeps; use dehyst.control.homing.shortest_homing")):
-        Bracket.at_rest(CREEPING)
+        StateBounds.at_rest(CREEPING)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from dehyst.report.report import render
 from dehyst.report.uncertainty_section import sections, write_insight
 from dehyst.uncertainty.bootstrap import resample
 from dehyst.uncertainty.insight import insight
-from dehyst.uncertainty.part_identifiability import told
+from dehyst.uncertainty.part_identifiability import part_identifiability
 from dehyst.uncertainty.wide_evidence import WideEvidence
 from dehyst.uncertainty.wide_insight import NOT_JUDGED, WideInsight
 
@@ -87,7 +87,7 @@ def test_intervals_are_of_every_part_and_come_again(name):
 
 def test_twice_the_noise_makes_twice_the_deviations():
     pairs = [fitted("creep", noise=noise) for noise in (NOISE, 2 * NOISE)]
-    quiet, loud = (told(WideEvidence.of(fit.actuator, record)) for fit, record in pairs)
+    quiet, loud = (part_identifiability(WideEvidence.of(fit.actuator, record)) for fit, record in pairs)
     for one, other in zip(quiet, loud, strict=True):
         assert one.part == other.part
         ratio = np.median(other.deviations / one.deviations)
@@ -98,7 +98,7 @@ def test_what_is_told_is_about_what_resampling_scatters():
     # The second way to the deviation of a creep branch's volts: its interval. Fits keep stiffnesses above zero and
     # neighbours alike, which only sharpens.
     found, fit, _ = looked("creep")
-    (part,) = (one for one in found.told if one.part == "creep")
+    (part,) = (one for one in found.parts if one.part == "creep")
     half = 0.5 * np.diff(found.intervals.creep, axis=0)[0] / 1.645 * np.ptp(fit.actuator.spring.displacement)
     assert half.max() < 3 * part.deviations.max()
     assert half.max() > 0.2 * part.deviations.min()
@@ -111,7 +111,7 @@ def test_a_lone_loop_tells_less():
     few = replace(plant, path=short).record(noise=NOISE)
     many = plant.record(noise=NOISE)
     model = identify(many, structure=structure, delay=0.0).actuator
-    less, more = (told(WideEvidence.of(model, record)) for record in (few, many))
+    less, more = (part_identifiability(WideEvidence.of(model, record)) for record in (few, many))
     for one, other in zip(less, more, strict=True):
         assert one.of == other.of
         assert one.known <= other.known
@@ -127,7 +127,7 @@ def test_a_lone_loop_is_something_to_beware_of():
     model = replace(plant.actuator, limits=(0.0, bench.VOLTS))
     found = insight(model, lone, repeats=0)
     # As the table of identifiability has it: a major loop tells five of ten directions, the last is never told.
-    assert (found.probed.determined, found.probed.of) == (5, 9)
+    assert (found.identifiability.determined, found.identifiability.of) == (5, 9)
     assert not found.trustworthy
     assert "leave 4 of 9 directions of plain elements open" in found.warnings()[0]
     assert "dehyst excite descending-tops 200 -o voltage.csv" in found.warnings()[0]
@@ -196,7 +196,7 @@ def test_everything_at_once_with_and_without_repeats(tmp_path):
     record = plant.record(noise=NOISE)
     fit = identify(record, structure=EVERYTHING, delay=0.0)
     found = insight(fit.actuator, record, repeats=20)
-    assert {one.part for one in found.told} == {
+    assert {one.part for one in found.parts} == {
         "graded elements",
         "parallel spring",
         "creep",

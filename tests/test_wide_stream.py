@@ -11,7 +11,7 @@ import pytest
 import wide_bench as wide
 
 from dehyst.identification.preprocessing import regressors
-from dehyst.identification.preprocessing.internal_states import Beside
+from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.wide_streaming import WideStream
 from dehyst.identification.solvers.program import NORMS
@@ -30,7 +30,7 @@ def test_what_moves_beside_carts_is_the_same_in_blocks(monkeypatch, name, size, 
     record = replace(record, time=time)
     lead, piece = (record.slice(0, cut), record.slice(cut, len(record))) if cut else (None, record)
     whole = wide.moved_along(plant.grid, piece, lead)
-    beside = Beside(plant.grid, piece, lead)
+    beside = InternalStates(plant.grid, piece, lead)
     blocks = list(beside.blocks(size))
     assert beside.width == whole.shape[1]
     assert {len(block) for block in blocks[:-1]} <= {size}
@@ -43,7 +43,7 @@ def streams(name, most, strained=()):
     records = [plant.record(noise=2e-9, seed=seed) for seed in (0, 1)]
     pieces = [(q, one, np.zeros(len(one))) for q, one in enumerate(records)]
     source = RowSource.of(
-        pieces, plant.grid.breakaway, [0.0, 0.0], moved=lambda _, piece: Beside(plant.grid, piece, None)
+        pieces, plant.grid.breakaway, [0.0, 0.0], moved=lambda _, piece: InternalStates(plant.grid, piece, None)
     )
     whole = wide.regression(plant.grid, records, strained=strained)
     return plant, WideStream(source, replace(whole, rows=source.thinned(most)))

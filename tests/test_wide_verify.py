@@ -11,7 +11,7 @@ import wide_bench as wide
 import dehyst
 from dehyst import Creep, Dynamics, IdentifyError, Outcome, Record, State
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.validation import Protocol, errors_of, told, without_offset
+from dehyst.identification.validation import Protocol, errors_of, state_after, without_offset
 from dehyst.model.structure import Structure
 
 PROTOCOL = Protocol("validation", 0.0, 0.0, False, bench.STROKE)
@@ -182,7 +182,7 @@ def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
     half = len(record) // 2
     shift = 0.7 if plant.actuator.transformer is None else 0.0
     shifted = Record(record.time, record.voltage + shift, record.displacement, record.name)
-    state, offset = told(plant.actuator, shifted.slice(0, half + 1), bench.STROKE)
+    state, offset = state_after(plant.actuator, shifted.slice(0, half + 1), bench.STROKE)
     assert offset == pytest.approx(shift, abs=1e-6 * bench.VOLTS)
     rest = shifted.slice(half, len(record))
     voltage = without_offset(plant.actuator, rest.voltage, offset)
@@ -195,6 +195,6 @@ def test_a_lead_without_a_cycle_tells_what_it_can():
     """The spring and the carts that were dragged along agree with the last voltage; the rest is as in the middle."""
     plant = wide.plant(wide.STRUCTURES["plain"])
     short = plant.record().slice(0, 30)
-    state, offset = told(plant.actuator, short, bench.STROKE)
+    state, offset = state_after(plant.actuator, short, bench.STROKE)
     assert state.displacement == short.displacement[-1]
     assert plant.actuator.voltage(state) + offset == pytest.approx(short.voltage[-1], abs=1e-9)

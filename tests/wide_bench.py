@@ -10,12 +10,12 @@ import bench
 import numpy as np
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
-from dehyst.identification.dynamics_search import Inertia
+from dehyst.identification.dynamics_search import SensedDynamics
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.coefficients import coefficients_of
 from dehyst.identification.regression.wide_regression import WideRegression
-from dehyst.identification.training_data import Frame
+from dehyst.identification.training_data import TrainingData
 from dehyst.model.smooth_slip import SmoothSlip
 from dehyst.model.structure import Grid, Structure
 
@@ -159,4 +159,4 @@ def frame(records, delay=0.0):
     volts = [one.voltage_range for one in records]
     ends = min(low for low, _ in volts), max(high for _, high in volts)
     floor = 0.2 * (ends[1] - ends[0]) / (span[1] - span[0])
-    return Frame(training, Inertia(delay, 0.0, 0.0), span, ends, floor, np.zeros(len(records)))
+    return TrainingData(training, SensedDynamics(delay, 0.0, 0.0), span, ends, floor, np.zeros(len(records)))

@@ -12,8 +12,8 @@ from dehyst import _core
 from dehyst._errors import ModelError
 from dehyst._types import Array
 
-NOTHING: Array = np.zeros(0)
-NOTHING.flags.writeable = False
+EMPTY: Array = np.zeros(0)
+EMPTY.flags.writeable = False
 
 
 class _Rebuilt:
@@ -149,36 +149,41 @@ class WideCore(_Rebuilt):
             raise ModelError(f"impossible actuator: {error}") from error
 
     def compensate(
-        self, w: Array, pace: Pace, start: Held, *, more: Array = NOTHING, stack: bool = True
-    ) -> tuple[Array, Held]:
+        self, w: Array, pace: StepCoefficients, start: CoreState, *, more: Array = EMPTY, stack: bool = True
+    ) -> tuple[Array, CoreState]:
         """Displacements [m] to voltages [V], `more` [V] added to tau(v); returns the state reached too."""
         return self._run(self._core.compensate, w, more, pace, start, stack)
 
     def simulate(
-        self, v: Array, pace: Pace, start: Held, *, load: Array = NOTHING, stack: bool = True
-    ) -> tuple[Array, Held]:
+        self, v: Array, pace: StepCoefficients, start: CoreState, *, load: Array = EMPTY, stack: bool = True
+    ) -> tuple[Array, CoreState]:
         """Voltages [V] to displacements [m], under a load F_ext/kc [m]; returns the state reached too."""
         return self._run(self._core.simulate, v, load, pace, start, stack)
 
-    def voltage(self, start: Held) -> float:
+    def voltage(self, start: CoreState) -> float:
         """Voltage [V] in a state."""
         return float(checked(self._core.voltage, *start))
 
     def loop(
-        self, pace: Pace, tap: Array, numbers: Array, tell: Callable[[bool, float, float], None], start: Held
+        self,
+        pace: StepCoefficients,
+        tap: Array,
+        numbers: Array,
+        tell: Callable[[bool, float, float], None],
+        start: CoreState,
     ) -> _core.Loop:
         """A loop of steps of a pace with one row, from a state; see `dehyst_compensator` in `core/dehyst.h`.
 
         Parameters
         ----------
-        pace : Pace
+        pace : StepCoefficients
         tap : (M,) array
         numbers : (7,) array
             Lowest and highest voltage, largest change, lag in periods, and the amplifier's three.
         tell : callable
             Of a clamp, once of each kind, before its voltage is committed: whether by the slew rate, what was wanted
             [m], and the voltage [V].
-        start : Held
+        start : CoreState
         """
         decay, gain, transition = (table[0] for table in pace[1:])
         made: _core.Loop = checked(_core.Loop, self._core, decay, gain, transition, tap, numbers, tell)
@@ -186,13 +191,13 @@ class WideCore(_Rebuilt):
         return made
 
     def _run(
-        self, function: Callable[..., Any], x: Array, more: Array, pace: Pace, start: Held, stack: bool
-    ) -> tuple[Array, Held]:
+        self, function: Callable[..., Any], x: Array, more: Array, pace: StepCoefficients, start: CoreState, stack: bool
+    ) -> tuple[Array, CoreState]:
         out, w, *rest = checked(function, x, more, *pace, *start, stack)
-        return out, Held(float(w), *rest)
+        return out, CoreState(float(w), *rest)
 
 
-class Held(NamedTuple):
+class CoreState(NamedTuple):
     """A state in numbers: w [m], carts (N,), what moves (J + L,) and, with inertia, y and y'/omega (2,) [m]."""
 
     w: float
@@ -201,7 +206,7 @@ class Held(NamedTuple):
     motion: Array
 
 
-class Pace(NamedTuple):
+class StepCoefficients(NamedTuple):
     """Samples bounds[r] to bounds[r + 1] are equal steps of time; row r tells what such a step does.
 
     Attributes
@@ -231,7 +236,7 @@ def checked(function: Callable[..., Any], *arguments: object) -> Any:
         raise ModelError(f"impossible state: {error}") from error
 
 
-def stops(rho: Array, carts: Array | Sequence[float], y: Array) -> tuple[Array, Array]:
+def slip_elongations(rho: Array, carts: Array | Sequence[float], y: Array) -> tuple[Array, Array]:
     """Elongations (n, N) of elements of breakaway `rho` driven by y (n,), from and to the cart positions."""
     matrix, moved = checked(_core.stops, rho, np.array(carts, dtype=np.float64), y)
     return matrix, moved

@@ -1,6 +1,6 @@
 """What others do: rival models and identifications behind the common interface, to compare with on equal terms.
 
-`RIVALS` holds one entry for each way to get a model: its name, and a function of training records that returns the
+`BASELINES` holds one entry for each way to get a model: its name, and a function of training records that returns the
 model or raises a sentence that says why these records give none.
 """
 
@@ -11,24 +11,24 @@ from typing import TypeAlias
 
 from dehyst.baselines.bouc_wen import BoucWen
 from dehyst.baselines.duhem import Duhem
-from dehyst.baselines.generalized_prandtl_ishlinskii import Generalised
-from dehyst.baselines.goldfarb_celanovic import Goldfarb
-from dehyst.baselines.krasnoselskii_pokrovskii import Krasnoselskii
+from dehyst.baselines.generalized_prandtl_ishlinskii import GeneralizedPrandtlIshlinskii
+from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
+from dehyst.baselines.krasnoselskii_pokrovskii import KrasnoselskiiPokrovskii
 from dehyst.baselines.linear import Linear
-from dehyst.baselines.modified_prandtl_ishlinskii import Kuhnen
-from dehyst.baselines.prandtl_ishlinskii import Prandtl
+from dehyst.baselines.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from dehyst.baselines.prandtl_ishlinskii import PrandtlIshlinskii
 from dehyst.baselines.preisach import Preisach
 from dehyst.model.base import AbstractModel
 from dehyst.records.record import Record
 
 Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
 
-RIVALS: Mapping[str, Identification] = {
-    "Goldfarb-Celanovic": lambda records: Goldfarb.fit(records[0]),
-    "Prandtl-Ishlinskii": Prandtl.fit,
-    "Prandtl-Ishlinskii, modified": Kuhnen.fit,
-    "Prandtl-Ishlinskii, generalised": Generalised.fit,
-    "Krasnoselskii-Pokrovskii": Krasnoselskii.fit,
+BASELINES: Mapping[str, Identification] = {
+    "Goldfarb-Celanovic": lambda records: GoldfarbCelanovic.fit(records[0]),
+    "Prandtl-Ishlinskii": PrandtlIshlinskii.fit,
+    "Prandtl-Ishlinskii, modified": ModifiedPrandtlIshlinskii.fit,
+    "Prandtl-Ishlinskii, generalised": GeneralizedPrandtlIshlinskii.fit,
+    "Krasnoselskii-Pokrovskii": KrasnoselskiiPokrovskii.fit,
     "Preisach": Preisach.fit,
     "Preisach, reversal curves": Preisach.from_reversal_curves,
     "Bouc-Wen": BoucWen.fit,

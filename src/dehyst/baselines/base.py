@@ -13,7 +13,7 @@ from dehyst._validation import vector
 from dehyst.model.base import AbstractModel, Motion
 
 
-class AbstractRival(AbstractModel):
+class AbstractBaseline(AbstractModel):
     """A model that others published, behind the common interface.
 
     Attributes

@@ -21,7 +21,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number, vector
 from dehyst.baselines import _native_fields
-from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.training import Training
 from dehyst.identification.solvers.program import Solution, solve
@@ -37,7 +37,7 @@ _SIMULATE, _COMPENSATE, _LAG = 0, 1, 2
 
 
 @dataclass(frozen=True)
-class Lag:
+class BoucWenState:
     """The memory: present voltage v [V] and hysteretic variable h [V]."""
 
     voltage: float
@@ -46,7 +46,7 @@ class Lag:
 
 @final
 @dataclass(frozen=True, eq=False)
-class BoucWen(AbstractRival):
+class BoucWen(AbstractBaseline):
     """Bouc and Wen's model; exact while the voltage is monotone.
 
     ``y = c_0 + c_1 t + c_2 t^2 + c_3 t^3`` with t from 0 to 1 between the limits of w, and linear beyond.
@@ -61,7 +61,7 @@ class BoucWen(AbstractRival):
         Lowest and highest w [V] of the cubic map.
     cubic : (4,) array_like
         c [m]; it increases from 0 to 1.
-    state : Lag, optional
+    state : BoucWenState, optional
         Where a motion starts if it is not told: at the lower limit, as a long fall leaves it.
     delay : float, optional
         Seconds by which the measured displacement lagged the voltage; the model itself has no time.
@@ -77,7 +77,7 @@ class BoucWen(AbstractRival):
     gamma: float
     limits: tuple[float, float]
     cubic: Array
-    state: Lag = None  # type: ignore[assignment]
+    state: BoucWenState = None  # type: ignore[assignment]
     delay: float = 0.0
 
     def __post_init__(self) -> None:
@@ -103,28 +103,28 @@ class BoucWen(AbstractRival):
         object.__setattr__(self, "cubic", cubic)
         if self.state is None:
             hidden = -self.alpha / total
-            object.__setattr__(self, "state", Lag(low + hidden, hidden))
+            object.__setattr__(self, "state", BoucWenState(low + hidden, hidden))
 
     @property
     def parameters(self) -> int:
         """Number of coefficients: three of the equation, four of the map."""
         return 7
 
-    def _displaced(self, v: Array, state: Lag, time: ArrayLike | None) -> tuple[Array, Lag]:
+    def _displaced(self, v: Array, state: BoucWenState, time: ArrayLike | None) -> tuple[Array, BoucWenState]:
         return self._run(v, state, _SIMULATE)
 
-    def _driven(self, y: Array, state: Lag, time: ArrayLike | None) -> tuple[Array, Lag]:
+    def _driven(self, y: Array, state: BoucWenState, time: ArrayLike | None) -> tuple[Array, BoucWenState]:
         # Each sample solves one equation in v, which increases: by Newton's method within a bracket.
         return self._run(y, state, _COMPENSATE)
 
-    def _run(self, drive: Array, begin: Lag, what: int) -> tuple[Array, Lag]:
+    def _run(self, drive: Array, begin: BoucWenState, what: int) -> tuple[Array, BoucWenState]:
         most = self.alpha / (self.beta + self.gamma) * (1 + 1e-9)
-        if not isinstance(begin, Lag) or not abs(begin.hidden) <= most:
+        if not isinstance(begin, BoucWenState) or not abs(begin.hidden) <= most:
             raise ModelError(f"state: got {begin!r}, need a Lag whose hidden part is {most:g} V at most")
         low, high = self.limits
         numbers = np.array([self.alpha, self.beta, self.gamma, low, high - low, *self.cubic])
         out, v, h = _native_fields.bouc_wen(numbers, begin.voltage, begin.hidden, drive, what)
-        return out, Lag(v, h)
+        return out, BoucWenState(v, h)
 
     @classmethod
     def fit(
@@ -164,15 +164,15 @@ class BoucWen(AbstractRival):
         begins = np.random.default_rng(seed).uniform(_LEAST, _MOST, (starts, 3))
 
         def solved(ready: Training) -> tuple[BoucWen, float]:
-            best = _Problem(ready.thinned(_SEARCH_ROWS), slope_floor).polished(begins)
-            problem = _Problem(ready, slope_floor)
+            best = _BoucWenFit(ready.thinned(_SEARCH_ROWS), slope_floor).polished(begins)
+            problem = _BoucWenFit(ready, slope_floor)
             return cls(*problem.equation(best), *problem.map(best), delay=ready.delay), rms(problem.residual(best))
 
         return least_missing(records, delay, solved)
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _BoucWenFit:
     """The least squares in alpha, the part hidden at first and log((beta + gamma) range)."""
 
     ready: Training

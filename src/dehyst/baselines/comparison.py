@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.baselines import RIVALS, Identification
-from dehyst.baselines.tracking_trials import Tracking, Trial, trial
+from dehyst.baselines import BASELINES, Identification
+from dehyst.baselines.tracking_trials import TrackingErrors, TrackingTrial, trial
 from dehyst.identification.identify import identify
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import epochs
-from dehyst.identification.validation import told, without_offset
+from dehyst.identification.validation import state_after, without_offset
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import AbstractModel, Motion
 from dehyst.model.replay import simulated, timed
@@ -35,7 +35,7 @@ _FAILURES = (ValueError, ArithmeticError, RuntimeError)
 
 
 @dataclass(frozen=True)
-class Score:
+class RecordScore:
     """Measured minus simulated displacement of one record, in % of the training stroke.
 
     Attributes
@@ -61,7 +61,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Row:
+class ModelScore:
     """One model.
 
     Attributes
@@ -73,7 +73,7 @@ class Row:
         Number of coefficients.
     seconds : float or None
         That the fit took.
-    scores : tuple of Score
+    scores : tuple of RecordScore
         One a record, training first.
     tracking : Mapping
         By virtual actuator, each of whose models was fitted to its own records.
@@ -85,12 +85,12 @@ class Row:
     said: str = ""
     parameters: int | None = None
     seconds: float | None = None
-    scores: tuple[Score, ...] = ()
-    tracking: Mapping[str, Tracking] = field(default_factory=dict)
+    scores: tuple[RecordScore, ...] = ()
+    tracking: Mapping[str, TrackingErrors] = field(default_factory=dict)
     simulate: float | None = None
     compensate: float | None = None
 
-    def worst(self, role: str) -> Score | None:
+    def worst(self, role: str) -> RecordScore | None:
         """The score of the record of that role with the largest error."""
         return max((score for score in self.scores if score.role == role), key=lambda s: s.largest, default=None)
 
@@ -124,13 +124,13 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ModelComparison:
     """A table: one row for each model, the stroke [m] of its percentages, and the virtual actuators tracked on.
 
     The lead is that of the held-out records [s].
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[ModelScore, ...]
     stroke: float
     records: tuple[str, ...]
     held_out: tuple[str, ...]
@@ -165,7 +165,7 @@ def contenders() -> dict[str, Identification]:
     return {
         OURS: lambda records: identify(records, structure="auto").actuator,
         f"{OURS}, paper's": lambda records: identify(records, structure="paper").actuator,
-        **RIVALS,
+        **BASELINES,
     }
 
 
@@ -178,7 +178,7 @@ def compare(
     lead: float = 0.0,
     models: Mapping[str, Identification] | None = None,
     progress: Callable[[str], None] | None = None,
-) -> Comparison:
+) -> ModelComparison:
     """Fit every model to the same records and hold it against the same others.
 
     A model is played the voltage of a record, delayed by its own delay, from the record's first sample and its own
@@ -204,7 +204,7 @@ def compare(
 
     Returns
     -------
-    Comparison
+    ModelComparison
         A model that fails has a row with its sentence.
 
     Raises
@@ -221,13 +221,13 @@ def compare(
         raise IdentifyError(f"lead: got {lead!r}, need seconds, 0 or more")
     given = as_list(records)
     training, held_out = _records(given, as_list(validate), trials)
-    job = _Job(training, [prepare(one) for one in training], [prepare(one) for one in held_out], float(lead))
+    job = _ComparisonRun(training, [prepare(one) for one in training], [prepare(one) for one in held_out], float(lead))
     # The same list, so that its fit serves for both.
     own = [(one, list(one.records()) if given or i else training) for i, one in enumerate(trials)]
     chosen = contenders() if models is None else models
     tell = progress or (lambda _: None)
     rows = tuple(_row(name, fit, job, own, tell) for name, fit in chosen.items())
-    return Comparison(
+    return ModelComparison(
         rows,
         job.stroke,
         tuple(one.name for one in training),
@@ -238,7 +238,7 @@ def compare(
 
 
 def _records(
-    training: list[Record], held_out: list[Record], trials: Sequence[Trial]
+    training: list[Record], held_out: list[Record], trials: Sequence[TrackingTrial]
 ) -> tuple[list[Record], list[Record]]:
     """Records to train on and held out: those given, or those of the first virtual actuator."""
     if training:
@@ -251,7 +251,7 @@ def _records(
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class _ComparisonRun:
     """The records, as they were given and made ready."""
 
     records: list[Record]
@@ -272,7 +272,7 @@ class _Job:
         """Range of the widest training record's loops [m]."""
         return max(high - low for low, high in (item.span() for item in self.training))
 
-    def scores(self, model: AbstractModel) -> tuple[Score, ...]:
+    def scores(self, model: AbstractModel) -> tuple[RecordScore, ...]:
         """One a record, training first."""
         items = [(item, "training", 0.0) for item in self.training]
         items += [(item, "validation", self.lead) for item in self.held_out]
@@ -280,12 +280,16 @@ class _Job:
 
 
 def _row(
-    name: str, fit: Identification, job: _Job, trials: list[tuple[Trial, list[Record]]], tell: Callable[[str], None]
-) -> Row:
+    name: str,
+    fit: Identification,
+    job: _ComparisonRun,
+    trials: list[tuple[TrackingTrial, list[Record]]],
+    tell: Callable[[str], None],
+) -> ModelScore:
     """Fit one model and take all its figures; a failure is a sentence."""
     tell(f"fitting {name}")
     known: dict[int, AbstractModel] = {}
-    row, said = Row(name), []
+    row, said = ModelScore(name), []
     begin = time.perf_counter()
     try:
         model = known[id(job.records)] = fit(job.records)
@@ -311,7 +315,7 @@ def _sentence(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
-def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke: float) -> Score:
+def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke: float) -> RecordScore:
     delay = float(getattr(model, "delay", 0.0))
     residuals = [
         _missed_after(model, piece, kept, item.noise, stroke) if lead else _missed(model, piece)[kept]
@@ -322,7 +326,7 @@ def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke:
         raise IdentifyError(f"{item.name}: the simulation diverges")
     free = error - error.mean() if error.size else error
     figures = (percent(figure(e), stroke) for e in (free, error) for figure in (largest, rms))
-    return Score(item.name, role, error.size, item.samples - error.size, *figures)
+    return RecordScore(item.name, role, error.size, item.samples - error.size, *figures)
 
 
 def _missed(model: AbstractModel, piece: Record) -> Array:
@@ -338,10 +342,10 @@ def _missed_after(model: AbstractModel, piece: Record, kept: NDArray[np.bool_], 
     lead = piece.slice(0, before + 1)
     if not isinstance(model, Actuator):
         error = _missed(model, piece)
-        # As `told` does: over the samples that count, or from the last one.
+        # As `state_after` does: over the samples that count, or from the last one.
         last = epochs(lead, noise)[-1:]
         return np.asarray(error[kept] - error[last[0].start if last else before : before + 1].mean())
-    state, offset = told(replace(model, delay=0.0), lead, stroke)
+    state, offset = state_after(replace(model, delay=0.0), lead, stroke)
     rest = piece.slice(before, len(piece))
     voltage = without_offset(model, rest.voltage, offset)
     played = model.simulate(voltage, state=state, **timed(model, rest.time)).displacement

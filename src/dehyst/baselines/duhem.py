@@ -23,7 +23,7 @@ from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import number, vector
 from dehyst.baselines import _native_fields
-from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.training import Training
 from dehyst.records.record import Record
@@ -35,7 +35,7 @@ _HIGHEST_DEGREE = 12
 
 
 @dataclass(frozen=True)
-class Point:
+class DuhemState:
     """The memory: present voltage [V] and displacement [m]."""
 
     voltage: float
@@ -44,7 +44,7 @@ class Point:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Duhem(AbstractRival):
+class Duhem(AbstractBaseline):
     """Coleman and Hodgdon's model with polynomials of t, 0 to 1 between the limits; exact while v is monotone.
 
     With polynomials, each branch is one polynomial, which depends on the direction alone, and what is left of the
@@ -59,7 +59,7 @@ class Duhem(AbstractRival):
         a times the range of the voltage, above 0.
     anhysteretic, reversible : (k,) array_like
         Coefficients [m] of f, and of g times the range, the constant first.
-    state : Point, optional
+    state : DuhemState, optional
         Where a motion starts if it is not told: at the lowest voltage, at the bottom of the major loop.
     delay : float, optional
         Seconds by which the measured displacement lagged the voltage; the model itself has no time.
@@ -74,7 +74,7 @@ class Duhem(AbstractRival):
     rate: float
     anhysteretic: Array
     reversible: Array
-    state: Point = None  # type: ignore[assignment]
+    state: DuhemState = None  # type: ignore[assignment]
     delay: float = 0.0
 
     def __post_init__(self) -> None:
@@ -94,7 +94,7 @@ class Duhem(AbstractRival):
             )
         if self.state is None:
             bottom = _major_loop(self.rate, *_branches(self.rate, self.anhysteretic, self.reversible))[0][0]
-            object.__setattr__(self, "state", Point(low, float(bottom)))
+            object.__setattr__(self, "state", DuhemState(low, float(bottom)))
 
     @property
     def parameters(self) -> int:
@@ -109,21 +109,21 @@ class Duhem(AbstractRival):
         mean = float(np.ptp(_major_loop(self.rate, rise, fall)[0])) / (high - low)
         return np.array([low, high - low, self.rate, mean, mean]), rise, fall
 
-    def _displaced(self, v: Array, state: Point, time: ArrayLike | None) -> tuple[Array, Point]:
+    def _displaced(self, v: Array, state: DuhemState, time: ArrayLike | None) -> tuple[Array, DuhemState]:
         return self._run(v, state, inverse=False)
 
-    def _driven(self, y: Array, state: Point, time: ArrayLike | None) -> tuple[Array, Point]:
+    def _driven(self, y: Array, state: DuhemState, time: ArrayLike | None) -> tuple[Array, DuhemState]:
         # Each sample solves one equation in v, which increases: by Newton's method within a bracket.
         return self._run(y, state, inverse=True)
 
-    def _run(self, drive: Array, begin: Point, *, inverse: bool) -> tuple[Array, Point]:
-        if not isinstance(begin, Point):
+    def _run(self, drive: Array, begin: DuhemState, *, inverse: bool) -> tuple[Array, DuhemState]:
+        if not isinstance(begin, DuhemState):
             raise ModelError(f"state: got {type(begin).__name__}, need a Point that a motion of this model left")
         numbers, rise, fall = self._tables
         out, v, y = _native_fields.coleman_hodgdon(
             numbers, rise, fall, begin.voltage, begin.displacement, drive, inverse
         )
-        return out, Point(v, y)
+        return out, DuhemState(v, y)
 
     @classmethod
     def fit(

@@ -21,7 +21,7 @@ from dehyst._validation import count, fraction, numbers
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.nonnegative_fit import differences
 from dehyst.baselines.play_bank import PlayBank
-from dehyst.baselines.play_model import AbstractBankRival
+from dehyst.baselines.play_model import AbstractPlayModel
 from dehyst.baselines.play_regressors import PlayRows, even_thresholds, from_anywhere, left_out
 from dehyst.baselines.training import Training
 from dehyst.records.record import Record
@@ -32,7 +32,7 @@ _WORTH = 0.8
 
 @final
 @dataclass(frozen=True, eq=False)
-class Generalised(AbstractBankRival):
+class GeneralizedPrandtlIshlinskii(AbstractPlayModel):
     """``y = offset + sum_i phi_i(play_i[v]) + sum_k c_k lowpass_k[v]``, phi_i increasing and piecewise linear.
 
     Its inverse is walked exactly from one place where a slope changes to the next.
@@ -50,7 +50,7 @@ class Generalised(AbstractBankRival):
         smoothing: float = 1e-5,
         delay: float | None = None,
         drift: bool = True,
-    ) -> Generalised:
+    ) -> GeneralizedPrandtlIshlinskii:
         """Fit the slopes of all curves and the low-passes' shares by nonnegative least squares.
 
         Parameters
@@ -84,7 +84,7 @@ class Generalised(AbstractBankRival):
         fraction(slope_floor, "slope_floor")
         given = None if lowpasses is None else _given(lowpasses)
 
-        def solved(ready: Training) -> tuple[Generalised, float]:
+        def solved(ready: Training) -> tuple[GeneralizedPrandtlIshlinskii, float]:
             choices = [_times(ready), np.zeros(0)] if given is None else [given]
             designs = [_Design.of(ready, plays, segments, times, slope_floor, smoothing) for times in choices]
             if len(designs) > 1 and designs[0].missed() > _WORTH * designs[1].missed():

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst._validation import count, numbers
-from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.base import AbstractBaseline
 from dehyst.identification.diagnostics.branches import Branch, voltage_at
-from dehyst.identification.preprocessing.cleaning import without_glitches
+from dehyst.identification.preprocessing.cleaning import remove_glitches
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
 from dehyst.model.elements import MaxwellSlip, Spring
@@ -27,7 +27,7 @@ from dehyst.records.record import Record
 
 @final
 @dataclass(frozen=True, eq=False)
-class Goldfarb(AbstractRival):
+class GoldfarbCelanovic(AbstractBaseline):
     """A relaxed actuator with a linear spring, whose loops follow from its first rise alone (Masing's rule).
 
     Attributes
@@ -55,7 +55,7 @@ class Goldfarb(AbstractRival):
         return motion.voltage, motion.state
 
     @classmethod
-    def fit(cls, record: Record, *, elements: int = 10, breakaway: ArrayLike | None = None) -> Goldfarb:
+    def fit(cls, record: Record, *, elements: int = 10, breakaway: ArrayLike | None = None) -> GoldfarbCelanovic:
         """Read the elements off the first rise of a record, in closed form.
 
         Between break points i and i + 1 of the rise its slope is that of the spring and of all elements m > i, so that
@@ -78,7 +78,7 @@ class Goldfarb(AbstractRival):
 
         Returns
         -------
-        Goldfarb
+        GoldfarbCelanovic
 
         Raises
         ------
@@ -88,7 +88,7 @@ class Goldfarb(AbstractRival):
         """
         if not isinstance(record, Record):
             raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")
-        record, _, said = without_glitches(record)
+        record, _, said = remove_glitches(record)
         rise, rest, height = _first_rise(record)
         rho = _equal_parts(elements, height) if breakaway is None else _given(breakaway, height, record.name)
         if len(rise[0]) < rho.size + 2:

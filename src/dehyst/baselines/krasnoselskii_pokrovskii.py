@@ -18,7 +18,7 @@ from dehyst._validation import count, fraction
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.nonnegative_fit import differences
 from dehyst.baselines.play_bank import PlayBank
-from dehyst.baselines.play_model import AbstractBankRival
+from dehyst.baselines.play_model import AbstractPlayModel
 from dehyst.baselines.play_regressors import PlayRows, even_thresholds
 from dehyst.baselines.training import Training
 from dehyst.records.record import Record
@@ -26,7 +26,7 @@ from dehyst.records.record import Record
 
 @final
 @dataclass(frozen=True, eq=False)
-class Krasnoselskii(AbstractBankRival):
+class KrasnoselskiiPokrovskii(AbstractPlayModel):
     """``y = offset + sum_p w_p k_p[v]``, p = (p1, p2) on a grid with p1 <= p2, all w_p >= 0.
 
     With r a ramp from 0 at 0 to 1 at the grid's spacing a, the kernel is
@@ -51,7 +51,7 @@ class Krasnoselskii(AbstractBankRival):
         smoothing: float = 1e-5,
         delay: float | None = None,
         drift: bool = True,
-    ) -> Krasnoselskii:
+    ) -> KrasnoselskiiPokrovskii:
         """Fit the weights by nonnegative least squares.
 
         Parameters
@@ -77,7 +77,7 @@ class Krasnoselskii(AbstractBankRival):
         count(levels, "levels", most=60)
         fraction(slope_floor, "slope_floor")
 
-        def solved(ready: Training) -> tuple[Krasnoselskii, float]:
+        def solved(ready: Training) -> tuple[KrasnoselskiiPokrovskii, float]:
             rows = PlayRows.of(ready, even_thresholds(ready, levels))
             knots = _knots(*ready.limits, levels)
             # Every segment between knots is a kernel; what lies below the first and beyond the last is none.

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number
-from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.training import Training
 from dehyst.model.base import State
@@ -25,7 +25,7 @@ from dehyst.records.record import Record
 
 @final
 @dataclass(frozen=True)
-class Linear(AbstractRival):
+class Linear(AbstractBaseline):
     """A straight line; its state is its displacement, which it does not need.
 
     Parameters

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, vector
-from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.nonnegative_fit import nonnegative, ramps
 from dehyst.baselines.play_bank import PlayBank, PlayState
@@ -34,7 +34,7 @@ _SETTLED = 1e-4
 
 @final
 @dataclass(frozen=True, eq=False)
-class Kuhnen(AbstractRival):
+class ModifiedPrandtlIshlinskii(AbstractBaseline):
     """``y = S(x)``, ``x = offset + sum_i w_i play_i[v]``, all w_i >= 0; S is increasing and piecewise linear.
 
     S is Kuhnen's superposition of one-sided dead zones: its slope changes at each dead zone's threshold.
@@ -104,7 +104,7 @@ class Kuhnen(AbstractRival):
         slope_floor: float = 0.05,
         delay: float | None = None,
         drift: bool = True,
-    ) -> Kuhnen:
+    ) -> ModifiedPrandtlIshlinskii:
         """Fit weights and slopes together, by nonnegative least squares about the last ones until they settle.
 
         Kuhnen's own program is linear in the weights and in the slopes of S's inverse, but wants one sensor zero for
@@ -135,8 +135,8 @@ class Kuhnen(AbstractRival):
         count(segments, "segments")
         fraction(slope_floor, "slope_floor")
 
-        def solved(ready: Training) -> tuple[Kuhnen, float]:
-            problem = _Problem(PlayRows.of(ready, even_thresholds(ready, plays)), segments, slope_floor)
+        def solved(ready: Training) -> tuple[ModifiedPrandtlIshlinskii, float]:
+            problem = _AlternatingFit(PlayRows.of(ready, even_thresholds(ready, plays)), segments, slope_floor)
             weights, values, miss = problem.solved()
             low, thresholds = ready.limits[0], problem.thresholds
             bank = PlayBank(thresholds, [()] * plays, list(weights[:, None]), low - float(weights @ (low + thresholds)))
@@ -145,7 +145,7 @@ class Kuhnen(AbstractRival):
         return least_missing(records, delay, solved, drift=drift)
 
 
-class _Problem:
+class _AlternatingFit:
     """Weights and slopes that fit rows; x runs from the lowest to the highest voltage on the major loop."""
 
     def __init__(self, rows: PlayRows, segments: int, floor: float) -> None:

@@ -8,13 +8,13 @@ from typing import Self
 from numpy.typing import ArrayLike
 
 from dehyst._types import Array
-from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.play_bank import PlayBank, PlayState
 from dehyst.baselines.training import Training
 
 
 @dataclass(frozen=True, eq=False)
-class AbstractBankRival(AbstractRival):
+class AbstractPlayModel(AbstractBaseline):
     """A bank of play operators behind the common interface.
 
     Attributes

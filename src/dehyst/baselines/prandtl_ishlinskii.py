@@ -18,7 +18,7 @@ from dehyst._validation import count, fraction
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.play_bank import PlayBank, PlayState
 from dehyst.baselines.play_inverse import PlayInverse
-from dehyst.baselines.play_model import AbstractBankRival
+from dehyst.baselines.play_model import AbstractPlayModel
 from dehyst.baselines.play_regressors import PlayRows, even_thresholds
 from dehyst.baselines.training import Training
 from dehyst.records.record import Record
@@ -26,7 +26,7 @@ from dehyst.records.record import Record
 
 @final
 @dataclass(frozen=True, eq=False)
-class Prandtl(AbstractBankRival):
+class PrandtlIshlinskii(AbstractPlayModel):
     """``y = offset + sum_i w_i play_i[v]``, all w_i >= 0: loops are symmetric about their centre."""
 
     inverse: PlayInverse = field(init=False, repr=False)
@@ -51,7 +51,7 @@ class Prandtl(AbstractBankRival):
         slope_floor: float = 0.05,
         delay: float | None = None,
         drift: bool = True,
-    ) -> Prandtl:
+    ) -> PrandtlIshlinskii:
         """Fit the weights by nonnegative least squares.
 
         Parameters
@@ -75,7 +75,7 @@ class Prandtl(AbstractBankRival):
         count(plays, "plays")
         fraction(slope_floor, "slope_floor")
 
-        def solved(ready: Training) -> tuple[Prandtl, float]:
+        def solved(ready: Training) -> tuple[PrandtlIshlinskii, float]:
             rows = PlayRows.of(ready, even_thresholds(ready, plays))
             floors = np.zeros(plays)
             floors[0] = slope_floor * ready.slope

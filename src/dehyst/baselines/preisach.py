@@ -22,7 +22,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.baselines import _native_fields
-from dehyst.baselines.base import AbstractRival
+from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.everett import everett_table
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.training import Training
@@ -35,7 +35,7 @@ _MOST_CELLS = 80
 
 
 @dataclass(frozen=True, eq=False)
-class Staircase:
+class PreisachState:
     """The memory: present voltage [V] and displacement [m], and nested reversals, outermost first.
 
     Attributes
@@ -52,7 +52,7 @@ class Staircase:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Preisach(AbstractRival):
+class Preisach(AbstractBaseline):
     """Preisach's model by its Everett function on a square grid of voltages.
 
     Between nodes E is bilinear, which is a constant density in each square cell; in the triangles on the diagonal it is
@@ -83,7 +83,7 @@ class Preisach(AbstractRival):
     bottom: float = 0.0
     delay: float = 0.0
     remarks: tuple[str, ...] = ()
-    state: Staircase = field(init=False, repr=False)
+    state: PreisachState = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         table = np.array(self.everett, dtype=np.float64)
@@ -106,7 +106,7 @@ class Preisach(AbstractRival):
         object.__setattr__(self, "bottom", number(self.bottom, "bottom"))
         table.flags.writeable = False
         # Every relay down, at the lowest voltage.
-        object.__setattr__(self, "state", Staircase(low, self.bottom, np.array([[low, self.bottom]])))
+        object.__setattr__(self, "state", PreisachState(low, self.bottom, np.array([[low, self.bottom]])))
 
     @property
     def parameters(self) -> int:
@@ -120,14 +120,14 @@ class Preisach(AbstractRival):
         mean = float(self.everett[-1, 0]) / (high - low)
         return np.array([low, (high - low) / (len(self.everett) - 1), self.bottom, mean, mean])
 
-    def _displaced(self, v: Array, state: Staircase, time: ArrayLike | None) -> tuple[Array, Staircase]:
+    def _displaced(self, v: Array, state: PreisachState, time: ArrayLike | None) -> tuple[Array, PreisachState]:
         return self._run(v, state, inverse=False)
 
-    def _driven(self, y: Array, state: Staircase, time: ArrayLike | None) -> tuple[Array, Staircase]:
+    def _driven(self, y: Array, state: PreisachState, time: ArrayLike | None) -> tuple[Array, PreisachState]:
         return self._run(y, state, inverse=True)
 
-    def _run(self, drive: Array, start: Staircase, *, inverse: bool) -> tuple[Array, Staircase]:
-        if not isinstance(start, Staircase) or not _nested(start, *self.limits):
+    def _run(self, drive: Array, start: PreisachState, *, inverse: bool) -> tuple[Array, PreisachState]:
+        if not isinstance(start, PreisachState) or not _nested(start, *self.limits):
             raise ModelError(f"state: got {type(start).__name__}, need a Staircase that a motion of this model left")
         out, turns, v, y = _native_fields.preisach(
             self._numbers,
@@ -139,7 +139,7 @@ class Preisach(AbstractRival):
             drive,
             inverse,
         )
-        return out, Staircase(v, y, turns.reshape(-1, 2))
+        return out, PreisachState(v, y, turns.reshape(-1, 2))
 
     @classmethod
     def fit(
@@ -224,7 +224,7 @@ class Preisach(AbstractRival):
         return least_missing(records, delay, solved)
 
 
-def _nested(start: Staircase, low: float, high: float) -> bool:
+def _nested(start: PreisachState, low: float, high: float) -> bool:
     """Whether a staircase begins with the lowest voltage, and its minima rise towards its maxima, which fall."""
     if start.turns.ndim != 2 or not np.isfinite(start.turns).all() or not len(start.turns):
         return False

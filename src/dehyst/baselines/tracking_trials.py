@@ -15,8 +15,8 @@ from dehyst.model.base import AbstractModel
 from dehyst.model.replay import beginning, simulated, timed
 from dehyst.records.metrics import largest, percent, rms
 from dehyst.records.record import Record
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, Truth
-from dehyst.waveforms.standard import Drive, Excitation, descending_tops, raised_cosine, staircase
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualActuator
+from dehyst.waveforms.standard import Excitation, Sampling, descending_tops, raised_cosine, staircase
 
 _SAMPLES_A_FAST_CYCLE = 100
 _REVERSALS = 40
@@ -24,7 +24,7 @@ _REVERSALS = 40
 _LOWEST, _HIGHEST, _SHORTEST = 0.02, 0.98, 0.08
 
 
-class Tracking(NamedTuple):
+class TrackingErrors(NamedTuple):
     """Wanted minus reached displacement, in % of the stroke, and by how many % the voltage left what was recorded."""
 
     largest: float
@@ -33,7 +33,7 @@ class Tracking(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrackingTrial:
     """One virtual actuator and the rates at which it is driven.
 
     Attributes
@@ -48,7 +48,7 @@ class Trial:
     """
 
     name: str
-    truth: Callable[[int], Truth]
+    truth: Callable[[int], VirtualActuator]
     slow: float
     fast: float
     hold: float
@@ -73,7 +73,7 @@ class Trial:
             ],
         )
 
-    def track(self, model: AbstractModel, seed: int = 7) -> Tracking:
+    def track(self, model: AbstractModel, seed: int = 7) -> TrackingErrors:
         """Compensate a random path of 40 reversals and play the voltage into the actuator, both homed first.
 
         Homing, up to the highest voltage and back, makes the state known; a creeping actuator goes on creeping. The
@@ -89,7 +89,7 @@ class Trial:
         error = (wanted - reached)[_first_leg(wanted) :]
         beyond = max(float(voltage.max()) - truth.highest, -float(voltage.min()), 0.0)
         missed = percent(largest(error), truth.stroke), percent(rms(error), truth.stroke)
-        return Tracking(*missed, percent(beyond, truth.highest))
+        return TrackingErrors(*missed, percent(beyond, truth.highest))
 
     def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array) -> Array:
         """Voltage for the path after homing; the model is asked for both in one piece, lest there be a jump."""
@@ -127,8 +127,8 @@ class Trial:
     def _rate(self) -> float:
         return _SAMPLES_A_FAST_CYCLE * self.fast
 
-    def _drive(self, frequency: float) -> Drive:
-        return Drive(frequency=frequency, sample_rate=self._rate)
+    def _drive(self, frequency: float) -> Sampling:
+        return Sampling(frequency=frequency, sample_rate=self._rate)
 
     def _run(self, seed: int, kinds: Callable[[float], list[Excitation]]) -> tuple[Record, ...]:
         truth = self.truth(seed)
@@ -149,15 +149,15 @@ def _first_leg(path: Array) -> int:
     return int(np.argmax(np.diff(path) < 0))
 
 
-TRIALS: Mapping[str, Trial] = {
-    "play": Trial("play", lambda seed: PlayActuator(seed=seed), 0.01, 0.05, 20.0),
-    "creep": Trial("creep", lambda seed: PlayActuator(seed=seed, creep=0.01), 0.01, 0.05, 20.0),
-    "preisach": Trial("preisach", lambda seed: PreisachActuator(seed=seed), 0.01, 0.05, 20.0),
-    "boucwen": Trial("boucwen", lambda seed: BoucWenActuator(seed=seed), 6.0, 60.0, 0.05),
+TRIALS: Mapping[str, TrackingTrial] = {
+    "play": TrackingTrial("play", lambda seed: PlayActuator(seed=seed), 0.01, 0.05, 20.0),
+    "creep": TrackingTrial("creep", lambda seed: PlayActuator(seed=seed, creep=0.01), 0.01, 0.05, 20.0),
+    "preisach": TrackingTrial("preisach", lambda seed: PreisachActuator(seed=seed), 0.01, 0.05, 20.0),
+    "boucwen": TrackingTrial("boucwen", lambda seed: BoucWenActuator(seed=seed), 6.0, 60.0, 0.05),
 }
 
 
-def trial(name: str) -> Trial:
+def trial(name: str) -> TrackingTrial:
     """The trial of that name.
 
     Raises

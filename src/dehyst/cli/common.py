@@ -236,10 +236,10 @@ def read_model(path: Path) -> Actuator:
 
 def start_within(actuator: Actuator, start: str, limits: tuple[float, float] | None) -> State:
     """Return the state that the word of the option means, or the nearest that the limits let the actuator have."""
-    from dehyst.control.reachable import brought
+    from dehyst.control.reachable import state_within_limits
 
     state, allowed = start_state(actuator, start), limits or actuator.limits
-    return state if allowed is None else brought(actuator, state, allowed)
+    return state if allowed is None else state_within_limits(actuator, state, allowed)
 
 
 def start_state(actuator: Actuator, start: str) -> State:
@@ -255,11 +255,11 @@ def start_state(actuator: Actuator, start: str) -> State:
 def _homed(actuator: Actuator) -> State:
     """The state that the homing's own voltage, played as the command makes it by default, leads to."""
     from dehyst.control.homing import shortest_homing
-    from dehyst.waveforms.playback import Drive
+    from dehyst.waveforms.playback import Sampling
 
     low, high = actuator.limits or (0.0, 0.0)
     end = min(max(0.0, low), high)
-    return shortest_homing(actuator, present=end, stiff_only=True, drive=Drive()).state
+    return shortest_homing(actuator, present=end, stiff_only=True, drive=Sampling()).state
 
 
 def came_from(actuator: Actuator, start: str, state: State | None = None) -> str:

@@ -23,7 +23,7 @@ from dehyst.cli.common import (
 from dehyst.cli.terminal import echo, echo_json, progress_line
 
 if TYPE_CHECKING:
-    from dehyst.baselines.comparison import Comparison, Row
+    from dehyst.baselines.comparison import ModelComparison, ModelScore
 
 _TRUTHS = ["play", "creep", "preisach", "boucwen"]
 
@@ -110,7 +110,7 @@ def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
     return {names[asked.casefold()]: known[names[asked.casefold()]] for asked in only}
 
 
-def print_comparison(found: Comparison, output: Path | None, report: Path | None) -> None:
+def print_comparison(found: ModelComparison, output: Path | None, report: Path | None) -> None:
     """Print a row for each model, then what failed."""
     width = max(len("model"), *(len(row.name) for row in found.rows))
     groups = ["training", "held out", "no constant", *(f"track {name}" for name in found.truths)]
@@ -137,7 +137,7 @@ def print_comparison(found: Comparison, output: Path | None, report: Path | None
             echo(f"{name}: {path}")
 
 
-def _line(row: Row, truths: tuple[str, ...], width: int) -> str:
+def _line(row: ModelScore, truths: tuple[str, ...], width: int) -> str:
     training, held_out = row.worst("training"), row.worst("validation")
     pairs: list[tuple[float, float] | None] = [
         None if training is None else (training.largest, training.rms),

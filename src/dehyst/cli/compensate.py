@@ -157,14 +157,14 @@ def _follow(
 ) -> None:
     """Write the voltage of a path, and end."""
     from dehyst.control.compensator import Compensator
-    from dehyst.control.reachable import led_to
+    from dehyst.control.reachable import state_at
     from dehyst.records.files import write_columns
 
     wanted, time, derivatives = path
     _refuse_astray(actuator, wanted, limits)
     begin = start_within(actuator, start, limits)
     # The way to the first sample is to be ramped slowly, as is said below.
-    first = led_to(actuator, begin, float(wanted[0])) if wanted.size and actuator.model.moves_on else begin
+    first = state_at(actuator, begin, float(wanted[0])) if wanted.size and actuator.model.moves_on else begin
     command = Compensator(actuator, limits, slew).trajectory(
         wanted, time=time.get("time_s"), **derivatives, state=first
     )

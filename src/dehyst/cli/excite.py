@@ -13,7 +13,7 @@ from dehyst.cli.common import PATH, force_option, json_option, read_model, refus
 from dehyst.cli.terminal import echo, echo_json, note, worded
 
 if TYPE_CHECKING:
-    from dehyst.waveforms.playback import Drive
+    from dehyst.waveforms.playback import Sampling
     from dehyst.waveforms.standard import Excitation
 
 # A negative voltage is no option.
@@ -107,7 +107,7 @@ def minor_loop(low: float, high: float, highest: float, cycles: int, majors: int
     """A minor loop between LOW and HIGH [V], with its approach, after major cycles."""
     from dehyst.waveforms import standard
 
-    def make(drive: Drive) -> Excitation:
+    def make(drive: Sampling) -> Excitation:
         return standard.minor_loop(low, high, highest=highest, cycles=cycles, majors=majors, drive=drive)
 
     _write(make, options)
@@ -186,15 +186,15 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
     sys.exit(0 if way.certified else 1)
 
 
-def _write(make: Callable[[Drive], Excitation], options: dict[str, Any]) -> None:
+def _write(make: Callable[[Sampling], Excitation], options: dict[str, Any]) -> None:
     refuse_overwriting([], options["output"])
     _save(make(_drive(options)), options, "")
 
 
-def _drive(options: dict[str, Any]) -> Drive:
-    from dehyst.waveforms.playback import Drive
+def _drive(options: dict[str, Any]) -> Sampling:
+    from dehyst.waveforms.playback import Sampling
 
-    return Drive(
+    return Sampling(
         frequency=options["frequency"],
         sample_rate=options["sample_rate"],
         base=options["base"],

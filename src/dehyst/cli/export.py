@@ -165,16 +165,16 @@ def _start_words(compensator: Compensator, state: State) -> list[str]:
 
 
 def _begins(compensator: Compensator) -> dict[str, Any]:
-    from dehyst.exports.start import Outset
+    from dehyst.exports.start import ExportedStart
 
-    outset = Outset.of(compensator)
+    outset = ExportedStart.of(compensator)
     return {"begins": {"displacement_m": outset.displacement, "voltage_V": outset.voltage, "way": outset.way}}
 
 
 def _begin_words(compensator: Compensator, actuator: Actuator, start: str, kind: str | None = None) -> str:
-    from dehyst.exports.start import Outset
+    from dehyst.exports.start import ExportedStart
 
-    outset = Outset.of(compensator)
+    outset = ExportedStart.of(compensator)
     said = f"memory begins at {outset.words} {came_from(actuator, start, compensator.state)}"
     return said if kind == "actuator" else f"{said}; to bring the actuator there, {outset.way}"
 

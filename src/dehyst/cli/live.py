@@ -30,7 +30,7 @@ _MARKS: dict[Fate, tuple[str, str, str]] = {
 
 
 @dataclass
-class Step:
+class ShownStep:
     """One step: what became of it, how long it plays [s], when it began and what it took [s of the host]."""
 
     name: str
@@ -58,13 +58,13 @@ class Step:
         return self.seconds if not self.share else (now - self.began) * (1 - self.share) / self.share
 
 
-class Face(Protocol):
+class Display(Protocol):
     """Where it is shown."""
 
-    def begin(self, live: Live, step: Step) -> None:
+    def begin(self, live: Live, step: ShownStep) -> None:
         """A step begins."""
 
-    def end(self, live: Live, step: Step) -> None:
+    def end(self, live: Live, step: ShownStep) -> None:
         """It ended."""
 
     def close(self) -> None:
@@ -78,13 +78,13 @@ class Live:
     the step does now.
     """
 
-    def __init__(self, names: Sequence[str], face: Callable[[Live], Face], clock: Callable[[], float]) -> None:
-        self.steps = [Step(name) for name in names]
+    def __init__(self, names: Sequence[str], face: Callable[[Live], Display], clock: Callable[[], float]) -> None:
+        self.steps = [ShownStep(name) for name in names]
         self.count, self.words = 0, ""
         self.voltage: float | None = None
         self.displacement: float | None = None
         self._low, self._high = np.inf, -np.inf
-        self._present: Step | None = None
+        self._present: ShownStep | None = None
         self.clock = clock
         self._face = face(self)
 
@@ -96,7 +96,7 @@ class Live:
         self._face.close()
 
     @property
-    def present(self) -> Step | None:
+    def present(self) -> ShownStep | None:
         """The step that runs."""
         return self._present
 
@@ -105,7 +105,7 @@ class Live:
         self._end("done")
         waiting = next((step for step in self.steps if step.fate == "waits" and step.name == name), None)
         if waiting is None:
-            waiting = Step(name)
+            waiting = ShownStep(name)
             self.steps.insert(sum(step.fate != "waits" for step in self.steps), waiting)
         waiting.seconds, waiting.fate, waiting.began = float(seconds), "runs", self.clock()
         self._present, self.words = waiting, ""
@@ -209,10 +209,10 @@ class _Lines:
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
-    def begin(self, live: Live, step: Step) -> None:
+    def begin(self, live: Live, step: ShownStep) -> None:
         self._write(f"{step.name}: begins" + (f", {_duration(step.seconds)}" if step.seconds else ""))
 
-    def end(self, live: Live, step: Step) -> None:
+    def end(self, live: Live, step: ShownStep) -> None:
         self._write(f"{step.name}: {step.fate} {'in' if step.fate == 'done' else 'after'} {summary(step)}")
 
     def close(self) -> None:
@@ -234,10 +234,10 @@ class _Picture:
         self._screen = Screen(get_renderable=lambda: picture(live, plain=plain), console=console, refresh_per_second=8)
         self._screen.start()
 
-    def begin(self, live: Live, step: Step) -> None:
+    def begin(self, live: Live, step: ShownStep) -> None:
         self._screen.refresh()
 
-    def end(self, live: Live, step: Step) -> None:
+    def end(self, live: Live, step: ShownStep) -> None:
         self._screen.refresh()
 
     def close(self) -> None:
@@ -277,7 +277,7 @@ def _bars(live: Live) -> Iterator[RenderableType]:
         yield Padding(bar, (0, 0, 0, 2))
 
 
-def _going(live: Live, step: Step) -> str:
+def _going(live: Live, step: ShownStep) -> str:
     if step.fate != "runs":
         return ""
     now = live.clock()
@@ -297,7 +297,7 @@ def _numbers(live: Live) -> Iterator[str]:
         yield f"off the path by {step.error:.3f} % of the stroke now, {step.largest:.3f} % at most"
 
 
-def summary(step: Step) -> str:
+def summary(step: ShownStep) -> str:
     """What a step that ended took."""
     told = [_duration(step.took)]
     if step.samples:

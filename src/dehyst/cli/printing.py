@@ -99,7 +99,7 @@ def print_insight(found: Insight | WideInsight, output: Path | None, report: Pat
 
 
 def _print_directions(found: Insight) -> None:
-    told = found.directions
+    told = found.identifiability
     echo(f"Known of the stiffnesses: {told.determined} of {told.of} directions")
     for sentence in _first_few(told.sentences()):
         echo(f"  - {sentence}")
@@ -123,10 +123,10 @@ def _print_told(found: WideInsight) -> None:
     from dehyst.uncertainty.part_identifiability import SHARP
     from dehyst.uncertainty.wide_insight import NOT_JUDGED
 
-    probed = found.probed
+    probed = found.identifiability
     echo(f"Their turning points tell {probed.determined} of {probed.of} directions of plain elements.")
     echo(f"Known of each part, all else being free, to {100 * SHARP:g} % of the voltages:")
-    for one in found.told:
+    for one in found.parts:
         echo(f"  - {one.sentence}")
     if found.intervals is not None:
         echo()
@@ -169,19 +169,19 @@ def _moment(seconds: float | None) -> str:
 
 
 def _print_stiffnesses(found: Insight) -> None:
-    if found.intervals is None or found.latitude is None:
+    if found.intervals is None or found.feasible_set is None:
         return
     slip, level = found.actuator.slip, 100 * found.intervals.level
     echo()
     echo(f"  i  breakaway  stiffness   {level:.0f} % by noise          what the records do not contradict")
     echo("            um       V/um           V/um                 V/um")
-    alone, movable = found.directions.alone, found.directions.movable
+    alone, movable = found.identifiability.alone, found.identifiability.movable
     for i, (rho, kappa) in enumerate(zip(slip.breakaway * 1e6, slip.stiffness * 1e-6, strict=True)):
         if not movable[i]:
             echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   never slides: one with the spring")
             continue
         noise = _ends(found.intervals.stiffness[:, i]) if alone[i] else "open"
-        free = _ends(found.latitude.stiffness[:, i])
+        free = _ends(found.feasible_set.stiffness[:, i])
         echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   {noise:<22}{free}")
     echo("By noise: what noise biased is taken off, so that an interval need not hold the model's own value.")
     if not alone[movable].all():

@@ -15,7 +15,7 @@ import click
 from dehyst.cli.terminal import echo
 
 if TYPE_CHECKING:
-    from dehyst.virtual.bench import Instrument
+    from dehyst.virtual.bench import VirtualBench
     from dehyst.virtual.emulator.faults import Fault
     from dehyst.virtual.emulator.gcs_server import Server
 
@@ -120,10 +120,10 @@ def _instrument(
     noise: float | None,
     wave_points: int,
     faults: list[Fault],
-) -> tuple[Instrument, tuple[float, float]]:
+) -> tuple[VirtualBench, tuple[float, float]]:
     """The virtual bench, and the limits [V] that it tells."""
     from dehyst.model.actuator import Actuator
-    from dehyst.virtual.bench import Instrument
+    from dehyst.virtual.bench import VirtualBench
     from dehyst.virtual.emulator.faults import narrowed
     from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
 
@@ -131,7 +131,7 @@ def _instrument(
     if isinstance(found, Actuator):
         limits, found = limits or found.limits, ModelledActuator(found)
     told = limits or (0.0, found.highest)
-    made = Instrument(
+    made = VirtualBench(
         found,
         limits=narrowed(told, faults),
         slew_rate=slew,
@@ -143,7 +143,7 @@ def _instrument(
     return made, told
 
 
-def _serve_epics(instrument: Instrument, prefix: str, lock: threading.Lock) -> None:
+def _serve_epics(instrument: VirtualBench, prefix: str, lock: threading.Lock) -> None:
     from importlib import import_module
     from importlib.util import find_spec
 
@@ -166,7 +166,7 @@ def _until_told(server: Server) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _tally(instrument: Instrument) -> str:
+def _tally(instrument: VirtualBench) -> str:
     log, present = instrument.log, instrument.voltage
     refused = f", {log.refused} requests refused" if log.refused else ""
     return (

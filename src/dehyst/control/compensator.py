@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import CoreError, Held, Loop, checked
+from dehyst._native import CoreError, CoreState, Loop, checked
 from dehyst._types import Array
 from dehyst._validation import interval, number, vector
-from dehyst.control.limits import Limits
-from dehyst.control.preview import Foresight
-from dehyst.control.reachable import brought, reach_of
+from dehyst.control.limits import VoltageLimits
+from dehyst.control.preview import Preview
+from dehyst.control.reachable import reachable_range, state_within_limits
 from dehyst.control.snapshot import Snapshot, key_of
 from dehyst.control.trajectory import Command, follow
 from dehyst.model.actuator import Actuator
@@ -97,12 +97,12 @@ class Compensator:
         if low_high is None:
             raise ModelError("no voltage limits: the actuator has none and none were given; give limits=(low, high)")
         self._actuator, self._preview = actuator, bool(preview)
-        self._limits = Limits(*interval(low_high), slew_rate)
+        self._limits = VoltageLimits(*interval(low_high), slew_rate)
         self._period = None if period is None else _positive(period)
         if preview and period is None:
             raise ModelError("preview needs the time between steps; give period= [s]")
         self._given = actuator.state if state is None else state
-        self._start = brought(actuator, self._given, self.limits)
+        self._start = state_within_limits(actuator, self._given, self.limits)
 
     def __repr__(self) -> str:
         slew = "" if self.slew_rate is None else f", {self.slew_rate:g} V/s"
@@ -290,7 +290,7 @@ class Compensator:
     @property
     def state(self) -> State:
         """Where the actuator is, by all that was sent."""
-        return self.actuator.model.state_of(Held(*self._loop.state())) if self._running else self._start
+        return self.actuator.model.state_of(CoreState(*self._loop.state())) if self._running else self._start
 
     @property
     def clamps(self) -> Clamps:
@@ -310,7 +310,7 @@ class Compensator:
     @cached_property
     def reach(self) -> tuple[float, float]:
         """Displacements [m] at the lower and the upper limit, once both have been visited and creep is at rest."""
-        return reach_of(self.actuator, self.limits)
+        return reachable_range(self.actuator, self.limits)
 
     def reset(self, state: State | None = None) -> None:
         """Begin again in a state, by default the one of the construction; counts begin at 0.
@@ -321,7 +321,7 @@ class Compensator:
             If it does not fit the actuator.
         """
         if state is not None:
-            self._start, self._given = brought(self.actuator, state, self.limits), state
+            self._start, self._given = state_within_limits(self.actuator, state, self.limits), state
         self.__dict__.pop("_loop", None)
 
     def snapshot(self) -> Snapshot:
@@ -395,7 +395,7 @@ class Compensator:
         """Every number that a step reads, as the core made it; names as in `core/dehyst.h`."""
         return self._loop.tables()
 
-    def start(self) -> Held:
+    def start(self) -> CoreState:
         """The state that it was made or last reset in, in the core's numbers."""
         return self.actuator.model.held(self._start)
 
@@ -408,8 +408,8 @@ class Compensator:
         return key_of(self.actuator, self.period, self.preview)
 
     @cached_property
-    def _foresight(self) -> Foresight:
-        return Foresight.of(self.actuator, self.period) if self.preview and self.period else Foresight.none()
+    def _foresight(self) -> Preview:
+        return Preview.of(self.actuator, self.period) if self.preview and self.period else Preview.none()
 
     @cached_property
     def _loop(self) -> Loop:
@@ -439,19 +439,19 @@ def _remade(made: tuple[Any, ...], memory: Snapshot | None) -> Compensator:
     return compensator
 
 
-def _tell(actuator: Actuator, limits: Limits, slewed: bool, displacement: float, voltage: float) -> None:
+def _tell(actuator: Actuator, limits: VoltageLimits, slewed: bool, displacement: float, voltage: float) -> None:
     why = "the slew rate allows no more" if slewed else "that is a limit"
     words = _strays(actuator, limits, np.array([displacement]))
     why += f". {words}" if words else ""
     warnings.warn(f"CLAMPED: {displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {why}", ClampWarning, 3)
 
 
-def _strays(actuator: Actuator, limits: Limits, displacement: Array, load: ArrayLike | None = None) -> str:
+def _strays(actuator: Actuator, limits: VoltageLimits, displacement: Array, load: ArrayLike | None = None) -> str:
     words = actuator.strays(displacement, load)
     if not words or (limits.low, limits.high) == actuator.limits:
         return words
     try:
-        return actuator.strays(displacement, load, reach_of(actuator, (limits.low, limits.high)))
+        return actuator.strays(displacement, load, reachable_range(actuator, (limits.low, limits.high)))
     except ModelError:
         return words
 

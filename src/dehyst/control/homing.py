@@ -17,13 +17,13 @@ from dehyst._errors import ModelError
 from dehyst._types import Array, Mask
 from dehyst._validation import interval, number
 from dehyst.control.homing_in_time import Swing
-from dehyst.control.major_loop import Outermost
-from dehyst.control.state_bounds import Bracket, first_move_error, least_width, moves_on
+from dehyst.control.major_loop import MajorLoop
+from dehyst.control.state_bounds import StateBounds, first_move_error, least_width, moves_on
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
 from dehyst.model.elements import GradedSlip
 from dehyst.waveforms.excitation import Excitation
-from dehyst.waveforms.playback import Drive
+from dehyst.waveforms.playback import Sampling
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Homing:
     turns : tuple of float
         Voltages [V] to visit in this order, the present one first; in between the voltage is monotone. The present one
         alone if the state is known already.
-    bracket : Bracket
+    bracket : StateBounds
         Of the state at the end, by two simulations.
     unknown : tuple of int
         Elements whose carts it leaves unknown, counted from 0.
@@ -51,7 +51,7 @@ class Homing:
     """
 
     turns: tuple[float, ...]
-    bracket: Bracket
+    bracket: StateBounds
     unknown: tuple[int, ...]
     certified: bool
     remarks: tuple[str, ...] = ()
@@ -87,7 +87,7 @@ def shortest_homing(
     end: float | None = None,
     tolerance: float | None = None,
     stiff_only: bool = False,
-    drive: Drive | None = None,
+    drive: Sampling | None = None,
     hold: float | None = None,
 ) -> Homing:
     """Find the voltage of least travel that leads from any state at rest to a known one.
@@ -111,7 +111,7 @@ def shortest_homing(
     stiff_only : bool, optional
         Leave out elements without stiffness from the start. They never move the actuator; by default they are homed
         too where the limits allow it, so that the state is known whole.
-    drive : Drive, optional
+    drive : Sampling, optional
         Pace and shape of the legs, where time has a say; default: legs of a twentieth of the longest creep time
         constant, and no shorter than fifty periods of a resonance.
     hold : float, optional
@@ -136,9 +136,9 @@ def shortest_homing(
     stop = start if end is None else _inside(end, "end", bounds)
     if moves_on(actuator):
         return _in_time(Swing.of(actuator, bounds, (start, stop), drive=drive, hold=hold, tolerance=tolerance))
-    task = _Task(actuator, bounds, start, stop, least_width(actuator, tolerance))
+    task = _HomingTask(actuator, bounds, start, stop, least_width(actuator, tolerance))
     turns = task.turns(task.stiff if stiff_only or not task.can(task.whole) else task.whole)
-    bracket = Bracket.at_rest(actuator, start).drive(actuator, turns).bracket
+    bracket = StateBounds.at_rest(actuator, start).drive(actuator, turns).bracket
     unknown = bracket.widths > task.tolerance
     loose = unknown & _stiff(actuator)
     certified = not loose.any() and first_move_error(bracket) <= task.tolerance
@@ -168,7 +168,7 @@ def _stiff(actuator: Actuator) -> Mask:
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class _HomingTask:
     """A homing asked for. A reach [m] is the least range that makes known what shall be: see `least_range`."""
 
     actuator: Actuator
@@ -210,8 +210,8 @@ class _Task:
         return branch.voltage(branch.displacement(top, 1) - reach, -1)
 
     @cached_property
-    def branch(self) -> Outermost:
-        return Outermost(self.actuator)
+    def branch(self) -> MajorLoop:
+        return MajorLoop(self.actuator)
 
     def extremes(self, reach: float) -> tuple[float, float]:
         """Lowest and highest voltage [V], as close together as `reach` allows; the limits if they do not allow it."""
@@ -240,7 +240,7 @@ class _Task:
         return visited[:1] if visited == (self.start, self.start) else visited
 
     def remark(
-        self, turns: tuple[float, ...], bracket: Bracket, unknown: Mask, loose: Mask, certified: bool
+        self, turns: tuple[float, ...], bracket: StateBounds, unknown: Mask, loose: Mask, certified: bool
     ) -> str | None:
         if not certified and self.can(self.stiff):
             return f"not certified: rounding leaves a width of {bracket.width:.3g} m; give a tolerance above that"
@@ -288,6 +288,6 @@ def _named(elements: Mask) -> str:
     return f"element{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
 
 
-def _left(bracket: Bracket, unknown: Mask) -> str:
+def _left(bracket: StateBounds, unknown: Mask) -> str:
     widest = bracket.widths[unknown].max(initial=0.0) * 1e6
     return f"leaves {_named(unknown)} of {unknown.size} unknown, by up to {widest:.4g} um"

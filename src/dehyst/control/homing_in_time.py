@@ -19,12 +19,12 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number
-from dehyst.control.major_loop import Outermost
-from dehyst.control.state_bounds import Bracket, moves_on
+from dehyst.control.major_loop import MajorLoop
+from dehyst.control.state_bounds import StateBounds, moves_on
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
 from dehyst.waveforms.excitation import Excitation
-from dehyst.waveforms.playback import Drive, Leg
+from dehyst.waveforms.playback import Leg, Sampling
 
 # Of the range of the spring's knots: what a good model misses; creep takes long to leave less.
 _TOLERANCE = 1e-3
@@ -48,7 +48,7 @@ class Swing:
     Attributes
     ----------
     actuator : Actuator
-    drive : Drive
+    drive : Sampling
     ends : (float, float)
         Present and last voltage [V].
     hold : float
@@ -64,7 +64,7 @@ class Swing:
     """
 
     actuator: Actuator
-    drive: Drive
+    drive: Sampling
     ends: tuple[float, float]
     hold: float
     limits: tuple[float, float]
@@ -79,7 +79,7 @@ class Swing:
         limits: tuple[float, float],
         ends: tuple[float, float],
         *,
-        drive: Drive | None,
+        drive: Sampling | None,
         hold: float | None,
         tolerance: float | None,
     ) -> Swing:
@@ -89,7 +89,7 @@ class Swing:
         for value, name in ((number(least, "tolerance"), "tolerance"), (1.0 if held is None else held, "hold")):
             if value < 0 or (name == "tolerance" and value == 0):
                 raise ModelError(f"{name}: got {value}, need a positive number")
-        shown = drive or Drive(frequency=0.5 / leg_seconds(actuator))
+        shown = drive or Sampling(frequency=0.5 / leg_seconds(actuator))
         shown = replace(shown, base=ends[1], present=ends[0], limits=limits)
         wait = _rest(actuator) if held is None else held
         found = cls(actuator, shown, ends, wait, limits, float(least), 2)
@@ -123,7 +123,7 @@ class Swing:
         return self.drive.play("homing", legs)
 
     @cached_property
-    def bracket(self) -> Bracket:
+    def bracket(self) -> StateBounds:
         """Of the state at the end, from every past that was simulated."""
         return self._reached[0]
 
@@ -133,7 +133,7 @@ class Swing:
         return self._reached[1]
 
     @cached_property
-    def _reached(self) -> tuple[Bracket, float]:
+    def _reached(self) -> tuple[StateBounds, float]:
         return self._after(self.excitation.voltage, self.excitation.time)
 
     @cached_property
@@ -219,7 +219,7 @@ class Swing:
 
     def _rested(self) -> Iterator[State]:
         """After resting for ever at either limit."""
-        branch, rho, smooth = Outermost(self.actuator), self.actuator.slip.breakaway, self.actuator.smooth
+        branch, rho, smooth = MajorLoop(self.actuator), self.actuator.slip.breakaway, self.actuator.smooth
         length = np.zeros(0) if smooth is None else smooth.length
         for side, limit in ((1, self.limits[0]), (-1, self.limits[1])):
             y = branch.displacement(limit, side)
@@ -259,7 +259,7 @@ class Swing:
             time.append(time[-1][-1] + leg.seconds * share)
         return np.concatenate(voltage), np.concatenate(time)
 
-    def _after(self, voltage: Array, time: Array) -> tuple[Bracket, float]:
+    def _after(self, voltage: Array, time: Array) -> tuple[StateBounds, float]:
         """Bracket of the states at the end, and how far apart displacements lie there and along a further cycle."""
         further = self._few(self._legs(_turns(self.limits, self.ends[1], self.ends[1], 2), 0.0))
         reached, paths = [], []
@@ -291,21 +291,21 @@ def _turns(limits: tuple[float, float], start: float, stop: float, legs: int) ->
     return ways[0] if travel[0] <= travel[1] else ways[1]
 
 
-def _about(states: list[State]) -> Bracket:
+def _about(states: list[State]) -> StateBounds:
     """The least bracket about states."""
     names = ("carts", "creep", "motion", "smooth")
     ends = []
     for order in (np.min, np.max):
         arrays = (order([getattr(state, name) for state in states], axis=0) for name in names)
         ends.append(State(float(order([state.displacement for state in states])), *arrays))
-    return Bracket(*ends)
+    return StateBounds(*ends)
 
 
 def _at_rest(state: State) -> State:
     return State(state.displacement, state.carts, state.creep, [state.displacement, 0.0], state.smooth)
 
 
-def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Drive().frequency) -> float:
+def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequency) -> float:
     """Seconds of a leg, where the drive does not say: a part of the longest creep time constant, `otherwise` without.
 
     It is no shorter than an amplifier's lag and a resonance take to follow.

@@ -11,8 +11,8 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.trajectory import Command
 from dehyst.model.base import State
 from dehyst.waveforms.excitation import positive, refuse_long
-from dehyst.waveforms.profiles import Bridge, Point
-from dehyst.waveforms.scan import Limits, Path
+from dehyst.waveforms.profiles import Bridge, PathPoint
+from dehyst.waveforms.scan import MotionLimits, ScanPath
 
 _LEAST = 4
 _LONGER = 2**0.25
@@ -21,7 +21,7 @@ _MOST = 2_000_000
 _FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
 
 
-def follow(compensator: Compensator, path: Path, state: State) -> Command:
+def follow(compensator: Compensator, path: ScanPath, state: State) -> Command:
     """Voltages for a path from a state, with the derivatives that the path knows."""
     return compensator.trajectory(
         path.displacement, time=path.time, velocity=path.velocity, acceleration=path.acceleration, state=state
@@ -29,17 +29,17 @@ def follow(compensator: Compensator, path: Path, state: State) -> Command:
 
 
 def approach_to(
-    path: Path, compensator: Compensator, state: State, limits: Limits, seconds: float | None = None
-) -> Path | None:
+    path: ScanPath, compensator: Compensator, state: State, limits: MotionLimits, seconds: float | None = None
+) -> ScanPath | None:
     """From a state at rest to the first sample of a path, which is left out; None if it stands there.
 
     Parameters
     ----------
-    path : Path
+    path : ScanPath
     compensator : Compensator
         Whose slew rate it shall keep.
     state : State
-    limits : Limits
+    limits : MotionLimits
         Of speed and acceleration; those that are not given are the path's own extremes.
     seconds : float, optional
         How long it takes, to the next sample; by default as short as the limits allow, of speed and acceleration
@@ -58,7 +58,7 @@ def approach_to(
     stroke = path.range[1] - path.range[0]
     if not any(now[1:]) and not ends[0].velocity and abs(now.displacement - first.displacement) <= 1e-12 * stroke:
         return None
-    kept = Limits(limits.speed or _extreme(path.velocity), limits.acceleration or _extreme(path.acceleration))
+    kept = MotionLimits(limits.speed or _extreme(path.velocity), limits.acceleration or _extreme(path.acceleration))
     height = abs(first.displacement - now.displacement)
     least = max(_FASTEST * height / (kept.speed or 1), sqrt(_HARDEST * height / (kept.acceleration or 1)))
     slew = inf if compensator.slew_rate is None else compensator.slew_rate
@@ -76,7 +76,7 @@ def approach_to(
     return gentle or _sampled(now, ends[-1], count, path)
 
 
-def _steepest(compensator: Compensator, path: Path, state: State) -> float:
+def _steepest(compensator: Compensator, path: ScanPath, state: State) -> float:
     """Largest step of the voltage [V] along a path, before any limit."""
     motion = compensator.actuator.compensate(
         path.displacement,
@@ -89,24 +89,24 @@ def _steepest(compensator: Compensator, path: Path, state: State) -> float:
     return float(np.abs(np.diff(motion.voltage)).max(initial=0.0))
 
 
-def _standing(state: State) -> Point:
+def _standing(state: State) -> PathPoint:
     """Displacement and velocity of a state."""
-    return Point(*map(float, state.motion)) if state.motion.size else Point(state.displacement)
+    return PathPoint(*map(float, state.motion)) if state.motion.size else PathPoint(state.displacement)
 
 
 def _extreme(row: Array) -> float:
     return float(np.abs(row).max())
 
 
-def _ends(path: Path) -> tuple[Point, ...]:
+def _ends(path: ScanPath) -> tuple[PathPoint, ...]:
     """How the way may end: as the scan begins, or without its acceleration where that would ask for a detour."""
     y, v, _ = path.first
     # At rest, an acceleration at the end would make it go too far and come back.
     if abs(v) <= 1e-9 * _extreme(path.velocity):
-        return (Point(y),)
-    return path.first, Point(y, v)
+        return (PathPoint(y),)
+    return path.first, PathPoint(y, v)
 
 
-def _sampled(now: Point, end: Point, count: int, path: Path) -> Path:
+def _sampled(now: PathPoint, end: PathPoint, count: int, path: ScanPath) -> ScanPath:
     travel = Bridge(now, end, count / path.sample_rate).at(np.arange(count) / path.sample_rate)
-    return Path(*travel, path.sample_rate, periodic=False)
+    return ScanPath(*travel, path.sample_rate, periodic=False)

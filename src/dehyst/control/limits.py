@@ -16,7 +16,7 @@ TIME_NEEDED = "give time= [s], one a sample, or make the Compensator with period
 
 
 @dataclass(frozen=True)
-class Limits:
+class VoltageLimits:
     """What a voltage must keep to.
 
     Parameters

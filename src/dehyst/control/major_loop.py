@@ -18,7 +18,7 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Outermost:
+class MajorLoop:
     """Voltage over displacement on the outermost rising (side 1) and falling (side -1) branch.
 
     Attributes

@@ -17,7 +17,7 @@ _FARTHEST = 1e6
 
 
 @dataclass(frozen=True, eq=False)
-class Foresight:
+class Preview:
     """The sum of samples that w is asked to be.
 
     ``w(t) = Y(t + delay)``, with inertia ``Y = y + 2 zeta/omega y' + y''/omega^2``; y between samples is the polynomial
@@ -35,12 +35,12 @@ class Foresight:
     ahead: int
 
     @classmethod
-    def none(cls) -> Foresight:
+    def none(cls) -> Preview:
         """The displacement as it is."""
         return cls(np.ones(1), 0)
 
     @classmethod
-    def of(cls, actuator: Actuator, period: float) -> Foresight:
+    def of(cls, actuator: Actuator, period: float) -> Preview:
         """For the delay and dynamics of an actuator that is stepped every `period` [s].
 
         Raises

@@ -9,16 +9,16 @@ from itertools import pairwise
 import numpy as np
 
 from dehyst.control.homing import Homing
-from dehyst.control.limits import Limits
+from dehyst.control.limits import VoltageLimits
 
 
-def towards(wish: float, present: float, limits: Limits, period: float) -> float:
+def ramp_step(wish: float, present: float, limits: VoltageLimits, period: float) -> float:
     """The voltage [V] of the next step, a `period` [s] long, on the way from the present one to a wish."""
     end, most = limits.nearest(wish), _most(limits, period)
     return end if abs(end - present) <= most else present + math.copysign(most, end - present)
 
 
-def homing_steps(homing: Homing, limits: Limits, period: float) -> Iterator[tuple[float, float]]:
+def homing_steps(homing: Homing, limits: VoltageLimits, period: float) -> Iterator[tuple[float, float]]:
     """Voltages [V] of a homing, each with the seconds to stay there, `period` at least; the present one is left out."""
     most = _most(limits, period)
     for (start, _), (end, seconds) in pairwise(_places(homing, period)):
@@ -27,7 +27,7 @@ def homing_steps(homing: Homing, limits: Limits, period: float) -> Iterator[tupl
             yield limits.nearest(float(voltage)), max(seconds / count, period)
 
 
-def _most(limits: Limits, period: float) -> float:
+def _most(limits: VoltageLimits, period: float) -> float:
     """The largest step [V]."""
     return (limits.slew_rate or math.inf) * period
 

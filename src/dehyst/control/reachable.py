@@ -6,19 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from dehyst._native import NOTHING
+from dehyst._native import EMPTY
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
 
 _ROUNDING = 1e-12
 
 
-def reach_of(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
+def reachable_range(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
     """Displacements [m] at the lower and the upper limit [V] of slow loops between them, creep at rest at either."""
     return actuator.major_loop(limits)
 
 
-def brought(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
+def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
     """The state, complete; if its voltage lies outside the limits [V], after a motion to the nearest of them, at rest.
 
     Raises
@@ -33,11 +33,11 @@ def brought(actuator: Actuator, state: State, limits: tuple[float, float]) -> St
         return start
     slow = _slow(actuator)
     time = np.zeros(1) if slow.needs_time else None
-    reached = slow.simulate([nearest], time=time, state=replace(start, motion=NOTHING), extrapolate=True).state
+    reached = slow.simulate([nearest], time=time, state=replace(start, motion=EMPTY), extrapolate=True).state
     return actuator.model.fitted(reached)
 
 
-def led_to(actuator: Actuator, state: State, displacement: float) -> State:
+def state_at(actuator: Actuator, state: State, displacement: float) -> State:
     """The state after a motion to a displacement [m] of which mass and amplifier feel nothing; creep is given no time.
 
     Raises
@@ -47,11 +47,11 @@ def led_to(actuator: Actuator, state: State, displacement: float) -> State:
     """
     slow, start = _slow(actuator), actuator.model.fitted(state)
     time = np.zeros(1) if slow.needs_time else None
-    still = replace(start, motion=NOTHING)
+    still = replace(start, motion=EMPTY)
     return actuator.model.fitted(slow.compensate([displacement], time=time, state=still, extrapolate=True).state)
 
 
 def _slow(actuator: Actuator) -> Actuator:
     """The same without what slow motions do not feel."""
-    still = replace(actuator.state, motion=NOTHING)
+    still = replace(actuator.state, motion=EMPTY)
     return replace(actuator, dynamics=None, lag=0.0, state=still, limits=None)

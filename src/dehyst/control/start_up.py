@@ -15,7 +15,7 @@ from dehyst.control.steady_state import steady_state
 from dehyst.control.trajectory import Command
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
-from dehyst.waveforms.scan import Path, counted, whole
+from dehyst.waveforms.scan import ScanPath, counted, whole
 
 # Of the voltages of a cycle: by so much it may differ from the next.
 _REPEATS = 1e-9
@@ -25,7 +25,7 @@ _CLAMPED, _MOST_CLAMPED = (3, 6, 12, 24, 48), 100_000
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class StartUp:
     """A voltage to play (n,) [V], the displacement wanted with it and the one to expect (n,) [m]."""
 
     voltage: Array
@@ -46,8 +46,8 @@ class Stretch:
 class Settled:
     """A start-up and the steady cycle after it, as in `dehyst.control.wave_table.WaveTable`."""
 
-    start_up: Stretch
-    cycle: Stretch
+    start_up: StartUp
+    cycle: StartUp
     cycles: int
     error: float
     state: State
@@ -55,7 +55,7 @@ class Settled:
     warnings: tuple[str, ...]
 
 
-def start_up_cycles(cycles: object, path: Path) -> int:
+def start_up_cycles(cycles: object, path: ScanPath) -> int:
     """Return `cycles` as cycles that a start-up may have; raises RecordError."""
     found, most = whole(cycles, "cycles", 0), _MOST_SAMPLES // len(path)
     if found > most:
@@ -67,14 +67,19 @@ def start_up_cycles(cycles: object, path: Path) -> int:
 
 
 def settle(
-    compensator: Compensator, path: Path, way: Path | None, start: State, tolerance: float, cycles: int | None = None
+    compensator: Compensator,
+    path: ScanPath,
+    way: ScanPath | None,
+    start: State,
+    tolerance: float,
+    cycles: int | None = None,
 ) -> Settled:
     """Find the steady cycle of a periodic path, and the start-up that leads into it.
 
     Parameters
     ----------
     compensator : Compensator
-    path, way : Path, Path or None
+    path, way : Path, ScanPath or None
         One period, and what leads to its first sample.
     start : State
         Before the way.
@@ -83,15 +88,15 @@ def settle(
     cycles : int, optional
         In the start-up; by default as many as the tolerance needs, 1000 and 5e6 samples at most.
     """
-    task = _Task(compensator, path, way, start, tolerance)
+    task = _SteadyCycleTask(compensator, path, way, start, tolerance)
     return task.steady(cycles) or task.clamped(cycles)
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class _SteadyCycleTask:
     compensator: Compensator
-    path: Path
-    way: Path | None
+    path: ScanPath
+    way: ScanPath | None
     start: State
     tolerance: float
 
@@ -164,7 +169,7 @@ class _Task:
         """The way to the first sample, so many cycles, and the sample that closes the last."""
         return follow(self.compensator, self._wanted(cycles), self.start)
 
-    def _wanted(self, cycles: int) -> Path:
+    def _wanted(self, cycles: int) -> ScanPath:
         path = self.path.repeated(cycles)
         return path if self.way is None else self.way.then(path)
 
@@ -231,9 +236,9 @@ class _Task:
             f"{error * 1e6:.3g} um, not {self.tolerance * 1e6:.3g} um"
         )
 
-    def _stretch(self, command: Command, start: int, stop: int) -> Stretch:
+    def _stretch(self, command: Command, start: int, stop: int) -> StartUp:
         wanted = self._wanted_rows(command.voltage.size)
-        return Stretch(
+        return StartUp(
             command.voltage[start:stop], wanted[start:stop], command.displacement[start:stop], self.path.sample_rate
         )
 
@@ -241,5 +246,5 @@ class _Task:
         ahead = 0 if self.way is None else len(self.way)
         return self._wanted((size - 1 - ahead) // len(self.path)).displacement
 
-    def _cycle(self, voltage: Array, expected: Array) -> Stretch:
-        return Stretch(voltage, self.path.displacement, expected, self.path.sample_rate)
+    def _cycle(self, voltage: Array, expected: Array) -> StartUp:
+        return StartUp(voltage, self.path.displacement, expected, self.path.sample_rate)

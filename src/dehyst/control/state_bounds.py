@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import stops
+from dehyst._native import slip_elongations
 from dehyst._types import Array, Mask
 from dehyst._validation import number, vector
-from dehyst.control.major_loop import Outermost
+from dehyst.control.major_loop import MajorLoop
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
 from dehyst.model.elements import MaxwellSlip
@@ -96,7 +96,7 @@ def known_by_displacement(
 
 
 @dataclass(frozen=True, eq=False)
-class Bracket:
+class StateBounds:
     """Two states between which the actuator is: its displacement and every cart, in absolute coordinates.
 
     A voltage keeps the order of states, so two simulations keep the bracket; no cart's width ever exceeds what the
@@ -127,7 +127,7 @@ class Bracket:
             raise ModelError("the lower state lies above the upper one: swap them, or start from Bracket.at_rest")
 
     @classmethod
-    def at_rest(cls, actuator: Actuator, voltage: float = 0.0) -> Bracket:
+    def at_rest(cls, actuator: Actuator, voltage: float = 0.0) -> StateBounds:
         """Bracket every state the actuator can rest in at `voltage` [V]: its two extreme equilibria.
 
         They lie on the outermost branches; of a plain actuator at ``eta^-1(v - F)`` with every s_i = rho_i and at
@@ -139,7 +139,7 @@ class Bracket:
             If `actuator` is none, or the voltage is not finite.
         """
         v, slip = number(voltage, "voltage"), checked_actuator(actuator).slip
-        branch = Outermost(actuator)
+        branch = MajorLoop(actuator)
         lowest, highest = branch.displacement(v, 1), branch.displacement(v, -1)
         return cls(State(lowest, lowest - slip.breakaway), State(highest, highest + slip.breakaway))
 
@@ -207,7 +207,7 @@ class KnownState:
         The widest bracket of any cart [m]; it never grows, and the displacement's is never wider.
     unknown : (n,) int array
         How many elements are unknown; as a rule all of them until the displacement is known.
-    bracket : Bracket
+    bracket : StateBounds
         After the last sample.
     """
 
@@ -215,7 +215,7 @@ class KnownState:
     highest: Array
     width: Array
     unknown: Counts
-    bracket: Bracket
+    bracket: StateBounds
 
     @property
     def first_known(self) -> int | None:
@@ -223,7 +223,7 @@ class KnownState:
         return _first(self.unknown == 0)
 
 
-def first_move_error(bracket: Bracket) -> float:
+def first_move_error(bracket: StateBounds) -> float:
     """Error bar [m] of a first move from an unknown state: the width of the displacement's bracket before it.
 
     A sensor that reads zero at the start shows y(t) - y(0), and y(0) is anywhere in that bracket. Once the state is
@@ -248,7 +248,7 @@ def least_range(actuator: Actuator, lowest: float, highest: float) -> float:
     ModelError
         If `actuator` is none, or a voltage is not finite.
     """
-    branch = Outermost(checked_actuator(actuator))
+    branch = MajorLoop(checked_actuator(actuator))
     return branch.displacement(number(highest, "highest"), 1) - branch.displacement(number(lowest, "lowest"), -1)
 
 
@@ -292,14 +292,14 @@ def _first(known: Mask) -> int | None:
     return int(known.argmax()) if known.any() else None
 
 
-def _ordered(a: State, b: State) -> Bracket:
+def _ordered(a: State, b: State) -> StateBounds:
     """Two states that met differ by rounding, either way."""
     ends = ((order(a.displacement, b.displacement), order(a.carts, b.carts)) for order in (np.minimum, np.maximum))
-    return Bracket(*(State(float(y), carts) for y, carts in ends))
+    return StateBounds(*(State(float(y), carts) for y, carts in ends))
 
 
 def _carts(actuator: Actuator, voltage: Array, state: State) -> tuple[Array, Array, State]:
     """Displacement (n,), carts (n, N) and the state reached."""
     motion = actuator.simulate(voltage, state=state, extrapolate=True)
-    elongations, _ = stops(actuator.slip.breakaway, state.carts, motion.displacement)
+    elongations, _ = slip_elongations(actuator.slip.breakaway, state.carts, motion.displacement)
     return motion.displacement, motion.displacement[:, None] - elongations, motion.state

@@ -9,15 +9,15 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
-from dehyst.model.evaluator import Course
-from dehyst.waveforms.scan import Path
+from dehyst.model.evaluator import PathData
+from dehyst.waveforms.scan import ScanPath
 
 # Enough for a piecewise smooth map that contracts; the straight one of Dahl's elements takes one.
 _ROUNDS = 100
 _EPS = float(np.finfo(np.float64).eps)
 
 
-def steady_state(actuator: Actuator, path: Path, state: State) -> State:
+def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
     """The state at the first sample of a periodic path that has been followed for ever.
 
     What creeps and what lets go gradually is driven by w alone, which the path tells, so neither knows of the other
@@ -28,7 +28,7 @@ def steady_state(actuator: Actuator, path: Path, state: State) -> State:
     Parameters
     ----------
     actuator : Actuator
-    path : Path
+    path : ScanPath
         Periodic.
     state : State
         At the path's first sample, after two cycles at least: its carts have forgotten what they can forget.
@@ -43,10 +43,10 @@ def steady_state(actuator: Actuator, path: Path, state: State) -> State:
     return state if actuator.smooth is None else replace(state, smooth=_elongations(actuator, path, state))
 
 
-def _strains(actuator: Actuator, path: Path) -> Array:
+def _strains(actuator: Actuator, path: ScanPath) -> Array:
     """The strains d_j (J,) [m] to which a cycle comes back."""
     creep, one = actuator.creep, path.repeated(1)
-    course = Course(one.time, velocity=one.velocity, acceleration=one.acceleration)
+    course = PathData(one.time, velocity=one.velocity, acceleration=one.acceleration)
     w = one.displacement + actuator.model.lead(one.displacement, course)
     if creep is None:
         return np.zeros(0)
@@ -54,7 +54,7 @@ def _strains(actuator: Actuator, path: Path) -> Array:
     return np.asarray(gained / -np.expm1(-float(one.time[-1]) / creep.time_constants))
 
 
-def _elongations(actuator: Actuator, path: Path, state: State) -> Array:
+def _elongations(actuator: Actuator, path: ScanPath, state: State) -> Array:
     """The elongations q_l (L,) [m] to which a cycle comes back, by false position after Illinois."""
     one, length = path.repeated(1), np.zeros(0) if actuator.smooth is None else actuator.smooth.length
 

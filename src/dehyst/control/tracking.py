@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
-from dehyst.control.limits import Limits
+from dehyst.control.limits import VoltageLimits
 from dehyst.model.actuator import Actuator
 from dehyst.model.replay import simulated
 from dehyst.records.metrics import largest, percent, rms
@@ -31,7 +31,7 @@ def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, leg: int = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class PlannedRun:
     """A path to follow after a homing, and a voltage for it.
 
     Attributes
@@ -55,7 +55,7 @@ class Course:
 
 
 @dataclass(frozen=True, eq=False)
-class Planner:
+class PathPlanner:
     """Plans a path through most of the stroke after a homing.
 
     Parameters
@@ -64,7 +64,7 @@ class Planner:
         Two major cycles, from and to the lowest voltage: after them the state is known. It gives the sample rate, too.
     ends : (float, float)
         Measured displacement [m] at the lowest and highest voltage of the homing.
-    limits : Limits
+    limits : VoltageLimits
         Voltages allowed [V], and their slew rate.
     leg : int
         Samples from one turning point to the next.
@@ -72,7 +72,7 @@ class Planner:
 
     homing: Excitation
     ends: tuple[float, float]
-    limits: Limits
+    limits: VoltageLimits
     leg: int = 200
 
     @property
@@ -80,14 +80,14 @@ class Planner:
         """Of the major loop [m]."""
         return self.ends[1] - self.ends[0]
 
-    def nominal(self) -> Course:
+    def nominal(self) -> PlannedRun:
         """By a constant ratio of voltage to displacement."""
         low, high = self.homing.voltage_range
         wanted = self._wanted(self.ends[0])
         voltage = low + (wanted - self.ends[0]) * (high - low) / self.stroke
         return self._course("nominal", wanted, np.clip(voltage, self.limits.low, self.limits.high))
 
-    def compensated(self, actuator: Actuator, before: Sequence[Record]) -> Course:
+    def compensated(self, actuator: Actuator, before: Sequence[Record]) -> PlannedRun:
         """By a model, whose state follows from all that was played, and whose zero from the last of it.
 
         Parameters
@@ -116,11 +116,11 @@ class Planner:
         way = wanted_path(1.0, (start, float(path[0])), leg=self.leg)
         return np.concatenate([way[1:], path[1:]])
 
-    def _course(self, name: str, wanted: Array, voltage: Array, warnings: tuple[str, ...] = ()) -> Course:
+    def _course(self, name: str, wanted: Array, voltage: Array, warnings: tuple[str, ...] = ()) -> PlannedRun:
         home = self.homing
         excitation = Excitation(name, np.concatenate([home.voltage, voltage]), home.sample_rate)
         shown = np.concatenate([np.full(len(home), np.nan), wanted])
-        return Course(shown, len(home) + self.leg - 1, excitation, self.stroke, warnings)
+        return PlannedRun(shown, len(home) + self.leg - 1, excitation, self.stroke, warnings)
 
 
 def _one_after_another(records: Sequence[Record]) -> Record:
@@ -137,7 +137,7 @@ def _one_after_another(records: Sequence[Record]) -> Record:
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class TrackedPath:
     """What was measured along a path: time (n,) [s], wanted and reached displacement (n,) [m], and the stroke [m]."""
 
     time: Array
@@ -146,7 +146,7 @@ class Followed:
     stroke: float
 
     @classmethod
-    def of(cls, played: Course, record: Record, rows: NDArray[np.intp]) -> Followed:
+    def of(cls, played: PlannedRun, record: Record, rows: NDArray[np.intp]) -> TrackedPath:
         """Compare a record of one of the excitations with the path; `rows` says which sample is which."""
         along = rows >= played.begin
         wanted = played.wanted[rows[along]]

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst._native import Held
+from dehyst._native import CoreState
 from dehyst._types import Array, Mask
 from dehyst._validation import vector
-from dehyst.control.limits import TIME_NEEDED, Limits
+from dehyst.control.limits import TIME_NEEDED, VoltageLimits
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import Motion, State
-from dehyst.model.evaluator import Course
+from dehyst.model.evaluator import PathData
 
 _CHUNK = 64
 _ANY = float(np.finfo(np.float64).max)
@@ -62,7 +62,7 @@ class Command:
 
 def follow(
     actuator: Actuator,
-    limits: Limits,
+    limits: VoltageLimits,
     displacement: ArrayLike,
     *,
     time: ArrayLike | None,
@@ -133,7 +133,7 @@ def _extrapolates(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
     return (f"{count} voltages lie outside the identified range {low:.6g} to {high:.6g} V: extrapolated",)
 
 
-def _clamps(limits: Limits, voltage: Array, missed: float, clamped: Mask) -> tuple[str, ...]:
+def _clamps(limits: VoltageLimits, voltage: Array, missed: float, clamped: Mask) -> tuple[str, ...]:
     count = int(np.count_nonzero(clamped))
     if not count:
         return ()
@@ -177,14 +177,14 @@ class _Path:
         """What goes with the path, a value a sample."""
         found = {"time": self.time, "load": self.load}
         if self.actuator.dynamics is not None:
-            along = Course(self.time, self.load, self.velocity, self.acceleration)
+            along = PathData(self.time, self.load, self.velocity, self.acceleration)
             found["velocity"], found["acceleration"] = self.actuator.model.derivatives(self.wanted, along)
         return {name: None if values is None else vector(values, name) for name, values in found.items()}
 
     @cached_property
     def lead(self) -> Array:
         """W less the path [m]."""
-        return self.actuator.model.lead(self.wanted, Course(**self.course))
+        return self.actuator.model.lead(self.wanted, PathData(**self.course))
 
     def followed(self, i: int, stop: int, start: State) -> tuple[Array, State]:
         """Voltages of samples i to stop - 1, from the state at sample i - 1, and the state at the last."""
@@ -205,7 +205,9 @@ class _Path:
         motion = self.actuator.simulate(voltage[first : i + 1], **cut, state=start, extrapolate=True)
         return float(motion.displacement[-1]), motion.state
 
-    def stepped(self, first: int, before: float, start: State, limits: Limits) -> tuple[Array, Array, Mask, State]:
+    def stepped(
+        self, first: int, before: float, start: State, limits: VoltageLimits
+    ) -> tuple[Array, Array, Mask, State]:
         """The samples from `first` on, each within limits: voltages, displacements, what was clamped, and the end."""
         model, n, state = self.actuator.model, self.wanted.size, start
         bounds, durations = self.clock
@@ -221,7 +223,7 @@ class _Path:
             loop = model.core.loop(pace, np.ones(1), numbers, lambda *_: None, model.held(state))
             loop.go_on(np.array([before, before, before, before, 0.0, 0.0, w[run.start - 1]]), 0, 0, 0)
             voltage[run], place[run], offers[run] = loop.trace(w[run])
-            before, state = float(voltage[run.stop - 1]), model.state_of(Held(*loop.state()))
+            before, state = float(voltage[run.stop - 1]), model.state_of(CoreState(*loop.state()))
         clamped = offers[first:] != _WISHED
         clamped &= np.abs(place - w)[first:] > _ROUNDING * float(np.ptp(model.spring.displacement))
         reached = np.where(clamped, place[first:] - self.lead[first:], self.wanted[first:])

@@ -17,12 +17,12 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.homing import Homing, shortest_homing
 from dehyst.control.homing_in_time import leg_seconds
 from dehyst.control.lead_in import approach_to
-from dehyst.control.start_up import Stretch, settle, start_up_cycles
+from dehyst.control.start_up import StartUp, settle, start_up_cycles
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
 from dehyst.waveforms.excitation import Excitation, positive, refuse_long, volts
-from dehyst.waveforms.playback import Drive
-from dehyst.waveforms.scan import Limits, Scan, whole
+from dehyst.waveforms.playback import Sampling
+from dehyst.waveforms.scan import MotionLimits, Scan, whole
 from dehyst.waveforms.standard import homing as homing_through
 
 # Of the stroke: as near as the first steady cycle comes to the later ones.
@@ -58,10 +58,10 @@ class WaveTable:
     homing : Excitation or None
         Makes the state known; None if it was given, or is known whatever was before. A long one has a sample rate of
         its own: the scan's over a whole number.
-    start_up : Stretch
+    start_up : StartUp
         From the present displacement at rest to the cycle's first sample, then cycles whose voltages still change. The
         sample after its last is the cycle's first.
-    cycle : Stretch
+    cycle : StartUp
         One period in its steady cycle.
     cycles : int
         Cycles in the start-up, after which the steady table may be played.
@@ -86,8 +86,8 @@ class WaveTable:
     """
 
     homing: Excitation | None
-    start_up: Stretch
-    cycle: Stretch
+    start_up: StartUp
+    cycle: StartUp
     cycles: int
     error: float
     tolerance: float
@@ -164,7 +164,7 @@ def wave_table(
     slew_rate: float | None = None,
     state: State | None = None,
     present: float | None = None,
-    drive: Drive | None = None,
+    drive: Sampling | None = None,
     approach: float | None = None,
     cycles: int | None = None,
     tolerance: float | None = None,
@@ -188,7 +188,7 @@ def wave_table(
         Where the actuator is, at rest; by default it is not known and the shortest homing comes first.
     present : float, optional
         With homing: voltage now [V]; by default 0 V or the limit next to it.
-    drive : Drive, optional
+    drive : Sampling, optional
         Pace and shape of the homing; by default 1 Hz or the scan's frequency if that is lower, and with creep as slow
         as `shortest_homing` has it. Its samples are the scan's; those of more than 1e5 are 200 a leg at least.
     approach : float, optional
@@ -221,7 +221,7 @@ def wave_table(
         homing, way_to, remarks = _homing(compensator, scan, present, drive)
         unknown, sure, start = way_to.error, way_to.certified, way_to.state
         said += remarks
-    reach = Limits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
+    reach = MotionLimits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
     way = approach_to(path, compensator, start, reach, approach)
     found = settle(compensator, path, way, start, least, wanted)
     return WaveTable(
@@ -242,7 +242,7 @@ def wave_table(
 
 
 def _homing(
-    compensator: Compensator, scan: Scan, present: float | None, drive: Drive | None
+    compensator: Compensator, scan: Scan, present: float | None, drive: Sampling | None
 ) -> tuple[Excitation | None, Homing, tuple[str, ...]]:
     """The homing in the scan's samples, what it is worth, and what is to be said."""
     actuator, limits = compensator.actuator, interval(compensator.limits or ())
@@ -254,7 +254,7 @@ def _homing(
         )
     if drive is None:
         slowly = max(0.5 / _HOMING_FREQUENCY, 0.5 * scan.period)
-        drive = Drive(frequency=0.5 / leg_seconds(actuator, slowly), sample_rate=scan.rate)
+        drive = Sampling(frequency=0.5 / leg_seconds(actuator, slowly), sample_rate=scan.rate)
     drive = replace(
         drive,
         sample_rate=_longer_steps(actuator, drive, scan.rate),
@@ -286,7 +286,7 @@ def _telling(voltage: Array) -> NDArray[np.bool_]:
     return found
 
 
-def _longer_steps(actuator: Actuator, drive: Drive, rate: float) -> float:
+def _longer_steps(actuator: Actuator, drive: Sampling, rate: float) -> float:
     """Samples a second [Hz] of a long homing: the scan's `rate` over a whole number."""
     needed = 2 * _LEG_SAMPLES * drive.frequency
     if actuator.dynamics is not None:

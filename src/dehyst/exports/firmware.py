@@ -23,12 +23,12 @@ from dehyst.exports.footprint import (
     run,
     sizes,
 )
-from dehyst.exports.golden_trace import Golden, golden, trace_header
+from dehyst.exports.golden_trace import GoldenTrace, golden_trace, trace_header
 from dehyst.exports.model_header import Number, demand_compensator, model_header, size_header
 from dehyst.exports.naming import DEFAULT, demand_name, file_of, name_in, printable, text_of
 from dehyst.exports.operation_count import Operations, worst_case
 from dehyst.exports.shipped import shipped
-from dehyst.exports.start import Outset
+from dehyst.exports.start import ExportedStart
 
 __all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "sizes", "worst_case"]
 
@@ -168,7 +168,7 @@ def export(
 
 def _complete(draft: Path, compensator: Compensator, number: Number, name: str, measure: bool) -> Exported:
     """Add what needs the other files: the trace with its bound, and the README with what was measured."""
-    trace = golden(compensator)
+    trace = golden_trace(compensator)
     _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
     made = Exported(draft, {}, worst_case(compensator), None, None if measure else _UNASKED)
     if measure:
@@ -269,10 +269,10 @@ def _float_error(folder: Path, name: str) -> float:
     return float(found[1])
 
 
-def _readme(compensator: Compensator, number: Number, trace: Golden, made: Exported, own: str) -> str:
+def _readme(compensator: Compensator, number: Number, trace: GoldenTrace, made: Exported, own: str) -> str:
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
-    outset, tables = Outset.of(compensator), compensator.tables()
+    outset, tables = ExportedStart.of(compensator), compensator.tables()
     text = shipped("README.md")
     if own != DEFAULT:
         # The example's variable must not be called as its type.

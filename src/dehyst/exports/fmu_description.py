@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 from dehyst._version import __version__
 from dehyst.control.compensator import Compensator
 from dehyst.exports.naming import printable
-from dehyst.exports.start import Outset
+from dehyst.exports.start import ExportedStart
 
 Version: TypeAlias = Literal["2.0", "3.0"]
 Kind: TypeAlias = Literal["compensator", "actuator"]
@@ -139,7 +139,7 @@ def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variab
     summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{name}' follow a displacement."
     if compensator.slew_rate is not None:
         summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
-    y = Outset.of(compensator).displacement
+    y = ExportedStart.of(compensator).displacement
     return summary, (
         Variable("displacement", "input", "m", f"Displacement wanted {when}", y),
         Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
@@ -149,7 +149,7 @@ def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variab
 
 
 def _actuator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
-    v = Outset.of(compensator).voltage
+    v = ExportedStart.of(compensator).voltage
     return f"The actuator '{name}': displacement that a voltage causes.", (
         Variable("voltage", "input", "V", "Voltage reached at the end of a step's first period, then held", v),
         Variable("displacement", "output", "m", "Displacement"),

@@ -35,7 +35,7 @@ class Call(IntEnum):
     SIMULATE = 6
 
 
-class Row(NamedTuple):
+class TraceRow(NamedTuple):
     """A call, what it is given [m or V] and what it answers: a voltage [V], or where the actuator then is [m]."""
 
     what: Call
@@ -43,12 +43,12 @@ class Row(NamedTuple):
     answer: float
 
 
-class Golden(NamedTuple):
+class GoldenTrace(NamedTuple):
     """A trace.
 
     Attributes
     ----------
-    rows : tuple of Row
+    rows : tuple of TraceRow
     clamps : Clamps
         Of the steps.
     refused : int
@@ -57,14 +57,14 @@ class Golden(NamedTuple):
         What errors are told of: the width of the limits [V] and of the reach [m].
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[TraceRow, ...]
     clamps: Clamps
     refused: int
     volts: float
     stroke: float
 
 
-def golden(compensator: Compensator) -> Golden:
+def golden_trace(compensator: Compensator) -> GoldenTrace:
     """Play a trace on compensators like this one, at their start; this one stays as it is.
 
     Wishes within the reach and beyond it, slow and in jumps; offers that are not taken, taken, or sent as another
@@ -79,12 +79,12 @@ def golden(compensator: Compensator) -> Golden:
         actuator = compensator.afresh()
         for voltage in _voltages(low, high).tolist():
             actuator.commit(voltage)
-            rows += (Row(Call.SIMULATE, voltage, _place(actuator)),)
+            rows += (TraceRow(Call.SIMULATE, voltage, _place(actuator)),)
     refused = sum(row.what is Call.NONSENSE for row in rows)
-    return Golden(rows, loop.clamps, refused, high - low, top - bottom)
+    return GoldenTrace(rows, loop.clamps, refused, high - low, top - bottom)
 
 
-def trace_header(trace: Golden, least: float, most: float) -> str:
+def trace_header(trace: GoldenTrace, least: float, most: float) -> str:
     """Text of `trace.h`; a float's error is to lie between two shares of the range."""
     # C has no NaN to write down; check.c makes one.
     rows = [f"    {{{int(row.what)}, {_hex(row.given)}, {_hex(row.answer)}}}" for row in trace.rows]
@@ -144,31 +144,31 @@ def _voltages(low: float, high: float) -> Array:
     return np.concatenate([ramp, rng.uniform(low, high, _VOLTAGES // 2)])
 
 
-def _played(loop: Compensator, path: Array) -> Iterable[Row]:
+def _played(loop: Compensator, path: Array) -> Iterable[TraceRow]:
     """The rows of a path, with every kind of call mixed in."""
     low, high = loop.limits
     for t, wish in enumerate(path.tolist()):
         if t % _OFFERED == 3:
             other = float(path[-1 - t])
-            yield Row(Call.OFFER, other, loop.offer(other))
+            yield TraceRow(Call.OFFER, other, loop.offer(other))
         if t % _COMMITS in (5, 9):
             offered = loop.offer(wish)
-            yield Row(Call.OFFER, wish, offered)
+            yield TraceRow(Call.OFFER, wish, offered)
             if t % _COMMITS == 9:
                 loop.commit(offered)
-                yield Row(Call.ACCEPT, 0.0, _place(loop))
+                yield TraceRow(Call.ACCEPT, 0.0, _place(loop))
                 continue
             # As a converter of few bits sends it.
             sent = low + (high - low) * round(_STEPS * (offered - low) / (high - low)) / _STEPS
             loop.commit(sent)
-            yield Row(Call.COMMIT, sent, _place(loop))
+            yield TraceRow(Call.COMMIT, sent, _place(loop))
         elif t % _HELD == 7:
             loop.hold()
-            yield Row(Call.HOLD, 0.0, _place(loop))
+            yield TraceRow(Call.HOLD, 0.0, _place(loop))
         elif t % _NONSENSE == 11:
-            yield Row(Call.NONSENSE, math.nan, _refused(loop))
+            yield TraceRow(Call.NONSENSE, math.nan, _refused(loop))
         else:
-            yield Row(Call.STEP, wish, loop.step(wish))
+            yield TraceRow(Call.STEP, wish, loop.step(wish))
 
 
 def _refused(loop: Compensator) -> float:

@@ -8,12 +8,12 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import NOTHING
+from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.control.compensator import Compensator
 from dehyst.exports.naming import in_comment
-from dehyst.exports.start import Outset
+from dehyst.exports.start import ExportedStart
 
 Number: TypeAlias = Literal["double", "float"]
 Tables: TypeAlias = Mapping[str, Array]
@@ -188,7 +188,7 @@ def _used(tables: Tables) -> dict[str, Array]:
     """Arrays that a loop reads: graded elements have no stiffness apart, a curve has one slope less than knots."""
     arrays = {name: values for name, values in tables.items() if name not in ("loop", "inertia", "transition")}
     if tables["grade_knot"].size:
-        arrays["kappa"] = NOTHING
+        arrays["kappa"] = EMPTY
     for name in ("tau_slope", "tau_inverse"):
         arrays[name] = arrays[name][:-1]
     return arrays
@@ -228,7 +228,7 @@ def _compensator(tables: Tables, used: Tables, spell: _Spelling) -> str:
 
 
 def _begins(compensator: Compensator) -> list[str]:
-    outset = Outset.of(compensator)
+    outset = ExportedStart.of(compensator)
     return [
         f"/* Where it starts, at {outset.words}. To bring the actuator there:",
         f" * {outset.way}.",

@@ -14,7 +14,7 @@ from dehyst.model.base import State
 _NEAR = 0.01
 
 
-class Outset(NamedTuple):
+class ExportedStart(NamedTuple):
     """Displacement [m] and voltage [V] of the memory at the beginning, and the way there in words."""
 
     displacement: float
@@ -22,7 +22,7 @@ class Outset(NamedTuple):
     way: str
 
     @classmethod
-    def of(cls, compensator: Compensator) -> Outset:
+    def of(cls, compensator: Compensator) -> ExportedStart:
         """Of a loop like this one, as it was made or last reset."""
         loop, actuator = compensator.afresh(), compensator.actuator
         state, (low, high), asked = loop.state, loop.limits, loop.asked_start

@@ -21,7 +21,7 @@ _FELT = 0.01
 
 
 @dataclass(frozen=True)
-class Inertia:
+class SensedDynamics:
     """How the displacement y follows w, that which hysteresis makes: w(t - delay) = y + damping y' + mass y''.
 
     Attributes
@@ -42,7 +42,7 @@ class Inertia:
     lag: float = 0.0
 
     @classmethod
-    def of(cls, actuator: Actuator) -> Inertia:
+    def of(cls, actuator: Actuator) -> SensedDynamics:
         """That of an actuator."""
         dynamics = actuator.dynamics
         if dynamics is None:
@@ -59,14 +59,14 @@ class Inertia:
         return Dynamics(float(omega), float(0.5 * self.damping * omega))
 
 
-def felt(seconds: float, sample_time: float) -> float:
+def significant_delay(seconds: float, sample_time: float) -> float:
     """A delay or lag [s] that a search found; 0 below a hundredth of a sample, for a search rarely ends at 0 itself."""
     return seconds if seconds >= _FELT * sample_time else 0.0
 
 
-def find_inertia(
-    build: Callable[[Inertia], WideRegression], delay: float, sample_time: float, fastest: float
-) -> Inertia:
+def find_dynamics(
+    build: Callable[[SensedDynamics], WideRegression], delay: float, sample_time: float, fastest: float
+) -> SensedDynamics:
     """Least RMS residual over delay, damping and mass; no mass unless that is worth it.
 
     Parameters
@@ -82,15 +82,15 @@ def find_inertia(
     """
     from scipy.optimize import minimize
 
-    none = Inertia(delay, 0.0, 0.0)
+    none = SensedDynamics(delay, 0.0, 0.0)
     best, cost = none, build(none).rms()
     # What is slower than a tenth of the fastest cycle would show as a resonance in it; what is faster than the
     # sampling cannot be seen.
     scale = max(sample_time, 0.02 * fastest)
 
-    def of(x: Array) -> Inertia:
+    def of(x: Array) -> SensedDynamics:
         delay_, damping, root = np.abs(x) * scale
-        return Inertia(float(delay_), float(damping), float(root**2))
+        return SensedDynamics(float(delay_), float(damping), float(root**2))
 
     simplex = np.array(
         [
@@ -106,4 +106,4 @@ def find_inertia(
     if found.fun >= _WORTH * cost:
         return best
     best = of(found.x)
-    return replace(best, delay=felt(best.delay, sample_time))
+    return replace(best, delay=significant_delay(best.delay, sample_time))

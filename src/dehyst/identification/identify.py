@@ -16,10 +16,10 @@ from dehyst._types import Array, Progress
 from dehyst._version import __version__
 from dehyst.identification import output_error, paper_methods
 from dehyst.identification.diagnostics import messages
-from dehyst.identification.diagnostics.assumptions import checks
-from dehyst.identification.diagnostics.identifiability import directions, probed
-from dehyst.identification.diagnostics.residuals import leftovers
-from dehyst.identification.dynamics_search import Inertia
+from dehyst.identification.diagnostics.assumptions import assumption_checks
+from dehyst.identification.diagnostics.identifiability import identifiability, probe_identifiability
+from dehyst.identification.diagnostics.residuals import residual_checks
+from dehyst.identification.dynamics_search import SensedDynamics
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import RowSource
@@ -29,9 +29,9 @@ from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.regression.wide_regression import WideRegression
 from dehyst.identification.settings import Direction, Method, Settings
 from dehyst.identification.solvers.program import Norm
-from dehyst.identification.structure_selection import Trial
-from dehyst.identification.structured_fit import Wider
-from dehyst.identification.training_data import Frame
+from dehyst.identification.structure_selection import StructureTrial
+from dehyst.identification.structured_fit import StructuredFit
+from dehyst.identification.training_data import TrainingData
 from dehyst.identification.validation import MOST_ROWS, Protocol, errors_of
 from dehyst.model.actuator import Actuator
 from dehyst.model.elements import MaxwellSlip, Spring
@@ -134,7 +134,9 @@ def identify(
         raise IdentifyError("refine: the paper's class is fitted as it is; leave refine out, or try structure='auto'")
     tell("checking the records")
     with one_thread():
-        job = _Job(settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell)
+        job = _Identification(
+            settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell
+        )
         if structure != "paper":
             fit = job.by_structure(structure, refine)
         else:
@@ -169,7 +171,7 @@ def _refuse_structure(structure: object, settings: Settings, counted: bool) -> N
 
 
 @dataclass(eq=False)
-class _Job:
+class _Identification:
     """One identification: its records, and what was said of them so far."""
 
     settings: Settings
@@ -179,7 +181,7 @@ class _Job:
     said: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     structure: Structure | None = None
-    trials: tuple[Trial, ...] = ()
+    trials: tuple[StructureTrial, ...] = ()
 
     def __post_init__(self) -> None:
         self.said += [sentence for item in (*self.training, *self.held_out) for sentence in item.sentences]
@@ -202,7 +204,7 @@ class _Job:
             return self._failed(found.solution.status)
         actuator = self._actuator(rho, regression, found)
         self.tell("simulating every record")
-        told = directions(self._on_axis(regression.datum), rho, regression)
+        told = identifiability(self._on_axis(regression.datum), rho, regression)
         outcome, remarks = messages.of_plain(told, regression, found)
         self.remarks += remarks
         return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
@@ -212,13 +214,13 @@ class _Job:
         self.tell("estimating delay and datums")
         plain = self._with_datums(self._regression(self._thresholds(), self.delay))
         voltages = self._limits()
-        inertia = Inertia(self.delay, 0.0, 0.0)
-        frame = Frame(
+        inertia = SensedDynamics(self.delay, 0.0, 0.0)
+        frame = TrainingData(
             self.training, inertia, self.span, voltages, plain.floor, plain.datum, self.widest, tuple(self._can_drift())
         )
         if isinstance(structure, str):
             # Without loops within loops nothing that tells structures apart can be held out.
-            missing = messages.of_turns(probed(self._on_axis(plain.datum), plain.rows, self.span))
+            missing = messages.of_turns(probe_identifiability(self._on_axis(plain.datum), plain.rows, self.span))
             if missing:
                 self.remarks += missing
                 return self.by_records()
@@ -233,7 +235,7 @@ class _Job:
             frame = self._with_delay(frame, structure)
         self.structure = structure
         self.tell(f"solving the program for {structure.words}")
-        made = Wider.solve(frame, structure, self.settings.norm)
+        made = StructuredFit.solve(frame, structure, self.settings.norm)
         solution = made.found.solution
         if not solution.optimal:
             return self._failed(solution.status)
@@ -248,7 +250,7 @@ class _Job:
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
         return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
 
-    def _with_delay(self, frame: Frame, structure: Structure | None = None) -> Frame:
+    def _with_delay(self, frame: TrainingData, structure: Structure | None = None) -> TrainingData:
         """Only a delay that was not given can be mistaken."""
         return frame.with_checked_delay(structure) if self.settings.delay is None else frame
 
@@ -260,7 +262,7 @@ class _Job:
             for piece in item.pieces
         ]
 
-    def _refined(self, made: Wider) -> Actuator:
+    def _refined(self, made: StructuredFit) -> Actuator:
         found = output_error.refine(made, self.tell)
         what = "kept" if found.kept else "not better, and left out"
         self.remarks.append(
@@ -269,7 +271,7 @@ class _Job:
         )
         return found.actuator
 
-    def _plainly(self, frame: Frame, structure: Structure) -> Fit:
+    def _plainly(self, frame: TrainingData, structure: Structure) -> Fit:
         """The paper's class on a grid of thresholds that was chosen: what it determines can be judged."""
         rho = None if structure.spacing == 1 else structure.grid(self.span, frame.voltages, frame.times).breakaway
         elements = structure.elements if rho is None else None
@@ -420,9 +422,9 @@ class _Job:
         imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
         floor = regression.floor if self.settings.method == "record" or imposed else None
         if actuator.wide:
-            checked = leftovers(actuator, traces, errors)
+            checked = residual_checks(actuator, traces, errors)
         else:
-            checked = checks(actuator, records, errors, floor=floor, imposed=imposed)
+            checked = assumption_checks(actuator, records, errors, floor=floor, imposed=imposed)
         if max(error.largest_percent for error in errors) > _USELESS_PERCENT:
             outcome = Outcome.VALIDATION_MISSED
         if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from dehyst._types import Array
 from dehyst.identification.regression.coefficients import coefficients_of, grid_of, parts
 from dehyst.identification.regression.wide_regression import WideRegression
-from dehyst.identification.simulation_error import Playback
+from dehyst.identification.simulation_error import SimulationError
 from dehyst.identification.solvers.program import solve
 from dehyst.identification.structure_selection import blocks
-from dehyst.identification.structured_fit import Wider
+from dehyst.identification.structured_fit import StructuredFit
 from dehyst.model.actuator import Actuator
 from dehyst.records.metrics import rms
 
@@ -56,9 +56,9 @@ class Refinement:
     after: float
 
 
-def refine(made: Wider, tell: Callable[[str], None]) -> Refinement:
+def refine(made: StructuredFit, tell: Callable[[str], None]) -> Refinement:
     """Refine a wider actuator by the simulated error of its training records."""
-    point = _Point.of(made)
+    point = _Iterate.of(made)
     errors = point.errors()
     held_out = blocks(point.playback.voltage(), point.playback.stretch()) % _FOLDS == _FOLDS - 1
     before = rms(errors[held_out])
@@ -72,7 +72,7 @@ def refine(made: Wider, tell: Callable[[str], None]) -> Refinement:
     return Refinement(_descended(point, np.ones_like(held_out)).actuator, True, before, after)
 
 
-def _descended(point: _Point, seen: NDArray[np.bool_]) -> _Point:
+def _descended(point: _Iterate, seen: NDArray[np.bool_]) -> _Iterate:
     """The point after some steps on the samples seen."""
     error = rms(point.errors()[seen])
     for _ in range(_STEPS):
@@ -90,7 +90,7 @@ def _descended(point: _Point, seen: NDArray[np.bool_]) -> _Point:
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
+class _Iterate:
     """Coefficients and thresholds, and the actuator that they make.
 
     Attributes
@@ -107,12 +107,12 @@ class _Point:
 
     given: Actuator
     regression: WideRegression
-    playback: Playback
+    playback: SimulationError
     x: Array
     breakaway: Array
 
     @classmethod
-    def of(cls, made: Wider) -> _Point:
+    def of(cls, made: StructuredFit) -> _Iterate:
         grid = grid_of(made.actuator)
         regression = replace(made.regression, grid=grid, strained=(), lasting=None)
         x = np.concatenate(regression.unknowns(coefficients_of(made.actuator)))
@@ -153,7 +153,7 @@ class _Point:
         moves[movable] = found.free[constants.shape[1] :]
         return found.nonnegative, moves
 
-    def towards(self, aim: Array, moves: Array, part: float) -> _Point:
+    def towards(self, aim: Array, moves: Array, part: float) -> _Iterate:
         """A part of the way there, thresholds in their order."""
         rho, room = self.breakaway, _CLOSEST * np.diff(self.breakaway, prepend=0.0)
         above = np.append(room[1:], 0.0)

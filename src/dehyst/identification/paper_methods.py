@@ -19,7 +19,7 @@ from dehyst.records.record import Record
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class BreakPointLoop:
     """A closed loop between two turning points, its cycles averaged.
 
     Attributes
@@ -53,7 +53,7 @@ class Identified:
     remarks: tuple[str, ...] = ()
 
 
-def loops_of(records: list[Record], elements: int) -> list[Loop]:
+def loops_of(records: list[Record], elements: int) -> list[BreakPointLoop]:
     """Find the closed loops of the records, the widest first, with their break points for N = `elements`.
 
     A branch counts if the motion before it was at least as wide, for then every element that slides on it starts from
@@ -72,7 +72,7 @@ def loops_of(records: list[Record], elements: int) -> list[Loop]:
         )
     step = max(top - bottom for _, bottom, top, _, _ in found) / elements
     loops = [
-        Loop(name, bottom, top, _break_points(down, top, bottom, step), _break_points(up, bottom, top, step))
+        BreakPointLoop(name, bottom, top, _break_points(down, top, bottom, step), _break_points(up, bottom, top, step))
         for name, bottom, top, down, up in found
     ]
     return sorted(loops, key=lambda loop: -loop.range)
@@ -89,7 +89,7 @@ def _break_points(branches: list[Branch], start: float, end: float, step: float)
     return np.column_stack([places, np.mean([voltage_at(branch, places) for branch in branches], axis=0)])
 
 
-def linear_program(loops: list[Loop], elements: int, slope_floor: float) -> Identified:
+def linear_program(loops: list[BreakPointLoop], elements: int, slope_floor: float) -> Identified:
     """Minimise the sum of absolute voltage errors at the break points of all loops (Sec. 4.1, Remark 4).
 
     The turning points of the major loop are met exactly (Eq. 4 and closure, Fdown_N = 0). Unknowns: k_i >= 0, the
@@ -124,7 +124,7 @@ def linear_program(loops: list[Loop], elements: int, slope_floor: float) -> Iden
     return Identified(actuator, outcome, status, gap, tuple(remarks))
 
 
-def _rows(loops: list[Loop], rho: Array, knots: Array) -> tuple[Array, Array]:
+def _rows(loops: list[BreakPointLoop], rho: Array, knots: Array) -> tuple[Array, Array]:
     """A row a break point: elongations, parts of the spring's segments, one constant a loop."""
     rows, target = [], []
     for number, loop in enumerate(loops):
@@ -143,7 +143,7 @@ def _rows(loops: list[Loop], rho: Array, knots: Array) -> tuple[Array, Array]:
 
 
 def _solve(
-    rows: Array, target: Array, elements: int, loops: int, floor: float, major: Loop
+    rows: Array, target: Array, elements: int, loops: int, floor: float, major: BreakPointLoop
 ) -> tuple[Array, float, bool, str, float]:
     """The linear program with residuals split in two: x, objective [V], optimal, status, relative gap."""
     count, unknowns = rows.shape
@@ -164,7 +164,7 @@ def _solve(
     return x[:unknowns] / scale * size, objective * size, optimal, status, gap
 
 
-def closed_form(loops: list[Loop], elements: int, branch: Direction) -> Identified:
+def closed_form(loops: list[BreakPointLoop], elements: int, branch: Direction) -> Identified:
     """Remark 2: k_i from second differences of one branch's break voltages, for an anti-symmetric loop without g.
 
     k_N cannot be told from the spring and is set to zero; so are stiffnesses that come out negative.

@@ -12,8 +12,8 @@ from math import exp
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.dynamics_search import felt
-from dehyst.identification.simulation_error import Playback
+from dehyst.identification.dynamics_search import significant_delay
+from dehyst.identification.simulation_error import SimulationError
 from dehyst.model.actuator import Actuator
 from dehyst.model.dynamics import Dynamics
 from dehyst.records.metrics import rms
@@ -25,14 +25,14 @@ _FIRST_LAG = 0.05
 _STEP = 1e-3
 
 
-def rung(actuator: Actuator, playback: Playback) -> Actuator:
+def tune_resonance(actuator: Actuator, playback: SimulationError) -> Actuator:
     """The same actuator with the dynamics, delay and lag of least RMS simulation error, by least squares.
 
     Parameters
     ----------
     actuator : Actuator
         With dynamics.
-    playback : Playback
+    playback : SimulationError
         Of records in which it rings.
     """
     if actuator.dynamics is None:
@@ -43,13 +43,15 @@ def rung(actuator: Actuator, playback: Playback) -> Actuator:
     return lagging if worth else without
 
 
-def _felt(actuator: Actuator, playback: Playback) -> Actuator:
+def _felt(actuator: Actuator, playback: SimulationError) -> Actuator:
     """The same without a delay or lag that the records cannot show."""
     sample = min((one.record.record.sample_time for one in playback.stretches), default=0.0)
-    return replace(actuator, delay=felt(actuator.delay, sample), lag=felt(actuator.lag, sample))
+    return replace(
+        actuator, delay=significant_delay(actuator.delay, sample), lag=significant_delay(actuator.lag, sample)
+    )
 
 
-def _nearest(actuator: Actuator, playback: Playback, *, lagging: bool) -> Actuator:
+def _nearest(actuator: Actuator, playback: SimulationError, *, lagging: bool) -> Actuator:
     from scipy.optimize import least_squares
 
     start = actuator.dynamics

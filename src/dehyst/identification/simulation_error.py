@@ -18,7 +18,7 @@ from dehyst.records.record import Record
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class FinalEpoch:
     """The last epoch of one piece of a record.
 
     Attributes
@@ -65,18 +65,18 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class Playback:
+class SimulationError:
     """The stretches of some records from whose states models like the one given are simulated.
 
     Attributes
     ----------
-    stretches : tuple of Stretch
+    stretches : tuple of FinalEpoch
     """
 
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[FinalEpoch, ...]
 
     @classmethod
-    def of(cls, actuator: Actuator, records: Sequence[Prepared], datum: Array, stroke: float) -> Playback:
+    def of(cls, actuator: Actuator, records: Sequence[Prepared], datum: Array, stroke: float) -> SimulationError:
         """States and offsets as they are found beside an actuator; `datum` [m] of each record."""
         found = []
         for record, shift in zip(records, datum, strict=True):
@@ -84,7 +84,7 @@ class Playback:
             for number, (own, offset) in enumerate(zip(beside.epochs, beside.last_offsets(), strict=True)):
                 if own:
                     state = beside.state_before(actuator, number, own[-1]).shifted(beside.datum)
-                    found.append(Stretch(record, number, own[-1], state, offset, beside.datum))
+                    found.append(FinalEpoch(record, number, own[-1], state, offset, beside.datum))
         return cls(tuple(found))
 
     def errors(self, actuator: Actuator) -> Array:

@@ -39,7 +39,7 @@ TUNING: tuple[tuple[str, dict[str, Any]], ...] = (
 
 
 @dataclass(frozen=True)
-class Trial:
+class StructureTrial:
     """A structure that was tried.
 
     Attributes
@@ -68,7 +68,7 @@ class Trial:
         }
 
 
-def label(structure: Structure, trials: Sequence[Trial]) -> str:
+def label(structure: Structure, trials: Sequence[StructureTrial]) -> str:
     """A structure in words, with its smoothing where that alone tells it from another that was tried."""
     like = {one.structure.smoothing for one in trials if one.structure.words == structure.words}
     return structure.words if len(like) < 2 else f"{structure.words}; smoothing {structure.smoothing:g}"
@@ -76,7 +76,7 @@ def label(structure: Structure, trials: Sequence[Trial]) -> str:
 
 def select(
     build: Build, start: Structure, tell: Callable[[str], None], *, without: Sequence[str] = ()
-) -> tuple[Structure, tuple[Trial, ...]]:
+) -> tuple[Structure, tuple[StructureTrial, ...]]:
     """Add the part that helps most on held-out cycles, again and again, until none is worth it; then tune.
 
     Parameters
@@ -102,8 +102,12 @@ def select(
 
 
 def _climbed(
-    build: Build, best: Trial, left: list[dict[str, Any]], trials: list[Trial], tell: Callable[[str], None]
-) -> Trial:
+    build: Build,
+    best: StructureTrial,
+    left: list[dict[str, Any]],
+    trials: list[StructureTrial],
+    tell: Callable[[str], None],
+) -> StructureTrial:
     """The best after one change at a time; what is tried is added to the trials."""
     while left:
         found = [_tried(build, replace(best.structure, **change), tell) for change in left]
@@ -117,7 +121,7 @@ def _climbed(
     return best
 
 
-def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> Trial:
+def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> StructureTrial:
     tell(f"trying {structure.words}")
     begin = time.perf_counter()
     regression = build(structure)
@@ -126,7 +130,7 @@ def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> T
     whole = regression.fit("l2", weights)
     training = rms(regression.residual(whole) / regression.slope(whole))
     held_out = rms(held_out_errors(regression, weights))
-    return Trial(structure, held_out, training, time.perf_counter() - begin)
+    return StructureTrial(structure, held_out, training, time.perf_counter() - begin)
 
 
 def held_out_error(regression: WideRegression) -> float:

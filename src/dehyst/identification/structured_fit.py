@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from dehyst.identification.dynamics_search import Inertia
+from dehyst.identification.dynamics_search import SensedDynamics
 from dehyst.identification.regression.coefficients import parts
 from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
-from dehyst.identification.resonance_tuning import rung
-from dehyst.identification.simulation_error import Playback
+from dehyst.identification.resonance_tuning import tune_resonance
+from dehyst.identification.simulation_error import SimulationError
 from dehyst.identification.solvers.program import Norm
-from dehyst.identification.training_data import Frame
+from dehyst.identification.training_data import TrainingData
 from dehyst.model.actuator import Actuator
 from dehyst.model.structure import Structure
 from dehyst.records.metrics import rms
@@ -23,12 +23,12 @@ _WORTH = 0.97
 
 
 @dataclass(frozen=True, eq=False)
-class Wider:
+class StructuredFit:
     """What the records and a structure make.
 
     Attributes
     ----------
-    frame : Frame
+    frame : TrainingData
     structure : Structure
     norm : str
     regression : WideRegression
@@ -36,14 +36,14 @@ class Wider:
         Of an actuator only if its solution is optimal.
     """
 
-    frame: Frame
+    frame: TrainingData
     structure: Structure
     norm: Norm
     regression: WideRegression
     found: WideCoefficients
 
     @classmethod
-    def solve(cls, frame: Frame, structure: Structure, norm: Norm) -> Wider:
+    def solve(cls, frame: TrainingData, structure: Structure, norm: Norm) -> StructuredFit:
         """Solve the program."""
         return cls(frame, structure, norm, *frame.fitted(structure, norm))
 
@@ -59,20 +59,20 @@ class Wider:
             lag=inertia.lag,
         )
 
-    def playback(self) -> Playback:
+    def playback(self) -> SimulationError:
         """The training records, to be simulated."""
         stroke = self.frame.span[1] - self.frame.span[0]
-        return Playback.of(self.actuator, self.frame.training, self.regression.datum, stroke)
+        return SimulationError.of(self.actuator, self.frame.training, self.regression.datum, stroke)
 
-    def tuned(self, tell: Callable[[str], None]) -> Wider:
+    def tuned(self, tell: Callable[[str], None]) -> StructuredFit:
         """The same with the dynamics that simulate the records best, if they do so better."""
         best, playback = self, self.playback()
         error = rms(playback.errors(self.actuator))
         for _ in range(_ROUNDS):
             tell("tuning the resonance in simulation")
-            actuator = rung(best.actuator, playback)
-            frame = replace(best.frame, inertia=Inertia.of(actuator))
-            trial = Wider.solve(frame, self.structure, self.norm)
+            actuator = tune_resonance(best.actuator, playback)
+            frame = replace(best.frame, inertia=SensedDynamics.of(actuator))
+            trial = StructuredFit.solve(frame, self.structure, self.norm)
             if not trial.found.solution.optimal:
                 return best
             playback = trial.playback()

@@ -9,18 +9,18 @@ from functools import cached_property
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.dynamics_search import Inertia, find_inertia
+from dehyst.identification.dynamics_search import SensedDynamics, find_dynamics
 from dehyst.identification.preprocessing.cleaning import cycle_time
-from dehyst.identification.preprocessing.denoising import without_jitter
-from dehyst.identification.preprocessing.dynamics import undone
-from dehyst.identification.preprocessing.internal_states import Beside
+from dehyst.identification.preprocessing.denoising import remove_jitter
+from dehyst.identification.preprocessing.dynamics import remove_dynamics
+from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.nuisances import worthwhile
 from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
 from dehyst.identification.regression.wide_streaming import WideStream
 from dehyst.identification.solvers.program import Norm
-from dehyst.identification.structure_selection import Trial, held_out_error, select
+from dehyst.identification.structure_selection import StructureTrial, held_out_error, select
 from dehyst.model.structure import Structure
 from dehyst.records.record import Record
 from dehyst.records.signals import turning_points
@@ -45,13 +45,13 @@ _FALSE_DELAY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class TrainingData:
     """What all structures of one identification share.
 
     Attributes
     ----------
     training : sequence of Prepared
-    inertia : Inertia
+    inertia : SensedDynamics
         Delay, and how the displacement lags behind what hysteresis makes.
     span, voltages : (float, float)
         Lowest and highest displacement [m] of the widest loop, and voltage [V] of all records.
@@ -66,7 +66,7 @@ class Frame:
     """
 
     training: Sequence[Prepared]
-    inertia: Inertia
+    inertia: SensedDynamics
     span: tuple[float, float]
     voltages: tuple[float, float]
     floor: float
@@ -106,8 +106,8 @@ class Frame:
         pieces = [(q, path, drift) for q, item in enumerate(self.training) for path, drift in paths(item, stroke)]
         noise = [self.training[q].noise for q, _, _ in pieces]
 
-        def moved(number: int, piece: Record) -> Beside:
-            return Beside(grid, piece, self.training[number].lead)
+        def moved(number: int, piece: Record) -> InternalStates:
+            return InternalStates(grid, piece, self.training[number].lead)
 
         source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
         some = WideRegression(source.thinned(most), grid, self.floor, self.datum, smoothing=structure.smoothing)
@@ -116,7 +116,7 @@ class Frame:
     def _paths(self, item: Prepared, stroke: float) -> Iterator[tuple[Record, Array]]:
         """The pieces of a record as they act, displacements those that hysteresis makes; no drift."""
         for piece in item.acting(self.inertia.delay, self.inertia.lag):
-            path = without_jitter(undone(piece, self.inertia.dynamics), item.noise, stroke)
+            path = remove_jitter(remove_dynamics(piece, self.inertia.dynamics), item.noise, stroke)
             yield path, np.broadcast_to(0.0, len(path))
 
     def _drifting_paths(self, item: Prepared, stroke: float) -> Iterator[tuple[Record, Array]]:
@@ -124,7 +124,7 @@ class Frame:
         for (path, _), (_, _, curve) in zip(self._paths(item, stroke), curves, strict=True):
             yield path, curve
 
-    def with_checked_delay(self, structure: Structure | None = None) -> Frame:
+    def with_checked_delay(self, structure: Structure | None = None) -> TrainingData:
         """The same without a delay, if a structure (default: of many parts) then misses held-out cycles by far less.
 
         Where an actuator creeps fast or friction lets go gradually the displacement trails behind at every turn: a
@@ -136,20 +136,20 @@ class Frame:
         late, prompt = (held_out_error(one._rows_of(structure or _TRAILING, _FEW_ROWS)) for one in (self, without))
         return without if prompt < _FALSE_DELAY * late else self
 
-    def with_inertia(self) -> Frame:
+    def with_inertia(self) -> TrainingData:
         """The same with the delay, damping and mass that the records ask for, if they do."""
         step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
         if cycle > _SLOWEST * step:
             return self
 
-        def build(inertia: Inertia) -> WideRegression:
+        def build(inertia: SensedDynamics) -> WideRegression:
             return replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2)
 
         without = build(self.inertia).rms()
         masses = [replace(self.inertia, mass=(root * step) ** 2) for root in _ROOTS]
         if min(build(one).rms() for one in masses) > _WORTH_OF_MASS * without:
             return self
-        return replace(self, inertia=find_inertia(build, self.inertia.delay, step, cycle))
+        return replace(self, inertia=find_dynamics(build, self.inertia.delay, step, cycle))
 
     @cached_property
     def drifting(self) -> tuple[int, ...]:
@@ -180,7 +180,9 @@ class Frame:
         lasting = [count * step for count, step in zip(cycles, times, strict=True)]
         return (len(lasting) > 1 and max(lasting) > _SPEEDS * min(lasting)) or any(map(_holds, self.training))
 
-    def chosen(self, start: Structure, tell: Callable[[str], None]) -> tuple[Structure, tuple[Trial, ...], list[str]]:
+    def chosen(
+        self, start: Structure, tell: Callable[[str], None]
+    ) -> tuple[Structure, tuple[StructureTrial, ...], list[str]]:
         """The structure that the records support, the trials, and what they do not support."""
         without: tuple[str, ...] = ()
         remarks = []

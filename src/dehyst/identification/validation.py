@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._native import stops
+from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.identification.preprocessing.denoising import without_jitter
-from dehyst.identification.preprocessing.dynamics import derivatives, undone
-from dehyst.identification.preprocessing.internal_states import Beside
+from dehyst.identification.preprocessing.denoising import remove_jitter
+from dehyst.identification.preprocessing.dynamics import derivatives, remove_dynamics
+from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import Epoch, RowSource
 from dehyst.identification.regression.coefficients import coefficients_of, grid_of
@@ -66,7 +66,7 @@ class Protocol:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class RecordComparison:
     """A record beside a model: its samples that count, and what it cannot be told without.
 
     Attributes
@@ -166,7 +166,7 @@ class Comparison:
         y = self.pieces[number][1].displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
         for start in range(0, y.size, _STOPS_AT_A_TIME):
-            _, carts = stops(rho, carts, np.ascontiguousarray(y[start : start + _STOPS_AT_A_TIME]))
+            _, carts = slip_elongations(rho, carts, np.ascontiguousarray(y[start : start + _STOPS_AT_A_TIME]))
         carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
         moved = self.source.moved_at(number, epoch.start)
         creep, smooth, left = np.split(moved, np.cumsum([grid.time_constants.size, grid.lengths.size]))
@@ -180,7 +180,7 @@ class Comparison:
         return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), creep, motion, smooth)
 
 
-def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Comparison:
+def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> RecordComparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
     measured = record.delayed(0, protocol.delay, actuator.lag)
     pieces = [(q, _path(actuator, piece, record.noise, protocol.stroke), drift) for q, piece, drift in measured]
@@ -191,10 +191,12 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> Compari
     regression = replace(regression, datum=np.array([datum]))
     found = (regression if actuator.wide else Stream(source, regression)).nuisances_of(model)
     base = float(actuator.spring.voltage[0])
-    return Comparison(record, source, [piece for _, piece, _ in measured], regression, found, base)
+    return RecordComparison(record, source, [piece for _, piece, _ in measured], regression, found, base)
 
 
-def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[tuple[Comparison, ...], float, float]:
+def compare_all(
+    actuator: Actuator, records: Record | Sequence[Record]
+) -> tuple[tuple[RecordComparison, ...], float, float]:
     """Put the records that an actuator was identified from beside it, by the options of its provenance.
 
     Returns
@@ -216,7 +218,7 @@ def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple
     return compared, stroke, float(np.ptp(widest.voltage)) / stroke * float(options.get("slope_floor", 0.2))
 
 
-def told(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:
+def state_after(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:
     """The state at a record's last sample, on the model's axis, and the offset of its voltages [V].
 
     Its displacements tell them, and how far its sensor's zero lies from the model's: the offset by least squares over
@@ -233,7 +235,7 @@ def told(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]
         last = replace(own[-1], start=len(beside.pieces[number][1]) - 1)
         return beside.state_before(actuator, number, last).shifted(beside.datum), beside.last_offsets()[-1]
     y = lead.displacement
-    _, carts = stops(actuator.slip.breakaway, np.full(len(actuator.slip), y[0]), np.ascontiguousarray(y))
+    _, carts = slip_elongations(actuator.slip.breakaway, np.full(len(actuator.slip), y[0]), np.ascontiguousarray(y))
     creep = () if actuator.creep is None else actuator.creep.strains(lead.time, y)[-1]
     smooth = () if actuator.smooth is None else actuator.smooth.elongations(y)[-1]
     state = State(float(y[-1]), carts, creep, smooth=smooth)
@@ -255,7 +257,7 @@ def _beside(
         model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
         return source, regression, model
     grid = grid_of(actuator)
-    source = RowSource.of(pieces, rho, sigma, moved=lambda _, piece: Beside(grid, piece, record.lead))
+    source = RowSource.of(pieces, rho, sigma, moved=lambda _, piece: InternalStates(grid, piece, record.lead))
     floor = _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
     wide = WideRegression(source.thinned(_FEW_ROWS), grid, floor, np.zeros(1), drifting, (0,))
     return source, wide, coefficients_of(actuator)
@@ -263,7 +265,7 @@ def _beside(
 
 def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
     """What drives the elements of an actuator; plain ones take the measured displacement as it is."""
-    return without_jitter(undone(piece, actuator.dynamics), noise, stroke) if actuator.wide else piece
+    return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke) if actuator.wide else piece
 
 
 def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:
@@ -312,7 +314,7 @@ class _Sums:
         return [float(np.sqrt(squares / self.samples)) for squares in self._squares]
 
     def add(self, played: tuple[Array, ...]) -> None:
-        """Add a stretch, as `Comparison.play` yields it."""
+        """Add a stretch, as `RecordComparison.play` yields it."""
         first = -self.samples % self._step
         self.drawn.append(tuple(column[first :: self._step].copy() for column in played[:4]))
         self.samples += played[0].size

@@ -18,8 +18,8 @@ from dehyst._errors import DeviceError, ModelError, RecordError, RigError
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control.compensator import ClampWarning
-from dehyst.control.limits import Limits
-from dehyst.control.ramps import towards
+from dehyst.control.limits import VoltageLimits
+from dehyst.control.ramps import ramp_step
 from dehyst.instruments.driver_errors import finite, leafs_own, reading_of
 from dehyst.instruments.interrupts import shielded
 from dehyst.instruments.limits import common, refuse
@@ -52,7 +52,7 @@ class AbstractRig(ABC):
     ----------
     name : str
         What the instrument says it is.
-    device : Limits
+    device : VoltageLimits
         What the device allows; its slew rate may be None.
     limits : (float, float), optional
         Voltages that the user allows [V]; what the device does not allow is left out.
@@ -67,7 +67,7 @@ class AbstractRig(ABC):
 
     Attributes
     ----------
-    limits, slew_rate : Limits, float
+    limits, slew_rate : VoltageLimits, float
         What is kept to: never wider than the device's nor than the user's, always with a slew rate [V/s].
     safe : float
         The voltage [V] to retreat to: the one within the limits nearest to 0 V.
@@ -81,7 +81,7 @@ class AbstractRig(ABC):
     def __init__(
         self,
         name: str,
-        device: Limits,
+        device: VoltageLimits,
         *,
         limits: tuple[float, float] | None = None,
         slew_rate: float | None = None,
@@ -284,9 +284,9 @@ class AbstractRig(ABC):
             present = otherwise
         present = self._within(present)
         low, high = self.limits.low, self.limits.high
-        gently = Limits(low, high, min(self.slew_rate, (high - low) / _GENTLE))
+        gently = VoltageLimits(low, high, min(self.slew_rate, (high - low) / _GENTLE))
         while present != end:
-            present = towards(end, present, gently, _TICK)
+            present = ramp_step(end, present, gently, _TICK)
             # First, too: a wave may have been stopped just now.
             self._wait(_TICK)
             with leafs_own(self.name, "_put"):

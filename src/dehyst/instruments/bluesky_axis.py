@@ -10,13 +10,13 @@ from dataclasses import replace
 from typing import Any
 
 from dehyst._errors import DeviceError, MissingExtraError, ModelError, RigError
-from dehyst._native import NOTHING
+from dehyst._native import EMPTY
 from dehyst._validation import number
 from dehyst.control.compensator import Compensator
 from dehyst.control.homing import shortest_homing
-from dehyst.control.limits import Limits
-from dehyst.control.ramps import homing_steps, towards
-from dehyst.control.reachable import led_to
+from dehyst.control.limits import VoltageLimits
+from dehyst.control.ramps import homing_steps, ramp_step
+from dehyst.control.reachable import state_at
 from dehyst.instruments.epics import PvNames
 from dehyst.instruments.samples import ASTRAY
 from dehyst.model.actuator import Actuator
@@ -107,9 +107,9 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         if period <= 0 or settle < 0:
             raise ModelError(f"period, settle: got {period} and {settle} s, need more than 0, and 0 or more")
         self._actuator, self._period, self._settle = _slow(actuator), period, settle
-        self._asked = [Limits(*ends) for ends in (limits, actuator.limits) if ends is not None]
-        self._asked_slew = None if slew_rate is None else Limits(0.0, 1.0, slew_rate).slew_rate
-        self._limits: Limits | None = None
+        self._asked = [VoltageLimits(*ends) for ends in (limits, actuator.limits) if ends is not None]
+        self._asked_slew = None if slew_rate is None else VoltageLimits(0.0, 1.0, slew_rate).slew_rate
+        self._limits: VoltageLimits | None = None
         self._compensator: Compensator | None = None
         self._unknown = "it was not homed yet"
         self._stopped: bool | None = None
@@ -179,7 +179,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         """
         async with self._moves:
             self._stopped = None
-            compensator, limits = self._known(), self._limits or Limits(0.0, 1.0)
+            compensator, limits = self._known(), self._limits or VoltageLimits(0.0, 1.0)
             await self._refuse_moved(compensator, limits)
             await self.check_value(value)
             self._show_wanted(float(value))
@@ -203,7 +203,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         """
         compensator = self._known()
         wanted = _MICRO * number(value, f"{self.name}: displacement")
-        needed = self._actuator.voltage(led_to(self._actuator, compensator.state, wanted))
+        needed = self._actuator.voltage(state_at(self._actuator, compensator.state, wanted))
         low, high = compensator.limits
         slack = _ROUNDING * (high - low)
         if not low - slack <= needed <= high + slack:
@@ -231,7 +231,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         if self._stopped is False or (self._stopped and self._compensator is None):
             raise RigError(f"{self.name}: was stopped on its way; it holds the voltage where it was")
 
-    async def _refuse_moved(self, compensator: Compensator, limits: Limits) -> None:
+    async def _refuse_moved(self, compensator: Compensator, limits: VoltageLimits) -> None:
         """Refuse to go on where another voltage was sent than by this axis."""
         # A step of a move that was cancelled may still be on its way to the memory.
         async with self._sends:
@@ -253,15 +253,15 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
                 compensator.hold()
             self._modelled_at += behind * self._period
 
-    async def _step(self, compensator: Compensator, value: float, limits: Limits) -> bool:
+    async def _step(self, compensator: Compensator, value: float, limits: VoltageLimits) -> bool:
         """One step towards a displacement [um]; whether it has been reached."""
         self._catch_up(compensator)
         wish = limits.nearest(compensator.offer(_MICRO * value))
-        voltage = towards(wish, compensator.voltage, limits, self._period)
+        voltage = ramp_step(wish, compensator.voltage, limits, self._period)
         await self._send(voltage, compensator, limits, self._period)
         return voltage == wish
 
-    async def _send(self, voltage: float, memory: Compensator | None, limits: Limits, seconds: float) -> None:
+    async def _send(self, voltage: float, memory: Compensator | None, limits: VoltageLimits, seconds: float) -> None:
         """Put a voltage [V], remember what was taken of it, and wait. To be shielded: what is begun is remembered."""
         async with self._sends:
             try:
@@ -285,7 +285,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     def _forget(self, why: str) -> None:
         self._compensator, self._unknown = None, why
 
-    async def _allowed(self) -> Limits:
+    async def _allowed(self) -> VoltageLimits:
         """What user, actuator and IOC all allow."""
         control: dict[str, Any] = dict((await self.voltage.describe())[self.voltage.name].get("limits", {}))
         record = control.get("control") or {}
@@ -299,7 +299,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
             raise RigError(f"{self.name}: {low:.6g} to {high:.6g} V is what all allow; give other limits=")
         device = 0.0 if self.slew is None else await self.slew.get_value()
         rates = [rate for rate in (device, self._asked_slew) if rate]
-        return Limits(low, high, min(rates, default=(high - low) / _SWEEP))
+        return VoltageLimits(low, high, min(rates, default=(high - low) / _SWEEP))
 
 
 def homing(axis: CompensatedAxis) -> MsgGenerator[None]:
@@ -315,4 +315,4 @@ def homing(axis: CompensatedAxis) -> MsgGenerator[None]:
 
 def _slow(actuator: Actuator) -> Actuator:
     """The same without what slow steps do not feel."""
-    return replace(actuator, dynamics=None, lag=0.0, state=replace(actuator.state, motion=NOTHING))
+    return replace(actuator, dynamics=None, lag=0.0, state=replace(actuator.state, motion=EMPTY))

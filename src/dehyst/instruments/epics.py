@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst._types import Array
-from dehyst.control.limits import Limits
+from dehyst.control.limits import VoltageLimits
 from dehyst.instruments.base import AbstractRig, Reading, Samples
 from dehyst.instruments.channel_access import ChannelAccess
 from dehyst.instruments.host_timed import HIGHEST_RATE, host_timed
@@ -247,7 +247,7 @@ class EpicsRig(AbstractRig):
         if self._names.error is not None and self._link.text(self._names.error):
             self._link.clear(self._names.error)
 
-    def _device(self, asked: tuple[float, float] | None) -> Limits:
+    def _device(self, asked: tuple[float, float] | None) -> VoltageLimits:
         """What the device allows: its variables, and its record's limits where they are narrower."""
         names, link = self._names, self._link
         low, high = link.limits(names.voltage)
@@ -261,7 +261,7 @@ class EpicsRig(AbstractRig):
                 f"{link.prefix}{names.voltage}: its limits are {low:g} to {high:g} V; set DRVL and DRVH in its record"
             )
         slew = 0.0 if names.slew is None else link.numbers(names.slew)[0]
-        return Limits(low, high, slew if slew > 0 else None)
+        return VoltageLimits(low, high, slew if slew > 0 else None)
 
 
 def _answering(link: ChannelAccess, names: PvNames) -> PvNames:

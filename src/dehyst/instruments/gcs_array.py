@@ -16,7 +16,7 @@ _HEADER = re.compile(r"#\s*([A-Z_]+)(\d*)\s*=\s*(.*)")
 _END = "# END_HEADER"
 
 
-class Table(NamedTuple):
+class GcsArray(NamedTuple):
     """A GCS array.
 
     Attributes
@@ -34,7 +34,7 @@ class Table(NamedTuple):
     columns: Array
 
 
-def table(lines: Sequence[str], rows: int, columns: int) -> Table:
+def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
     """Read an answer of DRR? of so many rows and columns.
 
     Raises
@@ -61,10 +61,10 @@ def table(lines: Sequence[str], rows: int, columns: int) -> Table:
     if len(body) != rows:
         raise LinkError(f"got an array of {len(body)} rows, need {rows}; was the answer cut?")
     names = tuple(header.get(f"NAME{index}", "") for index in range(columns))
-    return Table(sample_time, names, _numbers(body, columns, chr(separator)))
+    return GcsArray(sample_time, names, _numbers(body, columns, chr(separator)))
 
 
-def position_and_voltage(found: Table) -> tuple[Array, Array]:
+def position_and_voltage(found: GcsArray) -> tuple[Array, Array]:
     """Return the columns (n,) of position and voltage: as the names tell, else in the order asked for."""
     position, voltage = 0, 1
     told = [("position" in name.lower(), "voltage" in name.lower()) for name in found.names]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dehyst._errors import RecordError, RigError
-from dehyst.control.limits import Limits
+from dehyst.control.limits import VoltageLimits
 from dehyst.waveforms.excitation import Excitation
 
 # A rig that nobody gave a slew rate takes this part of a second for its whole range.
@@ -14,7 +14,7 @@ _SHORTEST_SWEEP = 0.1
 _SLACK = 1e-6
 
 
-def common(device: Limits, limits: tuple[float, float] | None, slew_rate: float | None) -> Limits:
+def common(device: VoltageLimits, limits: tuple[float, float] | None, slew_rate: float | None) -> VoltageLimits:
     """What device and user both allow, always with a slew rate.
 
     Raises
@@ -24,15 +24,15 @@ def common(device: Limits, limits: tuple[float, float] | None, slew_rate: float 
     ModelError
         If the user's are no limits.
     """
-    asked = Limits(*((device.low, device.high) if limits is None else limits), slew_rate)
+    asked = VoltageLimits(*((device.low, device.high) if limits is None else limits), slew_rate)
     low, high = max(device.low, asked.low), min(device.high, asked.high)
     if not low < high:
         raise RigError(f"limits: got {asked.words}, but the device has {device.words}; nothing is left, give others")
     rates = [rate for rate in (device.slew_rate, slew_rate) if rate is not None]
-    return Limits(low, high, min(rates) if rates else (high - low) / _SHORTEST_SWEEP)
+    return VoltageLimits(low, high, min(rates) if rates else (high - low) / _SHORTEST_SWEEP)
 
 
-def refuse(excitation: Excitation, rate: float, limits: Limits, name: str) -> None:
+def refuse(excitation: Excitation, rate: float, limits: VoltageLimits, name: str) -> None:
     """Raise RecordError if an excitation played at `rate` [Hz] leaves limits or slew rate; `name` is the rig's."""
     low, high = excitation.voltage_range
     if low < limits.low or high > limits.high:

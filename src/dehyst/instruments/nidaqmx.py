@@ -13,7 +13,7 @@ import numpy as np
 
 from dehyst._errors import DeviceError, LinkError, MissingExtraError, RigError
 from dehyst._types import Array
-from dehyst.control.limits import Limits
+from dehyst.control.limits import VoltageLimits
 from dehyst.instruments.base import AbstractRig, Reading, Samples
 
 # Seconds from one look at what has come to the next, and without anything new until it is called silent.
@@ -98,7 +98,7 @@ class NiRig(AbstractRig):
             )
         super().__init__(
             self._label,
-            Limits(gain * low, gain * high),
+            VoltageLimits(gain * low, gain * high),
             limits=limits,
             slew_rate=slew_rate,
             longest=longest,

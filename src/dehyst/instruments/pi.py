@@ -19,7 +19,7 @@ from dehyst.instruments.gcs_client import GcsClient
 from dehyst.instruments.gcs_errors import STOPPED
 from dehyst.instruments.gcs_link import AbstractGcsLink, DeviceLink, TcpLink
 from dehyst.instruments.host_timed import HIGHEST_RATE, host_timed
-from dehyst.instruments.pi_discovery import Waves, inquire
+from dehyst.instruments.pi_discovery import WaveTraits, inquire
 
 PORT = 50000
 # Controllers tell positions in micrometres, timers in milliseconds.
@@ -211,7 +211,7 @@ class PiRig(AbstractRig):
             raise DeviceError(f"{self.name}: its servo does not go off; switch it off by hand")
         self._opened = True
 
-    def _prepare(self, voltage: Array, divider: int, waves: Waves) -> None:
+    def _prepare(self, voltage: Array, divider: int, waves: WaveTraits) -> None:
         """Fill the wave table and make everything ready to play it once and record it."""
         self._open_loop()
         self._halt()
@@ -291,7 +291,7 @@ class PiRig(AbstractRig):
     def _playing(self) -> bool:
         return bool(self._count("WGO?", self._generator))
 
-    def _divider(self, waves: Waves, rate: float) -> int:
+    def _divider(self, waves: WaveTraits, rate: float) -> int:
         """So many servo periods a sample."""
         exact = 1 / (rate * waves.servo_period)
         below = max(1, int(exact))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from dehyst._errors import DeviceError, LinkError, RigError
-from dehyst.control.limits import Limits
+from dehyst.control.limits import VoltageLimits
 from dehyst.instruments import gcs_syntax
 from dehyst.instruments.gcs_client import GcsClient
 
@@ -16,7 +16,7 @@ _FOR_VOLTAGES = ("SVA", "VOL?", "POS?", "ERR?")
 
 
 @dataclass(frozen=True)
-class Waves:
+class WaveTraits:
     """What a controller that plays waves and records has.
 
     Attributes
@@ -46,9 +46,9 @@ class Traits:
         Name of its piezo channel.
     generator : str
         Number of its wave generator.
-    limits : Limits
+    limits : VoltageLimits
         Voltages [V] that the controller allows; a slew rate [V/s] if it tells one of open loop.
-    waves : Waves or None
+    waves : WaveTraits or None
         None if it cannot play and record by itself.
     missing : str
         What it lacks for that.
@@ -57,8 +57,8 @@ class Traits:
     axis: str
     channel: str
     generator: str
-    limits: Limits
-    waves: Waves | None
+    limits: VoltageLimits
+    waves: WaveTraits | None
     missing: str = ""
 
 
@@ -127,20 +127,20 @@ def _refuse_offline(client: GcsClient, channel: str) -> None:
             raise DeviceError(f"{client.name}: channel {channel} is offline; switch it on there (ONL {channel} 1)")
 
 
-def _limits(client: GcsClient, channel: str, given: tuple[float, float] | None) -> Limits:
+def _limits(client: GcsClient, channel: str, given: tuple[float, float] | None) -> VoltageLimits:
     slew_rate = _slew_rate(client)
     absent = [word for word in ("VMI?", "VMA?") if word not in client.commands]
     if absent and given is None:
         raise DeviceError(f"{client.name}: does not know {', '.join(absent)}; give the voltages it may have (limits=)")
     if absent and given is not None:
-        return Limits(*given, slew_rate)
+        return VoltageLimits(*given, slew_rate)
     low, high = (
         client.ask(gcs_syntax.command(word, channel), lambda lines: gcs_syntax.values(lines, [channel]))[0]
         for word in ("VMI?", "VMA?")
     )
     if not low < high:
         raise LinkError(f"{client.name}: says that {low:g} to {high:g} V are allowed; that is no range")
-    return Limits(low, high, slew_rate)
+    return VoltageLimits(low, high, slew_rate)
 
 
 def _slew_rate(client: GcsClient) -> float | None:
@@ -153,7 +153,7 @@ def _slew_rate(client: GcsClient) -> float | None:
     return rate if rate is not None and rate > 0 else None
 
 
-def _waves(client: GcsClient) -> tuple[Waves | None, str]:
+def _waves(client: GcsClient) -> tuple[WaveTraits | None, str]:
     """What the wave generator and the recorder have, or what is missing."""
     options = client.ask("HDR?", gcs_syntax.options)
     if options is None:
@@ -169,7 +169,7 @@ def _waves(client: GcsClient) -> tuple[Waves | None, str]:
     longest = int(min(points, recorded // tables))
     if not (0 < period <= 1 and longest >= 2):
         return None, f"has a servo update time of {period:g} s and tables of {longest} points (SPA?)"
-    return Waves(period, longest, options), ""
+    return WaveTraits(period, longest, options), ""
 
 
 def _parameter(client: GcsClient, number: int) -> float | None:

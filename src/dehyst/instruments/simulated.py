@@ -7,11 +7,11 @@ from typing import Any
 
 from dehyst._errors import DeviceError
 from dehyst._types import Array
-from dehyst.control.limits import Limits
+from dehyst.control.limits import VoltageLimits
 from dehyst.instruments.base import AbstractRig, Reading, Samples
 from dehyst.model.actuator import Actuator
-from dehyst.virtual import Truth
-from dehyst.virtual.bench import Instrument
+from dehyst.virtual import VirtualActuator
+from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.modelled import ModelledActuator
 
 # A wave comes in so many lots, for progress to be seen.
@@ -23,7 +23,7 @@ class SimulatedRig(AbstractRig):
 
     Parameters
     ----------
-    truth : Truth or Actuator
+    truth : VirtualActuator or Actuator
         What is driven, at rest at 0 V; the rig's identity is its `dehyst.virtual.modelled.fingerprint`.
     limits : (float, float), optional
         Voltages that the user allows [V].
@@ -32,17 +32,17 @@ class SimulatedRig(AbstractRig):
     device_limits : (float, float), optional
         What the amplifier can put out [V]; default: the actuator's limits, or 0 V to its highest voltage.
     options : optional
-        Of `Instrument`, but for its limits, slew rate, clock and speed.
+        Of `VirtualBench`, but for its limits, slew rate, clock and speed.
 
     Attributes
     ----------
-    instrument : Instrument
+    instrument : VirtualBench
         The bench itself: its `log` tells what was put out.
     """
 
     def __init__(
         self,
-        truth: Truth | Actuator,
+        truth: VirtualActuator | Actuator,
         *,
         limits: tuple[float, float] | None = None,
         slew_rate: float | None = None,
@@ -52,15 +52,15 @@ class SimulatedRig(AbstractRig):
         name = f"simulated {truth.name if isinstance(truth, Actuator) else type(truth).__name__}"
         if device_limits is None and isinstance(truth, Actuator):
             device_limits = truth.limits
-        driven: Truth = ModelledActuator(truth) if isinstance(truth, Actuator) else truth
+        driven: VirtualActuator = ModelledActuator(truth) if isinstance(truth, Actuator) else truth
         self._time = 0.0
-        self.instrument = Instrument(
+        self.instrument = VirtualBench(
             driven, limits=device_limits or (0.0, driven.highest), clock=lambda: self._time, **options
         )
         longest = min(self.instrument.wave_points, self.instrument.record_points)
         super().__init__(
             name,
-            Limits(*self.instrument.limits),
+            VoltageLimits(*self.instrument.limits),
             limits=limits,
             slew_rate=slew_rate,
             longest=longest,

@@ -14,7 +14,7 @@ from dehyst._computable import FARTHEST, demand_divisors, demand_magnitudes, dem
 from dehyst._errors import ModelError
 from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import read_json, write_json
-from dehyst._native import NOTHING, Core
+from dehyst._native import EMPTY, Core
 from dehyst._types import Array
 from dehyst._validation import interval, number, spanned, vector
 from dehyst.model import serialization
@@ -22,7 +22,7 @@ from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.creep import Creep, clock
 from dehyst.model.dynamics import Dynamics
 from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model.evaluator import Course, WideModel, least_slope
+from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.physical import Physical, charge, physical
 from dehyst.model.plausibility import ANYWAY, Range, displacement_words, voltage_words
 from dehyst.model.python_control import actuator_block
@@ -145,7 +145,7 @@ class Actuator(AbstractModel):
 
     def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
         """Displacements [m] at the lower and the upper limit [V] of slow loops between them, creep at rest at both."""
-        slow = replace(self, dynamics=None, lag=0.0, state=replace(self.state, motion=NOTHING), limits=None)
+        slow = replace(self, dynamics=None, lag=0.0, state=replace(self.state, motion=EMPTY), limits=None)
         voltage = np.tile(limits, _VISITS)
         rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
         time = np.arange(voltage.size) * rest if slow.needs_time else None
@@ -168,9 +168,9 @@ class Actuator(AbstractModel):
         return Core(self.slip.breakaway, kappa, self.spring.displacement, self.spring.voltage)
 
     @cached_property
-    def model(self) -> WideModel:
+    def model(self) -> Evaluator:
         """All parts and their equations."""
-        return WideModel(
+        return Evaluator(
             self.slip,
             self.spring,
             self.transformer,
@@ -227,7 +227,7 @@ class Actuator(AbstractModel):
         if not extrapolate:
             self._demand_voltage(low, high)
         if self.wide:
-            y, reached = self.model.simulate(v, Course(time, load), start, stack)
+            y, reached = self.model.simulate(v, PathData(time, load), start, stack)
             return Motion(voltage=v, displacement=y, state=reached)
         self._demand_no_load(time, load, v.size)
         y, position, carts = self.core.simulate(v, start.displacement, start.carts, stack=stack)
@@ -277,7 +277,7 @@ class Actuator(AbstractModel):
         if not extrapolate and self.plausible.strays(low, high):
             self._demand_displacement(y, load)
         if self.wide:
-            v, reached = self.model.compensate(y, Course(time, load, velocity, acceleration), start, stack)
+            v, reached = self.model.compensate(y, PathData(time, load, velocity, acceleration), start, stack)
             return Motion(voltage=v, displacement=y, state=reached)
         self._demand_no_load(time, load, y.size)
         v, position, carts = self.core.compensate(y, start.displacement, start.carts, stack=stack)

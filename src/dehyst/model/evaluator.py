@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._computable import FARTHEST, demand_divisors, demand_result
 from dehyst._errors import ModelError
-from dehyst._native import NOTHING, Held, Pace, WideCore, strains
+from dehyst._native import EMPTY, CoreState, StepCoefficients, WideCore, strains
 from dehyst._types import Array
 from dehyst._validation import vector
 from dehyst.model.base import State
@@ -25,7 +25,7 @@ _LEAST = 1e-9
 
 
 @dataclass(frozen=True)
-class Course:
+class PathData:
     """What goes with a path: time (n,) [s] and load (n,) [N], each or None; with dynamics, derivatives of the path."""
 
     time: ArrayLike | None = None
@@ -35,7 +35,7 @@ class Course:
 
 
 @dataclass(frozen=True, eq=False)
-class WideModel:
+class Evaluator:
     """The parts of an `Actuator`: tau(v) = R(w) + creep + smooth elements + beta (w - y), see `core/dehyst.h`."""
 
     slip: MaxwellSlip | GradedSlip
@@ -63,22 +63,22 @@ class WideModel:
         slip, tau, dynamics = self.slip, self.transformer, self.dynamics
         graded = isinstance(slip, GradedSlip)
         s = self.smooth
-        smooth = (NOTHING,) * 3 if s is None else (s.length, s.closing, s.stiffness)
+        smooth = (EMPTY,) * 3 if s is None else (s.length, s.closing, s.stiffness)
         return WideCore(
             slip.breakaway,
             np.zeros(len(slip)) if graded else slip.stiffness,
             self.spring.displacement,
             self.spring.voltage,
-            slip.knots if isinstance(slip, GradedSlip) else NOTHING,
-            slip.stiffness.ravel() if graded else NOTHING,
-            NOTHING if tau is None else tau.voltage,
-            NOTHING if tau is None else tau.drive,
-            NOTHING if self.creep is None else self.creep.stiffness,
-            NOTHING if dynamics is None else np.array([dynamics.series, dynamics.share(self.spring)]),
+            slip.knots if isinstance(slip, GradedSlip) else EMPTY,
+            slip.stiffness.ravel() if graded else EMPTY,
+            EMPTY if tau is None else tau.voltage,
+            EMPTY if tau is None else tau.drive,
+            EMPTY if self.creep is None else self.creep.stiffness,
+            EMPTY if dynamics is None else np.array([dynamics.series, dynamics.share(self.spring)]),
             *smooth,
         )
 
-    def simulate(self, voltage: Array, course: Course, start: State, stack: bool) -> tuple[Array, State]:
+    def simulate(self, voltage: Array, course: PathData, start: State, stack: bool) -> tuple[Array, State]:
         """Displacement (n,) [m] and the state reached; `start` is complete."""
         pace, push, held = (
             self._pace(course.time, voltage.size),
@@ -87,15 +87,15 @@ class WideModel:
         )
         voltage = self._amplified(voltage, course.time, self.core.voltage(held))
         demand_result(voltage, "voltage that acts")
-        y, reached = self.core.simulate(voltage, pace, held, load=push if self.dynamics else NOTHING, stack=stack)
+        y, reached = self.core.simulate(voltage, pace, held, load=push if self.dynamics else EMPTY, stack=stack)
         y = y if self.dynamics or not push.size else y + push
         demand_result(y, "displacement", FARTHEST)
         return y, self.state_of(reached)
 
-    def compensate(self, path: Array, course: Course, start: State, stack: bool) -> tuple[Array, State]:
+    def compensate(self, path: Array, course: PathData, start: State, stack: bool) -> tuple[Array, State]:
         """Voltage (n,) [V] and the state reached; `start` is complete."""
         pace, push = self._pace(course.time, path.size), self._push(course.load, path.size)
-        w, more, held = path - push if push.size else path, NOTHING, self.held(start)
+        w, more, held = path - push if push.size else path, EMPTY, self.held(start)
         if self.dynamics is not None:
             velocity, acceleration = self.derivatives(path, course)
             w = w + self.dynamics.lead(velocity, acceleration)
@@ -110,14 +110,14 @@ class WideModel:
         demand_result(voltage, "voltage")
         return voltage, self.state_of(reached)
 
-    def held(self, state: State) -> Held:
+    def held(self, state: State) -> CoreState:
         """The state in the core's numbers."""
         motion = state.motion
         if self.dynamics is not None:
             motion = motion / np.array([1.0, self.dynamics.frequency])
-        return Held(state.displacement, state.carts, np.concatenate([state.creep, state.smooth]), motion)
+        return CoreState(state.displacement, state.carts, np.concatenate([state.creep, state.smooth]), motion)
 
-    def state_of(self, held: Held) -> State:
+    def state_of(self, held: CoreState) -> State:
         """The core's numbers as a state."""
         motion = held.motion if self.dynamics is None else held.motion * np.array([1.0, self.dynamics.frequency])
         branches = 0 if self.creep is None else len(self.creep)
@@ -154,7 +154,7 @@ class WideModel:
         return replace(state, motion=np.array([state.displacement, 0.0])) if state.motion.size < moving else state
 
     def _elongated(self, state: State) -> State:
-        length = NOTHING if self.smooth is None else self.smooth.length
+        length = EMPTY if self.smooth is None else self.smooth.length
         if state.smooth.size not in (0, length.size):
             raise ModelError(
                 f"state: got {state.smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
@@ -192,10 +192,10 @@ class WideModel:
             raise ModelError(f"this actuator {does}, so that the answer depends on time; {cure}")
         return np.array([0, samples]), np.zeros(1)
 
-    def _pace(self, time: ArrayLike | None, samples: int) -> Pace:
+    def _pace(self, time: ArrayLike | None, samples: int) -> StepCoefficients:
         return self.pace(*self.clock(time, samples))
 
-    def pace(self, bounds: NDArray[np.int64], durations: Array) -> Pace:
+    def pace(self, bounds: NDArray[np.int64], durations: Array) -> StepCoefficients:
         """What steps of such durations (R,) [s] do; samples bounds[r] to bounds[r + 1] are of duration r.
 
         Raises
@@ -208,9 +208,9 @@ class WideModel:
         empty = np.empty((durations.size, 0))
         decay, gain = (empty, empty) if self.creep is None else self.creep.tables(durations)
         if self.dynamics is None:
-            return Pace(bounds, decay, gain, empty)
+            return StepCoefficients(bounds, decay, gain, empty)
         share = self.dynamics.share(self.spring)
-        pace = Pace(bounds, decay, gain, self.dynamics.transitions(durations, share))
+        pace = StepCoefficients(bounds, decay, gain, self.dynamics.transitions(durations, share))
         demand_result(pace.transition.ravel(), "time: what a step does to the mass", FARTHEST)
         self._demand_solvable(self.dynamics, share, pace, durations)
         return pace
@@ -224,7 +224,7 @@ class WideModel:
         keep, mean = math.exp(-steps), -math.expm1(-steps) / steps
         return 1 / steps, keep, mean - keep, 1 - mean
 
-    def _demand_solvable(self, dynamics: Dynamics, share: float, pace: Pace, durations: Array) -> None:
+    def _demand_solvable(self, dynamics: Dynamics, share: float, pace: StepCoefficients, durations: Array) -> None:
         """An overshoot within one step pulls w back; it must not outdo the spring."""
         after = pace.transition[:, 6]
         slope = least_slope(self.slip, self.spring) + dynamics.series * (1 - after / (1 + share * after))
@@ -240,7 +240,7 @@ class WideModel:
     def _push(self, load: ArrayLike | None, samples: int) -> Array:
         """F_ext/kc [m]."""
         if load is None:
-            return NOTHING
+            return EMPTY
         if self.load_stiffness is None:
             raise ModelError("load: this actuator does not know how far a force moves it; give load_stiffness= [N/m]")
         force = vector(load, "load")
@@ -259,13 +259,13 @@ class WideModel:
         behind = strains(command, bounds, *Creep([self.lag], [0.0]).tables(durations), command[:1] - before)
         return command - behind[:, 0]
 
-    def lead(self, path: Array, course: Course) -> Array:
+    def lead(self, path: Array, course: PathData) -> Array:
         """W less the path (n,) [m]: what inertia, damping and load ask for."""
         push = self._push(course.load, path.size)
         ahead = np.zeros(path.size) if self.dynamics is None else self.dynamics.lead(*self.derivatives(path, course))
         return ahead - push if push.size else ahead
 
-    def derivatives(self, path: Array, course: Course) -> tuple[Array, Array]:
+    def derivatives(self, path: Array, course: PathData) -> tuple[Array, Array]:
         """Velocity and acceleration of the path, where they are not given those of its cubic spline."""
         self.clock(course.time, path.size)
         found = []
@@ -280,8 +280,8 @@ class WideModel:
         return found[0], found[1]
 
 
-def _seconds(course: Course) -> Array:
-    return NOTHING if course.time is None else vector(course.time, "time")
+def _seconds(course: PathData) -> Array:
+    return EMPTY if course.time is None else vector(course.time, "time")
 
 
 def _spline(path: Array, time: Array, order: int) -> Array:

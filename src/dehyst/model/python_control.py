@@ -12,7 +12,7 @@ from dehyst._native import CoreError, Loop
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.model.base import State
-from dehyst.model.evaluator import WideModel
+from dehyst.model.evaluator import Evaluator
 from dehyst.model.plausibility import Range, voltage_words
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _LARGEST = float(np.finfo(np.float64).max)
 
 
 def actuator_block(
-    model: WideModel, start: State, period: float | None, name: str, allowed: Range | None
+    model: Evaluator, start: State, period: float | None, name: str, allowed: Range | None
 ) -> NonlinearIOSystem:
     """See `dehyst.Actuator.to_control`; `start` is complete, and voltages that stray from `allowed` are refused."""
     period = None if period is None else number(period, "period")
@@ -47,7 +47,7 @@ def compensator_block(loop: Loop, states: list[str], period: float | None, name:
     return _block(loop, loop.stepped, loop.offered, ("wanted", "voltage"), states, period, name)
 
 
-def labels(model: WideModel, taps: int) -> list[str]:
+def labels(model: Evaluator, taps: int) -> list[str]:
     """Names of a loop's states, in the order of `row` in `src/loop.cpp`.
 
     w and carts, creep's strains, smooth elements' elongations [m]; with dynamics y, y'/omega and the mass's push [m];

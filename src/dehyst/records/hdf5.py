@@ -92,7 +92,7 @@ def in_json(data: Mapping[str, Any], where: object) -> str:
         ) from error
 
 
-def told(path: Path, least: int = 0, content: bytes | None = None, most: int = MOST) -> Stored | None:
+def decode(path: Path, least: int = 0, content: bytes | None = None, most: int = MOST) -> Stored | None:
     """What a file tells of its record; None if there is none, or one that `pack` did not make.
 
     Parameters

@@ -31,7 +31,7 @@ _LONGEST_LINE = 10_000
 _Row = tuple[float, float, float]
 
 
-class Told(NamedTuple):
+class JournalContents(NamedTuple):
     """What a journal holds: name, meta and start as it was begun, samples, a last line cut off, unusable lines."""
 
     name: str
@@ -129,7 +129,7 @@ class Journal:
         rows = zip(*(map(repr, column.tolist()) for column in columns), strict=True)
         self._write("".join(f"{','.join(row)}\n" for row in rows).encode())
 
-    def read(self) -> Told:
+    def read(self) -> JournalContents:
         """Read what the file holds, line by line.
 
         Lines that are no three finite numbers, and the fewest that keep the time from rising, are left out and counted.
@@ -153,7 +153,7 @@ class Journal:
         whole = _rising([row for row in rows if row is not None])
         time, voltage, displacement = np.array(whole, dtype=np.float64).reshape(-1, 3).T.copy()
         damaged = len(rows) - len(whole) + (len(cut_off) > _LONGEST_LINE)
-        return Told(name, meta, started, (time, voltage, displacement), cut_off[:_LONGEST_LINE], damaged)
+        return JournalContents(name, meta, started, (time, voltage, displacement), cut_off[:_LONGEST_LINE], damaged)
 
     def close(self) -> None:
         """Let the file go; it stays. May be called twice."""

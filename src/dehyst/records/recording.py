@@ -256,7 +256,7 @@ def _salvaged(path: Path) -> Path | None:
 def _holds(path: Path, sha256: str) -> bool:
     """Whether a file is there that holds these samples: its process was killed before it took the journal away."""
     with contextlib.suppress(FileFormatError, OSError):
-        stored = hdf5.told(path)
+        stored = hdf5.decode(path)
         return stored is not None and stored.sha256 == sha256
     return False
 

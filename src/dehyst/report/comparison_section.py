@@ -5,21 +5,21 @@ from __future__ import annotations
 from os import PathLike
 
 from dehyst._io.drafts import write_atomically
-from dehyst.baselines.comparison import OURS, Comparison, Score
-from dehyst.baselines.tracking_trials import Tracking
+from dehyst.baselines.comparison import OURS, ModelComparison, RecordScore
+from dehyst.baselines.tracking_trials import TrackingErrors
 from dehyst.report.html import Row, document, escape, length, number, table
 
 _NONE = "–"
 
 
-def write_comparison(path: str | PathLike[str], found: Comparison, *, command: str | None = None) -> None:
+def write_comparison(path: str | PathLike[str], found: ModelComparison, *, command: str | None = None) -> None:
     """Write a page of its own to one HTML file that asks for nothing from outside.
 
     Parameters
     ----------
     path : path-like
         Replaced if it exists; never left half written.
-    found : Comparison
+    found : ModelComparison
     command : str, optional
         The command line that made it, to be shown.
 
@@ -38,12 +38,12 @@ def write_comparison(path: str | PathLike[str], found: Comparison, *, command: s
     write_atomically(path, document("Models compared", parts))
 
 
-def comparison_sections(found: Comparison) -> list[str]:
+def comparison_sections(found: ModelComparison) -> list[str]:
     """The page's sections, to stand in the report too."""
     return [part for part in (_table(found), _each(found), _costs(found), _failures(found)) if part]
 
 
-def _table(found: Comparison) -> str:
+def _table(found: ModelComparison) -> str:
     head: Row = [
         "Model",
         "Training",
@@ -72,7 +72,7 @@ def _table(found: Comparison) -> str:
     )
 
 
-def _costs(found: Comparison) -> str:
+def _costs(found: ModelComparison) -> str:
     head = ("Model", "Fit (s)", "Simulate (ns a sample)", "Compensate (ns a sample)", "Coefficients")
     rows: list[Row] = [
         (
@@ -85,7 +85,7 @@ def _costs(found: Comparison) -> str:
     return f"<h2>What they cost</h2>\n{table(head, rows, texts=1)}"
 
 
-def _without(score: Score | None) -> str | tuple[str, str]:
+def _without(score: RecordScore | None) -> str | tuple[str, str]:
     return _NONE if score is None else _pair(score.largest_without, score.rms_without)
 
 
@@ -93,15 +93,15 @@ def _pair(largest: float, rms: float) -> tuple[str, str]:
     return f"{number(largest)} %", f"{number(rms)} %"
 
 
-def _errors(score: Score | None) -> str | tuple[str, str]:
+def _errors(score: RecordScore | None) -> str | tuple[str, str]:
     return _NONE if score is None else _pair(score.largest, score.rms)
 
 
-def _tracking(one: Tracking | None) -> str | tuple[str, str]:
+def _tracking(one: TrackingErrors | None) -> str | tuple[str, str]:
     return _NONE if one is None else _pair(one.largest, one.rms)
 
 
-def _each(found: Comparison) -> str:
+def _each(found: ModelComparison) -> str:
     rows: list[Row] = [
         (
             row.name,
@@ -132,6 +132,6 @@ def _each(found: Comparison) -> str:
     return f"<details>\n<summary>Every model on every record</summary>\n<div>{body}</div>\n</details>"
 
 
-def _failures(found: Comparison) -> str:
+def _failures(found: ModelComparison) -> str:
     said = "\n".join(f"<li>{escape(row.name)}: {escape(row.said)}</li>" for row in found.rows if row.said)
     return f"<h2>What failed</h2>\n<ul>\n{said}\n</ul>" if said else ""

@@ -12,8 +12,8 @@ import numpy as np
 
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst._types import Array
-from dehyst.baselines.comparison import Comparison
-from dehyst.control.tracking import Followed
+from dehyst.baselines.comparison import ModelComparison
+from dehyst.control.tracking import TrackedPath
 from dehyst.identification.structure_selection import label
 from dehyst.model.actuator import Actuator
 from dehyst.model.elements import GradedSlip, MaxwellSlip
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from dehyst.instruments.calibration.experiment import Calibration
 
 MOST_RECORDS = 6
-NONE: Mapping[str, Followed] = {}
+NONE: Mapping[str, TrackedPath] = {}
 _LABELS = {
     "program": "Program",
     "method": "Method",
@@ -50,8 +50,8 @@ def write_report(
     *,
     command: str | None = None,
     insight: Insight | WideInsight | None = None,
-    comparison: Comparison | None = None,
-    followed: Mapping[str, Followed] = NONE,
+    comparison: ModelComparison | None = None,
+    followed: Mapping[str, TrackedPath] = NONE,
 ) -> None:
     """Write a report of `fit` to one HTML file that asks for nothing from outside.
 
@@ -64,9 +64,9 @@ def write_report(
         The command line that made it, to be shown.
     insight : Insight or WideInsight, optional
         What the records can and cannot tell, to be shown too.
-    comparison : Comparison, optional
+    comparison : ModelComparison, optional
         Ours and rival models on the same records, to be shown too.
-    followed : mapping of str to Followed, optional
+    followed : mapping of str to TrackedPath, optional
         What was measured along a path, by how its voltage was made.
 
     Raises
@@ -105,8 +105,8 @@ def render(
     fit: Fit,
     command: str | None = None,
     insight: Insight | WideInsight | None = None,
-    comparison: Comparison | None = None,
-    followed: Mapping[str, Followed] = NONE,
+    comparison: ModelComparison | None = None,
+    followed: Mapping[str, TrackedPath] = NONE,
 ) -> str:
     """Return the text of the report; the same text for the same fit.
 

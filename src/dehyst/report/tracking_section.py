@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dehyst.control.tracking import Followed
+from dehyst.control.tracking import TrackedPath
 from dehyst.report.html import figure, length, number, panel, table
 from dehyst.report.plots import INK, MEASURED, SIMULATED, inline, length_unit
 
@@ -18,7 +18,7 @@ _COLOURS = (SIMULATED, MEASURED)
 _WORDS = {"nominal": "by a constant ratio", "compensated": "by the model"}
 
 
-def followed_sections(followed: Mapping[str, Followed]) -> list[str]:
+def followed_sections(followed: Mapping[str, TrackedPath]) -> list[str]:
     """The section: a table, what was wanted and reached, and the errors; nothing if nothing was followed."""
     if not followed:
         return []
@@ -46,7 +46,7 @@ def followed_sections(followed: Mapping[str, Followed]) -> list[str]:
     ]
 
 
-def _paths(followed: Mapping[str, Followed]) -> str:
+def _paths(followed: Mapping[str, TrackedPath]) -> str:
     factor, unit = length_unit(next(iter(followed.values())).stroke)
 
     def draw(ax: Axes) -> None:
@@ -61,12 +61,12 @@ def _paths(followed: Mapping[str, Followed]) -> str:
     return inline("path", draw)
 
 
-def _errors(followed: Mapping[str, Followed]) -> list[str]:
+def _errors(followed: Mapping[str, TrackedPath]) -> list[str]:
     """One panel each, on a scale of its own: they differ too much for one."""
     panels = []
     for (name, one), colour in zip(followed.items(), _COLOURS, strict=False):
 
-        def draw(ax: Axes, one: Followed = one, colour: str = colour) -> None:
+        def draw(ax: Axes, one: TrackedPath = one, colour: str = colour) -> None:
             ax.plot(one.time, 100 * one.error / one.stroke, color=colour, lw=1)
             ax.axhline(0, color=INK, lw=0.8)
             ax.set(xlabel="time (s)", ylabel="error (% of the stroke)")

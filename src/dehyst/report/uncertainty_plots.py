@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.diagnostics.identifiability import Directions
+from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, inline, length_unit
 from dehyst.uncertainty.insight import Insight
-from dehyst.uncertainty.prediction_band import Band
+from dehyst.uncertainty.prediction_band import PredictionBand
 from dehyst.uncertainty.wide_insight import WideInsight
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _FREE = "#BBBBBB"
 _FOOT = 1e-5
 
 
-def singular_values(told: Directions, *, name: str) -> str:
+def singular_values(told: Identifiability, *, name: str) -> str:
     """Singular value of each direction, filled if the records tell it, hollow if not."""
 
     def draw(ax: Axes) -> None:
@@ -50,7 +50,7 @@ def singular_values(told: Directions, *, name: str) -> str:
 
 def stiffness_intervals(found: Insight, *, name: str) -> str:
     """Each stiffness with its interval by noise, and behind it what the records do not contradict."""
-    slip, noise, free, alone = found.actuator.slip, found.intervals, found.latitude, found.directions.alone
+    slip, noise, free, alone = found.actuator.slip, found.intervals, found.feasible_set, found.identifiability.alone
     factor, unit = length_unit(float(slip.breakaway[-1]))
 
     def draw(ax: Axes) -> None:
@@ -71,7 +71,7 @@ def stiffness_intervals(found: Insight, *, name: str) -> str:
 
 def spring_intervals(found: Insight, *, name: str) -> str:
     """How far the spring's voltage may be off at its knots, by noise and by what the records do not contradict."""
-    spring, noise, free = found.actuator.spring, found.intervals, found.latitude
+    spring, noise, free = found.actuator.spring, found.intervals, found.feasible_set
     factor, unit = length_unit(float(np.ptp(spring.displacement)))
     centre = spring.voltage - spring.voltage[0]
 
@@ -156,7 +156,7 @@ def creep_intervals(found: WideInsight, *, name: str) -> str:
     return inline(name, draw)
 
 
-def band(found: Band, stroke: float, *, name: str) -> str:
+def band(found: PredictionBand, stroke: float, *, name: str) -> str:
     """The error to be expected along a trajectory, part by part, and the trajectory above."""
     factor, unit = length_unit(float(np.ptp(found.displacement)))
     sample = np.arange(found.displacement.size)

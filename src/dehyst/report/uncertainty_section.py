@@ -64,7 +64,7 @@ def sections(found: Insight | WideInsight) -> list[str]:
 
 
 def _told(found: Insight) -> str:
-    told = found.directions
+    told = found.identifiability
     sentences = told.sentences()
     items = [escape(_subscripts(sentence)) for sentence in sentences[:_MOST_SENTENCES]]
     if len(sentences) > _MOST_SENTENCES:
@@ -88,7 +88,7 @@ def _subscripts(sentence: str) -> str:
 
 
 def _numbers(found: Insight) -> str:
-    if found.intervals is None or found.latitude is None:
+    if found.intervals is None or found.feasible_set is None:
         return ""
     stiffness = panel(("Stiffnesses", ""), uncertainty_plots.stiffness_intervals(found, name="stiffnesses"), "")
     spring = panel(("Parallel spring", ""), uncertainty_plots.spring_intervals(found, name="spring-interval"), "")
@@ -115,11 +115,11 @@ def _numbers(found: Insight) -> str:
 def _ranges(found: Insight, i: int) -> tuple[str, str]:
     """An element's interval by noise, and what the records do not contradict."""
     assert found.intervals is not None
-    assert found.latitude is not None
-    if not found.directions.movable[i]:
+    assert found.feasible_set is not None
+    if not found.identifiability.movable[i]:
         return "", "never slides"
-    noise = _pair(found.intervals.stiffness[:, i] * 1e-6) if found.directions.alone[i] else "open"
-    return noise, _pair(found.latitude.stiffness[:, i] * 1e-6)
+    noise = _pair(found.intervals.stiffness[:, i] * 1e-6) if found.identifiability.alone[i] else "open"
+    return noise, _pair(found.feasible_set.stiffness[:, i] * 1e-6)
 
 
 def _pair(ends: Sequence[float] | np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
@@ -128,7 +128,7 @@ def _pair(ends: Sequence[float] | np.ndarray[tuple[int, ...], np.dtype[np.float6
 
 def _next(found: Insight) -> str:
     if not found.advice:
-        told = found.directions
+        told = found.identifiability
         if told.determined < told.of:
             return ""
         return '<h2>What to record next</h2>\n<p class="muted">Nothing: no loop tells more directions.</p>'

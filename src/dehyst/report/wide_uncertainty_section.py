@@ -28,11 +28,11 @@ def wide_sections(found: WideInsight) -> list[str]:
 
 def _told(found: WideInsight) -> str:
     rows: list[Row] = [
-        (one.part.capitalize(), str(one.of), str(one.known), *_spread(one.deviations)) for one in found.told
+        (one.part.capitalize(), str(one.of), str(one.known), *_spread(one.deviations)) for one in found.parts
     ]
     head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
     said = (
-        f"The turning points of the records tell {found.probed.determined} of {found.probed.of} directions of plain "
+        f"The turning points of the records tell {found.identifiability.determined} of {found.identifiability.of} directions of plain "
         "elements: whether there are inner loops enough. "
         "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
         f"deviation is {100 * SHARP:g} % of the voltages at most, all other parts being free to make up for it. "

@@ -21,7 +21,7 @@ from dehyst.records.files import write_columns, write_record
 from dehyst.records.metrics import largest, percent, rms
 from dehyst.records.record import Record
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Drive, descending_tops, raised_cosine
+from dehyst.waveforms.standard import Sampling, descending_tops, raised_cosine
 
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
@@ -65,7 +65,7 @@ class Demo:
 
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
     """Two major loops and descending tops in one run, for training; loops of other heights, for validation."""
-    drive = Drive(sample_rate=_RATE)
+    drive = Sampling(sample_rate=_RATE)
     tops = descending_tops(truth.highest, drive=drive)
     others = raised_cosine([0.75 * truth.highest, 0.45 * truth.highest], cycles=2, drive=drive)
     return (

@@ -25,7 +25,7 @@ from dehyst._types import Array
 from dehyst.identification.regression.regression import Coefficients, Regression
 from dehyst.identification.regression.wide_regression import WideCoefficients
 from dehyst.identification.solvers.program import Norm
-from dehyst.identification.validation import Comparison
+from dehyst.identification.validation import RecordComparison
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
 from dehyst.records.record import Record
@@ -287,7 +287,7 @@ def _unexplained(again: _Again, worlds: list[_World], random: np.random.Generato
 class _World:
     """One record as the model would have made it, and the residuals of its cycles."""
 
-    def __init__(self, compared: Comparison, actuator: Actuator) -> None:
+    def __init__(self, compared: RecordComparison, actuator: Actuator) -> None:
         self._pieces = compared.measured
         self._parts = [
             (number, slice(epoch.start, epoch.stop), played[3] - compared.datum, played[2] - played[3])
@@ -334,7 +334,7 @@ def _few(worlds: list[_World], level: float) -> float:
 
 def _open(evidence: Evidence) -> tuple[Array, Array] | None:
     """Combinations of the movable stiffnesses that the records do not tell, and the model's values of them [V]."""
-    told = evidence.directions
+    told = evidence.identifiability
     combinations = told.vectors[told.determined :] * told.breakaway[told.movable]
     return (combinations, combinations @ evidence.actuator.slip.stiffness[told.movable]) if len(combinations) else None
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.diagnostics.identifiability import Directions, directions
+from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.regression import Coefficients, Regression
-from dehyst.identification.validation import MOST_ROWS, Comparison, compare_all
+from dehyst.identification.validation import MOST_ROWS, RecordComparison, compare_all
 from dehyst.model.actuator import Actuator
 from dehyst.model.elements import MaxwellSlip, Spring
 from dehyst.records.record import Record
@@ -26,7 +26,7 @@ class Evidence:
     Attributes
     ----------
     actuator : Actuator
-    comparisons : tuple of Comparison
+    comparisons : tuple of RecordComparison
         One a record.
     regression : Regression
         Rows (of long records some, evenly), with the datums and drifts that the model leaves to each record.
@@ -35,7 +35,7 @@ class Evidence:
     """
 
     actuator: Actuator
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[RecordComparison, ...]
     regression: Regression
     stroke: float
 
@@ -84,9 +84,9 @@ class Evidence:
         return min(self.model.offsets, key=lambda epoch: abs(self.model.offsets[epoch] - base))
 
     @cached_property
-    def directions(self) -> Directions:
+    def identifiability(self) -> Identifiability:
         """What the turning points of these records tell of the stiffnesses."""
-        return directions(self.pieces(), self.actuator.slip.breakaway, self.regression)
+        return identifiability(self.pieces(), self.actuator.slip.breakaway, self.regression)
 
     def pieces(self) -> list[Record]:
         """All pieces on the model's axis, their voltages delayed."""
@@ -113,7 +113,7 @@ class Evidence:
         return {"records": [one.record.name for one in self.comparisons], "stroke_m": self.stroke}
 
 
-def _rows(actuator: Actuator, compared: Sequence[Comparison], pieces: list[list[Record]]) -> Any:
+def _rows(actuator: Actuator, compared: Sequence[RecordComparison], pieces: list[list[Record]]) -> Any:
     stacked, noise = [], []
     for q, (one, own) in enumerate(zip(compared, pieces, strict=True)):
         for (_, _, curve), piece in zip(one.pieces, own, strict=True):

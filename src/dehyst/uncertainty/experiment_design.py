@@ -10,11 +10,11 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._threads import one_thread
 from dehyst._validation import interval
-from dehyst.identification.diagnostics.identifiability import directions
+from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.records.record import Record
 from dehyst.uncertainty.evidence import Evidence
-from dehyst.waveforms.standard import Drive, Excitation, descending_tops, minor_loop, raised_cosine, reversal_curves
+from dehyst.waveforms.standard import Excitation, Sampling, descending_tops, minor_loop, raised_cosine, reversal_curves
 
 _SAMPLES_A_CYCLE = 200
 
@@ -94,21 +94,21 @@ def advise(
     low, high = given
     allowed = (0.0 if abs(low) < 1e-9 * (high - low) else low, high)
     cycle = min(cycle_time(one.record.record) for one in evidence.comparisons)
-    drive = Drive(frequency=1 / cycle, sample_rate=_SAMPLES_A_CYCLE / cycle, base=allowed[0], limits=allowed)
+    drive = Sampling(frequency=1 / cycle, sample_rate=_SAMPLES_A_CYCLE / cycle, base=allowed[0], limits=allowed)
     found = []
     with one_thread():
         for words, command, excitation in _menu(drive, allowed[1], len(evidence.actuator.slip)):
             if seconds is None or excitation.duration <= seconds:
                 shared = f" --base {allowed[0]:g} --frequency {1 / cycle:.4g} --limits {allowed[0]:g} {allowed[1]:g}"
                 found.append(_judged(evidence, words, f"dehyst excite {command}{shared} -o voltage.csv", excitation))
-    better = [one for one in found if one.determined > evidence.directions.determined]
+    better = [one for one in found if one.determined > evidence.identifiability.determined]
     most = max((one.determined for one in better), default=0)
     clearest = max((one.weakest for one in better if one.determined == most), default=0.0)
     # Rank is not conditioning: what barely tells a direction comes after what tells it well.
     return tuple(sorted(better, key=lambda one: (-one.determined, one.weakest < 0.5 * clearest, one.seconds)))
 
 
-def _menu(drive: Drive, top: float, elements: int) -> Iterator[tuple[str, str, Excitation]]:
+def _menu(drive: Sampling, top: float, elements: int) -> Iterator[tuple[str, str, Excitation]]:
     """What to play in words, the kind and arguments of `dehyst excite`, and the voltage."""
     low = drive.base
 
@@ -138,6 +138,6 @@ def _judged(evidence: Evidence, words: str, command: str, excitation: Excitation
     begun = actuator.simulate(excitation.voltage[:1], state=first, extrapolate=True).state
     motion = actuator.simulate(excitation.voltage, state=begun, extrapolate=True)
     record = Record(excitation.time, excitation.voltage, motion.displacement, excitation.name)
-    told = directions([*evidence.pieces(), record], actuator.slip.breakaway, evidence.regression)
+    told = identifiability([*evidence.pieces(), record], actuator.slip.breakaway, evidence.regression)
     weakest = float(told.values[told.determined - 1]) if told.determined else float(np.nan)
     return Suggestion(words, command, excitation, told.determined, told.of, weakest)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError
-from dehyst._native import stops
+from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.identification.regression.regression import Coefficients, Regression
@@ -37,7 +37,7 @@ _ROUNDING = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Latitude:
+class FeasibleSet:
     """What the records do not contradict.
 
     Attributes
@@ -67,7 +67,7 @@ class Latitude:
         return np.array([paths.min(axis=0), paths.max(axis=0)])
 
 
-def latitude(evidence: Evidence, displacement: Array | None = None, state: State | None = None) -> Latitude:
+def feasible_set(evidence: Evidence, displacement: Array | None = None, state: State | None = None) -> FeasibleSet:
     """Ask of each coefficient, and of some places of a path, how large and how small it could be.
 
     Parameters
@@ -104,7 +104,7 @@ def latitude(evidence: Evidence, displacement: Array | None = None, state: State
         for x in pair
         if x is not None
     ]
-    return Latitude(actuator, stiffness, spring, tuple(found), float(polytope.tolerance.mean()))
+    return FeasibleSet(actuator, stiffness, spring, tuple(found), float(polytope.tolerance.mean()))
 
 
 def _numbers(regression: Regression, unknowns: int) -> Array:
@@ -237,7 +237,7 @@ def _costs(evidence: Evidence, displacement: Array, state: State) -> Array:
     places = np.unique([*turns, *middles])
     if places.size > _PLACES:
         places = places[np.linspace(0, places.size - 1, _PLACES).astype(int)]
-    elongation, _ = stops(evidence.actuator.slip.breakaway, state.carts, y)
+    elongation, _ = slip_elongations(evidence.actuator.slip.breakaway, state.carts, y)
     epochs = np.unique(regression.rows.epoch)
     nuisances = np.zeros((places.size, epochs.size + len(regression.drifting)))
     nuisances[:, int(np.flatnonzero(epochs == evidence.reference)[0])] = 1.0

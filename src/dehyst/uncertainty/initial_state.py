@@ -11,14 +11,14 @@ import numpy as np
 from dehyst._errors import ModelError, RecordError
 from dehyst._threads import one_thread
 from dehyst._types import Array, Mask
-from dehyst.identification.preprocessing.cleaning import without_glitches
+from dehyst.identification.preprocessing.cleaning import remove_glitches
 from dehyst.identification.solvers import program
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
 from dehyst.model.elements import segment_of
 from dehyst.records.metrics import rms
 from dehyst.records.record import Record
-from dehyst.uncertainty.rest_states import ROUNDING, Equilibria, Indices, demand_actuator, size_of
+from dehyst.uncertainty.rest_states import ROUNDING, Indices, RestStates, demand_actuator, size_of
 
 # A relaxed start explains a rise as well as the best one if its RMS error is not above the best one's by this factor
 # (what N free carts gain on white noise stays below it from 3.3 N samples on), or not above the model's error on the
@@ -95,7 +95,7 @@ def state_from_first_rise(actuator: Actuator, record: Record) -> FirstRise:
         )
     if not isinstance(record, Record):
         raise RecordError(f"got {type(record).__name__}, need a Record; read a file with dehyst.read(path)")
-    record, _, said = without_glitches(record)
+    record, _, said = remove_glitches(record)
     record.check_usable()
     used = record.delayed(actuator.delay) if actuator.delay else record
     rise = _Rise(actuator, used, _first_top(used))
@@ -153,7 +153,7 @@ class _Rise:
         way = np.interp(rho, np.append(0.0, rho[stiff]), np.append(0.0, np.cumsum(self.room * shares)))
         # Beyond the last stiff element a cart hangs as far back as that one's.
         way += np.maximum(rho - rho[stiff[-1]], 0.0) if stiff.size else rho
-        return Equilibria(self.actuator, float(self.record.voltage[0])).state(rho - way)
+        return RestStates(self.actuator, float(self.record.voltage[0])).state(rho - way)
 
     def difference(self, state: State) -> Array:
         """Simulated displacement minus the sensor's reading (n,) [m]; from the top on its mean is the datum."""

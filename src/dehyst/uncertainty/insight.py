@@ -15,16 +15,16 @@ from dehyst._types import Array, Progress
 from dehyst._validation import interval, vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.homing import Homing, shortest_homing
-from dehyst.identification.diagnostics.identifiability import Directions
+from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.model.actuator import Actuator
 from dehyst.records.record import Record
 from dehyst.uncertainty.bootstrap import LEAST_REPEATS, Intervals, resample
 from dehyst.uncertainty.evidence import Evidence
 from dehyst.uncertainty.experiment_design import Suggestion, advise
-from dehyst.uncertainty.feasible_set import Latitude, latitude
+from dehyst.uncertainty.feasible_set import FeasibleSet, feasible_set
 from dehyst.uncertainty.messages import beyond, misfit_of, not_homed, of_another
-from dehyst.uncertainty.prediction_band import Band, homed
-from dehyst.uncertainty.state_knowledge import Knowledge
+from dehyst.uncertainty.prediction_band import PredictionBand, state_at_top
+from dehyst.uncertainty.state_knowledge import StateKnowledge
 from dehyst.uncertainty.wide_insight import WideInsight, look
 
 
@@ -36,17 +36,17 @@ class Insight:
     ----------
     actuator : Actuator
     evidence : Evidence
-    directions : Directions
+    identifiability : Identifiability
     intervals : Intervals or None
         From resampled cycles; None if they were not asked for.
-    latitude : Latitude or None
+    latitude : FeasibleSet or None
         What the records do not contradict; None with the intervals.
     advice : tuple of Suggestion
         Best first; empty if nothing on the menu tells more.
-    knowledge : tuple of Knowledge
+    knowledge : tuple of StateKnowledge
     homing : Homing or None
         None if the model has no voltage limits.
-    band : Band or None
+    band : PredictionBand or None
         If a trajectory was given.
     misfit : float
         The largest error of the model on these records [m].
@@ -56,28 +56,28 @@ class Insight:
 
     actuator: Actuator
     evidence: Evidence
-    directions: Directions
+    identifiability: Identifiability
     intervals: Intervals | None
-    latitude: Latitude | None
+    feasible_set: FeasibleSet | None
     advice: tuple[Suggestion, ...]
-    knowledge: tuple[Knowledge, ...]
+    knowledge: tuple[StateKnowledge, ...]
     homing: Homing | None
-    band: Band | None
+    band: PredictionBand | None
     misfit: float
     limits: tuple[float, float] | None
 
     @property
     def stiffness(self) -> Array | None:
         """Lowest and highest kappa_i (2, N) [V/m] by noise and open directions together; None without intervals."""
-        if self.intervals is None or self.latitude is None:
+        if self.intervals is None or self.feasible_set is None:
             return None
-        noise, free = self.intervals.stiffness, self.latitude.stiffness
+        noise, free = self.intervals.stiffness, self.feasible_set.stiffness
         return np.array([np.minimum(noise[0], free[0]), np.maximum(noise[1], free[1])])
 
     @property
     def trustworthy(self) -> bool:
         """Whether the records leave no direction of the stiffnesses open."""
-        return self.directions.determined == self.directions.of
+        return self.identifiability.determined == self.identifiability.of
 
     def warnings(self) -> tuple[str, ...]:
         """What must be known before the model is used."""
@@ -91,14 +91,14 @@ class Insight:
     def _open(self) -> str | None:
         if self.trustworthy:
             return None
-        told = self.directions
+        told = self.identifiability
         next_ = f" Add {self.advice[0].words}." if self.advice else ""
         return (
             f"{told.of - told.determined} of {told.of} directions of the stiffnesses are open: motions that turn "
             f"elsewhere than the records do may be predicted wrongly.{next_}"
         )
 
-    def _band_warnings(self, band: Band) -> list[str]:
+    def _band_warnings(self, band: PredictionBand) -> list[str]:
         said = list(band.warnings)
         parts = {name: 100 * error / self.evidence.stroke for name, error in band.errors().items()}
         if parts["open"] > max(parts["misfit"], parts["noise"], 0.1) and not self.trustworthy:
@@ -113,7 +113,7 @@ class Insight:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON values; lengths in metres."""
-        told, bounds = self.directions, self.stiffness
+        told, bounds = self.identifiability, self.stiffness
         return {
             **self.evidence.as_dict(),
             "warnings": list(self.warnings()),
@@ -128,13 +128,13 @@ class Insight:
             "stiffness_V_per_m": {
                 "model": self.actuator.slip.stiffness.tolist(),
                 "noise": None if self.intervals is None else self.intervals.stiffness.tolist(),
-                "open": None if self.latitude is None else self.latitude.stiffness.tolist(),
+                "open": None if self.feasible_set is None else self.feasible_set.stiffness.tolist(),
                 "both": None if bounds is None else bounds.tolist(),
             },
             "spring_V": {
                 "knots_m": self.actuator.spring.displacement.tolist(),
                 "noise": None if self.intervals is None else self.intervals.spring.tolist(),
-                "open": None if self.latitude is None else self.latitude.spring.tolist(),
+                "open": None if self.feasible_set is None else self.feasible_set.spring.tolist(),
             },
             "level": None if self.intervals is None else self.intervals.level,
             "advice": [one.as_dict() for one in self.advice],
@@ -224,18 +224,18 @@ def insight(
         intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
         progress("looking for models that the records do not contradict")
         if trajectory is None:
-            free = latitude(evidence)
+            free = feasible_set(evidence)
         else:
-            wanted, start = vector(trajectory, "trajectory"), homed(actuator, allowed)
+            wanted, start = vector(trajectory, "trajectory"), state_at_top(actuator, allowed)
             command = Compensator(actuator, allowed).trajectory(wanted, state=start)
-            free = latitude(evidence, command.displacement, start)
-            band = Band.of(wanted, command, intervals, free, misfit=misfit, limits=allowed)
+            free = feasible_set(evidence, command.displacement, start)
+            band = PredictionBand.of(wanted, command, intervals, free, misfit=misfit, limits=allowed)
     progress("ranking excitations")
     advice = () if allowed is None else advise(evidence, limits=allowed, seconds=seconds)
     homing = None if allowed is None else shortest_homing(actuator, limits=allowed, present=allowed[0], stiff_only=True)
-    known = tuple(Knowledge.of(actuator, one) for one in evidence.comparisons)
+    known = tuple(StateKnowledge.of(actuator, one) for one in evidence.comparisons)
     return Insight(
-        actuator, evidence, evidence.directions, intervals, free, advice, known, homing, band, misfit, allowed
+        actuator, evidence, evidence.identifiability, intervals, free, advice, known, homing, band, misfit, allowed
     )
 
 

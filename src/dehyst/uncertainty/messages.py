@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dehyst.control.homing import Homing
-from dehyst.identification.validation import Comparison
+from dehyst.identification.validation import RecordComparison
 from dehyst.model.actuator import Actuator
 from dehyst.records.metrics import largest
 
@@ -17,7 +17,7 @@ _WORTH, _TIMES = 0.5, 3.0
 _WIDER = 0.01
 
 
-def misfit_of(actuator: Actuator, comparisons: tuple[Comparison, ...]) -> float:
+def misfit_of(actuator: Actuator, comparisons: tuple[RecordComparison, ...]) -> float:
     """The largest error of a model on records [m]."""
     errors = [played[2] - played[3] for one in comparisons for _, _, played in one.played(actuator)]
     return largest(np.concatenate(errors))

@@ -29,7 +29,7 @@ _ROUNDING = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class PartIdentifiability:
     """What records tell of a part.
 
     Attributes
@@ -69,8 +69,8 @@ class Told:
         return {"part": self.part, "known": self.known, "of": self.of, "deviations_V": shown}
 
 
-def told(evidence: WideEvidence) -> tuple[Told, ...]:
-    """What records tell of each part of a model; `Told` of the creep before them is left out."""
+def part_identifiability(evidence: WideEvidence) -> tuple[PartIdentifiability, ...]:
+    """What records tell of each part of a model; `PartIdentifiability` of the creep before them is left out."""
     regression = evidence.with_pieces(_made(evidence))
     weights = evidence.weights / np.median(evidence.weights)
     columns = regression.bounded / _holds(regression) * weights[:, None]
@@ -89,7 +89,7 @@ def told(evidence: WideEvidence) -> tuple[Told, ...]:
         seen = np.zeros(own.stop - own.start)
         seen[: values.size] = values / np.sqrt(len(columns))
         deviations = np.divide(scatter, seen, out=np.full(seen.size, np.inf), where=seen > _ROUNDING)
-        found.append(Told(part, deviations, allowed))
+        found.append(PartIdentifiability(part, deviations, allowed))
     return tuple(found)
 
 

@@ -13,10 +13,10 @@ from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
 from dehyst.records.metrics import largest
 from dehyst.uncertainty.bootstrap import Intervals
-from dehyst.uncertainty.feasible_set import Latitude
+from dehyst.uncertainty.feasible_set import FeasibleSet
 from dehyst.waveforms.excitation import Excitation
 
-# What each of `Band.errors` comes from.
+# What each of `PredictionBand.errors` comes from.
 ERRORS = {
     "noise": "noise and finite records",
     "open": "models that the records do not contradict",
@@ -27,7 +27,7 @@ ERRORS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class PredictionBand:
     """Where the displacement of a trajectory may be, in metres on the model's axis.
 
     Attributes
@@ -60,20 +60,24 @@ class Band:
         wanted: Array,
         command: Command,
         intervals: Intervals,
-        free: Latitude | None,
+        free: FeasibleSet | None,
         *,
         misfit: float,
         limits: tuple[float, float] | None,
         time: Array | None = None,
         played: Excitation | None = None,
-    ) -> Band:
+    ) -> PredictionBand:
         """Play a command on every model that might be the true one, each homed by a rise through the limits.
 
         With `played`, the rise in time, and the command's `time` [s], where time has a say.
         """
 
         def state(model: Actuator) -> State:
-            return homed(model, limits) if played is None or limits is None else risen(model, limits, played)
+            return (
+                state_at_top(model, limits)
+                if played is None or limits is None
+                else state_after_rise(model, limits, played)
+            )
 
         noise = intervals.prediction(command.voltage, state, time)
         free_ = None if free is None else free.prediction(command.voltage, state)
@@ -122,7 +126,7 @@ class Band:
         }
 
 
-def homed(actuator: Actuator, limits: tuple[float, float] | None) -> State:
+def state_at_top(actuator: Actuator, limits: tuple[float, float] | None) -> State:
     """The state at the top of the limits, after a rise through all of them; at that of the spring without limits.
 
     Where time has a say, after the homing that ends there (`dehyst.control.homing.shortest_homing`).
@@ -130,15 +134,15 @@ def homed(actuator: Actuator, limits: tuple[float, float] | None) -> State:
     ends = actuator.spring.displacement[[0, -1]]
     if limits is None:
         return actuator.turned(float(ends[1]))
-    return risen(actuator, limits, rise(actuator, limits))
+    return state_after_rise(actuator, limits, rise_excitation(actuator, limits))
 
 
-def rise(actuator: Actuator, limits: tuple[float, float]) -> Excitation | None:
+def rise_excitation(actuator: Actuator, limits: tuple[float, float]) -> Excitation | None:
     """The voltage in time that homes to the top of the limits; None where time has no say."""
     return shortest_homing(actuator, limits=limits, present=limits[0], end=limits[1]).played if actuator.wide else None
 
 
-def risen(actuator: Actuator, limits: tuple[float, float], played: Excitation | None) -> State:
+def state_after_rise(actuator: Actuator, limits: tuple[float, float], played: Excitation | None) -> State:
     """The state after a rise through the limits, played as it is given, or at any pace."""
     start = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
     if played is None:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number, vector
-from dehyst.control.major_loop import Outermost
+from dehyst.control.major_loop import MajorLoop
 from dehyst.identification.solvers import program
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
@@ -32,7 +32,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibria:
+class RestStates:
     """The states in which an actuator rests at a voltage: residual strain and charge (Appendix A.1).
 
     Parameters
@@ -67,7 +67,7 @@ class Equilibria:
         those of the two outermost branches.
         """
         if self._bent:
-            branch = Outermost(self.actuator)
+            branch = MajorLoop(self.actuator)
             return branch.displacement(self.voltage, 1), branch.displacement(self.voltage, -1)
         kappa = self.actuator.slip.stiffness
         return self._at(self._farthest(kappa)).displacement, self._at(self._farthest(-kappa)).displacement

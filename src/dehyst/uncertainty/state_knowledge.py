@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dehyst.control.state_bounds import Bracket, known_by_displacement, moves_on
-from dehyst.identification.validation import Comparison
+from dehyst.control.state_bounds import StateBounds, known_by_displacement, moves_on
+from dehyst.identification.validation import RecordComparison
 from dehyst.model.actuator import Actuator
 from dehyst.model.elements import GradedSlip, MaxwellSlip
 
@@ -16,7 +16,7 @@ _SMALL = 1e-9
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class StateKnowledge:
     """From when on the state is known along a record, nothing being known before it.
 
     Attributes
@@ -36,7 +36,7 @@ class Knowledge:
     judged: bool = True
 
     @classmethod
-    def of(cls, actuator: Actuator, compared: Comparison) -> Knowledge:
+    def of(cls, actuator: Actuator, compared: RecordComparison) -> StateKnowledge:
         """What a record that was put beside an actuator makes known."""
         stiff, record = _stiff(actuator), compared.record.record
         # Noise widens a range by its extremes; what it adds is no excursion.
@@ -49,7 +49,7 @@ class Knowledge:
         seen = known_by_displacement(0.5 * reach, path).first_known
         played = None
         if ordered:
-            bracket = Bracket.at_rest(stiff, float(record.voltage[0]))
+            bracket = StateBounds.at_rest(stiff, float(record.voltage[0]))
             played = bracket.drive(stiff, record.voltage).first_known
 
         def time(sample: int | None) -> float | None:

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.preprocessing.denoising import without_jitter
-from dehyst.identification.preprocessing.dynamics import undone
-from dehyst.identification.preprocessing.internal_states import Beside
+from dehyst.identification.preprocessing.denoising import remove_jitter
+from dehyst.identification.preprocessing.dynamics import remove_dynamics
+from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import coefficients_of, grid_of
 from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
-from dehyst.identification.validation import Comparison, compare_all
+from dehyst.identification.validation import RecordComparison, compare_all
 from dehyst.model.actuator import Actuator
 from dehyst.model.creep import Creep
 from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
@@ -41,7 +41,7 @@ class WideEvidence:
     Attributes
     ----------
     actuator : Actuator
-    comparisons : tuple of Comparison
+    comparisons : tuple of RecordComparison
         One a record.
     regression : WideRegression
         Rows (of long records some, evenly).
@@ -50,7 +50,7 @@ class WideEvidence:
     """
 
     actuator: Actuator
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[RecordComparison, ...]
     regression: WideRegression
     stroke: float
 
@@ -117,18 +117,18 @@ class WideEvidence:
         return {"records": [one.record.name for one in self.comparisons], "stroke_m": self.stroke}
 
 
-def _rows(actuator: Actuator, compared: Sequence[Comparison], stroke: float, pieces: list[list[Record]]) -> Any:
+def _rows(actuator: Actuator, compared: Sequence[RecordComparison], stroke: float, pieces: list[list[Record]]) -> Any:
     """Rows of measured pieces, made ready as an identification makes them."""
     grid, stacked, noise, leads = grid_of(actuator), [], [], []
     for q, (one, own) in enumerate(zip(compared, pieces, strict=True)):
         for (_, _, curve), piece in zip(one.pieces, own, strict=True):
-            path = without_jitter(undone(piece, actuator.dynamics), one.record.noise, stroke)
+            path = remove_jitter(remove_dynamics(piece, actuator.dynamics), one.record.noise, stroke)
             stacked.append((q, path, curve))
             noise.append(one.record.noise)
         leads.append(one.record.lead)
 
-    def moved(number: int, piece: Record) -> Beside:
-        return Beside(grid, piece, leads[number])
+    def moved(number: int, piece: Record) -> InternalStates:
+        return InternalStates(grid, piece, leads[number])
 
     return RowSource.of(stacked, actuator.slip.breakaway, noise, moved=moved).thinned(_MOST_ROWS)
 
@@ -140,7 +140,7 @@ def _smoothing(options: Mapping[str, Any]) -> float:
     return float(structure["smoothing"]) if known else Structure().smoothing  # type: ignore[index]
 
 
-def _strained(compared: Comparison) -> bool:
+def _strained(compared: RecordComparison) -> bool:
     """Whether a record creeps as if it had not been at rest as it began: the model says much worse of it without."""
     regression, found = compared.regression, compared.found
     if not isinstance(regression, WideRegression) or not isinstance(found, WideCoefficients):

@@ -11,16 +11,16 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
 from dehyst.control.homing import Homing, shortest_homing
-from dehyst.identification.diagnostics.identifiability import Directions, probed
+from dehyst.identification.diagnostics.identifiability import Identifiability, probe_identifiability
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
 from dehyst.records.record import Record
 from dehyst.uncertainty.bootstrap import Intervals, resample
 from dehyst.uncertainty.messages import beyond, misfit_of, not_homed, of_another
-from dehyst.uncertainty.part_identifiability import SHARP, Told, told
-from dehyst.uncertainty.prediction_band import Band, homed, rise, risen
-from dehyst.uncertainty.state_knowledge import Knowledge
+from dehyst.uncertainty.part_identifiability import SHARP, PartIdentifiability, part_identifiability
+from dehyst.uncertainty.prediction_band import PredictionBand, rise_excitation, state_after_rise, state_at_top
+from dehyst.uncertainty.state_knowledge import StateKnowledge
 from dehyst.uncertainty.wide_evidence import WideEvidence
 
 NOT_JUDGED = (
@@ -32,7 +32,7 @@ _SAMPLES = 400
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class MajorLoopWidth:
     """The major loop at the pace of the records, after one before it.
 
     Attributes
@@ -48,7 +48,7 @@ class Loop:
     noise: Array
 
     @classmethod
-    def of(cls, evidence: WideEvidence, intervals: Intervals, limits: tuple[float, float]) -> Loop:
+    def of(cls, evidence: WideEvidence, intervals: Intervals, limits: tuple[float, float]) -> MajorLoopWidth:
         """Play two cycles through the limits; the second counts."""
         seconds = min(cycle_time(one.record.record) for one in evidence.comparisons)
         phase = np.linspace(0, 2, 2 * _SAMPLES + 1)
@@ -78,18 +78,18 @@ class WideInsight:
     ----------
     actuator : Actuator
     evidence : WideEvidence
-    told : tuple of Told
+    parts : tuple of PartIdentifiability
         What the records tell of each part.
-    probed : Directions
+    identifiability : Identifiability
         What their turning points tell of ten plain elements: whether there are inner loops enough.
     intervals : Intervals or None
         From resampled cycles; None if they were not asked for.
-    loop : Loop or None
+    loop : MajorLoopWidth or None
         The major loop, with the intervals.
-    knowledge : tuple of Knowledge
+    knowledge : tuple of StateKnowledge
     homing : Homing or None
         None if the model has no voltage limits.
-    band : Band or None
+    band : PredictionBand or None
         If a trajectory was given; without what the records do not contradict.
     misfit : float
         The largest error of the model on these records [m].
@@ -99,13 +99,13 @@ class WideInsight:
 
     actuator: Actuator
     evidence: WideEvidence
-    told: tuple[Told, ...]
-    probed: Directions
+    parts: tuple[PartIdentifiability, ...]
+    identifiability: Identifiability
     intervals: Intervals | None
-    loop: Loop | None
-    knowledge: tuple[Knowledge, ...]
+    loop: MajorLoopWidth | None
+    knowledge: tuple[StateKnowledge, ...]
     homing: Homing | None
-    band: Band | None
+    band: PredictionBand | None
     misfit: float
     limits: tuple[float, float] | None
 
@@ -123,12 +123,12 @@ class WideInsight:
     @property
     def trustworthy(self) -> bool:
         """Whether the records have inner loops enough to tell ten plain elements apart."""
-        return self.probed.determined == self.probed.of
+        return self.identifiability.determined == self.identifiability.of
 
     def _open(self) -> str | None:
         if self.trustworthy:
             return None
-        open_, of = self.probed.of - self.probed.determined, self.probed.of
+        open_, of = self.identifiability.of - self.identifiability.determined, self.identifiability.of
         top = "" if self.limits is None else f" (dehyst excite descending-tops {self.limits[1]:.6g} -o voltage.csv)"
         return (
             f"The turning points of these records leave {open_} of {of} directions of plain elements open, let alone "
@@ -143,8 +143,8 @@ class WideInsight:
             "warnings": list(self.warnings()),
             "not_judged": NOT_JUDGED,
             "misfit_m": self.misfit,
-            "probed": {"determined": self.probed.determined, "of": self.probed.of},
-            "told": {"allowed_deviation_of_the_voltages": SHARP, "parts": [one.as_dict() for one in self.told]},
+            "probed": {"determined": self.identifiability.determined, "of": self.identifiability.of},
+            "told": {"allowed_deviation_of_the_voltages": SHARP, "parts": [one.as_dict() for one in self.parts]},
             "parts": {
                 name: {"model": model.tolist(), "noise": None if noise is None else noise.tolist()}
                 for name, (model, noise) in self.numbers().items()
@@ -200,27 +200,39 @@ def look(
         intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
     progress("looking for a homing")
     if intervals is not None and limits is not None:
-        loop = Loop.of(evidence, intervals, limits)
+        loop = MajorLoopWidth.of(evidence, intervals, limits)
     if limits is not None:
         homing = shortest_homing(actuator, limits=limits, present=limits[0], stiff_only=True)
     if trajectory is not None and intervals is not None:
-        played = None if limits is None else rise(actuator, limits)
-        start = homed(actuator, limits) if limits is None else risen(actuator, limits, played)
+        played = None if limits is None else rise_excitation(actuator, limits)
+        start = state_at_top(actuator, limits) if limits is None else state_after_rise(actuator, limits, played)
         command = Compensator(actuator, limits).trajectory(trajectory, time=time, state=start)
         clock = time if actuator.needs_time else None
-        band = Band.of(trajectory, command, intervals, None, misfit=misfit, limits=limits, time=clock, played=played)
+        band = PredictionBand.of(
+            trajectory, command, intervals, None, misfit=misfit, limits=limits, time=clock, played=played
+        )
     progress("counting what is told")
-    known = tuple(Knowledge.of(actuator, one) for one in evidence.comparisons)
+    known = tuple(StateKnowledge.of(actuator, one) for one in evidence.comparisons)
     return WideInsight(
-        actuator, evidence, told(evidence), _probed(evidence), intervals, loop, known, homing, band, misfit, limits
+        actuator,
+        evidence,
+        part_identifiability(evidence),
+        _probed(evidence),
+        intervals,
+        loop,
+        known,
+        homing,
+        band,
+        misfit,
+        limits,
     )
 
 
-def _probed(evidence: WideEvidence) -> Directions:
+def _probed(evidence: WideEvidence) -> Identifiability:
     own = evidence.regression
     pieces = [
         replace(piece, displacement=piece.displacement + one.datum)
         for one in evidence.comparisons
         for _, piece, _ in one.pieces
     ]
-    return probed(pieces, own.rows, (float(own.knots[0]), float(own.knots[-1])))
+    return probe_identifiability(pieces, own.rows, (float(own.knots[0]), float(own.knots[-1])))

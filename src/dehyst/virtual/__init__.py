@@ -8,9 +8,9 @@ Each has a `stroke` [m] at its `highest` voltage [V] on the major loop, and is d
 `drive(voltage, *, time=None, measured=True)`, which goes on from where the last one ended; `relax` forgets.
 """
 
-from dehyst.virtual.base import Truth
+from dehyst.virtual.base import VirtualActuator
 from dehyst.virtual.bouc_wen import BoucWenActuator
 from dehyst.virtual.plays import PlayActuator
 from dehyst.virtual.preisach import PreisachActuator
 
-__all__ = ["BoucWenActuator", "PlayActuator", "PreisachActuator", "Truth"]
+__all__ = ["BoucWenActuator", "PlayActuator", "PreisachActuator", "VirtualActuator"]

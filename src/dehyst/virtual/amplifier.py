@@ -9,9 +9,9 @@ import numpy as np
 
 from dehyst._errors import DeviceError
 from dehyst._types import Array
-from dehyst.control.limits import Limits
+from dehyst.control.limits import VoltageLimits
 from dehyst.model.actuator import Actuator
-from dehyst.virtual import Truth
+from dehyst.virtual import VirtualActuator
 from dehyst.virtual.modelled import ModelledActuator
 
 # Share of a servo period that a jump of the voltage takes.
@@ -56,9 +56,9 @@ class Amplifier:
 
     Parameters
     ----------
-    truth : Truth or Actuator
+    truth : VirtualActuator or Actuator
         What is driven, at rest at 0 V.
-    limits : Limits
+    limits : VoltageLimits
         What is put out; with a slew rate, a target is reached at that rate, without one at once.
     period : float
         Seconds from one voltage to the next, at least.
@@ -75,9 +75,9 @@ class Amplifier:
         Stroke by highest voltage [m/V].
     """
 
-    def __init__(self, truth: Truth | Actuator, limits: Limits, period: float) -> None:
+    def __init__(self, truth: VirtualActuator | Actuator, limits: VoltageLimits, period: float) -> None:
         self.limits, self.period = limits, period
-        self._truth: Truth = ModelledActuator(truth) if isinstance(truth, Actuator) else truth
+        self._truth: VirtualActuator = ModelledActuator(truth) if isinstance(truth, Actuator) else truth
         self.stroke, self.gain = self._truth.stroke, self._truth.stroke / self._truth.highest
         self.voltage = self.target = limits.nearest(0.0)
         self.log = Extremes(self.voltage, self.voltage)

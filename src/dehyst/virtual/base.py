@@ -12,7 +12,7 @@ from dehyst._types import Array
 from dehyst._validation import vector
 
 
-class Truth(Protocol):
+class VirtualActuator(Protocol):
     """A virtual actuator."""
 
     stroke: float

@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike
 from dehyst._errors import DeviceError
 from dehyst._types import Array
 from dehyst._validation import interval, vector
-from dehyst.control.limits import Limits
+from dehyst.control.limits import VoltageLimits
 from dehyst.model.actuator import Actuator
-from dehyst.virtual import Truth
+from dehyst.virtual import VirtualActuator
 from dehyst.virtual.amplifier import Amplifier, Extremes
 from dehyst.virtual.base import Sensor
 from dehyst.virtual.modelled import fingerprint
 
-__all__ = ["Extremes", "Instrument"]
+__all__ = ["Extremes", "VirtualBench"]
 
 # The servo looks this often [s], follows with this time constant [s], and looks so many times at most after a pause.
 _LOOK, _FOLLOW, _LOOKS = 1e-3, 0.02, 400
@@ -29,14 +29,14 @@ _CAREFUL = 0.5
 _ARRIVED = 1e-3
 
 
-class Instrument:
+class VirtualBench:
     """A piezo controller without a face: no input or output, no thread; its time is the clock's.
 
     Every method brings all up to the present first. Not thread-safe: who serves it holds a lock.
 
     Parameters
     ----------
-    truth : Truth or Actuator
+    truth : VirtualActuator or Actuator
         What is driven, at rest at 0 V.
     limits : (float, float), optional
         Voltages [V] that are put out, ever.
@@ -76,7 +76,7 @@ class Instrument:
 
     def __init__(
         self,
-        truth: Truth | Actuator,
+        truth: VirtualActuator | Actuator,
         *,
         limits: tuple[float, float] = (0.0, 200.0),
         slew_rate: float | None = None,
@@ -89,7 +89,7 @@ class Instrument:
         noise: float | None = None,
         seed: int | None = None,
     ) -> None:
-        self._amplifier = Amplifier(truth, Limits(*limits, slew_rate), servo_period)
+        self._amplifier = Amplifier(truth, VoltageLimits(*limits, slew_rate), servo_period)
         allowed = self._amplifier.limits
         self.limits, self.slew_rate, self.servo_period = (allowed.low, allowed.high), slew_rate, servo_period
         self.wave_points, self.record_points = wave_points, record_points

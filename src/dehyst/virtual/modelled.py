@@ -17,7 +17,7 @@ from dehyst._types import Array
 from dehyst._validation import untimely, vector
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import State
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, Truth
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualActuator
 
 # Share of a step that the creeping one adds in each decade of time.
 _CREEP = 0.01
@@ -27,7 +27,7 @@ _DIGITS = 12
 
 
 class ModelledActuator:
-    """An identified actuator as a `Truth`: driven on and on, with its state carried along.
+    """An identified actuator as a `VirtualActuator`: driven on and on, with its state carried along.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class ModelledActuator:
         self._voltage, self._time = 0.0, -np.inf
 
     def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V] as `Truth.drive`; without a sensor, `measured` makes no difference.
+        """Play a voltage (n,) [V] as `VirtualActuator.drive`; without a sensor, `measured` makes no difference.
 
         Raises
         ------
@@ -93,7 +93,7 @@ class ModelledActuator:
         return motion.displacement[1:]
 
 
-VIRTUAL: dict[str, Callable[[], Truth]] = {
+VIRTUAL: dict[str, Callable[[], VirtualActuator]] = {
     "play": PlayActuator,
     "creep": lambda: PlayActuator(creep=_CREEP),
     "preisach": PreisachActuator,
@@ -101,7 +101,7 @@ VIRTUAL: dict[str, Callable[[], Truth]] = {
 }
 
 
-def virtual_actuator(name: str) -> Truth | Actuator:
+def virtual_actuator(name: str) -> VirtualActuator | Actuator:
     """A virtual actuator: one of `VIRTUAL`, or the path of a model file.
 
     Raises
@@ -118,7 +118,7 @@ def virtual_actuator(name: str) -> Truth | Actuator:
     return Actuator.load(name)
 
 
-def fingerprint(truth: Truth | Actuator) -> str:
+def fingerprint(truth: VirtualActuator | Actuator) -> str:
     """Kind and hash of a virtual actuator: equal for equal parameters, from whatever name or file they come.
 
     Name, provenance, state and limits of a model do not count: the same actuator may have others.
@@ -130,7 +130,7 @@ def fingerprint(truth: Truth | Actuator) -> str:
     return f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}"
 
 
-def _parameters(truth: Truth | Actuator) -> dict[str, Any]:
+def _parameters(truth: VirtualActuator | Actuator) -> dict[str, Any]:
     """What a virtual actuator is made of, by name."""
     if isinstance(truth, Actuator):
         parts = truth.as_dict().items()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dehyst.waveforms.lissajous import Lissajous
 from dehyst.waveforms.raster import Raster
-from dehyst.waveforms.scan import Path, Scan
+from dehyst.waveforms.scan import Scan, ScanPath
 from dehyst.waveforms.spiral import Spiral
 from dehyst.waveforms.steps import Steps
 from dehyst.waveforms.triangle import Triangle
 
-__all__ = ["Lissajous", "Path", "Raster", "Scan", "Spiral", "Steps", "Triangle"]
+__all__ = ["Lissajous", "Raster", "Scan", "ScanPath", "Spiral", "Steps", "Triangle"]

@@ -12,7 +12,7 @@ import numpy as np
 from dehyst._errors import RecordError
 from dehyst.waveforms.excitation import positive
 from dehyst.waveforms.profiles import Travel
-from dehyst.waveforms.scan import CYCLE_SAMPLES, Limits, Scan, length, samples_of, set_positive, whole
+from dehyst.waveforms.scan import CYCLE_SAMPLES, MotionLimits, Scan, length, samples_of, set_positive, whole
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Lissajous(Scan):
         # The harder axis first, so that what is said to be possible is possible for both.
         for axis in sorted((0, 1), key=lambda i: -self.amplitude[i] * self.ratio[i] ** 2):
             turning, a = 2 * pi * self.ratio[axis] / self.period, self.amplitude[axis]
-            limits = Limits(self.speed, self.acceleration)
+            limits = MotionLimits(self.speed, self.acceleration)
             limits.refuse(f"{'xy'[axis]} of this figure", (a * turning, a * turning**2), self.frequency, a)
 
     @property

@@ -38,7 +38,7 @@ class Leg(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Drive:
+class Sampling:
     """How a voltage is played; the same options for every kind of excitation.
 
     Parameters

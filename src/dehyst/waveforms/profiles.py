@@ -24,7 +24,7 @@ class Travel(NamedTuple):
     acceleration: Array
 
 
-class Point(NamedTuple):
+class PathPoint(NamedTuple):
     """Displacement [m], velocity [m/s] and acceleration [m/s^2] at one time."""
 
     displacement: float
@@ -120,14 +120,14 @@ class Bridge:
 
     Attributes
     ----------
-    start, end : Point
+    start, end : PathPoint
         Displacement, velocity and acceleration at its ends.
     seconds : float
         How long it takes.
     """
 
-    start: Point
-    end: Point
+    start: PathPoint
+    end: PathPoint
     seconds: float
 
     @property

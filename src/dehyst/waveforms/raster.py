@@ -11,8 +11,8 @@ import numpy as np
 from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst.waveforms.excitation import refuse_long
-from dehyst.waveforms.profiles import Bridge, Point, Rounding, Travel
-from dehyst.waveforms.scan import Limits, Scan, between, counted, one_of, whole
+from dehyst.waveforms.profiles import Bridge, PathPoint, Rounding, Travel
+from dehyst.waveforms.scan import MotionLimits, Scan, between, counted, one_of, whole
 from dehyst.waveforms.triangle import Triangle
 
 Slow: TypeAlias = Literal["staircase", "ramp"]
@@ -111,7 +111,7 @@ class Raster(Scan):
         if self.back is not None:
             return self.back
         own = max(abs(edge.speed) for edge in self.fast.edges), max(edge.acceleration for edge in self.fast.edges)
-        kept = Limits(self.speed or own[0], self.acceleration or own[1])
+        kept = MotionLimits(self.speed or own[0], self.acceleration or own[1])
         # The longer it takes, the gentler it is.
         low, high = 0 if self.slow == "staircase" else 1, 100 * self.lines - 1
         if kept.hold(self._return(high).peaks):
@@ -147,7 +147,9 @@ class Raster(Scan):
         """All but the step back to the first line."""
         forth, retrace = self.fast.legs
         levels, still = self.levels, np.zeros(forth)
-        step = Bridge(Point(0.0), Point(self._height / (self.lines - 1)), retrace / self.rate).at(self._times(retrace))
+        step = Bridge(PathPoint(0.0), PathPoint(self._height / (self.lines - 1)), retrace / self.rate).at(
+            self._times(retrace)
+        )
         line = Travel(*(np.concatenate([still, row]) for row in step))
         y = levels[:-1, None] + line.displacement
         v, a = (np.tile(row, self.lines - 1) for row in line[1:])
@@ -167,8 +169,8 @@ class Raster(Scan):
         """Y on its way back to the first line, in so many periods of x and what is left of the last line."""
         (low, high), line = self._ends, self.fast.samples
         if self.slow == "staircase":
-            return Bridge(Point(high), Point(low), (back * line + self.fast.legs[1]) / self.rate)
-        return Bridge(Point(high, self._slope), Point(low, self._slope), back * line / self.rate)
+            return Bridge(PathPoint(high), PathPoint(low), (back * line + self.fast.legs[1]) / self.rate)
+        return Bridge(PathPoint(high, self._slope), PathPoint(low, self._slope), back * line / self.rate)
 
     @property
     def _ends(self) -> tuple[float, float]:
@@ -184,13 +186,13 @@ class Raster(Scan):
         return self._height * self.rate / (self.lines * self.fast.samples)
 
     @property
-    def _limits(self) -> Limits:
-        return Limits(self.speed, self.acceleration)
+    def _limits(self) -> MotionLimits:
+        return MotionLimits(self.speed, self.acceleration)
 
     def _refuse_steep(self) -> None:
         if self.slow == "staircase":
             height = self._height / (self.lines - 1)
-            step = Bridge(Point(0.0), Point(height), self.fast.legs[1] / self.rate)
+            step = Bridge(PathPoint(0.0), PathPoint(height), self.fast.legs[1] / self.rate)
             self._limits.refuse("a step to the next line", step.peaks, self.frequency, height)
         elif self.speed is not None and self._slope > self.speed:
             self._limits.refuse("the ramp", (self._slope, 1e-300), self.frequency, self._height)

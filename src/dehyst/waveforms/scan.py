@@ -13,7 +13,7 @@ from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array
 from dehyst._validation import number, vector
 from dehyst.waveforms.excitation import positive, refuse_long
-from dehyst.waveforms.profiles import Point, Travel
+from dehyst.waveforms.profiles import PathPoint, Travel
 
 # As many samples a period as `Drive` takes, and the fewest for each part of one.
 CYCLE_SAMPLES = 400
@@ -25,7 +25,7 @@ _MOST_WHOLE = 10**7
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class ScanPath:
     """A wanted displacement on uniform samples.
 
     Parameters
@@ -80,17 +80,17 @@ class Path:
         return float(self.displacement.min()), float(self.displacement.max())
 
     @property
-    def first(self) -> Point:
+    def first(self) -> PathPoint:
         """The motion at the first sample."""
-        return Point(float(self.displacement[0]), float(self.velocity[0]), float(self.acceleration[0]))
+        return PathPoint(float(self.displacement[0]), float(self.velocity[0]), float(self.acceleration[0]))
 
     @property
-    def last(self) -> Path:
+    def last(self) -> ScanPath:
         """The last sample alone."""
         y, v, a = (row[-1:] for row in self.rows)
-        return Path(y, v, a, self.sample_rate, periodic=False)
+        return ScanPath(y, v, a, self.sample_rate, periodic=False)
 
-    def repeated(self, cycles: int) -> Path:
+    def repeated(self, cycles: int) -> ScanPath:
         """So many periods and the sample that closes the last one; of no period the first sample.
 
         Raises
@@ -103,12 +103,12 @@ class Path:
         times = whole(cycles, "cycles", 0)
         refuse_long(times * len(self) + 1, self.sample_rate)
         y, v, a = (np.append(np.tile(row, times), row[0]) for row in self.rows)
-        return Path(y, v, a, self.sample_rate, periodic=False)
+        return ScanPath(y, v, a, self.sample_rate, periodic=False)
 
-    def then(self, other: Path) -> Path:
+    def then(self, other: ScanPath) -> ScanPath:
         """Put another one behind this one."""
         y, v, a = (np.concatenate(pair) for pair in zip(self.rows, other.rows, strict=True))
-        return Path(y, v, a, self.sample_rate, periodic=False)
+        return ScanPath(y, v, a, self.sample_rate, periodic=False)
 
 
 class Scan(ABC):
@@ -160,7 +160,7 @@ class Scan(ABC):
             f"{1 / self.asked:.9g} Hz",
         )
 
-    def path(self, axis: str = "x") -> Path:
+    def path(self, axis: str = "x") -> ScanPath:
         """One period of an axis, or all of a scan that has none.
 
         Raises
@@ -170,7 +170,7 @@ class Scan(ABC):
         """
         if axis not in self.axes:
             raise RecordError(f"axis: got {axis!r}, need {' or '.join(map(repr, self.axes))}")
-        return Path(*self.travel(axis), self.rate, self.periodic)
+        return ScanPath(*self.travel(axis), self.rate, self.periodic)
 
     @abstractmethod
     def travel(self, axis: str) -> Travel:
@@ -178,7 +178,7 @@ class Scan(ABC):
 
 
 @dataclass(frozen=True)
-class Limits:
+class MotionLimits:
     """Largest abs(velocity) [m/s] and abs(acceleration) [m/s^2] of an axis, each or None."""
 
     speed: float | None = None

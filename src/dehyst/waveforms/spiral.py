@@ -14,7 +14,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.waveforms.excitation import positive
 from dehyst.waveforms.profiles import Edge, Rounding, Travel
-from dehyst.waveforms.scan import Limits, Scan, above, length, one_of, samples_of, set_positive, share, whole
+from dehyst.waveforms.scan import MotionLimits, Scan, above, length, one_of, samples_of, set_positive, share, whole
 
 Constant: TypeAlias = Literal["linear", "angular"]
 
@@ -84,7 +84,7 @@ class Spiral(Scan):
         one_of(self.rounding, "rounding", get_args(Rounding))
         _ = self.samples
         if self.speed is not None or self.acceleration is not None:
-            limits = Limits(self.speed, self.acceleration)
+            limits = MotionLimits(self.speed, self.acceleration)
             limits.refuse("this spiral", self._peaks(), self.frequency, self.radius)
 
     @property

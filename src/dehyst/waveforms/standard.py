@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import RecordError
 from dehyst.waveforms.excitation import Excitation, positive, voltages, volts
-from dehyst.waveforms.playback import Drive, Leg
+from dehyst.waveforms.playback import Leg, Sampling
 
 __all__ = [
-    "Drive",
     "Excitation",
+    "Sampling",
     "descending_tops",
     "homing",
     "minor_loop",
@@ -24,11 +24,11 @@ __all__ = [
     "staircase",
 ]
 
-_PAPER = Drive()
+_PAPER = Sampling()
 _MOST_TURNS = 1_000_000
 
 
-def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Drive = _PAPER) -> Excitation:
+def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
     """Cycles base -> peak -> base, ``v = base + (peak - base) (1 - cos(2 pi f t)) / 2`` (the paper's, Sec. 3).
 
     Parameters
@@ -37,7 +37,7 @@ def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Drive = _PAPER) -
         [V], above the base.
     cycles : int
         Of each peak, before the next peak's.
-    drive : Drive
+    drive : Sampling
         How it is played.
 
     Raises
@@ -55,7 +55,7 @@ def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Drive = _PAPER) -
     return _through("raised-cosine" if drive.shape == "cosine" else "triangle", turns, drive)
 
 
-def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: Drive = _PAPER) -> Excitation:
+def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: Sampling = _PAPER) -> Excitation:
     """Major cycles, then cycles with tops falling from `highest` to 1/steps of it in equal steps, all to the base.
 
     As many tops as elements tell every stiffness that loops can tell. The first cycle makes the state known, whatever
@@ -69,7 +69,7 @@ def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: 
         Number of tops; the first is `highest` once more.
     majors : int
         Cycles up to `highest` before them.
-    drive : Drive
+    drive : Sampling
         How it is played.
 
     Raises
@@ -85,7 +85,7 @@ def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: 
 
 
 def reversal_curves(
-    highest: float, *, lowest: float | None = None, count: int = 10, majors: int = 1, drive: Drive = _PAPER
+    highest: float, *, lowest: float | None = None, count: int = 10, majors: int = 1, drive: Sampling = _PAPER
 ) -> Excitation:
     """First-order reversal curves: major cycles, then highest -> a -> highest for falling a, then back to the base.
 
@@ -99,7 +99,7 @@ def reversal_curves(
         Number of curves; from `highest` on, each a lies lower than the last by the same step.
     majors : int
         Cycles before them.
-    drive : Drive
+    drive : Sampling
         How it is played.
 
     Raises
@@ -118,7 +118,7 @@ def reversal_curves(
 
 
 def minor_loop(
-    low: float, high: float, *, highest: float, cycles: int = 1, majors: int = 2, drive: Drive = _PAPER
+    low: float, high: float, *, highest: float, cycles: int = 1, majors: int = 2, drive: Sampling = _PAPER
 ) -> Excitation:
     """Major cycles, then a minor loop with its approach: base -> high -> low -> high ... -> base.
 
@@ -134,7 +134,7 @@ def minor_loop(
         Times that the minor loop is gone round.
     majors : int
         Cycles before it.
-    drive : Drive
+    drive : Sampling
         How it is played.
 
     Raises
@@ -159,7 +159,7 @@ def staircase(
     hold: float = 60.0,
     ramp: float | None = None,
     back: bool = False,
-    drive: Drive = _PAPER,
+    drive: Sampling = _PAPER,
 ) -> Excitation:
     """Equal steps from the base up to `highest` and down again, a hold after each: creep shows there.
 
@@ -176,7 +176,7 @@ def staircase(
     back : bool
         Whether each two steps are followed by one back: these inner loops, at all levels, tell what tops that all fall
         back to the base leave open.
-    drive : Drive
+    drive : Sampling
         How it is played; its pace does not matter.
 
     Raises
@@ -206,7 +206,7 @@ def _places(steps: int, back: bool) -> list[int]:
     return places
 
 
-def homing(highest: float | None = None, *, turns: ArrayLike | None = None, drive: Drive = _PAPER) -> Excitation:
+def homing(highest: float | None = None, *, turns: ArrayLike | None = None, drive: Sampling = _PAPER) -> Excitation:
     """Bring an actuator into a known state: base -> highest -> base, or straight through given turning points.
 
     Parameters
@@ -216,7 +216,7 @@ def homing(highest: float | None = None, *, turns: ArrayLike | None = None, driv
     turns : (m,) array_like, optional
         Instead of it: voltages [V] to visit in this order, from the present one (the base, unless the drive says
         otherwise). The record ends at the last of them.
-    drive : Drive
+    drive : Sampling
         How it is played.
 
     Raises
@@ -239,7 +239,7 @@ def homing(highest: float | None = None, *, turns: ArrayLike | None = None, driv
     return drive.play("homing", drive.legs([drive.start, *stops]))
 
 
-def _through(name: str, turns: list[float], drive: Drive) -> Excitation:
+def _through(name: str, turns: list[float], drive: Sampling) -> Excitation:
     """From the present voltage to the base and on through the turning points."""
     path = [drive.base, *turns]
     legs = drive.legs(path)
@@ -251,7 +251,7 @@ def _cycles(count: object, what: str, first: float, second: float, *, least: int
     return [first, second] * _count(count, what, least, _MOST_TURNS // (2 * of))
 
 
-def _top(highest: object, drive: Drive) -> float:
+def _top(highest: object, drive: Sampling) -> float:
     top = volts(highest, "highest")
     if top <= drive.base:
         raise RecordError(f"highest: got {top:g} V, need a voltage above the base {drive.base:g} V")

@@ -13,8 +13,8 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst.waveforms.excitation import positive, refuse_long
-from dehyst.waveforms.profiles import Bridge, Edge, Point, Travel, least_blend, least_seconds
-from dehyst.waveforms.scan import Limits, Scan, above, length, one_of, samples_of, set_positive
+from dehyst.waveforms.profiles import Bridge, Edge, PathPoint, Travel, least_blend, least_seconds
+from dehyst.waveforms.scan import MotionLimits, Scan, above, length, one_of, samples_of, set_positive
 
 Shape: TypeAlias = Literal["minimum-jerk", "trapezoid"]
 _EDGE_SAMPLES = 50
@@ -138,7 +138,7 @@ class Steps(Scan):
 
     def _edge(self, start: float, end: float, seconds: float) -> Edge | Bridge:
         if self.shape == "minimum-jerk":
-            return Bridge(Point(start), Point(end), seconds)
+            return Bridge(PathPoint(start), PathPoint(end), seconds)
         blend = 0.5 * seconds
         if self.acceleration is not None:
             blend = least_blend(abs(end - start), seconds, self.acceleration, "parabola")
@@ -150,5 +150,5 @@ class Steps(Scan):
             return
         raise RecordError(
             f"seconds: got {self.seconds:.4g} s for {height * 1e6:.6g} um, which takes {least:.4g} s at least within "
-            f"{Limits(self.speed, self.acceleration).words}; try {above(least)} s, or none for the shortest"
+            f"{MotionLimits(self.speed, self.acceleration).words}; try {above(least)} s, or none for the shortest"
         )

@@ -11,7 +11,17 @@ import numpy as np
 from dehyst._errors import RecordError
 from dehyst.waveforms.excitation import positive
 from dehyst.waveforms.profiles import Edge, Rounding, Travel, highest, least_blend, least_seconds
-from dehyst.waveforms.scan import CYCLE_SAMPLES, Limits, Scan, below, between, one_of, samples_of, set_positive, share
+from dehyst.waveforms.scan import (
+    CYCLE_SAMPLES,
+    MotionLimits,
+    Scan,
+    below,
+    between,
+    one_of,
+    samples_of,
+    set_positive,
+    share,
+)
 
 _TURNS = 0.1
 
@@ -70,7 +80,7 @@ class Triangle(Scan):
         if self.turns is None and self.acceleration is not None:
             self._refuse_impossible()
         peaks = max(abs(edge.speed) for edge in self.edges), max(edge.acceleration for edge in self.edges)
-        Limits(self.speed, self.acceleration).refuse(f"a {self.what}", peaks, self.frequency, self.height)
+        MotionLimits(self.speed, self.acceleration).refuse(f"a {self.what}", peaks, self.frequency, self.height)
 
     @property
     def height(self) -> float:
@@ -131,7 +141,7 @@ class Triangle(Scan):
         if seconds * (1 + 1e-9) >= needed:
             return
         possible = highest(part / self.frequency, self.speed, self.acceleration, self.rounding)
-        limits = Limits(self.speed, self.acceleration).words
+        limits = MotionLimits(self.speed, self.acceleration).words
         raise RecordError(
             f"acceleration: got {limits}, with which {self.height * 1e6:.6g} um take {needed:.4g} s at "
             f"least, not {seconds:.4g} s; try {below(part / needed)} Hz or less in place of {self.frequency:.6g}, or "

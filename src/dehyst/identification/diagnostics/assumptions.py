@@ -25,7 +25,7 @@ _SMALLEST = 0.1
 _OF_RANGE = "% of range"
 
 
-def checks(
+def assumption_checks(
     actuator: Actuator,
     records: Sequence[Prepared],
     errors: Sequence[RecordErrors],

@@ -30,7 +30,7 @@ _SMALL = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Directions:
+class Identifiability:
     """Which combinations of the stiffnesses records determine, the spring and each record's constant being free.
 
     Attributes
@@ -108,9 +108,9 @@ class Directions:
         return tuple(_spread(vector, where, self.movable.size) for vector in sorted(found, key=_first))
 
 
-def directions(
+def identifiability(
     records: list[Record], breakaway: Array, regression: Regression, *, relaxed: Collection[int] = ()
-) -> Directions:
+) -> Identifiability:
     """Directions of the stiffnesses that the records determine, and how many there are.
 
     Noise makes every sample of a record a little different from every other, and a numerical rank of measured rows
@@ -139,14 +139,14 @@ def directions(
     movable = regression.movable
     count = int(np.count_nonzero(movable))
     if not len(rows) or not count:
-        return Directions(breakaway, movable, np.zeros(count), np.eye(count))
+        return Identifiability(breakaway, movable, np.zeros(count), np.eye(count))
     values, vectors = np.linalg.svd(few.projected(breakaway))[1:]
     found = np.zeros(count)
     found[: values.size] = values / np.sqrt(len(rows))
-    return Directions(breakaway, movable, found, vectors)
+    return Identifiability(breakaway, movable, found, vectors)
 
 
-def probed(records: list[Record], rows: Rows, span: tuple[float, float]) -> Directions:
+def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, float]) -> Identifiability:
     """What the turning points of records tell of ten plain elements over a stroke: whether inner loops are there.
 
     A wider class has more coefficients than any records tell, which smoothing settles; but where ten plain elements are
@@ -165,7 +165,7 @@ def probed(records: list[Record], rows: Rows, span: tuple[float, float]) -> Dire
     rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
     movable = 2 * rho < stroke * (1 - 1e-9)
     knots = np.linspace(*span, _PROBES + 1)
-    return directions(records, rho, Regression(rows, knots, 0.0, movable, np.zeros(len(records))))
+    return identifiability(records, rho, Regression(rows, knots, 0.0, movable, np.zeros(len(records))))
 
 
 def _turns(record: Record, spacing: float, ends: Array) -> list[float]:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.diagnostics.identifiability import Directions
-from dehyst.identification.dynamics_search import felt
+from dehyst.identification.diagnostics.identifiability import Identifiability
+from dehyst.identification.dynamics_search import significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.regression.regression import Coefficients, Regression
@@ -34,7 +34,7 @@ def of_noise(first: float, noise: float) -> list[str]:
     ]
 
 
-def of_turns(told: Directions) -> list[str]:
+def of_turns(told: Identifiability) -> list[str]:
     """A remark where turning points leave some of a few plain elements open."""
     if told.determined == told.of:
         return []
@@ -44,7 +44,7 @@ def of_turns(told: Directions) -> list[str]:
     ]
 
 
-def of_plain(told: Directions, regression: Regression, found: Coefficients) -> tuple[Outcome, list[str]]:
+def of_plain(told: Identifiability, regression: Regression, found: Coefficients) -> tuple[Outcome, list[str]]:
     """How the identification of plain elements ended, and remarks about what stays open or lies on its floor."""
     said = []
     if told.determined < told.of:
@@ -127,7 +127,7 @@ def of_held_out(records: Sequence[Prepared], limits: tuple[float, float], errors
 def repaired(errors: Sequence[RecordErrors], delay: float, sample: float, *, given: bool) -> list[str]:
     """Sentences about the delay [s], of samples `sample` [s] apart, and about each record's datum and drift."""
     said = []
-    if felt(delay, sample):
+    if significant_delay(delay, sample):
         said.append(
             f"The displacement lags the voltage by {delay * 1e3:.4g} ms ({delay / sample:.3g} samples, "
             f"{'given' if given else 'estimated'}); voltages were delayed by it."

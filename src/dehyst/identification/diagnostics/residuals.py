@@ -29,7 +29,7 @@ _SMALLEST = 0.1
 _OF_RANGE = "% of range"
 
 
-def leftovers(actuator: Actuator, traces: Sequence[Trace], errors: Sequence[RecordErrors]) -> tuple[Check, ...]:
+def residual_checks(actuator: Actuator, traces: Sequence[Trace], errors: Sequence[RecordErrors]) -> tuple[Check, ...]:
     """Look for what a wider model takes for granted.
 
     Parameters

@@ -17,7 +17,7 @@ _BINS = 64
 _TURN = 0.02
 
 
-def without_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tuple[str, ...]]:
+def remove_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tuple[str, ...]]:
     """Leave out the samples of isolated voltage glitches, see `dehyst.records.glitches`.
 
     Returns
@@ -87,7 +87,7 @@ def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> 
     ----------
     record : Record
     holes : Mapping, optional
-        Of glitches that were left out, see `without_glitches`: what lies in them was measured.
+        Of glitches that were left out, see `remove_glitches`: what lies in them was measured.
     """
     cuts, said = [0], []
     cycle, known = cycle_time(record), holes or {}

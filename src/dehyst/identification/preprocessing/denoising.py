@@ -23,7 +23,7 @@ _PART_OF_CYCLE, _WIDEST = 16, 12
 _BLOCK = 1 << 19
 
 
-def without_jitter(piece: Record, noise: float, stroke: float) -> Record:
+def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
     """A piece whose displacement moves as an actuator's does.
 
     Parameters

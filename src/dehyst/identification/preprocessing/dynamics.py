@@ -12,7 +12,7 @@ from dehyst.records.record import Record
 _WINDOW, _ORDER = 9, 4
 
 
-def undone(piece: Record, dynamics: Dynamics | None) -> Record:
+def remove_dynamics(piece: Record, dynamics: Dynamics | None) -> Record:
     """A piece whose displacement is w, what the resonance had to follow: y + 2 zeta / omega y' + y'' / omega^2."""
     if dynamics is None:
         return piece

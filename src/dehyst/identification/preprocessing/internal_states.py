@@ -19,7 +19,7 @@ _BLOCK = 32_768
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class InternalStates:
     """What a piece moves besides carts, from rest at its first sample or at that of the `lead` that it goes on from.
 
     Side by side: creep strains (n, J) [m], smooth elongations (n, L) [m], what is left of strains at the start (n, J).

@@ -128,7 +128,7 @@ def prepare(record: Record) -> Prepared:
         If it cannot be used at all.
     """
     given = record
-    record, holes, left_out = cleaning.without_glitches(given)
+    record, holes, left_out = cleaning.remove_glitches(given)
     record.check_usable()
     sentences = [*left_out]
     sentences += [

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import stops
+from dehyst._native import slip_elongations
 from dehyst._types import Array
 from dehyst.records.record import Record
 from dehyst.records.signals import white_noise
@@ -224,7 +224,7 @@ class RowSource:
             carts = np.full(self.breakaway.size, piece.displacement[0])
             for begin, others in zip(range(0, own[-1].stop if own else 0, _BLOCK), moved.blocks(_BLOCK), strict=False):
                 y = np.ascontiguousarray(piece.displacement[begin : begin + _BLOCK])
-                elongation, carts = stops(self.breakaway, carts, y)
+                elongation, carts = slip_elongations(self.breakaway, carts, y)
                 for k, epoch in numbered:
                     first, last = max(epoch.start, begin), min(epoch.stop, begin + y.size)
                     if first >= last:

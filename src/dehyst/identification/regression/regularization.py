@@ -9,7 +9,7 @@ from dehyst._types import Array
 from dehyst.model.structure import Grid
 
 
-def roughness(grid: Grid, slope: float) -> Array:
+def regularization_rows(grid: Grid, slope: float) -> Array:
     """Differences between neighbours (p, q) [m]: of elements, spring and transformer, in the order of the unknowns.
 
     ``rho_i sqrt(M) (kappa_i,m+1 - kappa_im) / slope`` along the stroke,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import Rows
 from dehyst.identification.regression.regression import AbstractRegression
-from dehyst.identification.regression.regularization import roughness
+from dehyst.identification.regression.regularization import regularization_rows
 from dehyst.identification.solvers.program import Norm, Solution, solve
 from dehyst.model.elements import parts_in_segments, segment_of
 from dehyst.model.structure import Grid
@@ -186,7 +186,7 @@ class WideRegression(AbstractRegression[WideCoefficients]):
         """
         if not self.smoothing or norm == "linf":
             return np.zeros((0, free)), self.bounded[:0], np.zeros(0), np.zeros(0)
-        rows = self._all_columns(roughness(self.grid, self.mean_slope))
+        rows = self._all_columns(regularization_rows(self.grid, self.mean_slope))
         p = len(rows)
         strength = self.smoothing * self.mean_slope * (np.sqrt(count) if norm == "l2" else count / np.sqrt(p))
         return np.zeros((p, free)), strength * rows, np.zeros(p), np.full(p, weight)

@@ -55,7 +55,7 @@ class Pair:
 
 def interior(problem: Problem, pull: Array | None = None, start: Array | None = None) -> Pair:
     """Minimise the sum of absolute residuals less `pull` (q,) times x, from `start` (q,) or the least squares."""
-    point = _Point(problem, np.zeros(problem.unknowns) if pull is None else pull, start)
+    point = _PrimalDualPoint(problem, np.zeros(problem.unknowns) if pull is None else pull, start)
     best, least, since, steps = copy(point), point.left(), 0, 0
     # Weights of rows that are met overflow at the very end; such steps are not taken.
     with np.errstate(all="ignore"):
@@ -70,7 +70,7 @@ def interior(problem: Problem, pull: Array | None = None, start: Array | None = 
     return Pair(x, best.y, best.m, steps)
 
 
-class _Point:
+class _PrimalDualPoint:
     """Primal and dual variables, all strictly inside; letters as in the programs above, u - v = b - A x = rest."""
 
     def __init__(self, problem: Problem, pull: Array, start: Array | None) -> None:
@@ -129,7 +129,7 @@ class _Point:
         """Go one step, if there is any."""
         places = 2 * self.u.size + self.s.size + self.w.size
         mean = self._complementarity() / places
-        newton = _Newton(self)
+        newton = _NewtonL1(self)
         change = self._aimed(newton, 0.0)
         after = self._moved(change, *self._reach(change))._complementarity() / places
         change = self._aimed(newton, (after / mean) ** 3 * mean, change)
@@ -142,7 +142,7 @@ class _Point:
             self.__dict__.update(self._moved(change, *(_FARTHEST * length for length in lengths)).__dict__)
             self.rest, self.missed = self._p.goal - self._p.rows @ self.x, self._dual_missed()
 
-    def _aimed(self, newton: _Newton, aim: float, before: tuple[Array, ...] | None = None) -> tuple[Array, ...]:
+    def _aimed(self, newton: _NewtonL1, aim: float, before: tuple[Array, ...] | None = None) -> tuple[Array, ...]:
         """Changes that bring all complementarities to `aim`, of second order if the predictor's changes are given."""
         targets = [
             aim - self.u * self.one,
@@ -164,7 +164,7 @@ class _Point:
         )
         return primal, min(reach(self.one, -dy), reach(self.other, dy), reach(self.m, dm), reach(self.w, dw))
 
-    def _moved(self, change: tuple[Array, ...], primal: float, dual: float) -> _Point:
+    def _moved(self, change: tuple[Array, ...], primal: float, dual: float) -> _PrimalDualPoint:
         du, dv, ds, dx, dy, dm, dw = change
         moved = copy(self)
         moved.u, moved.v, moved.s = self.u + primal * du, self.v + primal * dv, self.s + primal * ds
@@ -173,10 +173,10 @@ class _Point:
         return moved
 
 
-class _Newton:
+class _NewtonL1:
     """Newton's equations at a point, reduced to the q coefficients."""
 
-    def __init__(self, at: _Point) -> None:
+    def __init__(self, at: _PrimalDualPoint) -> None:
         self._at, problem = at, at._p
         self._weight = 1 / (at.u / at.one + at.v / at.other)
         self._ratio = at.m / at.s

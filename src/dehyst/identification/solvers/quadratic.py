@@ -143,7 +143,9 @@ class Quadratic:
         x, slack, dual = np.ones(q), np.ones(q - p + m), np.ones(q - p + m)
         least, unit = _CLOSE * max(float(self.image @ self.image), TINY), np.diag(gram).max() or 1.0
         for _ in range(_STEPS):
-            newton = _Newton(gram, limits, gram @ x - linear - limits.T @ dual, limits @ x - slack - lower, slack, dual)
+            newton = _NewtonQuadratic(
+                gram, limits, gram @ x - linear - limits.T @ dual, limits @ x - slack - lower, slack, dual
+            )
             mean = float(slack @ dual) / dual.size
             if mean < least and np.abs(newton.pull).max() < 1e-12 * unit and np.abs(newton.missed).max() < 1e-12:
                 break
@@ -157,7 +159,7 @@ class Quadratic:
         return x, np.concatenate([np.zeros(p), dual[: q - p]]), dual[q - p :]
 
 
-class _Newton:
+class _NewtonQuadratic:
     """Newton's equations of an interior point, `pull` and `missed` being what dual and primal limits are missed by."""
 
     def __init__(self, gram: Array, limits: Array, pull: Array, missed: Array, slack: Array, dual: Array) -> None:

@@ -12,14 +12,14 @@ from dehyst._errors import IdentifyError, ModelError
 from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import finite, write_json
 from dehyst._version import __version__
-from dehyst.control.tracking import Course, Followed, Planner
+from dehyst.control.tracking import PathPlanner, PlannedRun, TrackedPath
 from dehyst.identification.identify import identify
-from dehyst.identification.preprocessing.cleaning import without_glitches
+from dehyst.identification.preprocessing.cleaning import remove_glitches
 from dehyst.instruments.base import AbstractRig
 from dehyst.instruments.calibration.comparison_loop import Agreement
 from dehyst.instruments.calibration.plan import Plan, steps
-from dehyst.instruments.calibration.protocol import Creep, creep_of
-from dehyst.instruments.calibration.session import Campaign, Unwatched, Watcher
+from dehyst.instruments.calibration.protocol import CreepCheck, creep_of
+from dehyst.instruments.calibration.session import NullProgress, ProgressListener, Session
 from dehyst.model.fit import Fit
 from dehyst.records.record import Record
 from dehyst.uncertainty.insight import Insight, insight
@@ -40,10 +40,10 @@ class Calibration:
     ----------
     fit : Fit
     insight : Insight or WideInsight
-    creep : Creep
+    creep : CreepCheck
         Seen in the first look.
     training, held_out : tuple of Record
-    nominal, compensated : Followed
+    nominal, compensated : TrackedPath
         What was measured along it, by a constant ratio and by the model.
     goal : float
         [% of the stroke].
@@ -59,11 +59,11 @@ class Calibration:
 
     fit: Fit
     insight: Insight | WideInsight
-    creep: Creep
+    creep: CreepCheck
     training: tuple[Record, ...]
     held_out: tuple[Record, ...]
-    nominal: Followed
-    compensated: Followed
+    nominal: TrackedPath
+    compensated: TrackedPath
     goal: float
     unreached: tuple[str, ...] = ()
     instrument: dict[str, Any] = field(default_factory=dict)
@@ -117,7 +117,7 @@ def calibrate(
     folder: PathLike,
     *,
     plan: Plan | None = None,
-    watcher: Watcher | None = None,
+    watcher: ProgressListener | None = None,
 ) -> Calibration:
     """Do the whole experiment; records, model and numbers are left in a folder, the voltage at a safe value.
 
@@ -128,7 +128,7 @@ def calibrate(
     folder : path
         Records in it that are whole are not played again, but for one loop that must agree with them.
     plan : Plan, optional
-    watcher : Watcher, optional
+    watcher : ProgressListener, optional
         Is told how it goes on, as by `dehyst.cli.live.display`.
 
     Raises
@@ -140,12 +140,12 @@ def calibrate(
     FileFormatError
         If the folder cannot be written.
     """
-    told = watcher or Unwatched()
+    told = watcher or NullProgress()
     plan = plan or Plan()
     for step in steps(rig, plan):
         if step.excitation is not None:
             rig.check(step.excitation)
-    job = _Job(rig, Campaign(folder, rig, told), plan, told)
+    job = _CalibrationRun(rig, Session(folder, rig, told), plan, told)
     with rig.safely():
         found = job.run()
         if found.played or found.agreement is not None:
@@ -154,10 +154,10 @@ def calibrate(
     return found
 
 
-class _Job:
+class _CalibrationRun:
     """One calibration."""
 
-    def __init__(self, rig: AbstractRig, campaign: Campaign, plan: Plan, watcher: Watcher) -> None:
+    def __init__(self, rig: AbstractRig, campaign: Session, plan: Plan, watcher: ProgressListener) -> None:
         self.rig, self.campaign, self.plan, self.watcher = rig, campaign, plan, watcher
         self.pace = plan.pace(rig)
 
@@ -174,7 +174,7 @@ class _Job:
                 break
             training.append(record(self._more(told, i), f"more-{i}"))
             fit, told = self._identified(training, held_out)
-        planner = Planner(self.pace.homing(), _ends(loops), self.rig.limits, self.pace.leg)
+        planner = PathPlanner(self.pace.homing(), _ends(loops), self.rig.limits, self.pace.leg)
         linear = planner.nominal()
         before = self._played(linear)
         modelled = planner.compensated(fit.actuator, self.campaign.sequence)
@@ -207,7 +207,7 @@ class _Job:
         found.fit.actuator.save(model)
         write_json(results, {"format": "dehyst-calibration-results", "version": 1, **numbers})
 
-    def _excitations(self, loops: Record, creep: Creep) -> Iterator[tuple[str, Excitation]]:
+    def _excitations(self, loops: Record, creep: CreepCheck) -> Iterator[tuple[str, Excitation]]:
         """What is to be recorded, by name."""
         if self.plan.protocol:
             yield from ((f"given-{i}", one) for i, one in enumerate(self.plan.protocol, 1))
@@ -244,14 +244,14 @@ class _Job:
         fit = replace(fit, actuator=replace(fit.actuator, name=name))
         return fit, insight(fit.actuator, training, limits=(self.pace.low, self.pace.high), repeats=0)
 
-    def _played(self, planned: Course, *, afresh: bool = False) -> Record:
+    def _played(self, planned: PlannedRun, *, afresh: bool = False) -> Record:
         excitation = planned.excitation
         return self.campaign.record(
             excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke, afresh=afresh
         )
 
-    def _followed(self, planned: Course, record: Record) -> Followed:
-        return Followed.of(planned, record, self.rig.rows(len(planned.excitation)))
+    def _followed(self, planned: PlannedRun, record: Record) -> TrackedPath:
+        return TrackedPath.of(planned, record, self.rig.rows(len(planned.excitation)))
 
     def _instrument(self) -> dict[str, Any]:
         limits = self.rig.limits
@@ -265,7 +265,7 @@ class _Job:
 
 def _ends(loops: Record) -> tuple[float, float]:
     """Displacement [m] where the voltage of major loops turns, lowest and highest."""
-    clean, _, _ = without_glitches(loops)
+    clean, _, _ = remove_glitches(loops)
     v, y = clean.voltage, clean.displacement
     near = 1e-4 * float(np.ptp(v))
     return float(y[v <= v.min() + near].mean()), float(y[v >= v.max() - near].mean())

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from dehyst._errors import RecordError
-from dehyst.control.tracking import Planner
+from dehyst.control.tracking import PathPlanner
 from dehyst.instruments.base import AbstractRig
 from dehyst.instruments.calibration.comparison_loop import replay
-from dehyst.instruments.calibration.protocol import Pace, sample_rate_for
+from dehyst.instruments.calibration.protocol import ExcitationPlan, sample_rate_for
 from dehyst.waveforms.excitation import Excitation, positive
 
 # What is known to come, for who watches.
@@ -54,14 +54,14 @@ class Plan:
         if not isinstance(self.rounds, int) or self.rounds < 0:
             raise RecordError(f"rounds: got {self.rounds!r}, need a whole number, 0 or more")
 
-    def pace(self, rig: AbstractRig) -> Pace:
+    def pace(self, rig: AbstractRig) -> ExcitationPlan:
         """How this is played on a rig."""
         hold = _HOLD / self.frequency if self.hold is None else self.hold
         rate = rig.nearest_rate(sample_rate_for(self.frequency))
-        return Pace(rig.limits.low, rig.limits.high, rate, self.frequency, hold, rig.slew_rate)
+        return ExcitationPlan(rig.limits.low, rig.limits.high, rate, self.frequency, hold, rig.slew_rate)
 
 
-class Step(NamedTuple):
+class PlannedStep(NamedTuple):
     """Something that would be played, and when; `excitation` None where it depends on what is found."""
 
     name: str
@@ -69,7 +69,7 @@ class Step(NamedTuple):
     excitation: Excitation | None
 
 
-def steps(rig: AbstractRig, plan: Plan) -> tuple[Step, ...]:
+def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     """What a calibration would send, for a look before anything is sent.
 
     Raises
@@ -79,25 +79,25 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[Step, ...]:
     """
     pace = plan.pace(rig)
     # By a ratio, the voltages of a path depend on no displacement.
-    path = Planner(pace.homing(), (0.0, 1.0), rig.limits, pace.leg).nominal().excitation
+    path = PathPlanner(pace.homing(), (0.0, 1.0), rig.limits, pace.leg).nominal().excitation
     look = pace.look()
     return (
-        Step("comparison", "if the folder holds records: their loop twice, which must agree", replay(look)),
-        Step("look", "holds at both ends, two major loops", look),
+        PlannedStep("comparison", "if the folder holds records: their loop twice, which must agree", replay(look)),
+        PlannedStep("look", "holds at both ends, two major loops", look),
         *_planned(pace, plan),
-        Step("others", "loops of other heights, held out", pace.others()),
-        Step("nominal", "homing, then a path of nine reversals by a constant ratio", path),
-        Step("compensated", "homing, then the same path by the model; its voltages follow", path),
+        PlannedStep("others", "loops of other heights, held out", pace.others()),
+        PlannedStep("nominal", "homing, then a path of nine reversals by a constant ratio", path),
+        PlannedStep("compensated", "homing, then the same path by the model; its voltages follow", path),
     )
 
 
-def _planned(pace: Pace, plan: Plan) -> Iterator[Step]:
+def _planned(pace: ExcitationPlan, plan: Plan) -> Iterator[PlannedStep]:
     if plan.protocol:
         for i, given in enumerate(plan.protocol, 1):
-            yield Step(f"given-{i}", f"{given.name}, as given", given)
+            yield PlannedStep(f"given-{i}", f"{given.name}, as given", given)
         return
-    yield Step("loops", "what insight chooses after the look, e.g. descending tops", pace.tops())
+    yield PlannedStep("loops", "what insight chooses after the look, e.g. descending tops", pace.tops())
     for name, excitation in zip(("fast", "stairs"), pace.slowly_and_fast(), strict=True):
-        yield Step(name, "if the look shows creep", excitation)
+        yield PlannedStep(name, "if the look shows creep", excitation)
     for i in range(1, plan.rounds + 1):
-        yield Step(f"more-{i}", "if insight finds directions open", None)
+        yield PlannedStep(f"more-{i}", "if insight finds directions open", None)

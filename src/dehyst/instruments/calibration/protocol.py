@@ -9,7 +9,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.records.record import Record
 from dehyst.waveforms.excitation import Excitation, positive
-from dehyst.waveforms.playback import Drive, Leg
+from dehyst.waveforms.playback import Leg, Sampling
 from dehyst.waveforms.standard import descending_tops, raised_cosine, staircase
 
 _SAMPLES_A_CYCLE = 400
@@ -27,7 +27,7 @@ _SLOWER = 0.95
 
 
 @dataclass(frozen=True)
-class Pace:
+class ExcitationPlan:
     """How fast and between which voltages a calibration plays.
 
     Parameters
@@ -60,9 +60,9 @@ class Pace:
         positive(self.hold, "hold")
         self.drive()
 
-    def drive(self, faster: float = 1.0) -> Drive:
+    def drive(self, faster: float = 1.0) -> Sampling:
         """How its voltages are played, so many times faster."""
-        return Drive(
+        return Sampling(
             frequency=faster * self.frequency,
             sample_rate=self.sample_rate,
             base=self.low,
@@ -120,7 +120,7 @@ class Pace:
         return raised_cosine([self.high], cycles=2, drive=self.drive())
 
 
-def _rows(leg: str, pace: Pace) -> int:
+def _rows(leg: str, pace: ExcitationPlan) -> int:
     """Samples of a leg through the whole range."""
     drive = pace.drive()
     ends = (pace.low, pace.high) if leg == "rise" else (pace.high, pace.low)
@@ -133,7 +133,7 @@ def sample_rate_for(frequency: float) -> float:
 
 
 @dataclass(frozen=True)
-class Creep:
+class CreepCheck:
     """What a look tells of creep, as parts of the stroke: how far the displacement went on, and the doubt of it."""
 
     share: float
@@ -145,7 +145,7 @@ class Creep:
         return abs(self.share) > max(_LITTLE, 4 * self.doubt)
 
 
-def creep_of(look: Record) -> Creep:
+def creep_of(look: Record) -> CreepCheck:
     """How far the displacement went on while the voltage of a look stood at its top."""
     held = _first_hold(look.voltage)
     y, noise = look.displacement[held], look.noise
@@ -155,7 +155,7 @@ def creep_of(look: Record) -> Creep:
         return float(some.mean()), some.size
 
     (early, n), (late, m) = mean(_EARLY), mean(_LATE)
-    return Creep((late - early) / look.stroke, noise * float(np.sqrt(1 / n + 1 / m)) / look.stroke)
+    return CreepCheck((late - early) / look.stroke, noise * float(np.sqrt(1 / n + 1 / m)) / look.stroke)
 
 
 def _first_hold(voltage: Array) -> slice:

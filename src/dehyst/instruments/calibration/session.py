@@ -25,7 +25,7 @@ from dehyst.waveforms.excitation import Excitation
 FORMAT = "dehyst-calibration"
 
 
-class Watcher(Protocol):
+class ProgressListener(Protocol):
     """Who is told how a calibration goes on."""
 
     def step(self, name: str, seconds: float = 0.0) -> None:
@@ -38,7 +38,7 @@ class Watcher(Protocol):
         """What the step does now."""
 
 
-class Unwatched:
+class NullProgress:
     """A watcher that tells nobody."""
 
     def step(self, name: str, seconds: float = 0.0) -> None:
@@ -51,7 +51,7 @@ class Unwatched:
         """Pass over it."""
 
 
-class Campaign:
+class Session:
     """Records on one rig, in one folder.
 
     Parameters
@@ -59,7 +59,7 @@ class Campaign:
     folder : path
         Made if it does not exist. One that a calibration of the same instrument left is gone on with.
     rig : AbstractRig
-    watcher : Watcher
+    watcher : ProgressListener
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Campaign:
         If the folder cannot be made, or is one of another instrument.
     """
 
-    def __init__(self, folder: PathLike, rig: AbstractRig, watcher: Watcher) -> None:
+    def __init__(self, folder: PathLike, rig: AbstractRig, watcher: ProgressListener) -> None:
         self.folder, self.rig, self._watcher = Path(folder), rig, watcher
         self.records = self.folder / "records"
         try:

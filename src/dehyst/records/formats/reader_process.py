@@ -176,7 +176,7 @@ def _ended(content: Content, status: int) -> str:
 def _load_here(content: Content, most: int, own: bool) -> Loaded:
     """Read a file; every library has its own errors for broken content."""
     try:
-        stored = hdf5.told(content.path, 2, content.data, most) if own and content.suffix in hdf5.SUFFIXES else None
+        stored = hdf5.decode(content.path, 2, content.data, most) if own and content.suffix in hdf5.SUFFIXES else None
         return Loaded(LOADERS[content.suffix].load(content.data, Allowance(content.path, most)), stored)
     except DehystError:
         raise

@@ -15,7 +15,7 @@ from dehyst.studies.paper.experiment import (
     PRE_ENERGISED,
     RELAXED,
     Experiment,
-    Trial,
+    PaperTrial,
     midpoints,
 )
 from dehyst.studies.paper.tables import PAPER, physical
@@ -102,7 +102,7 @@ def _loops(found: Experiment) -> str:
     )
 
 
-def _three(trial: Trial) -> str:
+def _three(trial: PaperTrial) -> str:
     return ", ".join(f"{trial.errors[loop].true:.2f}" for loop in PEAKS)
 
 
@@ -161,5 +161,5 @@ def _tracking_errors(found: Experiment, symmetric: Experiment) -> str:
     )
 
 
-def _tracked(trials: Mapping[str, Trial]) -> dict[str, float]:
+def _tracked(trials: Mapping[str, PaperTrial]) -> dict[str, float]:
     return {key: trial.tracking.largest for key, trial in trials.items()}

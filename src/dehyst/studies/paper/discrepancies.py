@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dehyst.studies.paper.experiment import CYCLES, PEAKS, PRE_ENERGISED, Experiment, Trial
+from dehyst.studies.paper.experiment import CYCLES, PEAKS, PRE_ENERGISED, Experiment, PaperTrial
 from dehyst.studies.paper.tables import PAPER, floors, open_directions, physical, subscript
 
 
@@ -173,5 +173,5 @@ def _shift(found: Experiment) -> str:
     )
 
 
-def _loops(trial: Trial) -> str:
+def _loops(trial: PaperTrial) -> str:
     return ", ".join(f"{trial.errors[loop].true:.2f}" for loop in PEAKS)

@@ -9,10 +9,10 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.records.metrics import percent
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Drive, raised_cosine
+from dehyst.waveforms.standard import Sampling, raised_cosine
 
 # Fine enough that the sampling adds less than 1e-4 % of the range.
-_DRIVE = Drive(sample_rate=40.0)
+_DRIVE = Sampling(sample_rate=40.0)
 _PLACES = 801
 
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from dehyst._types import Array, Progress
-from dehyst.baselines.goldfarb_celanovic import Goldfarb
+from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
 from dehyst.control.compensator import Compensator
 from dehyst.identification.identify import identify
-from dehyst.identification.paper_methods import Loop, loops_of
+from dehyst.identification.paper_methods import BreakPointLoop, loops_of
 from dehyst.identification.settings import Method
 from dehyst.identification.solvers.program import Norm
 from dehyst.model.actuator import Actuator
@@ -22,13 +22,13 @@ from dehyst.records.record import Record
 from dehyst.studies.paper.error_floors import MajorLoop
 from dehyst.uncertainty.rest_states import shift
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Drive, descending_tops, raised_cosine
+from dehyst.waveforms.standard import Sampling, descending_tops, raised_cosine
 
 # The paper names the major loop's peak only; those of the two minor loops are a choice, in the ratio 10 : 7 : 3.5.
 PEAKS = {"major": 200.0, "medium": 140.0, "small": 70.0}
 PRE_ENERGISED = 100.0
 CYCLES = 3
-DRIVE = Drive(frequency=0.01, sample_rate=5.0)
+DRIVE = Sampling(frequency=0.01, sample_rate=5.0)
 ELEMENTS = 10
 # With it the nominal ratio misses a full-stroke raised cosine by what the paper reports, 13.6 % of the range.
 WIDTH = 0.715
@@ -46,7 +46,7 @@ RELAXED = Start("relaxed", np.zeros(1))
 ENERGISED = Start("pre-energised", raised_cosine(PRE_ENERGISED, drive=DRIVE).voltage)
 
 
-class Error(NamedTuple):
+class PaperError(NamedTuple):
     """Largest error against the truth and against the measurement with its noise [% of the range]."""
 
     true: float
@@ -88,7 +88,7 @@ class Measured:
 
 
 @dataclass(frozen=True, eq=False)
-class Tracking:
+class PaperTracking:
     """A wanted path (n,) [m] on the sensor's axis, the voltage sent [V] and the displacement reached [m]."""
 
     time: Array
@@ -110,7 +110,7 @@ class Tracking:
 
 
 @dataclass(frozen=True)
-class Plan:
+class PaperPlan:
     """One identification to try: method, number of elements, norm and records.
 
     Attributes
@@ -130,20 +130,20 @@ class Plan:
 
 
 PLANS = (
-    Plan("breakpoints", "breakpoints"),
-    Plan("breakpoints_40", "breakpoints", elements=40),
-    Plan("record_10"),
-    Plan("record_20", elements=20),
-    Plan("record", elements=40),
-    Plan("record_noiseless", elements=40, noiseless=True),
-    Plan("record_tops", elements=40, tops=True),
-    Plan("record_tops_l2", elements=40, norm="l2", tops=True),
-    Plan("record_tops_linf", elements=40, norm="linf", tops=True),
+    PaperPlan("breakpoints", "breakpoints"),
+    PaperPlan("breakpoints_40", "breakpoints", elements=40),
+    PaperPlan("record_10"),
+    PaperPlan("record_20", elements=20),
+    PaperPlan("record", elements=40),
+    PaperPlan("record_noiseless", elements=40, noiseless=True),
+    PaperPlan("record_tops", elements=40, tops=True),
+    PaperPlan("record_tops_l2", elements=40, norm="l2", tops=True),
+    PaperPlan("record_tops_linf", elements=40, norm="linf", tops=True),
 )
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class PaperTrial:
     """An identified model beside the truth.
 
     Attributes
@@ -161,8 +161,8 @@ class Trial:
     key: str
     actuator: Actuator
     simulated: Array
-    errors: Mapping[str, Error]
-    tracking: Tracking
+    errors: Mapping[str, PaperError]
+    tracking: PaperTracking
     shift: float
     outcome: str
     remarks: tuple[str, ...]
@@ -185,9 +185,9 @@ class Experiment:
 
     truth: PlayActuator
     runs: Mapping[str, Measured]
-    loops: tuple[Loop, ...]
-    trials: Mapping[str, Trial]
-    nominal: Tracking
+    loops: tuple[BreakPointLoop, ...]
+    trials: Mapping[str, PaperTrial]
+    nominal: PaperTracking
     exact: MajorLoop
 
     @property
@@ -219,7 +219,7 @@ def run(truth: PlayActuator, tell: Progress) -> Experiment:
     trials = {plan.key: _tried(truth, runs, plan, tell) for plan in PLANS}
     tell("fitting Goldfarb and Celanovic's model")
     for key, start in (("goldfarb", RELAXED), ("goldfarb_energised", ENERGISED)):
-        rival = Goldfarb.fit(runs[start.name].record, elements=ELEMENTS)
+        rival = GoldfarbCelanovic.fit(runs[start.name].record, elements=ELEMENTS)
         trials[key] = _trial(truth, runs[start.name], key, rival.actuator, "CLOSED_FORM", rival.remarks)
     found = tuple(loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS))
     return Experiment(truth, runs, found, trials, _tracked(truth, relaxed, None), MajorLoop.of(truth))
@@ -236,7 +236,7 @@ def _recorded(truth: PlayActuator, start: Start, voltage: Array, seed: int) -> M
     return Measured(record, true - zero, zero, start)
 
 
-def _tried(truth: PlayActuator, runs: Mapping[str, Measured], plan: Plan, tell: Progress) -> Trial:
+def _tried(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan, tell: Progress) -> PaperTrial:
     """Identify on the major and the small loop, and on what else the plan says."""
     tell(f"identifying, {plan.key.replace('_', ' ')}")
     relaxed = runs[RELAXED.name]
@@ -264,19 +264,19 @@ def _tried(truth: PlayActuator, runs: Mapping[str, Measured], plan: Plan, tell: 
 
 def _trial(
     truth: PlayActuator, run: Measured, key: str, actuator: Actuator, outcome: str, remarks: Sequence[str]
-) -> Trial:
+) -> PaperTrial:
     simulated = actuator.simulate(run.record.voltage, time=run.record.time, extrapolate=True).displacement
     errors = {}
     for loop in PEAKS:
         samples = run.known(loop)
         misses = (simulated[samples] - y[samples] for y in (run.true, run.record.displacement))
-        errors[loop] = Error(*(percent(largest(miss), truth.stroke) for miss in misses))
+        errors[loop] = PaperError(*(percent(largest(miss), truth.stroke) for miss in misses))
     energised = _after(actuator, ENERGISED.voltage, actuator.relaxed())
     tracking = _tracked(truth, run, actuator)
-    return Trial(key, actuator, simulated, errors, tracking, shift(actuator, energised), outcome, tuple(remarks))
+    return PaperTrial(key, actuator, simulated, errors, tracking, shift(actuator, energised), outcome, tuple(remarks))
 
 
-def _tracked(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> Tracking:
+def _tracked(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> PaperTracking:
     """Track two raised cosines of the full stroke after a major loop, by inverse control or by the nominal ratio."""
     shape = raised_cosine(1.0, cycles=2, drive=DRIVE).voltage
     wanted = _bottom(run) + truth.stroke * shape
@@ -290,7 +290,7 @@ def _tracked(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> T
     exact = replace(truth, noise=0.0)
     exact.drive(np.concatenate([run.start.voltage, homing]))
     time = np.arange(wanted.size) / DRIVE.rate
-    return Tracking(time, wanted, voltage, exact.drive(voltage) - run.zero, truth.stroke, clamped)
+    return PaperTracking(time, wanted, voltage, exact.drive(voltage) - run.zero, truth.stroke, clamped)
 
 
 def _after(actuator: Actuator, voltage: Array, state: State | None = None) -> State:

@@ -11,7 +11,16 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.model.physical import Physical
 from dehyst.studies.paper.error_floors import chord_error, parabola_chord_error, symmetric_width_floor
-from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, PLANS, PRE_ENERGISED, Experiment, Plan, Trial
+from dehyst.studies.paper.experiment import (
+    CYCLES,
+    DRIVE,
+    PEAKS,
+    PLANS,
+    PRE_ENERGISED,
+    Experiment,
+    PaperPlan,
+    PaperTrial,
+)
 from dehyst.virtual import PlayActuator
 
 # Sec. 4.2: T [N/V], km and ke [N/m].
@@ -77,7 +86,7 @@ class Quantity:
 class Limit:
     """A row of what limits the errors: one identification, its largest errors [% of the range] and its outcome."""
 
-    plan: Plan
+    plan: PaperPlan
     errors: Mapping[str, float]
     outcome: str
 
@@ -172,7 +181,7 @@ def table1(found: Experiment) -> dict[str, Array]:
     }
 
 
-def open_directions(trial: Trial) -> str:
+def open_directions(trial: PaperTrial) -> str:
     """The identification's own sentence about what its records leave open; empty if nothing is."""
     return next((f"{remark.split(';')[0]}." for remark in trial.remarks if "directions" in remark), "")
 

@@ -12,7 +12,7 @@ from typing import Any
 from dehyst._errors import DehystError, MissingExtraError, RigError
 from dehyst._types import Array
 from dehyst._version import __version__
-from dehyst.virtual.bench import Instrument
+from dehyst.virtual.bench import VirtualBench
 
 # Seconds between two looks at the instrument, unless a command looks at it before.
 _TICK = 0.05
@@ -48,7 +48,7 @@ class Ioc:
     A put with callback comes back when the command is done and all read-only variables are of the time after it.
     """
 
-    def __init__(self, instrument: Instrument, prefix: str, lock: AbstractContextManager[Any]) -> None:
+    def __init__(self, instrument: VirtualBench, prefix: str, lock: AbstractContextManager[Any]) -> None:
         self.prefix = prefix
         self._instrument, self._lock = instrument, lock
         self._shown, self._played = -1, False
@@ -196,7 +196,7 @@ class Ioc:
         self._records["TIME"].set(now)
 
 
-def serve_ioc(instrument: Instrument, prefix: str, lock: AbstractContextManager[Any]) -> Ioc:
+def serve_ioc(instrument: VirtualBench, prefix: str, lock: AbstractContextManager[Any]) -> Ioc:
     """Serve an instrument by EPICS Channel Access, in threads of its own, until the process ends.
 
     It listens on the loopback interface only, unless EPICS_CAS_INTF_ADDR_LIST says otherwise; on the port of
@@ -204,7 +204,7 @@ def serve_ioc(instrument: Instrument, prefix: str, lock: AbstractContextManager[
 
     Parameters
     ----------
-    instrument : Instrument
+    instrument : VirtualBench
     prefix : str
         Of the names of all process variables, without the colon that follows it.
     lock : context manager

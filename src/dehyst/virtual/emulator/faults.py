@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst.virtual.bench import Instrument
+from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.gcs_controller import Controller
-from dehyst.virtual.emulator.gcs_errors import Error
+from dehyst.virtual.emulator.gcs_errors import GcsError
 
 FAULTS = {
     "drop": "the connection is lost",
@@ -68,7 +68,7 @@ class Fault:
         at = None if found["at"] is None else float(found["at"])
         return cls(found["name"], at if found["unit"] else None, None if found["unit"] else at)
 
-    def due(self, instrument: Instrument) -> bool:
+    def due(self, instrument: VirtualBench) -> bool:
         """Whether its time has come."""
         if self.seconds is not None:
             return instrument.now >= self.seconds
@@ -129,7 +129,7 @@ class Rehearsal:
             self._spoil = name
         elif name == "error":
             instrument.stop()
-            controller.error = Error.BROKEN_CABLE
+            controller.error = GcsError.BROKEN_CABLE
         elif name == "saturate":
             present = min(instrument.displacement(), 0.5 * instrument.stroke)
             instrument.sensor_range = (present - 2 * instrument.stroke, present)

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 
 from dehyst._errors import DeviceError
 from dehyst._version import __version__
-from dehyst.virtual.bench import Instrument
-from dehyst.virtual.emulator.gcs_errors import CommandError, Error, counted, demand, lines, numeral, real, whole
+from dehyst.virtual.bench import VirtualBench
+from dehyst.virtual.emulator.gcs_errors import CommandError, GcsError, counted, demand, lines, numeral, real, whole
 from dehyst.virtual.emulator.gcs_parameters import Parameters
 from dehyst.virtual.emulator.gcs_recorder import Recorder
-from dehyst.virtual.emulator.gcs_waves import Waves, generator
+from dehyst.virtual.emulator.gcs_waves import WaveGenerator, generator
 
 _LONGEST_LINE = 65536
 _IDENTITY = "dehyst,emulated piezo controller"
@@ -76,7 +76,7 @@ class Controller:
 
     Parameters
     ----------
-    instrument : Instrument
+    instrument : VirtualBench
     axis : str, optional
         Name of the axis and of its channel.
     told : (float, float), optional
@@ -86,20 +86,20 @@ class Controller:
 
     Attributes
     ----------
-    error : Error
+    error : GcsError
         What is latched until ERR?.
     """
 
     def __init__(
         self,
-        instrument: Instrument,
+        instrument: VirtualBench,
         *,
         axis: str = "1",
         told: tuple[float, float] | None = None,
         serial: str | None = None,
     ) -> None:
-        self.instrument, self.axis, self.error = instrument, axis, Error.NONE
-        self.waves, self.recorder = Waves(instrument), Recorder(instrument, axis)
+        self.instrument, self.axis, self.error = instrument, axis, GcsError.NONE
+        self.waves, self.recorder = WaveGenerator(instrument), Recorder(instrument, axis)
         self._told = told or instrument.limits
         self._parameters = Parameters(instrument)
         self._serial = (serial or instrument.serial).replace(",", " ")
@@ -116,15 +116,15 @@ class Controller:
         command, rest = words[0].upper(), words[1:]
         self.instrument.advance()
         try:
-            demand(len(line) <= _LONGEST_LINE, Error.TOO_LONG)
+            demand(len(line) <= _LONGEST_LINE, GcsError.TOO_LONG)
             if command in self._asks:
                 return self._asks[command](rest)
-            demand(command in self._does, Error.UNKNOWN_COMMAND)
+            demand(command in self._does, GcsError.UNKNOWN_COMMAND)
             self._does[command](rest)
         except CommandError as refused:
             self.error = refused.error
         except DeviceError:
-            self.error = Error.PARAMETER_RANGE
+            self.error = GcsError.PARAMETER_RANGE
         return None
 
     def single(self, byte: int) -> str | None:
@@ -204,7 +204,7 @@ class Controller:
         """A query of axes or channels, of which there is one."""
 
         def ask(words: _Words) -> str:
-            demand(all(word == self.axis for word in words), Error.AXIS)
+            demand(all(word == self.axis for word in words), GcsError.AXIS)
             return lines(*(f"{axis}={value()}" for axis in words or [self.axis]))
 
         return ask
@@ -226,17 +226,17 @@ class Controller:
         return lines(*said)
 
     def _sai(self, words: _Words) -> str:
-        demand(not words or [word.upper() for word in words] == ["ALL"], Error.PARAMETER_COUNT)
+        demand(not words or [word.upper() for word in words] == ["ALL"], GcsError.PARAMETER_COUNT)
         return lines(self.axis)
 
     def _err(self, words: _Words) -> str:
         counted(words, 0)
-        error, self.error = self.error, Error.NONE
+        error, self.error = self.error, GcsError.NONE
         return lines(str(error.value))
 
     def _value(self, words: _Words) -> float:
         counted(words, 2)
-        demand(words[0] == self.axis, Error.AXIS)
+        demand(words[0] == self.axis, GcsError.AXIS)
         return real(words[1])
 
     def _sva(self, words: _Words) -> None:
@@ -246,14 +246,14 @@ class Controller:
         self._send(self.instrument.voltage + self._value(words))
 
     def _send(self, voltage: float) -> None:
-        demand(not self.instrument.servo, Error.SERVO_ON)
-        demand(not self.instrument.playing, Error.WAVE_RUNNING)
-        demand(self.instrument.set_voltage(voltage), Error.VOLTAGE)
+        demand(not self.instrument.servo, GcsError.SERVO_ON)
+        demand(not self.instrument.playing, GcsError.WAVE_RUNNING)
+        demand(self.instrument.set_voltage(voltage), GcsError.VOLTAGE)
 
     def _svo(self, words: _Words) -> None:
         on = self._value(words)
-        demand(on in (0, 1), Error.PARAMETER_RANGE)
-        demand(not self.instrument.playing, Error.WAVE_RUNNING)
+        demand(on in (0, 1), GcsError.PARAMETER_RANGE)
+        demand(not self.instrument.playing, GcsError.WAVE_RUNNING)
         if bool(on) != self.instrument.servo:
             self.instrument.servo = bool(on)
             self._target = self.instrument.displacement()
@@ -265,9 +265,9 @@ class Controller:
         self._move(self._target + 1e-6 * self._value(words))
 
     def _move(self, target: float) -> None:
-        demand(self.instrument.servo, Error.SERVO_OFF)
+        demand(self.instrument.servo, GcsError.SERVO_OFF)
         # A stage at its end may be asked to stay there: rounding of micrometres must not hinder it.
-        demand(-1e-12 <= target <= self.instrument.stroke + 1e-12, Error.POSITION)
+        demand(-1e-12 <= target <= self.instrument.stroke + 1e-12, GcsError.POSITION)
         self.instrument.move(target)
         self._target = target
 
@@ -278,17 +278,17 @@ class Controller:
             if self.instrument.playing:
                 self.instrument.stop()
             return
-        demand(not self.instrument.servo, Error.WAVE_WITH_SERVO)
-        demand(not self.instrument.playing, Error.WAVE_RUNNING)
+        demand(not self.instrument.servo, GcsError.WAVE_WITH_SERVO)
+        demand(not self.instrument.playing, GcsError.WAVE_RUNNING)
         wave = self.waves.chosen()
         self.recorder.begin(self.waves.divider)
         self.instrument.start(wave, self.waves.divider)
 
     def _stop(self, words: _Words) -> None:
-        demand(all(word == self.axis for word in words), Error.AXIS)
+        demand(all(word == self.axis for word in words), GcsError.AXIS)
         self.instrument.stop()
         self._target = self.instrument.displacement()
-        self.error = Error.STOPPED
+        self.error = GcsError.STOPPED
 
 
 def _help() -> list[str]:

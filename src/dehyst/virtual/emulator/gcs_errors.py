@@ -9,7 +9,7 @@ from enum import IntEnum
 from dehyst._errors import DehystError
 
 
-class Error(IntEnum):
+class GcsError(IntEnum):
     """Numbers that ERR? answers with."""
 
     NONE = 0
@@ -40,12 +40,12 @@ class Error(IntEnum):
 class CommandError(DehystError):
     """A command that is not done; the number is latched until ERR?."""
 
-    def __init__(self, error: Error) -> None:
+    def __init__(self, error: GcsError) -> None:
         super().__init__(f"error {error.value}: {error.name.lower().replace('_', ' ')}")
         self.error = error
 
 
-def demand(holds: bool, error: Error) -> None:
+def demand(holds: bool, error: GcsError) -> None:
     """Refuse unless something holds."""
     if not holds:
         raise CommandError(error)
@@ -56,26 +56,26 @@ def real(word: str) -> float:
     try:
         value = float(word)
     except ValueError:
-        raise CommandError(Error.NOT_A_NUMBER) from None
+        raise CommandError(GcsError.NOT_A_NUMBER) from None
     # Python takes more for numbers than a controller does.
-    demand(math.isfinite(value) and word.isascii() and "_" not in word, Error.NOT_A_NUMBER)
+    demand(math.isfinite(value) and word.isascii() and "_" not in word, GcsError.NOT_A_NUMBER)
     return value
 
 
-def whole(word: str, least: int = 0, most: int | None = None, error: Error = Error.PARAMETER_RANGE) -> int:
+def whole(word: str, least: int = 0, most: int | None = None, error: GcsError = GcsError.PARAMETER_RANGE) -> int:
     """A whole number, in decimals or with 0x, from `least` to `most`."""
     try:
         value = int(word, 16 if word.lower().startswith("0x") else 10)
     except ValueError:
-        raise CommandError(Error.NOT_A_NUMBER) from None
+        raise CommandError(GcsError.NOT_A_NUMBER) from None
     demand(least <= value and (most is None or value <= most), error)
     return value
 
 
 def counted(words: Sequence[str], least: int, most: int | None = None) -> None:
     """Refuse too few or too many arguments; `most` is `least` if it is not told."""
-    demand(len(words) >= least, Error.MISSING)
-    demand(len(words) <= (least if most is None else most), Error.PARAMETER_COUNT)
+    demand(len(words) >= least, GcsError.MISSING)
+    demand(len(words) <= (least if most is None else most), GcsError.PARAMETER_COUNT)
 
 
 def numeral(value: float) -> str:

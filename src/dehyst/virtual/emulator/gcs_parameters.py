@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dehyst.virtual.bench import Instrument
-from dehyst.virtual.emulator.gcs_errors import Error, demand, numeral, whole
+from dehyst.virtual.bench import VirtualBench
+from dehyst.virtual.emulator.gcs_errors import GcsError, demand, numeral, whole
 
 SERVO_PERIOD, WAVE_POINTS, RECORD_POINTS, SLEW_RATE = 0x0E000200, 0x13000004, 0x16000200, 0x07000201
 
@@ -15,11 +15,11 @@ class Parameters:
 
     Parameters
     ----------
-    instrument : Instrument
+    instrument : VirtualBench
         Without a slew rate it has no such parameter.
     """
 
-    def __init__(self, instrument: Instrument) -> None:
+    def __init__(self, instrument: VirtualBench) -> None:
         self._has = {
             SERVO_PERIOD: (numeral(instrument.servo_period), "FLOAT", "Servo Update Time (s)"),
             WAVE_POINTS: (str(instrument.wave_points), "INT", "Max Wave Points"),
@@ -30,10 +30,10 @@ class Parameters:
 
     def values(self, words: Sequence[str]) -> list[str]:
         """SPA? [item parameter ...]: their values."""
-        demand(len(words) % 2 == 0, Error.MISSING)
-        demand(all(item == "1" for item in words[::2]), Error.PARAMETER_RANGE)
+        demand(len(words) % 2 == 0, GcsError.MISSING)
+        demand(all(item == "1" for item in words[::2]), GcsError.PARAMETER_RANGE)
         asked = [whole(word) for word in words[1::2]] or list(self._has)
-        demand(all(number in self._has for number in asked), Error.UNKNOWN_PARAMETER)
+        demand(all(number in self._has for number in asked), GcsError.UNKNOWN_PARAMETER)
         return [f"1 0x{number:08X}={self._has[number][0]}" for number in asked]
 
     def help(self) -> list[str]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dehyst._types import Array
-from dehyst.virtual.bench import Instrument
-from dehyst.virtual.emulator.gcs_errors import Error, counted, demand, lines, numeral, whole
+from dehyst.virtual.bench import VirtualBench
+from dehyst.virtual.emulator.gcs_errors import GcsError, counted, demand, lines, numeral, whole
 
 POSITION, VOLTAGE, NOTHING = 2, 16, 0
 NAMES = {NOTHING: "Nothing is recorded", POSITION: "Current Position of axis", VOLTAGE: "Voltage of output chn"}
@@ -18,7 +18,7 @@ class Recorder:
 
     Parameters
     ----------
-    instrument : Instrument
+    instrument : VirtualBench
     axis : str
         Name of the axis, and of its output channel.
 
@@ -28,7 +28,7 @@ class Recorder:
         Rows that DRR? has ever answered with.
     """
 
-    def __init__(self, instrument: Instrument, axis: str) -> None:
+    def __init__(self, instrument: VirtualBench, axis: str) -> None:
         self._instrument, self._axis = instrument, axis
         self.options = {1: POSITION, 2: VOLTAGE}
         self.trigger = ("1", "0")
@@ -37,7 +37,7 @@ class Recorder:
 
     def begin(self, divider: int) -> None:
         """A wave starts whose samples are `divider` servo periods apart; the recorder takes each, or every nth."""
-        demand(self.divider % divider == 0, Error.PARAMETER_RANGE)
+        demand(self.divider % divider == 0, GcsError.PARAMETER_RANGE)
         self._stride = self.divider // divider
         self._period = self.divider * self._instrument.servo_period
 
@@ -49,10 +49,10 @@ class Recorder:
     def configure(self, words: Sequence[str]) -> None:
         """DRC table source option."""
         counted(words, 3)
-        table = whole(words[0], 1, TABLES, Error.RECORD_TABLE)
-        demand(words[1] == self._axis, Error.AXIS)
+        table = whole(words[0], 1, TABLES, GcsError.RECORD_TABLE)
+        demand(words[1] == self._axis, GcsError.AXIS)
         option = whole(words[2])
-        demand(option in NAMES, Error.RECORD_OPTION)
+        demand(option in NAMES, GcsError.RECORD_OPTION)
         self.options[table] = option
 
     def configured(self, words: Sequence[str]) -> list[str]:
@@ -62,7 +62,7 @@ class Recorder:
     def arm(self, words: Sequence[str]) -> None:
         """DRT table trigger value; a wave triggers the recorder in any case."""
         counted(words, 3)
-        whole(words[0], 0, TABLES, Error.RECORD_TABLE)
+        whole(words[0], 0, TABLES, GcsError.RECORD_TABLE)
         whole(words[1], 0, 4)
         self.trigger = (words[1], words[2])
 
@@ -83,9 +83,9 @@ class Recorder:
         """DRR? [first [count [table ...]]]: rows from `first`, which is 1 or more, as far as they are recorded."""
         first = whole(words[0], 1) if words else 1
         count = whole(words[1], 1) if len(words) > 1 else self.count
-        tables = [whole(word, 1, TABLES, Error.RECORD_TABLE) for word in words[2:]] or list(self.options)
+        tables = [whole(word, 1, TABLES, GcsError.RECORD_TABLE) for word in words[2:]] or list(self.options)
         available = self.count
-        demand(first <= available, Error.NOT_RECORDED)
+        demand(first <= available, GcsError.NOT_RECORDED)
         stop = min(available, first - 1 + count)
         columns = [self._column(table)[first - 1 : stop].tolist() for table in tables]
         rows = [" ".join(map(numeral, row)) for row in zip(*columns, strict=True)]
@@ -107,7 +107,7 @@ class Recorder:
         ]
 
     def _tables(self, words: Sequence[str]) -> list[int]:
-        return [whole(word, 1, TABLES, Error.RECORD_TABLE) for word in words] or list(self.options)
+        return [whole(word, 1, TABLES, GcsError.RECORD_TABLE) for word in words] or list(self.options)
 
     def _column(self, table: int) -> Array:
         time, voltage, displacement = (column[:: self._stride] for column in self._instrument.samples())

@@ -7,24 +7,24 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.virtual.bench import Instrument
-from dehyst.virtual.emulator.gcs_errors import CommandError, Error, counted, demand, real, whole
+from dehyst.virtual.bench import VirtualBench
+from dehyst.virtual.emulator.gcs_errors import CommandError, GcsError, counted, demand, real, whole
 
 TABLES = 4
 # Points that one command line may bring.
 _LONGEST_SEGMENT = 4096
 
 
-class Waves:
+class WaveGenerator:
     """What the wave generator has been told.
 
     Parameters
     ----------
-    instrument : Instrument
+    instrument : VirtualBench
         Whose limits and wave table size count.
     """
 
-    def __init__(self, instrument: Instrument) -> None:
+    def __init__(self, instrument: VirtualBench) -> None:
         self._instrument = instrument
         self.tables: dict[int, Array] = {number: np.zeros(0) for number in range(1, TABLES + 1)}
         self.selected, self.cycles, self.divider, self.interpolation = 0, 0, 1, 1
@@ -37,17 +37,17 @@ class Waves:
 
     def write(self, words: Sequence[str]) -> None:
         """WAV table X|& shape ...: write a table, or append to it."""
-        demand(len(words) >= 4, Error.MISSING)
+        demand(len(words) >= 4, GcsError.MISSING)
         number, how, kind = whole(words[0], 1, TABLES), words[1].upper(), words[2].upper()
-        demand(how in ("X", "&") and kind in self._shapes, Error.PARAMETER_RANGE)
-        demand(self.selected != number or not self._instrument.playing, Error.WAVE_RUNNING)
+        demand(how in ("X", "&") and kind in self._shapes, GcsError.PARAMETER_RANGE)
+        demand(self.selected != number or not self._instrument.playing, GcsError.WAVE_RUNNING)
         segment = self._shapes[kind](words[3:])
         low, high = self._instrument.limits
         if segment.min() < low or segment.max() > high:
             self._instrument.log.refused += 1
-            raise CommandError(Error.VOLTAGE)
+            raise CommandError(GcsError.VOLTAGE)
         table = segment if how == "X" else np.concatenate([self.tables[number], segment])
-        demand(table.size <= self._instrument.wave_points, Error.WAVE_TOO_LARGE)
+        demand(table.size <= self._instrument.wave_points, GcsError.WAVE_TOO_LARGE)
         self.tables[number] = table
 
     def clear(self, words: Sequence[str]) -> None:
@@ -58,7 +58,7 @@ class Waves:
     def lengths(self, words: Sequence[str]) -> list[str]:
         """WAV? [table [1]]: how many points each table has."""
         counted(words, 0, 2)
-        demand(len(words) < 2 or whole(words[1]) == 1, Error.PARAMETER_RANGE)
+        demand(len(words) < 2 or whole(words[1]) == 1, GcsError.PARAMETER_RANGE)
         numbers = [whole(words[0], 1, TABLES)] if words else list(self.tables)
         return [f"{number} 1={self.tables[number].size}" for number in numbers]
 
@@ -75,20 +75,20 @@ class Waves:
     def slow(self, words: Sequence[str]) -> None:
         """WTR generator divider interpolation."""
         counted(words, 3)
-        demand(whole(words[0]) in (0, 1), Error.PARAMETER_RANGE)
+        demand(whole(words[0]) in (0, 1), GcsError.PARAMETER_RANGE)
         divider, interpolation = whole(words[1], 1, 10**6), whole(words[2], 0, 1)
         self.divider, self.interpolation = divider, interpolation
 
     def chosen(self) -> Array:
         """The voltages (n,) [V] that a start plays."""
-        demand(self.selected in self.tables and self.tables[self.selected].size > 0, Error.NO_WAVE_SELECTED)
+        demand(self.selected in self.tables and self.tables[self.selected].size > 0, GcsError.NO_WAVE_SELECTED)
         table = self.tables[self.selected]
         most = self._instrument.wave_points // table.size
-        demand(self.cycles <= most, Error.WAVE_TOO_LARGE)
+        demand(self.cycles <= most, GcsError.WAVE_TOO_LARGE)
         return np.tile(table, self.cycles or most)
 
     def _points(self, words: Sequence[str]) -> Array:
-        demand(len(words) >= 3, Error.MISSING)
+        demand(len(words) >= 3, GcsError.MISSING)
         whole(words[0])
         size = whole(words[1], 1, _LONGEST_SEGMENT)
         counted(words, 2 + size)
@@ -126,7 +126,7 @@ def _line(words: Sequence[str]) -> Array:
 
 def _phase(point: Array, length: int, centre: int) -> Array:
     """Share of a curve that points (n,) have behind them: a half at its centre."""
-    demand(0 < centre < length, Error.PARAMETER_RANGE)
+    demand(0 < centre < length, GcsError.PARAMETER_RANGE)
     inside = np.clip(point, 0, length)
     return np.interp(inside, [0.0, centre, length], [0.0, 0.5, 1.0])
 
