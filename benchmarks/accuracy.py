@@ -23,10 +23,10 @@ from typing import Any
 
 import dehyst
 from dehyst import Actuator
-from dehyst.baselines.comparison import OURS, ModelScore, compare, contenders
+from dehyst.baselines import compare
+from dehyst.baselines.comparison import OURS, ModelScore, contenders
 from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
-from dehyst.model.base import AbstractModel, Motion
-from dehyst.model.replay import simulated
+from dehyst.model import AbstractModel, Motion, simulated
 from dehyst.studies import demo
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"

@@ -20,7 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from dehyst import Actuator, Compensator, Creep, MaxwellSlip, Spring, Transformer
-from dehyst.exports.firmware import export
+from dehyst.exports import export
 
 OUTPUT = Path(__file__).parent / "latency.json"
 KNOTS = np.linspace(0, 1, 21)

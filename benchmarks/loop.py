@@ -32,7 +32,7 @@ from stage import HIGHEST, PERIOD, Stage
 
 import dehyst
 from dehyst.control.preview import Preview
-from dehyst.model.replay import simulated
+from dehyst.model import simulated
 
 OUTPUT = Path(__file__).with_suffix(".json")
 KINDS = ("feedback", "feedforward", "both")

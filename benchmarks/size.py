@@ -25,10 +25,10 @@ import scipy.linalg
 import scipy.optimize  # noqa: F401
 
 import dehyst
-from dehyst.exports.firmware import code, sizes
+from dehyst.exports import sizes
+from dehyst.exports.firmware import code
 from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL
-from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model.structure import Structure
+from dehyst.model import GradedSlip, MaxwellSlip, Spring, Structure, Transformer
 
 SIZES = (100_000, 1_000_000, 10_000_000)
 OUTPUT = Path(__file__).parent / "size.json"

@@ -6,7 +6,7 @@ import numpy as np
 
 import dehyst
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Sampling, descending_tops, raised_cosine, staircase
+from dehyst.waveforms import Sampling, descending_tops, raised_cosine, staircase
 
 PERIOD = 1e-4
 HIGHEST = 200.0

@@ -22,7 +22,7 @@ from ophyd_async.core import init_devices
 import dehyst
 from dehyst.instruments.bluesky_axis import CompensatedAxis, homing
 from dehyst.instruments.epics import EpicsRig
-from dehyst.waveforms.standard import Sampling, descending_tops
+from dehyst.waveforms import Sampling, descending_tops
 
 POINTS = 13
 

@@ -140,7 +140,7 @@ def fmus(tmp_path_factory):
     import fmpy
     from fmu_rig import ALL
 
-    from dehyst.exports.fmu import export_fmu
+    from dehyst.exports import export_fmu
 
     folder, known = tmp_path_factory.mktemp("fmu"), {}
 

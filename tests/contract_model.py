@@ -13,16 +13,18 @@ import numpy as np
 import pytest
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Record, SmoothSlip, Spring, Transformer
-from dehyst.baselines.bouc_wen import BoucWen
-from dehyst.baselines.duhem import Duhem
-from dehyst.baselines.generalized_prandtl_ishlinskii import GeneralizedPrandtlIshlinskii
-from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
-from dehyst.baselines.krasnoselskii_pokrovskii import KrasnoselskiiPokrovskii
-from dehyst.baselines.linear import Linear
-from dehyst.baselines.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from dehyst.baselines.prandtl_ishlinskii import PrandtlIshlinskii
-from dehyst.baselines.preisach import Preisach
-from dehyst.model.base import AbstractModel, Motion
+from dehyst.baselines import (
+    BoucWen,
+    Duhem,
+    GeneralizedPrandtlIshlinskii,
+    GoldfarbCelanovic,
+    KrasnoselskiiPokrovskii,
+    Linear,
+    ModifiedPrandtlIshlinskii,
+    PrandtlIshlinskii,
+    Preisach,
+)
+from dehyst.model import AbstractModel, Motion
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import standard
 

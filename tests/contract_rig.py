@@ -21,11 +21,12 @@ import pytest
 from fake_rig import FakeRig
 
 from dehyst import ClampWarning
-from dehyst._errors import DeviceError, RecordError, RigError, SensorError
+from dehyst._errors import RecordError
+from dehyst.instruments import DeviceError, RigError, SensorError
 from dehyst.instruments.nidaqmx import NiRig
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.excitation import Excitation
+from dehyst.waveforms import Excitation
 
 LOW, HIGH = -20.0, 100.0
 # A ramp goes on so often [s].

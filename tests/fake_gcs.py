@@ -1,7 +1,6 @@
 """A controller and a connected device of our own making, around a virtual bench: for odd controllers and for faults."""
 
-from dehyst.virtual import PlayActuator
-from dehyst.virtual.bench import VirtualBench
+from dehyst.virtual import PlayActuator, VirtualBench
 
 IDENTITY = "Fake Instruments, F-1.CD, 0001, 1.0"
 WAVES = ["WAV", "WAV?", "WSL", "WGC", "WTR", "WGO", "WGO?", "DRC", "DRL?", "DRR?", "RTR", "DRT", "SPA?", "TNR?", "HDR?"]

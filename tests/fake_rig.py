@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dehyst.control.limits import VoltageLimits
-from dehyst.instruments.base import AbstractRig, Reading, Samples
+from dehyst.control import VoltageLimits
+from dehyst.instruments import AbstractRig, Reading, Samples
 from dehyst.virtual.amplifier import Extremes
 
 

@@ -6,10 +6,8 @@ from fake_gcs import Clock
 from meddler import PipeLink, QuickRig
 
 from dehyst.instruments.pi import PiRig
-from dehyst.virtual import PlayActuator
-from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.emulator.gcs_controller import Controller
-from dehyst.virtual.emulator.gcs_server import Server
+from dehyst.virtual import PlayActuator, VirtualBench
+from dehyst.virtual.emulator import Controller, Server
 
 LOW, HIGH = -20.0, 100.0
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dehyst import State
 from dehyst._native import slip_elongations
-from dehyst.control.state_bounds import StateBounds
+from dehyst.control import StateBounds
 
 EXACT = 1e-12
 PLANT = bench.plant(10, seed=4)

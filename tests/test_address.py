@@ -2,8 +2,8 @@
 
 import pytest
 
-from dehyst._errors import DehystError, RigError
-from dehyst.instruments import open_rig
+from dehyst._errors import DehystError
+from dehyst.instruments import RigError, open_rig
 from dehyst.instruments.pi import PiRig
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import PlayActuator

@@ -8,7 +8,7 @@ import pytest
 import wide_bench
 
 from dehyst import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
 from dehyst.model.summary import Slopes, bend, parts_of, resonance, step_response
 from dehyst.report.parts_section import made_of
 

@@ -20,7 +20,7 @@ from dehyst.identification.diagnostics.branches import Family, averaged_at, fami
 from dehyst.identification.diagnostics.closure import creep, gaps
 from dehyst.identification.diagnostics.symmetry import Mirrored
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.model.fit import Check, Fit, RecordErrors, Verdict
+from dehyst.model import Check, Fit, RecordErrors, Verdict
 from dehyst.virtual import PlayActuator
 
 HOLDS, FAILS, UNKNOWN = Verdict.HOLDS, Verdict.FAILS, Verdict.UNKNOWN

@@ -28,10 +28,9 @@ from ioc_process import IocProcess
 from ophyd_async.core import init_devices
 
 from dehyst import Compensator, Creep, MissingExtraError, ModelError
-from dehyst._errors import DeviceError, RigError
-from dehyst.control.homing import shortest_homing
-from dehyst.control.limits import VoltageLimits
+from dehyst.control import VoltageLimits, shortest_homing
 from dehyst.control.ramps import homing_steps, ramp_step
+from dehyst.instruments import DeviceError, RigError
 from dehyst.instruments.bluesky_axis import CompensatedAxis, homing
 from dehyst.instruments.channel_access import ChannelAccess
 

@@ -12,8 +12,8 @@ from resting import EXACT, PLANT, SOME, carts_along, drives, equilibrium, metres
 
 from dehyst import ModelError
 from dehyst._native import slip_elongations
-from dehyst.control.homing import shortest_homing
-from dehyst.control.state_bounds import StateBounds, first_move_error, known_by_displacement, least_range
+from dehyst.control import StateBounds, shortest_homing
+from dehyst.control.state_bounds import first_move_error, known_by_displacement, least_range
 
 
 @given(our.motions(bank=our.actuators(0, 30)))

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from dehyst import Actuator, DehystError, FileFormatError, RecordError, read
-from dehyst._errors import DeviceError
 from dehyst._io.marks import written_by_dehyst
-from dehyst.instruments.calibration.experiment import RESULTS, calibrate
-from dehyst.instruments.calibration.plan import Plan, steps
+from dehyst.instruments import DeviceError
+from dehyst.instruments.calibration import Plan, calibrate
+from dehyst.instruments.calibration.experiment import RESULTS
+from dehyst.instruments.calibration.plan import steps
 from dehyst.instruments.calibration.protocol import ExcitationPlan, creep_of
 from dehyst.instruments.simulated import SimulatedRig
-from dehyst.report.report import write_calibration
+from dehyst.report import write_calibration
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.excitation import Excitation
-from dehyst.waveforms.standard import raised_cosine
+from dehyst.waveforms import Excitation, raised_cosine
 
 
 class Heard:

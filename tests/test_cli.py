@@ -11,7 +11,7 @@ import pytest
 
 import dehyst
 from dehyst import Actuator
-from dehyst.records.files import read_table, write_columns, write_record
+from dehyst.records import read_table, write_columns, write_record
 from dehyst.virtual import PlayActuator
 
 

@@ -8,7 +8,7 @@ import pytest
 from test_cli import run
 
 from dehyst._io.marks import written_by_dehyst
-from dehyst.records.files import write_record
+from dehyst.records import write_record
 
 
 @pytest.fixture(scope="module")

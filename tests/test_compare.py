@@ -9,14 +9,13 @@ import pytest
 
 import dehyst
 from dehyst import FileFormatError, Fit, IdentifyError, ModelError, Outcome, Record, RecordError
-from dehyst.baselines import BASELINES
-from dehyst.baselines.comparison import OURS, ModelComparison, ModelScore, compare, contenders, parameters_of, speeds
-from dehyst.baselines.linear import Linear
+from dehyst.baselines import BASELINES, Linear, ModelComparison, compare
+from dehyst.baselines.comparison import OURS, ModelScore, contenders, parameters_of, speeds
 from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial, trial
 from dehyst.identification.preprocessing.regressors import epochs
-from dehyst.model.base import AbstractModel
-from dehyst.report.comparison_section import comparison_sections, write_comparison
-from dehyst.report.report import render
+from dehyst.model import AbstractModel
+from dehyst.report import render, write_comparison
+from dehyst.report.comparison_section import comparison_sections
 
 PLANT = bench.plant()
 

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, Creep, Dynamics, ModelError, Snapshot, State
-from dehyst.control.homing import shortest_homing
+from dehyst.control import shortest_homing
 
 PLANT = bench.plant(10, seed=4)
 PERIOD = 1 / wide.RATE

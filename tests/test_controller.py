@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_instrument import Hand
 
-from dehyst.virtual import PlayActuator
-from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.emulator.gcs_controller import _WORDS, Controller
+from dehyst.virtual import PlayActuator, VirtualBench
+from dehyst.virtual.emulator import Controller
+from dehyst.virtual.emulator.gcs_controller import _WORDS
 
 
 @pytest.fixture

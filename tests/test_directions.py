@@ -16,7 +16,7 @@ from dehyst import Actuator, MaxwellSlip, Spring
 from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 PLANT = bench.plant()
 RHO = PLANT.slip.breakaway

@@ -17,11 +17,11 @@ pytest.importorskip("aioca", reason="aioca is not installed: there is no Channel
 from ioc_process import IocProcess, port
 
 from dehyst import ClampWarning, MissingExtraError, RecordError
-from dehyst._errors import DeviceError, LinkError, RigError, SensorError
+from dehyst.instruments import DeviceError, LinkError, RigError, SensorError
 from dehyst.instruments.channel_access import ChannelAccess
 from dehyst.instruments.epics import EpicsRig, PvNames
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.excitation import Excitation
+from dehyst.waveforms import Excitation
 
 POINTS = 2000
 

@@ -17,8 +17,8 @@ from scipy.optimize import linprog
 from dehyst import Actuator, MaxwellSlip, ModelError, Record, RecordError, Spring, State
 from dehyst._native import slip_elongations
 from dehyst.records.metrics import largest, percent, rms
-from dehyst.uncertainty.initial_state import state_from_first_rise
-from dehyst.uncertainty.rest_states import RestStates, shift, sliding_order
+from dehyst.uncertainty import RestStates, state_from_first_rise
+from dehyst.uncertainty.rest_states import shift, sliding_order
 from dehyst.virtual import PlayActuator
 
 SOME = our.actuators(1, 20)

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from dehyst import Record, RecordError
 from dehyst._native import slip_elongations
 from dehyst.records.signals import turning_points
-from dehyst.waveforms import excitation
-from dehyst.waveforms.standard import (
+from dehyst.waveforms import (
     Sampling,
     descending_tops,
+    excitation,
     homing,
     minor_loop,
     raised_cosine,

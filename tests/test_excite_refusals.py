@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from dehyst import ModelError, RecordError
-from dehyst.waveforms import excitation
-from dehyst.waveforms.standard import (
+from dehyst.waveforms import (
     Excitation,
     Sampling,
     descending_tops,
+    excitation,
     homing,
     minor_loop,
     raised_cosine,

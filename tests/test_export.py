@@ -23,7 +23,8 @@ from firmware import KINDS, need, written
 
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, FileFormatError, MaxwellSlip, ModelError, Spring
-from dehyst.exports.firmware import SOURCES, code, export, sizes, worst_case
+from dehyst.exports import export, sizes, worst_case
+from dehyst.exports.firmware import SOURCES, code
 from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4F, STRICT
 from dehyst.exports.golden_trace import Call, golden_trace
 

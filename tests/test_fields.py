@@ -12,12 +12,12 @@ from scipy.integrate import solve_ivp
 from strategies import SEEDS
 
 from dehyst import IdentifyError, ModelError, Record, State
-from dehyst.baselines.bouc_wen import BoucWen, BoucWenState
-from dehyst.baselines.duhem import Duhem, DuhemState
+from dehyst.baselines import BoucWen, Duhem
+from dehyst.baselines.bouc_wen import BoucWenState
+from dehyst.baselines.duhem import DuhemState
 from dehyst.records.metrics import largest, rms
 from dehyst.virtual import BoucWenActuator, PlayActuator
-from dehyst.waveforms import standard
-from dehyst.waveforms.standard import Sampling
+from dehyst.waveforms import Sampling, standard
 
 VOLTS = 100.0
 STROKE = 1e-5

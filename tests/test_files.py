@@ -14,8 +14,7 @@ import pytest
 import scipy.io
 
 from dehyst._errors import FileFormatError, MissingExtraError, RecordError
-from dehyst.records.files import read, read_table, write_columns, write_record
-from dehyst.records.record import Record
+from dehyst.records import Record, read, read_table, write_columns, write_record
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
 T = np.arange(30) * 0.01

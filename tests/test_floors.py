@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from dehyst import identify
-from dehyst.records.record import Record
-from dehyst.studies.paper.error_floors import MajorLoop, chord_error, parabola_chord_error, symmetric_width_floor
+from dehyst.records import Record
+from dehyst.studies.paper.error_floors import ClosedLoop, chord_error, parabola_chord_error, symmetric_width_floor
 from dehyst.studies.paper.experiment import virtual_actuator
 
 
 def loop_of(rising, falling):
     """The loop whose branches are the two functions of displacement (0 to 1)."""
     y = np.linspace(0, 1, 4001)
-    return MajorLoop(np.vstack([y, rising(y)]), np.vstack([y, falling(y)]))
+    return ClosedLoop(np.vstack([y, rising(y)]), np.vstack([y, falling(y)]))
 
 
 def bulge(y):
@@ -45,7 +45,7 @@ def test_a_loop_that_leans_has_the_floor_of_its_lean():
 @pytest.mark.parametrize("norm", ["l1", "l2", "linf"])
 def test_no_identified_model_comes_below_the_floor(asymmetric, least, norm):
     truth = replace(virtual_actuator(asymmetric=asymmetric), noise=0.0)
-    floor = symmetric_width_floor(MajorLoop.of(truth))
+    floor = symmetric_width_floor(ClosedLoop.of(truth))
     assert floor >= least
     t = np.arange(1201)
     voltage = 100 - 100 * np.cos(2 * np.pi * t / 400)
@@ -64,12 +64,12 @@ def test_chords_of_a_parabola_by_the_closed_form():
         u = (-(1 - bend) + np.sqrt((1 - bend) ** 2 + 4 * bend * y)) / (2 * bend)
         branch = np.vstack([y, 200 * u])
         for elements in (5, 10, 40):
-            expected = chord_error(MajorLoop(branch, branch), elements)
+            expected = chord_error(ClosedLoop(branch, branch), elements)
             assert parabola_chord_error(nominal, elements) == pytest.approx(expected, rel=1e-4)
 
 
 def test_chords_get_better_with_their_number_and_the_loop_spans_the_stroke():
-    loop = MajorLoop.of(virtual_actuator())
+    loop = ClosedLoop.of(virtual_actuator())
     assert loop.range == pytest.approx(16.152e-6, rel=1e-9)
     errors = [chord_error(loop, n) for n in (5, 10, 20, 40, 80)]
     assert errors == sorted(errors, reverse=True)

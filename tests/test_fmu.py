@@ -24,7 +24,7 @@ from fmu_rig import (
 )
 
 from dehyst import Compensator
-from dehyst.exports.fmu import export_fmu
+from dehyst.exports import export_fmu
 
 FMICallException = fmpy.fmi1.FMICallException
 

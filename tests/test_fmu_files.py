@@ -33,7 +33,7 @@ from fmu_rig import (
 
 from dehyst import Compensator, FileFormatError, ModelError
 from dehyst.cli.common import start_state
-from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
+from dehyst.exports import SourceOnlyWarning, export_fmu
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,7 +7,7 @@ import pytest
 from firmware import KINDS, need, written
 
 from dehyst import Actuator, Compensator, FileFormatError, MaxwellSlip
-from dehyst.exports.firmware import sizes, worst_case
+from dehyst.exports import sizes, worst_case
 from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4F, CORTEX_M4F_SMALL
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst._errors import LinkError, RigError
-from dehyst.instruments import gcs_array, gcs_errors, gcs_syntax
+from dehyst.instruments import LinkError, RigError, gcs_array, gcs_errors, gcs_syntax
 
 VOLTAGES = st.floats(-1e6, 1e6, allow_nan=False)
 FINITE = st.floats(-1e15, 1e15, allow_nan=False)

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from dehyst._errors import LinkError
+from dehyst.instruments import LinkError
 from dehyst.instruments.gcs_link import TcpLink
 from dehyst.instruments.pi import PiRig
 

@@ -13,14 +13,13 @@ from test_cli import run
 
 import dehyst
 from dehyst import Actuator, Compensator, Record
-from dehyst.baselines import GoldfarbCelanovic
-from dehyst.baselines.comparison import compare
+from dehyst.baselines import GoldfarbCelanovic, compare
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.instruments.calibration.experiment import _ends
-from dehyst.model.structure import Structure
-from dehyst.records.files import write_record
+from dehyst.model import Structure
+from dehyst.records import write_record
 from dehyst.records.glitches import glitches
-from dehyst.uncertainty.initial_state import state_from_first_rise
+from dehyst.uncertainty import state_from_first_rise
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
 PLANTS = [bench.plant(10, share=share, seed=i) for i, share in enumerate((0.1, 0.4, 0.7))]

@@ -11,7 +11,7 @@ from strategies import SEEDS
 
 import dehyst
 from dehyst import Actuator, IdentifyError, MaxwellSlip, Record, Spring, State
-from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
+from dehyst.baselines import GoldfarbCelanovic
 
 N = 10
 HEIGHT = 16e-6

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dehyst._errors import FileFormatError, MissingExtraError
-from dehyst.records.files import read, write_hdf5
-from dehyst.records.record import Record
+from dehyst.records import Record, read, write_hdf5
 
 words = st.text(st.sampled_from('ab"\\/\n\0é\u2028\ud800\U0001f600 '), max_size=6)
 values = st.recursive(

@@ -23,7 +23,7 @@ from resting import (
 )
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Spring, identify
-from dehyst.control.homing import shortest_homing
+from dehyst.control import shortest_homing
 from dehyst.control.state_bounds import least_range
 
 BENCH_LIMITS = [

@@ -21,10 +21,9 @@ import scipy.io
 
 import dehyst
 from dehyst._errors import FileFormatError, RecordError
-from dehyst.records.files import read, read_table, write_hdf5
+from dehyst.records import Record, read, read_table, write_hdf5
 from dehyst.records.formats import reader_process
 from dehyst.records.formats.columns import Column
-from dehyst.records.record import Record
 
 N = 200
 T = np.arange(N) * 1e-3

@@ -15,7 +15,7 @@ from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers import highs, least_absolute, least_absolute_blocks
 from dehyst.identification.solvers.l1_interior_point import Pair
 from dehyst.identification.solvers.program import NORMS
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
 
 PLANT = bench.plant(10)
 TOPS = bench.loops(PLANT, bench.DESCENDING_TOPS, name="tops")

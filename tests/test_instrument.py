@@ -11,13 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Actuator, DehystError, ModelError
-from dehyst._errors import DeviceError
-from dehyst.model.creep import Creep
-from dehyst.model.dynamics import Dynamics
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.instruments import DeviceError
+from dehyst.model import Creep, Dynamics
+from dehyst.virtual import BoucWenActuator, ModelledActuator, PlayActuator, PreisachActuator, VirtualBench
 from dehyst.virtual.amplifier import Extremes
-from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
+from dehyst.virtual.modelled import virtual_actuator
 
 PERIOD = 5e-5
 TRUTHS = {

@@ -11,7 +11,7 @@ import pytest
 
 import dehyst
 from dehyst import IdentifyError, Outcome
-from dehyst.model.elements import MaxwellSlip
+from dehyst.model import MaxwellSlip
 from dehyst.uncertainty.bootstrap import Intervals, resample
 from dehyst.uncertainty.evidence import Evidence
 from dehyst.uncertainty.feasible_set import feasible_set

@@ -11,10 +11,9 @@ pytest.importorskip("softioc", reason="softioc is not installed: there is no EPI
 aioca = pytest.importorskip("aioca", reason="aioca is not installed: there is no Channel Access client")
 from ioc_process import IocProcess  # noqa: E402
 
-from dehyst._errors import RigError  # noqa: E402
-from dehyst.virtual import PlayActuator  # noqa: E402
-from dehyst.virtual.bench import VirtualBench  # noqa: E402
-from dehyst.virtual.emulator.epics_ioc import serve_ioc  # noqa: E402
+from dehyst.instruments import RigError  # noqa: E402
+from dehyst.virtual import PlayActuator, VirtualBench  # noqa: E402
+from dehyst.virtual.emulator import serve_ioc  # noqa: E402
 
 LOOP = asyncio.new_event_loop()
 

@@ -8,7 +8,7 @@ import pytest
 
 import dehyst
 from dehyst.identification.diagnostics.messages import repaired
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 SAMPLE = 1e-3
 PLANT = bench.plant(10, seed=4)

@@ -8,9 +8,8 @@ import wide_bench
 
 from dehyst import identify
 from dehyst.identification.diagnostics.residuals import residual_checks
-from dehyst.model.fit import RecordErrors, Trace, Verdict
-from dehyst.model.structure import Structure
-from dehyst.report.report import render
+from dehyst.model import RecordErrors, Structure, Trace, Verdict
+from dehyst.report import render
 
 STROKE = 10e-6
 PLANT = wide_bench.plant(wide_bench.STRUCTURES["graded, transformer"])

@@ -12,12 +12,7 @@ from hypothesis import strategies as st
 
 from dehyst._errors import DehystError, FileFormatError, ModelError
 from dehyst._io.json_files import read_json, write_json
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.model.creep import Creep
-from dehyst.model.dynamics import Dynamics
-from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.model import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, SmoothSlip, Spring, State, Transformer
 
 # Wide enough for every exponent, narrow enough that no difference overflows.
 numbers = st.floats(-1e300, 1e300)

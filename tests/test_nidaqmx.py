@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from fake_nidaqmx import RegenerationMode, installed
 
-from dehyst._errors import DeviceError, LinkError, MissingExtraError, RigError
+from dehyst._errors import MissingExtraError
+from dehyst.instruments import DeviceError, LinkError, RigError
 from dehyst.instruments.nidaqmx import NiRig
-from dehyst.waveforms.excitation import Excitation
+from dehyst.waveforms import Excitation
 
 UP = Excitation("up", np.linspace(0, 50, 101), 1000.0)
 

@@ -13,10 +13,10 @@ from anatomies import anatomy
 
 import dehyst
 from dehyst._text import counted
-from dehyst.cli.commands import main
+from dehyst.cli import main
 from dehyst.cli.common import came_from, start_state, start_within
 from dehyst.cli.option_words import in_options, in_words_of, options_of
-from dehyst.records.files import write_record
+from dehyst.records import write_record
 from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
 

@@ -24,12 +24,12 @@ from hypothesis import strategies as st
 
 import dehyst.cli.commands
 from dehyst import Compensator, FileFormatError, Record, write_record
-from dehyst._errors import LinkError
 from dehyst._io.json_files import write_json
 from dehyst._io.marks import demand_own_folder, demand_replaceable, format_of, marked, written_by_dehyst
 from dehyst._text import escaped
-from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
-from dehyst.records.files import read_table, write_columns
+from dehyst.exports import SourceOnlyWarning, export_fmu
+from dehyst.instruments import LinkError
+from dehyst.records import read_table, write_columns
 from dehyst.report.html import document
 from dehyst.studies import demo
 

@@ -7,7 +7,7 @@ import pytest
 from firmware import KINDS
 
 from dehyst import Compensator
-from dehyst.exports.firmware import export
+from dehyst.exports import export
 from dehyst.exports.start import ExportedStart
 
 

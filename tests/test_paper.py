@@ -13,8 +13,8 @@ import pytest
 
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst._io.json_files import read_json
-from dehyst.model.actuator import Actuator
-from dehyst.records.files import read_table
+from dehyst.model import Actuator
+from dehyst.records import read_table
 from dehyst.studies.paper import experiment, tables
 from dehyst.studies.paper import run as paper
 from dehyst.studies.paper.tables import MODELS

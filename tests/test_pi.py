@@ -9,9 +9,10 @@ from fake_gcs import IDENTITY, WAVES, FakeController, FakeDevice
 from meddler import PipeLink, QuickRig
 
 from dehyst import ClampWarning
-from dehyst._errors import DeviceError, LinkError, RecordError, RigError
+from dehyst._errors import RecordError
+from dehyst.instruments import DeviceError, LinkError, RigError
 from dehyst.instruments.pi import PiRig
-from dehyst.waveforms.excitation import Excitation
+from dehyst.waveforms import Excitation
 
 
 def quick(controller, **options):

@@ -7,20 +7,22 @@ import numpy as np
 import pytest
 
 from dehyst import IdentifyError, ModelError, Record, RecordError
+from dehyst.baselines import (
+    BoucWen,
+    Duhem,
+    GeneralizedPrandtlIshlinskii,
+    GoldfarbCelanovic,
+    KrasnoselskiiPokrovskii,
+    Linear,
+    ModifiedPrandtlIshlinskii,
+    PrandtlIshlinskii,
+    Preisach,
+)
 from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.bouc_wen import BoucWen
-from dehyst.baselines.duhem import Duhem
 from dehyst.baselines.fitting import training as made_ready
-from dehyst.baselines.generalized_prandtl_ishlinskii import GeneralizedPrandtlIshlinskii
-from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
-from dehyst.baselines.krasnoselskii_pokrovskii import KrasnoselskiiPokrovskii
-from dehyst.baselines.linear import Linear
-from dehyst.baselines.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from dehyst.baselines.nonnegative_fit import differences, ramps
 from dehyst.baselines.play_bank import PlayBank
 from dehyst.baselines.play_regressors import PlayRows, from_anywhere, lowpassed
-from dehyst.baselines.prandtl_ishlinskii import PrandtlIshlinskii
-from dehyst.baselines.preisach import Preisach
 from dehyst.baselines.tracking_trials import TRIALS
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.waveforms import standard

@@ -11,11 +11,11 @@ from strategies import SEEDS
 
 import dehyst
 from dehyst import IdentifyError, ModelError, Record
-from dehyst.baselines.preisach import Preisach, PreisachState
+from dehyst.baselines import Preisach
+from dehyst.baselines.preisach import PreisachState
 from dehyst.records.metrics import largest, rms
 from dehyst.virtual import PlayActuator, PreisachActuator
-from dehyst.waveforms import standard
-from dehyst.waveforms.standard import Sampling
+from dehyst.waveforms import Sampling, standard
 
 VOLTS = 100.0
 STROKE = 1e-5

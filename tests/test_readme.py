@@ -10,7 +10,7 @@ import pytest
 from anatomies import PARTS, anatomy
 
 import dehyst
-from dehyst.records.files import write_record
+from dehyst.records import write_record
 from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
 

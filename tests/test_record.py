@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import RecordError
-from dehyst.records.record import Record
+from dehyst.records import Record
 from dehyst.records.signals import white_noise
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"

@@ -18,9 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import FileFormatError, MissingExtraError, RecordError
-from dehyst.records.files import read
-from dehyst.records.record import Record
-from dehyst.records.recording import Recording, numbered, room, salvage
+from dehyst.records import Record, Recording, read
+from dehyst.records.recording import numbered, room, salvage
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals, locks and limits of POSIX")
 

@@ -11,7 +11,7 @@ import dehyst
 from dehyst import IdentifyError
 from dehyst.identification.output_error import _descended, _Iterate, refine
 from dehyst.identification.structured_fit import StructuredFit
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
 from dehyst.records.metrics import rms
 
 NAMES = ["plain", "graded", "transformer", "creep", "smooth"]

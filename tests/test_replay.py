@@ -19,15 +19,15 @@ from dehyst import Actuator, FileFormatError, RecordError, read
 from dehyst._io.drafts import unwritten
 from dehyst.cli.calibrate import _left
 from dehyst.instruments import open_rig
+from dehyst.instruments.calibration import Plan, calibrate
 from dehyst.instruments.calibration.comparison_loop import agreement, cycles, replay
-from dehyst.instruments.calibration.experiment import calibrate
-from dehyst.instruments.calibration.plan import Plan, steps
+from dehyst.instruments.calibration.plan import steps
 from dehyst.instruments.calibration.protocol import ExcitationPlan
 from dehyst.instruments.calibration.session import NullProgress, Session
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.virtual.modelled import VIRTUAL, fingerprint, virtual_actuator
-from dehyst.waveforms.standard import staircase
+from dehyst.waveforms import staircase
 
 PACE = ExcitationPlan(0, 200, 400.0)
 STROKE = PlayActuator().stroke

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from dehyst._errors import FileFormatError, MissingExtraError
-from dehyst.model.actuator import Actuator
-from dehyst.model.elements import MaxwellSlip, Spring
-from dehyst.model.fit import Check, Fit, Outcome, RecordErrors, Trace, Verdict
+from dehyst.model import Actuator, Check, Fit, MaxwellSlip, Outcome, RecordErrors, Spring, Trace, Verdict
 from dehyst.report import plots, report
 
 HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$ " + "long_" * 60

@@ -10,7 +10,7 @@ import pytest
 from dehyst import read
 from dehyst.instruments import open_rig
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Sampling, raised_cosine
+from dehyst.waveforms import Sampling, raised_cosine
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 MY_LAB = """

@@ -12,15 +12,12 @@ import pytest
 from fake_gcs import FakeController
 from meddler import KINDS, Meddling, PipeLink, Proxy, QuickRig
 
-from dehyst._errors import DehystError, DeviceError, LinkError, SensorError
-from dehyst.instruments import open_rig
+from dehyst._errors import DehystError
+from dehyst.instruments import DeviceError, LinkError, SensorError, open_rig
 from dehyst.instruments.pi import PiRig
-from dehyst.virtual import PlayActuator
-from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.emulator.faults import Fault, Rehearsal
-from dehyst.virtual.emulator.gcs_controller import Controller
-from dehyst.virtual.emulator.gcs_server import Server
-from dehyst.waveforms.excitation import Excitation
+from dehyst.virtual import PlayActuator, VirtualBench
+from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
+from dehyst.waveforms import Excitation
 
 DEVICE, ALLOWED = (-20.0, 120.0), (0.0, 60.0)
 ODD = [np.nan, np.inf, -np.inf, 1e308, -1e308, 60.0000001, -1e-9, 5e-324, 0.0, 60.0, 119.0]

@@ -14,11 +14,11 @@ from fake_rig import FakeRig
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst._errors import DeviceError, LinkError, ModelError, RecordError, RigError, SensorError
-from dehyst.instruments import Reading, Samples
+from dehyst._errors import ModelError, RecordError
+from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError
 from dehyst.instruments.interrupts import shielded
 from dehyst.instruments.sensor_watch import SensorWatch
-from dehyst.waveforms.excitation import Excitation
+from dehyst.waveforms import Excitation
 
 UP = Excitation("up", np.linspace(0, 50, 101), 1000.0)
 BROUGHT = "The voltage was brought to 0 V."

@@ -11,9 +11,9 @@ from dehyst import Dynamics
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.resonance_tuning import tune_resonance
 from dehyst.identification.simulation_error import SimulationError
+from dehyst.records import Record
 from dehyst.records.metrics import rms
-from dehyst.records.record import Record
-from dehyst.waveforms.standard import Sampling, descending_tops, staircase
+from dehyst.waveforms import Sampling, descending_tops, staircase
 
 RATE, OMEGA = 5000.0, 2 * np.pi * 250
 NOISE = 3e-9

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dehyst.identification.regression.regularization import regularization_rows
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
 
 STROKE, HIGHEST = 16e-6, 200.0
 SLOPE = HIGHEST / STROKE

@@ -10,11 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import RecordError
-from dehyst.waveforms import Raster, Spiral, Triangle
-from dehyst.waveforms.lissajous import Lissajous
+from dehyst.waveforms import Lissajous, Raster, ScanPath, Spiral, Steps, Triangle
 from dehyst.waveforms.profiles import Bridge, Edge, PathPoint, highest, least_blend, least_seconds
-from dehyst.waveforms.scan import ScanPath
-from dehyst.waveforms.steps import Steps
 
 UM = 1e-6
 ROUNDINGS = st.sampled_from(["parabola", "cosine"])

@@ -9,7 +9,7 @@ import wide_bench as wide
 
 from dehyst.identification import structure_selection
 from dehyst.identification.structure_selection import PARTS, StructureTrial, blocks, held_out_errors, select
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
 
 START = Structure()
 

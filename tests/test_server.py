@@ -13,12 +13,11 @@ from contextlib import contextmanager, suppress
 import numpy as np
 import pytest
 
-from dehyst._errors import LinkError, ModelError
-from dehyst.virtual import PlayActuator
-from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.emulator.faults import Fault, Rehearsal, narrowed
-from dehyst.virtual.emulator.gcs_controller import Controller
-from dehyst.virtual.emulator.gcs_server import Server
+from dehyst._errors import ModelError
+from dehyst.instruments import LinkError
+from dehyst.virtual import PlayActuator, VirtualBench
+from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
+from dehyst.virtual.emulator.faults import narrowed
 
 SOON = 60.0
 

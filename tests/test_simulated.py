@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from bench import plant
 
-from dehyst.control.compensator import ClampWarning
+from dehyst.control import ClampWarning
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import PlayActuator
 from dehyst.virtual.modelled import VIRTUAL, virtual_actuator
-from dehyst.waveforms import standard
-from dehyst.waveforms.playback import Sampling
+from dehyst.waveforms import Sampling, standard
 
 
 @pytest.mark.parametrize("kind", VIRTUAL)

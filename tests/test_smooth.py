@@ -25,7 +25,7 @@ from dehyst import (
     Transformer,
 )
 from dehyst._native import CoreState, StepCoefficients
-from dehyst.control.state_bounds import StateBounds
+from dehyst.control import StateBounds
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])

@@ -18,10 +18,7 @@ from dehyst.identification.preprocessing.regressors import Rows, RowSource, coll
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.solvers.program import NORMS
-from dehyst.model.creep import Creep
-from dehyst.model.dynamics import Dynamics
-from dehyst.model.elements import Transformer
-from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.model import Creep, Dynamics, SmoothSlip, Transformer
 from dehyst.records import signals
 
 RHO = bench.plant(12).slip.breakaway

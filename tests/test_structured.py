@@ -12,9 +12,9 @@ import dehyst
 from dehyst import Record, State
 from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
 from dehyst.virtual import BoucWenActuator
-from dehyst.waveforms.standard import Sampling, descending_tops
+from dehyst.waveforms import Sampling, descending_tops
 
 CREEPING = Structure(elements=8, knots=7, creep=4)
 HOLDING = wide.wandering(30, samples=30, hold=30)

@@ -12,12 +12,12 @@ from dehyst._io.json_files import finite
 from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
+from dehyst.uncertainty import insight
 from dehyst.uncertainty.evidence import Evidence
 from dehyst.uncertainty.experiment_design import advise
 from dehyst.uncertainty.feasible_set import feasible_set
-from dehyst.uncertainty.insight import insight
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Sampling, raised_cosine
+from dehyst.waveforms import Sampling, raised_cosine
 
 PLANT = bench.plant(10, seed=2)
 MAJOR = (1, 0, 1, 0)

@@ -15,11 +15,11 @@ import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, IdentifyError, MaxwellSlip, ModelError, RecordError, Spring
 from dehyst._units import plain
 from dehyst._validation import numbers
-from dehyst.cli.commands import main
-from dehyst.control.wave_table import wave_table
-from dehyst.instruments.samples import Inspection, Samples
-from dehyst.waveforms import Triangle, standard
-from dehyst.waveforms.playback import Sampling
+from dehyst.cli import main
+from dehyst.control import wave_table
+from dehyst.instruments import Samples
+from dehyst.instruments.samples import Inspection
+from dehyst.waveforms import Sampling, Triangle, standard
 
 U = pint.UnitRegistry()
 # 3.6 V move it by 45 um, as the measured one, from -119 um on.

@@ -10,14 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Creep, Dynamics, GradedSlip, RecordError, SmoothSlip, Transformer
-from dehyst.control.compensator import Compensator
+from dehyst.control import Compensator, wave_table
 from dehyst.control.lead_in import approach_to, follow
 from dehyst.control.steady_state import steady_state
-from dehyst.control.wave_table import wave_table
-from dehyst.waveforms import Spiral, Triangle
-from dehyst.waveforms.lissajous import Lissajous
-from dehyst.waveforms.scan import MotionLimits
-from dehyst.waveforms.steps import Steps
+from dehyst.waveforms import Lissajous, MotionLimits, Spiral, Steps, Triangle
 
 UM = 1e-6
 PLAIN = replace(bench.plant(10), limits=(-50.0, 250.0))

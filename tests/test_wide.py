@@ -359,9 +359,8 @@ def test_charge_balances_power(motion):
 
 
 def test_what_knows_plain_actuators_only_says_so():
-    from dehyst.control.state_bounds import StateBounds
-    from dehyst.uncertainty.initial_state import state_from_first_rise
-    from dehyst.uncertainty.rest_states import RestStates
+    from dehyst.control import StateBounds
+    from dehyst.uncertainty import RestStates, state_from_first_rise
 
     wider = Actuator(GRADED, SPRING, transformer=TAU, creep=CREEP, limits=(0, 100))
     for ask, message in (

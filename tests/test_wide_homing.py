@@ -12,14 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, SmoothSlip, Spring
-from dehyst.control.homing import shortest_homing
+from dehyst.control import StateBounds, shortest_homing
 from dehyst.control.homing_in_time import Swing
 from dehyst.control.major_loop import MajorLoop
-from dehyst.control.state_bounds import StateBounds
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
+from dehyst.uncertainty import RestStates
 from dehyst.uncertainty.prediction_band import state_at_top
-from dehyst.uncertainty.rest_states import RestStates
-from dehyst.waveforms.playback import Sampling
+from dehyst.waveforms import Sampling
 
 LIMITS = -40.0, 260.0
 DRIVE = Sampling(frequency=0.01, sample_rate=2.0)
@@ -237,7 +236,7 @@ def test_the_structure_of_everything_is_homed_too():
 def test_the_command_says_what_is_left_and_compensation_starts_from_there(tmp_path):
     from click.testing import CliRunner
 
-    from dehyst.cli.commands import main
+    from dehyst.cli import main
 
     model, path, voltage = (str(tmp_path / name) for name in ("model.json", "path.csv", "voltage.csv"))
     replace(CREEPING, limits=(0.0, 260.0)).save(model)

@@ -10,11 +10,11 @@ import pytest
 import wide_bench
 
 from dehyst import ModelError, Record, identify
-from dehyst.model.structure import Structure
-from dehyst.report.report import render
-from dehyst.report.uncertainty_section import sections, write_insight
+from dehyst.model import Structure
+from dehyst.report import render, write_insight
+from dehyst.report.uncertainty_section import sections
+from dehyst.uncertainty import insight
 from dehyst.uncertainty.bootstrap import resample
-from dehyst.uncertainty.insight import insight
 from dehyst.uncertainty.part_identifiability import part_identifiability
 from dehyst.uncertainty.wide_evidence import WideEvidence
 from dehyst.uncertainty.wide_insight import NOT_JUDGED, WideInsight
@@ -210,8 +210,8 @@ def test_everything_at_once_with_and_without_repeats(tmp_path):
 def test_the_command(tmp_path):
     from click.testing import CliRunner
 
-    from dehyst.cli.commands import main
-    from dehyst.records.files import write_columns
+    from dehyst.cli import main
+    from dehyst.records import write_columns
 
     _, fit, record = looked("creep")
     path, time = trajectory()

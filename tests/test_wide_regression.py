@@ -15,7 +15,7 @@ from dehyst import Actuator, IdentifyError, ModelError, State
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.regression.coefficients import coefficients_of, grid_of, parts
 from dehyst.identification.regression.wide_regression import WideRegression
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
 
 NAMES = tuple(wide.STRUCTURES)
 

@@ -11,7 +11,7 @@ import tracking
 
 import dehyst
 from dehyst import Outcome
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"

@@ -12,7 +12,7 @@ import dehyst
 from dehyst import Creep, Dynamics, IdentifyError, Outcome, Record, State
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.validation import Protocol, errors_of, state_after, without_offset
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
 
 PROTOCOL = Protocol("validation", 0.0, 0.0, False, bench.STROKE)
 EXACT = 1e-9

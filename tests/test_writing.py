@@ -16,8 +16,7 @@ from hypothesis.extra.numpy import arrays
 from dehyst._errors import FileFormatError
 from dehyst._io.drafts import draft_of, is_draft, write_atomically
 from dehyst._io.json_files import read_json, write_json
-from dehyst.records.files import read, write_columns, write_record
-from dehyst.records.record import Record
+from dehyst.records import Record, read, write_columns, write_record
 
 
 def text(tmp_path, content, name="a.csv", encoding="utf-8"):

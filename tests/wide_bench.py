@@ -16,8 +16,8 @@ from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.coefficients import coefficients_of
 from dehyst.identification.regression.wide_regression import WideRegression
 from dehyst.identification.training_data import TrainingData
-from dehyst.model.smooth_slip import SmoothSlip
-from dehyst.model.structure import Grid, Structure
+from dehyst.model import SmoothSlip, Structure
+from dehyst.model.structure import Grid
 
 SLOPE = bench.VOLTS / bench.STROKE
 FLOOR = 0.1 * SLOPE

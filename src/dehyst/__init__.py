@@ -16,20 +16,26 @@ from dehyst._errors import (
     RecordError,
 )
 from dehyst._version import __version__
-from dehyst.control.compensator import ClampWarning, Compensator
-from dehyst.control.snapshot import Snapshot
-from dehyst.control.trajectory import Command
-from dehyst.identification.identify import identify
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import Motion, State
-from dehyst.model.creep import Creep
-from dehyst.model.dynamics import Dynamics
-from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model.fit import Fit, Outcome, RecordErrors, Trace
-from dehyst.model.physical import Physical
-from dehyst.model.smooth_slip import SmoothSlip
-from dehyst.records.files import read, write_record
-from dehyst.records.record import Record
+from dehyst.control import ClampWarning, Command, Compensator, Snapshot
+from dehyst.identification import identify
+from dehyst.model import (
+    Actuator,
+    Creep,
+    Dynamics,
+    Fit,
+    GradedSlip,
+    MaxwellSlip,
+    Motion,
+    Outcome,
+    Physical,
+    RecordErrors,
+    SmoothSlip,
+    Spring,
+    State,
+    Trace,
+    Transformer,
+)
+from dehyst.records import Record, read, write_record
 
 __all__ = [
     "Actuator",

@@ -14,8 +14,7 @@ import numpy as np
 import strategies
 
 from dehyst import Actuator, Compensator
-from dehyst.model.dynamics import Dynamics
-from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.model import Dynamics, SmoothSlip
 
 KINDS = ("plain", "plain", "wide", "dynamics", "lag", "smooth", "all")
 

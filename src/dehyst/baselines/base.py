@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from dehyst._computable import demand_result
 from dehyst._types import Array
 from dehyst._validation import vector
-from dehyst.model.base import AbstractModel, Motion
+from dehyst.model import AbstractModel, Motion
 
 
 class AbstractBaseline(AbstractModel):

@@ -25,8 +25,8 @@ from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.training import Training
 from dehyst.identification.solvers.program import Solution, solve
+from dehyst.records import Record
 from dehyst.records.metrics import rms
-from dehyst.records.record import Record
 
 _SEARCH_ROWS = 2000
 # Of alpha, of the part of v that a reversal hides at first, and of (beta + gamma) times the range of v.

@@ -15,17 +15,16 @@ from numpy.typing import NDArray
 from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.baselines import BASELINES, Identification
+from dehyst.baselines.registry import BASELINES, Identification
 from dehyst.baselines.tracking_trials import TrackingErrors, TrackingTrial, trial
-from dehyst.identification.identify import identify
+from dehyst.identification import identify
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.validation import state_after, without_offset
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import AbstractModel, Motion
-from dehyst.model.replay import simulated, timed
+from dehyst.model import AbstractModel, Actuator, Motion, simulated
+from dehyst.model.replay import timed
+from dehyst.records import Record
 from dehyst.records.metrics import largest, percent, rms
-from dehyst.records.record import Record
 
 OURS = "dehyst"
 _SAMPLES_TO_TIME = 20_000

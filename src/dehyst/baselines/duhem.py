@@ -26,7 +26,7 @@ from dehyst.baselines import _native_fields
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.training import Training
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 _SEARCH_ROWS = 3000
 _RATES = np.geomspace(0.2, 40.0, 25)

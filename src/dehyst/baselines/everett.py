@@ -10,7 +10,7 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.baselines.training import Training
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 # Part of the range within which an end of it counts as reached, and within which two curves are one.
 _NEAR = 0.01

@@ -23,7 +23,7 @@ from dehyst.identification.preprocessing.preparation import Prepared, as_list, p
 from dehyst.identification.preprocessing.regressors import Epoch, collect
 from dehyst.identification.regression.nuisances import searched_delay, worthwhile
 from dehyst.identification.regression.regression import Regression
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 Model = TypeVar("Model")
 

@@ -24,7 +24,7 @@ from dehyst.baselines.play_bank import PlayBank
 from dehyst.baselines.play_model import AbstractPlayModel
 from dehyst.baselines.play_regressors import PlayRows, even_thresholds, from_anywhere, left_out
 from dehyst.baselines.training import Training
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 # Low-passes fitted to what is no creep do harm elsewhere: they have to predict what was left out this much better.
 _WORTH = 0.8

@@ -19,10 +19,8 @@ from dehyst._validation import count, numbers
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.identification.diagnostics.branches import Branch, voltage_at
 from dehyst.identification.preprocessing.cleaning import remove_glitches
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.model.elements import MaxwellSlip, Spring
-from dehyst.records.record import Record
+from dehyst.model import Actuator, MaxwellSlip, Spring, State
+from dehyst.records import Record
 
 
 @final

@@ -18,9 +18,9 @@ from dehyst._validation import number
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.training import Training
-from dehyst.model.base import State
+from dehyst.model import State
+from dehyst.records import Record
 from dehyst.records.metrics import rms
-from dehyst.records.record import Record
 
 
 @final

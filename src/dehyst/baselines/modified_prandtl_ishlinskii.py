@@ -24,8 +24,8 @@ from dehyst.baselines.play_inverse import PlayInverse
 from dehyst.baselines.play_regressors import PlayRows, even_thresholds
 from dehyst.baselines.training import Training
 from dehyst.model.elements import on_curve
+from dehyst.records import Record
 from dehyst.records.metrics import rms
-from dehyst.records.record import Record
 
 _PASSES = 30
 # A pass that makes the residual smaller by less than this part is the last one.

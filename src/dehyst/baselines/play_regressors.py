@@ -12,7 +12,7 @@ from dehyst._types import Array
 from dehyst.baselines._native_plays import play_outputs
 from dehyst.baselines.nonnegative_fit import Solved, nonnegative, ramps
 from dehyst.baselines.training import Training
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 _MOST_ROWS = 30_000
 _QUARTERS = 4

@@ -21,7 +21,7 @@ from dehyst.baselines.play_inverse import PlayInverse
 from dehyst.baselines.play_model import AbstractPlayModel
 from dehyst.baselines.play_regressors import PlayRows, even_thresholds
 from dehyst.baselines.training import Training
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 
 @final

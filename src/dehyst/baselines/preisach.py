@@ -27,8 +27,8 @@ from dehyst.baselines.everett import everett_table
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.training import Training
 from dehyst.identification.solvers.program import solve
+from dehyst.records import Record
 from dehyst.records.metrics import rms
-from dehyst.records.record import Record
 
 _MOST_ROWS = 8000
 _MOST_CELLS = 80

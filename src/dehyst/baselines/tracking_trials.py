@@ -11,12 +11,12 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.model.base import AbstractModel
-from dehyst.model.replay import beginning, simulated, timed
+from dehyst.model import AbstractModel, simulated
+from dehyst.model.replay import beginning, timed
+from dehyst.records import Record
 from dehyst.records.metrics import largest, percent, rms
-from dehyst.records.record import Record
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualActuator
-from dehyst.waveforms.standard import Excitation, Sampling, descending_tops, raised_cosine, staircase
+from dehyst.waveforms import Excitation, Sampling, descending_tops, raised_cosine, staircase
 
 _SAMPLES_A_FAST_CYCLE = 100
 _REVERSALS = 40

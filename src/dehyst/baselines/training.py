@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,8 @@ from dehyst.cli.terminal import echo, echo_json, note
 
 if TYPE_CHECKING:
     from dehyst.instruments import AbstractRig
-    from dehyst.instruments.calibration.experiment import Calibration
-    from dehyst.instruments.calibration.plan import Plan
-    from dehyst.waveforms.excitation import Excitation
+    from dehyst.instruments.calibration import Calibration, Plan
+    from dehyst.waveforms import Excitation
 
 
 REPORT = "report.html"
@@ -74,7 +73,7 @@ def calibrate(
     Ctrl-C brings the voltage to a safe value; the same command goes on from what is on disk.
     """
     from dehyst.instruments import open_rig
-    from dehyst.instruments.calibration.plan import Plan
+    from dehyst.instruments.calibration import Plan
 
     max_bytes = options.pop("max_bytes")
     given = tuple(_excitation(path, max_bytes) for path in options.pop("protocol"))
@@ -106,8 +105,9 @@ def _excitation(path: Path, max_bytes: float) -> Excitation:
     import numpy as np
 
     from dehyst._errors import FileFormatError
-    from dehyst.records.files import read_table, time_of
-    from dehyst.waveforms.excitation import Excitation
+    from dehyst.records import read_table
+    from dehyst.records.files import time_of
+    from dehyst.waveforms import Excitation
 
     table = read_table(path, max_bytes=max_bytes)
     voltage = table.column("voltage")
@@ -172,9 +172,9 @@ def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
 
 def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
     from dehyst.cli.live import display
-    from dehyst.instruments.calibration.experiment import calibrate as run
+    from dehyst.instruments.calibration import calibrate as run
     from dehyst.instruments.calibration.plan import STEPS
-    from dehyst.report.report import write_calibration
+    from dehyst.report import write_calibration
 
     command = shlex.join(["dehyst", *sys.argv[1:]])
     with display(STEPS) as live:

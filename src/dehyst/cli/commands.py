@@ -43,7 +43,7 @@ from dehyst.cli.rig import rig
 from dehyst.cli.terminal import echo, echo_json, progress_line, worded
 
 if TYPE_CHECKING:
-    from dehyst.model.fit import Check
+    from dehyst.model import Check
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -118,8 +118,8 @@ def identify(
     **columns: Any,
 ) -> None:
     """Identify an actuator from RECORDs of voltage and displacement."""
-    from dehyst.identification.identify import identify as run
-    from dehyst.uncertainty.insight import insight as trust
+    from dehyst.identification import identify as run
+    from dehyst.uncertainty import insight as trust
 
     refuse_overwriting([*records, *validate], output, report)
     tell = progress_line()
@@ -146,7 +146,7 @@ def identify(
     if output is not None and fit.actuator is not None:
         fit.actuator.save(output)
     if report is not None:
-        from dehyst.report.report import write_report
+        from dehyst.report import write_report
 
         tell("drawing the report")
         told = None if fit.actuator is None else trust(fit.actuator, training, repeats=0)
@@ -180,7 +180,7 @@ def simulate(
 
     The status is 1 if a voltage lies outside the model's limits by more than a tenth of their range.
     """
-    from dehyst.records.files import read_table, write_columns
+    from dehyst.records import read_table, write_columns
 
     refuse_overwriting([model, voltage_file], output)
     actuator = read_model(model)
@@ -277,8 +277,8 @@ def insight(
 ) -> None:
     """What RECORDs can and cannot tell of a MODEL identified from them; status 1 if there is something to beware of."""
     from dehyst._errors import ModelError
-    from dehyst.records.files import write_columns
-    from dehyst.uncertainty.insight import insight as run
+    from dehyst.records import write_columns
+    from dehyst.uncertainty import insight as run
 
     if output is not None and trajectory is None:
         raise ModelError("-o: got no trajectory, need one to write its band; give --trajectory")
@@ -305,7 +305,7 @@ def insight(
     if output is not None and found.band is not None:
         write_columns(output, {**time, **found.band.columns()})
     if report is not None:
-        from dehyst.report.uncertainty_section import write_insight
+        from dehyst.report import write_insight
 
         tell("drawing the page")
         write_insight(report, found, command=shlex.join(["dehyst", *sys.argv[1:]]))

@@ -18,10 +18,9 @@ from dehyst.cli.terminal import echo, echo_json, guarded_streams, note, worded
 from dehyst.records.formats.file_content import MOST
 
 if TYPE_CHECKING:
-    from dehyst.model.actuator import Actuator
-    from dehyst.model.base import State
+    from dehyst.model import Actuator, State
+    from dehyst.records import Record
     from dehyst.records.formats.columns import Table
-    from dehyst.records.record import Record
 
 PATH = click.Path(path_type=Path)
 # Voltages farther outside of a model's limits than this part of their range have nothing to do with its records.
@@ -146,7 +145,7 @@ def start_option(command: Callable[..., None]) -> Callable[..., None]:
 
 def read_records(paths: tuple[Path, ...], columns: dict[str, Any]) -> list[Record]:
     """Read records from files."""
-    from dehyst.records.files import read
+    from dehyst.records import read
 
     return [read(path, **columns) for path in paths]
 
@@ -211,7 +210,7 @@ def time_of_table(table: Table, size: int, columns: dict[str, Any]) -> dict[str,
 def path_of(trajectory: Path, wanted: str | None, max_bytes: float = MOST) -> tuple[Any, dict[str, Any]]:
     """Displacement of a trajectory file and, if it has one, its time column."""
     from dehyst._errors import FileFormatError
-    from dehyst.records.files import read_table
+    from dehyst.records import read_table
 
     table = read_table(trajectory, max_bytes=max_bytes)
     try:
@@ -224,8 +223,7 @@ def path_of(trajectory: Path, wanted: str | None, max_bytes: float = MOST) -> tu
 
 def read_model(path: Path) -> Actuator:
     """Read a model, and warn of one that was not found to be of use."""
-    from dehyst.model.actuator import Actuator
-    from dehyst.model.fit import Outcome
+    from dehyst.model import Actuator, Outcome
 
     actuator = Actuator.load(path)
     outcome = getattr(Outcome, str(actuator.provenance.get("outcome")), None)
@@ -254,8 +252,8 @@ def start_state(actuator: Actuator, start: str) -> State:
 
 def _homed(actuator: Actuator) -> State:
     """The state that the homing's own voltage, played as the command makes it by default, leads to."""
-    from dehyst.control.homing import shortest_homing
-    from dehyst.waveforms.playback import Sampling
+    from dehyst.control import shortest_homing
+    from dehyst.waveforms import Sampling
 
     low, high = actuator.limits or (0.0, 0.0)
     end = min(max(0.0, low), high)

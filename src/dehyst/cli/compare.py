@@ -23,7 +23,8 @@ from dehyst.cli.common import (
 from dehyst.cli.terminal import echo, echo_json, progress_line
 
 if TYPE_CHECKING:
-    from dehyst.baselines.comparison import ModelComparison, ModelScore
+    from dehyst.baselines import ModelComparison
+    from dehyst.baselines.comparison import ModelScore
 
 _TRUTHS = ["play", "creep", "preisach", "boucwen"]
 
@@ -70,8 +71,8 @@ def compare(
     Without a RECORD, those of the first --truth are taken. Status 1 if our own model fails.
     """
     from dehyst._io.json_files import write_json
+    from dehyst.baselines import compare as run
     from dehyst.baselines.comparison import OURS
-    from dehyst.baselines.comparison import compare as run
 
     refuse_overwriting([*records, *validate], output, report)
     chosen = _chosen(only)
@@ -84,7 +85,7 @@ def compare(
     if output is not None:
         write_json(output, {"format": "dehyst-comparison", "version": 1, **finite(found.as_dict())})
     if report is not None:
-        from dehyst.report.comparison_section import write_comparison
+        from dehyst.report import write_comparison
 
         write_comparison(report, found, command=shlex.join(["dehyst", *sys.argv[1:]]))
     tell("")

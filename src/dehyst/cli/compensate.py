@@ -31,8 +31,8 @@ from dehyst.cli.scans import NAMES, named_scan, scan_options
 from dehyst.cli.terminal import note, progress_line
 
 if TYPE_CHECKING:
-    from dehyst.control.wave_table import WaveTable
-    from dehyst.model.actuator import Actuator
+    from dehyst.control import WaveTable
+    from dehyst.model import Actuator
     from dehyst.waveforms import Scan
 
 _OF_SCANS = ("axis", "cycles", "cycle", *NAMES)
@@ -129,7 +129,7 @@ def _refuse_idle(scan: str | None, options: dict[str, Any]) -> None:
 
 def _of_file(trajectory: Path | None, options: dict[str, Any]) -> tuple[Any, dict[str, Any], dict[str, Any]]:
     """Wanted displacement [m], its time column if there is one, and its derivatives: none."""
-    from dehyst.records.files import read_table
+    from dehyst.records import read_table
 
     table = read_table(trajectory or "", max_bytes=options["max_bytes"])
     wanted = table.column("displacement", options["displacement"])
@@ -156,9 +156,9 @@ def _follow(
     warnings: tuple[str, ...] = (),
 ) -> None:
     """Write the voltage of a path, and end."""
-    from dehyst.control.compensator import Compensator
+    from dehyst.control import Compensator
     from dehyst.control.reachable import state_at
-    from dehyst.records.files import write_columns
+    from dehyst.records import write_columns
 
     wanted, time, derivatives = path
     _refuse_astray(actuator, wanted, limits)
@@ -211,8 +211,8 @@ def _tabulate(
 ) -> None:
     """Write the wave table of a scan and what comes before it, and end."""
     from dehyst._errors import RecordError
-    from dehyst.control.wave_table import wave_table
-    from dehyst.records.files import write_columns
+    from dehyst.control import wave_table
+    from dehyst.records import write_columns
 
     _refuse_cycles(scan, cycles)
     tolerance, tell = options["tolerance"], progress_line()
@@ -276,7 +276,7 @@ def _tabulate(
 def _refuse_astray(actuator: Actuator, wanted: Any, limits: tuple[float, float] | None) -> None:
     """A path more than one stroke outside of what can be reached is meant for another unit, or for another model."""
     from dehyst._errors import ModelError
-    from dehyst.control.compensator import Compensator
+    from dehyst.control import Compensator
 
     compensator = Compensator(actuator, limits)
     if compensator.strays(wanted):

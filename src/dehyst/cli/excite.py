@@ -13,8 +13,7 @@ from dehyst.cli.common import PATH, force_option, json_option, read_model, refus
 from dehyst.cli.terminal import echo, echo_json, note, worded
 
 if TYPE_CHECKING:
-    from dehyst.waveforms.playback import Sampling
-    from dehyst.waveforms.standard import Excitation
+    from dehyst.waveforms import Excitation, Sampling
 
 # A negative voltage is no option.
 _NEGATIVE = {"ignore_unknown_options": True}
@@ -151,7 +150,7 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
     if model is None:
         _write(lambda drive: standard.homing(highest, drive=drive), options)
         return
-    from dehyst.control.homing import shortest_homing
+    from dehyst.control import shortest_homing
 
     refuse_overwriting([model], options["output"])
     actuator = read_model(model)
@@ -192,7 +191,7 @@ def _write(make: Callable[[Sampling], Excitation], options: dict[str, Any]) -> N
 
 
 def _drive(options: dict[str, Any]) -> Sampling:
-    from dehyst.waveforms.playback import Sampling
+    from dehyst.waveforms import Sampling
 
     return Sampling(
         frequency=options["frequency"],
@@ -207,7 +206,7 @@ def _drive(options: dict[str, Any]) -> Sampling:
 
 
 def _save(made: Excitation, options: dict[str, Any], word: str) -> None:
-    from dehyst.records.files import write_columns
+    from dehyst.records import write_columns
 
     output = options["output"]
     refuse_replacing(output)

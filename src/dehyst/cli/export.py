@@ -20,10 +20,9 @@ from dehyst.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from dehyst.control.compensator import Compensator
-    from dehyst.exports.firmware import Exported
-    from dehyst.model.actuator import Actuator
-    from dehyst.model.base import State
+    from dehyst.control import Compensator
+    from dehyst.exports import Exported
+    from dehyst.model import Actuator, State
 
 
 # Limits that no voltage meets.
@@ -95,8 +94,8 @@ def export(
 
     With --fmu, write it or its actuator as an FMU for co-simulation.
     """
-    from dehyst.control.compensator import Compensator
-    from dehyst.exports.firmware import export as run
+    from dehyst.control import Compensator
+    from dehyst.exports import export as run
 
     if fmu is None and directory.suffix == ".fmu":
         raise click.UsageError(f"{directory}: an FMU? give --fmu; a folder's name cannot end in .fmu")
@@ -141,7 +140,7 @@ def _write_fmu(
     compensator: Compensator, state: State, path: Path, version: Any, kind: Any, force: bool
 ) -> tuple[dict[str, Any], str, list[str]]:
     """What is to be told of it: as JSON, in a line, and in words of warning."""
-    from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
+    from dehyst.exports import SourceOnlyWarning, export_fmu
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)

@@ -9,9 +9,9 @@ from dehyst._text import escaped
 from dehyst.cli.terminal import echo, worded
 
 if TYPE_CHECKING:
-    from dehyst.model.fit import Fit
-    from dehyst.studies.paper.run import Paper
-    from dehyst.uncertainty.insight import Insight
+    from dehyst.model import Fit
+    from dehyst.studies.paper import Paper
+    from dehyst.uncertainty import Insight
     from dehyst.uncertainty.wide_insight import WideInsight
 
 
@@ -61,7 +61,7 @@ def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
 
 def _print_parts(actuator: Any) -> None:
     """What a wider actuator is made of."""
-    from dehyst.model.actuator import Actuator
+    from dehyst.model import Actuator
     from dehyst.model.summary import parts_of
 
     if isinstance(actuator, Actuator) and actuator.wide:

@@ -15,9 +15,8 @@ import click
 from dehyst.cli.terminal import echo
 
 if TYPE_CHECKING:
-    from dehyst.virtual.bench import VirtualBench
-    from dehyst.virtual.emulator.faults import Fault
-    from dehyst.virtual.emulator.gcs_server import Server
+    from dehyst.virtual import VirtualBench
+    from dehyst.virtual.emulator import Fault, Server
 
 
 class Finite(click.FloatRange):
@@ -94,9 +93,7 @@ def serve(
 
     At the end it says which voltages it has put out.
     """
-    from dehyst.virtual.emulator.faults import Fault, Rehearsal
-    from dehyst.virtual.emulator.gcs_controller import Controller
-    from dehyst.virtual.emulator.gcs_server import Server
+    from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
 
     rehearsed = [Fault.parse(text) for text in faults]
     instrument, told = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
@@ -122,10 +119,10 @@ def _instrument(
     faults: list[Fault],
 ) -> tuple[VirtualBench, tuple[float, float]]:
     """The virtual bench, and the limits [V] that it tells."""
-    from dehyst.model.actuator import Actuator
-    from dehyst.virtual.bench import VirtualBench
+    from dehyst.model import Actuator
+    from dehyst.virtual import ModelledActuator, VirtualBench
     from dehyst.virtual.emulator.faults import narrowed
-    from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
+    from dehyst.virtual.modelled import virtual_actuator
 
     found = virtual_actuator(actuator)
     if isinstance(found, Actuator):

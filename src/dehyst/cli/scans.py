@@ -138,7 +138,7 @@ def _lissajous(given: dict[str, Any], rate: float | None) -> Scan:
     from math import radians
 
     from dehyst._errors import RecordError
-    from dehyst.waveforms.lissajous import Lissajous
+    from dehyst.waveforms import Lissajous
 
     (x, a), (y, b) = _middles(given)
     if "phase" in given:
@@ -152,7 +152,7 @@ def _lissajous(given: dict[str, Any], rate: float | None) -> Scan:
 
 def _steps(given: dict[str, Any], rate: float | None) -> Scan:
     from dehyst._errors import RecordError
-    from dehyst.waveforms.steps import Steps
+    from dehyst.waveforms import Steps
 
     try:
         levels = tuple(float(level) * _MICRO for level in given.pop("levels").split(","))

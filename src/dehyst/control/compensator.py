@@ -19,8 +19,7 @@ from dehyst.control.preview import Preview
 from dehyst.control.reachable import reachable_range, state_within_limits
 from dehyst.control.snapshot import Snapshot, key_of
 from dehyst.control.trajectory import Command, follow
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
+from dehyst.model import Actuator, State
 from dehyst.model.plausibility import ANYWAY
 from dehyst.model.python_control import compensator_block, labels
 

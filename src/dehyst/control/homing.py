@@ -19,11 +19,8 @@ from dehyst._validation import interval, number
 from dehyst.control.homing_in_time import Swing
 from dehyst.control.major_loop import MajorLoop
 from dehyst.control.state_bounds import StateBounds, first_move_error, least_width, moves_on
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.model.elements import GradedSlip
-from dehyst.waveforms.excitation import Excitation
-from dehyst.waveforms.playback import Sampling
+from dehyst.model import Actuator, GradedSlip, State
+from dehyst.waveforms import Excitation, Sampling
 
 
 @dataclass(frozen=True, eq=False)

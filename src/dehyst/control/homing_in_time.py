@@ -21,10 +21,8 @@ from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control.major_loop import MajorLoop
 from dehyst.control.state_bounds import StateBounds, moves_on
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.waveforms.excitation import Excitation
-from dehyst.waveforms.playback import Leg, Sampling
+from dehyst.model import Actuator, State
+from dehyst.waveforms import Excitation, Leg, Sampling
 
 # Of the range of the spring's knots: what a good model misses; creep takes long to leave less.
 _TOLERANCE = 1e-3

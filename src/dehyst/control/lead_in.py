@@ -9,10 +9,10 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
 from dehyst.control.trajectory import Command
-from dehyst.model.base import State
+from dehyst.model import State
+from dehyst.waveforms import MotionLimits, ScanPath
 from dehyst.waveforms.excitation import positive, refuse_long
 from dehyst.waveforms.profiles import Bridge, PathPoint
-from dehyst.waveforms.scan import MotionLimits, ScanPath
 
 _LEAST = 4
 _LONGER = 2**0.25

@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.model.actuator import Actuator
-from dehyst.model.elements import GradedSlip, on_curve
+from dehyst.model import Actuator, GradedSlip
+from dehyst.model.elements import on_curve
 
 _ROUNDING = 1e-12
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.model.actuator import Actuator
+from dehyst.model import Actuator
 
 _WHOLE = 1e-9
 # Steps of a delay, or of a radian of the resonance.

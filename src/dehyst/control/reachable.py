@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dehyst._native import EMPTY
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
+from dehyst.model import Actuator, State
 
 _ROUNDING = 1e-12
 

@@ -12,9 +12,7 @@ from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import read_json, write_json
 from dehyst._types import Array
 from dehyst._validation import vector
-from dehyst.model import serialization
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
+from dehyst.model import Actuator, State, serialization
 
 FORMAT = "dehyst-loop"
 VERSION = 1

@@ -13,9 +13,9 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.lead_in import follow
 from dehyst.control.steady_state import steady_state
 from dehyst.control.trajectory import Command
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.waveforms.scan import ScanPath, counted, whole
+from dehyst.model import Actuator, State
+from dehyst.waveforms import ScanPath
+from dehyst.waveforms.scan import counted, whole
 
 # Of the voltages of a cycle: by so much it may differ from the next.
 _REPEATS = 1e-9

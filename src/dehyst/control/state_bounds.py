@@ -17,9 +17,7 @@ from dehyst._native import slip_elongations
 from dehyst._types import Array, Mask
 from dehyst._validation import number, vector
 from dehyst.control.major_loop import MajorLoop
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.model.elements import MaxwellSlip
+from dehyst.model import Actuator, MaxwellSlip, State
 
 Counts = NDArray[np.intp]
 # Of the range: well above rounding, well below anything a sensor sees.

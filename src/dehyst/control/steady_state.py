@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
+from dehyst.model import Actuator, State
 from dehyst.model.evaluator import PathData
-from dehyst.waveforms.scan import ScanPath
+from dehyst.waveforms import ScanPath
 
 # Enough for a piecewise smooth map that contracts; the straight one of Dahl's elements takes one.
 _ROUNDS = 100

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import VoltageLimits
-from dehyst.model.actuator import Actuator
-from dehyst.model.replay import simulated
+from dehyst.model import Actuator, simulated
+from dehyst.records import Record
 from dehyst.records.metrics import largest, percent, rms
-from dehyst.records.record import Record
-from dehyst.waveforms.excitation import Excitation
+from dehyst.waveforms import Excitation
 
 # Turning points of the path to follow, as fractions of the stroke: nine of them, no two alike.
 TURNS = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)

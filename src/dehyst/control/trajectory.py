@@ -13,8 +13,7 @@ from dehyst._native import CoreState
 from dehyst._types import Array, Mask
 from dehyst._validation import vector
 from dehyst.control.limits import TIME_NEEDED, VoltageLimits
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import Motion, State
+from dehyst.model import Actuator, Motion, State
 from dehyst.model.evaluator import PathData
 
 _CHUNK = 64

@@ -18,12 +18,11 @@ from dehyst.control.homing import Homing, shortest_homing
 from dehyst.control.homing_in_time import leg_seconds
 from dehyst.control.lead_in import approach_to
 from dehyst.control.start_up import StartUp, settle, start_up_cycles
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.waveforms.excitation import Excitation, positive, refuse_long, volts
-from dehyst.waveforms.playback import Sampling
-from dehyst.waveforms.scan import MotionLimits, Scan, whole
-from dehyst.waveforms.standard import homing as homing_through
+from dehyst.model import Actuator, State
+from dehyst.waveforms import Excitation, MotionLimits, Sampling, Scan
+from dehyst.waveforms import homing as homing_through
+from dehyst.waveforms.excitation import positive, refuse_long, volts
+from dehyst.waveforms.scan import whole
 
 # Of the stroke: as near as the first steady cycle comes to the later ones.
 _TOLERANCE = 1e-4

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._io.drafts import PathLike, draft_of, path_of, settle, settle_folder, unwritten
 from dehyst._version import __version__
-from dehyst.control.compensator import Compensator
+from dehyst.control import Compensator
 from dehyst.exports.footprint import (
     CORTEX_M4,
     CORTEX_M4_SMALL,

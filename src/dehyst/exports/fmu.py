@@ -20,7 +20,7 @@ from dehyst._errors import FileFormatError, ModelError
 from dehyst._io.drafts import PathLike, path_of, write_atomically
 from dehyst._io.marks import demand_replaceable
 from dehyst._version import __version__
-from dehyst.control.compensator import Compensator
+from dehyst.control import Compensator
 from dehyst.exports.firmware import SOURCES, code
 from dehyst.exports.fmu_description import Description, Kind, Version
 from dehyst.exports.footprint import run

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, TypeAlias
 from xml.etree import ElementTree
 
 from dehyst._version import __version__
-from dehyst.control.compensator import Compensator
+from dehyst.control import Compensator
 from dehyst.exports.naming import printable
 from dehyst.exports.start import ExportedStart
 

@@ -11,7 +11,7 @@ from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._version import __version__
-from dehyst.control.compensator import Compensator
+from dehyst.control import Compensator
 from dehyst.exports.naming import in_comment
 from dehyst.exports.start import ExportedStart
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dehyst.control.compensator import Compensator
+from dehyst.control import Compensator
 from dehyst.exports.model_header import Sizes, demand_compensator
 
 # Steps of `dehyst_smooth_solve` beside those that pass events.

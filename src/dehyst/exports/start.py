@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dehyst.control.compensator import Compensator
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
+from dehyst.control import Compensator
+from dehyst.model import Actuator, State
 
 # Of the limits' range.
 _NEAR = 0.01

@@ -1,1 +1,7 @@
-"""identification."""
+"""Identification: from records to an actuator."""
+
+from dehyst.identification.identify import identify
+from dehyst.identification.settings import Method
+from dehyst.identification.solvers.program import Norm
+
+__all__ = ["Method", "Norm", "identify"]

@@ -10,8 +10,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification.regression.wide_regression import WideRegression
-from dehyst.model.actuator import Actuator
-from dehyst.model.dynamics import Dynamics
+from dehyst.model import Actuator, Dynamics
 
 # Inertia must lower the RMS residual to this part, or it is left out.
 _WORTH = 0.8

@@ -33,11 +33,8 @@ from dehyst.identification.structure_selection import StructureTrial
 from dehyst.identification.structured_fit import StructuredFit
 from dehyst.identification.training_data import TrainingData
 from dehyst.identification.validation import MOST_ROWS, Protocol, errors_of
-from dehyst.model.actuator import Actuator
-from dehyst.model.elements import MaxwellSlip, Spring
-from dehyst.model.fit import Fit, Outcome, RecordErrors, Trace
-from dehyst.model.structure import Structure
-from dehyst.records.record import Record
+from dehyst.model import Actuator, Fit, MaxwellSlip, Outcome, RecordErrors, Spring, Structure, Trace
+from dehyst.records import Record
 
 # A model that misses its own training records by more of the range than this is of no use.
 _USELESS_PERCENT = 5.0

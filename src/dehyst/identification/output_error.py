@@ -20,7 +20,7 @@ from dehyst.identification.simulation_error import SimulationError
 from dehyst.identification.solvers.program import solve
 from dehyst.identification.structure_selection import blocks
 from dehyst.identification.structured_fit import StructuredFit
-from dehyst.model.actuator import Actuator
+from dehyst.model import Actuator
 from dehyst.records.metrics import rms
 
 _STEPS = 3

@@ -12,10 +12,9 @@ from dehyst._types import Array
 from dehyst.identification.diagnostics.branches import Branch, families, voltage_at
 from dehyst.identification.settings import Direction
 from dehyst.identification.solvers import program
-from dehyst.model.actuator import Actuator
-from dehyst.model.elements import MaxwellSlip, Spring, parts_in_segments
-from dehyst.model.fit import Outcome
-from dehyst.records.record import Record
+from dehyst.model import Actuator, MaxwellSlip, Outcome, Spring
+from dehyst.model.elements import parts_in_segments
+from dehyst.records import Record
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.identification.dynamics_search import significant_delay
 from dehyst.identification.simulation_error import SimulationError
-from dehyst.model.actuator import Actuator
-from dehyst.model.dynamics import Dynamics
+from dehyst.model import Actuator, Dynamics
 from dehyst.records.metrics import rms
 
 # An amplifier's lag must lower the RMS error to this part, or it is left out: it looks much like a delay.

@@ -12,9 +12,8 @@ from dehyst._types import Array
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import Epoch
 from dehyst.identification.validation import Protocol, compare, without_offset
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.records.record import Record
+from dehyst.model import Actuator, State
+from dehyst.records import Record
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
-from dehyst.model.structure import Structure
+from dehyst.model import Structure
 from dehyst.records.metrics import rms
 from dehyst.records.signals import turning_points
 

@@ -13,8 +13,7 @@ from dehyst.identification.resonance_tuning import tune_resonance
 from dehyst.identification.simulation_error import SimulationError
 from dehyst.identification.solvers.program import Norm
 from dehyst.identification.training_data import TrainingData
-from dehyst.model.actuator import Actuator
-from dehyst.model.structure import Structure
+from dehyst.model import Actuator, Structure
 from dehyst.records.metrics import rms
 
 # The program and the simulation agree on dynamics after so many rounds, or when one lowers the error by less than this.

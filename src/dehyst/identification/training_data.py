@@ -21,8 +21,8 @@ from dehyst.identification.regression.wide_regression import WideCoefficients, W
 from dehyst.identification.regression.wide_streaming import WideStream
 from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure_selection import StructureTrial, held_out_error, select
-from dehyst.model.structure import Structure
-from dehyst.records.record import Record
+from dehyst.model import Structure
+from dehyst.records import Record
 from dehyst.records.signals import turning_points
 
 # Rows for a trial, and for the final program.

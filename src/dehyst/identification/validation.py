@@ -21,11 +21,9 @@ from dehyst.identification.regression.nuisances import find_datum
 from dehyst.identification.regression.regression import Coefficients, Regression
 from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import Motion, State
-from dehyst.model.fit import RecordErrors, Trace
+from dehyst.model import Actuator, Motion, RecordErrors, State, Trace
+from dehyst.records import Record
 from dehyst.records.metrics import largest
-from dehyst.records.record import Record
 
 # Rows in memory: more are gone through in blocks.
 MOST_ROWS = 200_000

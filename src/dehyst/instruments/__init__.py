@@ -2,9 +2,12 @@
 
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
 from dehyst.instruments.addresses import open_rig
-from dehyst.instruments.base import AbstractRig, Listener, Reading, Samples
+from dehyst.instruments.base import AbstractRig
+from dehyst.instruments.host_timed import HIGHEST_RATE, host_timed
+from dehyst.instruments.samples import Listener, Reading, Samples
 
 __all__ = [
+    "HIGHEST_RATE",
     "AbstractRig",
     "DeviceError",
     "LinkError",
@@ -13,5 +16,6 @@ __all__ = [
     "RigError",
     "Samples",
     "SensorError",
+    "host_timed",
     "open_rig",
 ]

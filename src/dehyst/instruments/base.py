@@ -17,16 +17,15 @@ from numpy.typing import NDArray
 from dehyst._errors import DeviceError, ModelError, RecordError, RigError
 from dehyst._types import Array
 from dehyst._validation import number
-from dehyst.control.compensator import ClampWarning
-from dehyst.control.limits import VoltageLimits
+from dehyst.control import ClampWarning, VoltageLimits
 from dehyst.control.ramps import ramp_step
 from dehyst.instruments.driver_errors import finite, leafs_own, reading_of
 from dehyst.instruments.interrupts import shielded
 from dehyst.instruments.limits import common, refuse
 from dehyst.instruments.samples import ASTRAY, Inspection, Listener, Reading, Samples
 from dehyst.instruments.sensor_watch import SensorWatch
-from dehyst.records.record import Record
-from dehyst.waveforms.excitation import Excitation
+from dehyst.records import Record
+from dehyst.waveforms import Excitation
 
 __all__ = ["AbstractRig", "Listener", "Reading", "Samples"]
 

@@ -12,14 +12,12 @@ from typing import Any
 from dehyst._errors import DeviceError, MissingExtraError, ModelError, RigError
 from dehyst._native import EMPTY
 from dehyst._validation import number
-from dehyst.control.compensator import Compensator
-from dehyst.control.homing import shortest_homing
-from dehyst.control.limits import VoltageLimits
+from dehyst.control import Compensator, VoltageLimits, shortest_homing
 from dehyst.control.ramps import homing_steps, ramp_step
 from dehyst.control.reachable import state_at
 from dehyst.instruments.epics import PvNames
 from dehyst.instruments.samples import ASTRAY
-from dehyst.model.actuator import Actuator
+from dehyst.model import Actuator
 
 try:
     from bluesky.plan_stubs import stop, wait_for

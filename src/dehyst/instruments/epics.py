@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst._types import Array
-from dehyst.control.limits import VoltageLimits
+from dehyst.control import VoltageLimits
 from dehyst.instruments.base import AbstractRig, Reading, Samples
 from dehyst.instruments.channel_access import ChannelAccess
 from dehyst.instruments.host_timed import HIGHEST_RATE, host_timed

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dehyst._errors import RecordError, RigError
-from dehyst.control.limits import VoltageLimits
-from dehyst.waveforms.excitation import Excitation
+from dehyst.control import VoltageLimits
+from dehyst.waveforms import Excitation
 
 # A rig that nobody gave a slew rate takes this part of a second for its whole range.
 _SHORTEST_SWEEP = 0.1

@@ -13,7 +13,7 @@ import numpy as np
 
 from dehyst._errors import DeviceError, LinkError, MissingExtraError, RigError
 from dehyst._types import Array
-from dehyst.control.limits import VoltageLimits
+from dehyst.control import VoltageLimits
 from dehyst.instruments.base import AbstractRig, Reading, Samples
 
 # Seconds from one look at what has come to the next, and without anything new until it is called silent.

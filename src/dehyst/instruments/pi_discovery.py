@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from dehyst._errors import DeviceError, LinkError, RigError
-from dehyst.control.limits import VoltageLimits
+from dehyst.control import VoltageLimits
 from dehyst.instruments import gcs_syntax
 from dehyst.instruments.gcs_client import GcsClient
 

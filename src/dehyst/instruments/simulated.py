@@ -7,12 +7,10 @@ from typing import Any
 
 from dehyst._errors import DeviceError
 from dehyst._types import Array
-from dehyst.control.limits import VoltageLimits
+from dehyst.control import VoltageLimits
 from dehyst.instruments.base import AbstractRig, Reading, Samples
-from dehyst.model.actuator import Actuator
-from dehyst.virtual import VirtualActuator
-from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.modelled import ModelledActuator
+from dehyst.model import Actuator
+from dehyst.virtual import ModelledActuator, VirtualActuator, VirtualBench
 
 # A wave comes in so many lots, for progress to be seen.
 _LOTS = 100

@@ -5,7 +5,8 @@ from __future__ import annotations
 from os import PathLike
 
 from dehyst._io.drafts import write_atomically
-from dehyst.baselines.comparison import OURS, ModelComparison, RecordScore
+from dehyst.baselines import ModelComparison
+from dehyst.baselines.comparison import OURS, RecordScore
 from dehyst.baselines.tracking_trials import TrackingErrors
 from dehyst.report.html import Row, document, escape, length, number, table
 

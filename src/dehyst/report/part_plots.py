@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dehyst.model.actuator import Actuator
-from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.model import Actuator, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.summary import Slopes, bend, step_response
 from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, inline, length_unit
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import re
 
-from dehyst.model.actuator import Actuator
-from dehyst.model.creep import Creep
-from dehyst.model.elements import GradedSlip
-from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.model import Actuator, Creep, GradedSlip, SmoothSlip
 from dehyst.model.summary import parts_of
 from dehyst.report import part_plots
 from dehyst.report.html import Row, figure, number, panel, table

@@ -16,8 +16,7 @@ import numpy as np
 from dehyst._errors import MissingExtraError
 from dehyst._io.drafts import write_atomically
 from dehyst._types import Array
-from dehyst.model.elements import MaxwellSlip, Spring
-from dehyst.model.fit import Trace
+from dehyst.model import MaxwellSlip, Spring, Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

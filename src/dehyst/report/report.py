@@ -12,24 +12,21 @@ import numpy as np
 
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst._types import Array
-from dehyst.baselines.comparison import ModelComparison
-from dehyst.control.tracking import TrackedPath
+from dehyst.baselines import ModelComparison
+from dehyst.control import TrackedPath
 from dehyst.identification.structure_selection import label
-from dehyst.model.actuator import Actuator
-from dehyst.model.elements import GradedSlip, MaxwellSlip
-from dehyst.model.fit import Fit, Outcome, RecordErrors, Trace
-from dehyst.model.structure import Structure
+from dehyst.model import Actuator, Fit, GradedSlip, MaxwellSlip, Outcome, RecordErrors, Structure, Trace
 from dehyst.report import plots
 from dehyst.report.comparison_section import comparison_sections
 from dehyst.report.html import MINUS, Row, document, escape, figure, length, number, panel, table
 from dehyst.report.parts_section import made_of
 from dehyst.report.tracking_section import followed_sections
 from dehyst.report.uncertainty_section import sections
-from dehyst.uncertainty.insight import Insight
+from dehyst.uncertainty import Insight
 from dehyst.uncertainty.wide_insight import WideInsight
 
 if TYPE_CHECKING:
-    from dehyst.instruments.calibration.experiment import Calibration
+    from dehyst.instruments.calibration import Calibration
 
 MOST_RECORDS = 6
 NONE: Mapping[str, TrackedPath] = {}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dehyst.control.tracking import TrackedPath
+from dehyst.control import TrackedPath
 from dehyst.report.html import figure, length, number, panel, table
 from dehyst.report.plots import INK, MEASURED, SIMULATED, inline, length_unit
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dehyst.control.homing import Homing
+from dehyst.control import Homing
 from dehyst.report import uncertainty_plots
 from dehyst.report.html import Row, escape, figure, length, number, panel, table
-from dehyst.uncertainty.insight import Insight
+from dehyst.uncertainty import Insight
 from dehyst.uncertainty.prediction_band import ERRORS
 from dehyst.uncertainty.wide_insight import WideInsight
 

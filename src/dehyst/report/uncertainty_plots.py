@@ -9,7 +9,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, inline, length_unit
-from dehyst.uncertainty.insight import Insight
+from dehyst.uncertainty import Insight
 from dehyst.uncertainty.prediction_band import PredictionBand
 from dehyst.uncertainty.wide_insight import WideInsight
 

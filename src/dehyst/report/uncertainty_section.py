@@ -12,7 +12,7 @@ from dehyst.report import uncertainty_plots
 from dehyst.report.html import Row, document, escape, figure, length, number, panel, table
 from dehyst.report.trust_section import state, trajectory, verdict
 from dehyst.report.wide_uncertainty_section import wide_sections
-from dehyst.uncertainty.insight import Insight
+from dehyst.uncertainty import Insight
 from dehyst.uncertainty.wide_insight import WideInsight
 
 _MOST_SENTENCES = 24

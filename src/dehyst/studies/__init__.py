@@ -1,1 +1,1 @@
-"""studies."""
+"""Studies: the demo and the paper, done again with virtual actuators."""

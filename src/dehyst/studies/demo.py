@@ -13,15 +13,14 @@ from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import write_json
 from dehyst._io.marks import demand_own_folder, make_own_folder
 from dehyst._types import Array
-from dehyst.control.compensator import Compensator
+from dehyst.control import Compensator
 from dehyst.control.tracking import wanted_path
-from dehyst.identification.identify import identify
-from dehyst.model.fit import Fit
-from dehyst.records.files import write_columns, write_record
+from dehyst.identification import identify
+from dehyst.model import Fit
+from dehyst.records import Record, write_columns, write_record
 from dehyst.records.metrics import largest, percent, rms
-from dehyst.records.record import Record
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Sampling, descending_tops, raised_cosine
+from dehyst.waveforms import Sampling, descending_tops, raised_cosine
 
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
@@ -129,7 +128,7 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
     )
     names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json"]
     if report:
-        from dehyst.report.report import write_report
+        from dehyst.report import write_report
 
         write_report(
             target / "report.html",

@@ -22,13 +22,12 @@ from numpy.typing import ArrayLike
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._threads import one_thread
 from dehyst._types import Array
+from dehyst.identification import Norm
 from dehyst.identification.regression.regression import Coefficients, Regression
 from dehyst.identification.regression.wide_regression import WideCoefficients
-from dehyst.identification.solvers.program import Norm
 from dehyst.identification.validation import RecordComparison
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.records.record import Record
+from dehyst.model import Actuator, State
+from dehyst.records import Record
 from dehyst.records.signals import turning_points
 from dehyst.uncertainty.evidence import Evidence
 from dehyst.uncertainty.wide_evidence import WideEvidence

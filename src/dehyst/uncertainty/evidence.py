@@ -14,9 +14,8 @@ from dehyst.identification.diagnostics.identifiability import Identifiability, i
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.regression import Coefficients, Regression
 from dehyst.identification.validation import MOST_ROWS, RecordComparison, compare_all
-from dehyst.model.actuator import Actuator
-from dehyst.model.elements import MaxwellSlip, Spring
-from dehyst.records.record import Record
+from dehyst.model import Actuator, MaxwellSlip, Spring
+from dehyst.records import Record
 
 
 @dataclass(frozen=True, eq=False)

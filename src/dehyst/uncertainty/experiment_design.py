@@ -12,9 +12,9 @@ from dehyst._threads import one_thread
 from dehyst._validation import interval
 from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.cleaning import cycle_time
-from dehyst.records.record import Record
+from dehyst.records import Record
 from dehyst.uncertainty.evidence import Evidence
-from dehyst.waveforms.standard import Excitation, Sampling, descending_tops, minor_loop, raised_cosine, reversal_curves
+from dehyst.waveforms import Excitation, Sampling, descending_tops, minor_loop, raised_cosine, reversal_curves
 
 _SAMPLES_A_CYCLE = 200
 

@@ -20,8 +20,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.identification.regression.regression import Coefficients, Regression
 from dehyst.identification.solvers import program
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
+from dehyst.model import Actuator, State
 from dehyst.records.signals import turning_points
 from dehyst.uncertainty.evidence import Evidence
 

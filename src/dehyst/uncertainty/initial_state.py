@@ -13,11 +13,10 @@ from dehyst._threads import one_thread
 from dehyst._types import Array, Mask
 from dehyst.identification.preprocessing.cleaning import remove_glitches
 from dehyst.identification.solvers import program
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
+from dehyst.model import Actuator, State
 from dehyst.model.elements import segment_of
+from dehyst.records import Record
 from dehyst.records.metrics import rms
-from dehyst.records.record import Record
 from dehyst.uncertainty.rest_states import ROUNDING, Indices, RestStates, demand_actuator, size_of
 
 # A relaxed start explains a rise as well as the best one if its RMS error is not above the best one's by this factor

@@ -13,11 +13,10 @@ from dehyst._errors import ModelError
 from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._validation import interval, vector
-from dehyst.control.compensator import Compensator
-from dehyst.control.homing import Homing, shortest_homing
+from dehyst.control import Compensator, Homing, shortest_homing
 from dehyst.identification.diagnostics.identifiability import Identifiability
-from dehyst.model.actuator import Actuator
-from dehyst.records.record import Record
+from dehyst.model import Actuator
+from dehyst.records import Record
 from dehyst.uncertainty.bootstrap import LEAST_REPEATS, Intervals, resample
 from dehyst.uncertainty.evidence import Evidence
 from dehyst.uncertainty.experiment_design import Suggestion, advise

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dehyst.control.homing import Homing
+from dehyst.control import Homing
 from dehyst.identification.validation import RecordComparison
-from dehyst.model.actuator import Actuator
+from dehyst.model import Actuator
 from dehyst.records.metrics import largest
 
 # A model that misses records by more than this part of their range [%] is no model of them.

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.control.homing import shortest_homing
-from dehyst.control.trajectory import Command
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
+from dehyst.control import Command, shortest_homing
+from dehyst.model import Actuator, State
 from dehyst.records.metrics import largest
 from dehyst.uncertainty.bootstrap import Intervals
 from dehyst.uncertainty.feasible_set import FeasibleSet
-from dehyst.waveforms.excitation import Excitation
+from dehyst.waveforms import Excitation
 
 # What each of `PredictionBand.errors` comes from.
 ERRORS = {

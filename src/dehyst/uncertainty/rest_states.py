@@ -22,9 +22,7 @@ from dehyst._types import Array
 from dehyst._validation import number, vector
 from dehyst.control.major_loop import MajorLoop
 from dehyst.identification.solvers import program
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.model.elements import GradedSlip
+from dehyst.model import Actuator, GradedSlip, State
 
 Indices = NDArray[np.intp]
 

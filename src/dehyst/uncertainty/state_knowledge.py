@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dehyst.control.state_bounds import StateBounds, known_by_displacement, moves_on
+from dehyst.control import StateBounds
+from dehyst.control.state_bounds import known_by_displacement, moves_on
 from dehyst.identification.validation import RecordComparison
-from dehyst.model.actuator import Actuator
-from dehyst.model.elements import GradedSlip, MaxwellSlip
+from dehyst.model import Actuator, GradedSlip, MaxwellSlip
 
 # An element that holds less of the voltage than this has nothing to be homed for.
 _SMALL = 1e-9

@@ -17,13 +17,9 @@ from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import coefficients_of, grid_of
 from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
 from dehyst.identification.validation import RecordComparison, compare_all
-from dehyst.model.actuator import Actuator
-from dehyst.model.creep import Creep
-from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model.smooth_slip import SmoothSlip
-from dehyst.model.structure import Structure
+from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Structure, Transformer
+from dehyst.records import Record
 from dehyst.records.metrics import rms
-from dehyst.records.record import Record
 
 # A row has a column for each coefficient, of which there may be hundreds.
 _MOST_ROWS = 8000

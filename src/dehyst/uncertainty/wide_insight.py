@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.control.compensator import Compensator
-from dehyst.control.homing import Homing, shortest_homing
+from dehyst.control import Compensator, Homing, shortest_homing
 from dehyst.identification.diagnostics.identifiability import Identifiability, probe_identifiability
 from dehyst.identification.preprocessing.cleaning import cycle_time
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.records.record import Record
+from dehyst.model import Actuator, State
+from dehyst.records import Record
 from dehyst.uncertainty.bootstrap import Intervals, resample
 from dehyst.uncertainty.messages import beyond, misfit_of, not_homed, of_another
 from dehyst.uncertainty.part_identifiability import SHARP, PartIdentifiability, part_identifiability

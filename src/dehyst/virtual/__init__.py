@@ -9,8 +9,10 @@ Each has a `stroke` [m] at its `highest` voltage [V] on the major loop, and is d
 """
 
 from dehyst.virtual.base import VirtualActuator
+from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.bouc_wen import BoucWenActuator
+from dehyst.virtual.modelled import ModelledActuator
 from dehyst.virtual.plays import PlayActuator
 from dehyst.virtual.preisach import PreisachActuator
 
-__all__ = ["BoucWenActuator", "PlayActuator", "PreisachActuator", "VirtualActuator"]
+__all__ = ["BoucWenActuator", "ModelledActuator", "PlayActuator", "PreisachActuator", "VirtualActuator", "VirtualBench"]

@@ -9,9 +9,9 @@ import numpy as np
 
 from dehyst._errors import DeviceError
 from dehyst._types import Array
-from dehyst.control.limits import VoltageLimits
-from dehyst.model.actuator import Actuator
-from dehyst.virtual import VirtualActuator
+from dehyst.control import VoltageLimits
+from dehyst.model import Actuator
+from dehyst.virtual.base import VirtualActuator
 from dehyst.virtual.modelled import ModelledActuator
 
 # Share of a servo period that a jump of the voltage takes.

@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 from dehyst._errors import DeviceError
 from dehyst._types import Array
 from dehyst._validation import interval, vector
-from dehyst.control.limits import VoltageLimits
-from dehyst.model.actuator import Actuator
-from dehyst.virtual import VirtualActuator
+from dehyst.control import VoltageLimits
+from dehyst.model import Actuator
 from dehyst.virtual.amplifier import Amplifier, Extremes
-from dehyst.virtual.base import Sensor
+from dehyst.virtual.base import Sensor, VirtualActuator
 from dehyst.virtual.modelled import fingerprint
 
 __all__ = ["Extremes", "VirtualBench"]

@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import untimely, vector
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualActuator
+from dehyst.model import Actuator, State
+from dehyst.virtual.base import VirtualActuator
+from dehyst.virtual.bouc_wen import BoucWenActuator
+from dehyst.virtual.plays import PlayActuator
+from dehyst.virtual.preisach import PreisachActuator
 
 # Share of a step that the creeping one adds in each decade of time.
 _CREEP = 0.01

@@ -15,9 +15,8 @@ from dehyst.identification.diagnostics.closure import creep, gaps
 from dehyst.identification.diagnostics.symmetry import RISK, Mirrored
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import epochs
-from dehyst.model.actuator import Actuator
-from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring
-from dehyst.model.fit import Check, RecordErrors, Verdict, may_creep
+from dehyst.model import Actuator, Check, GradedSlip, MaxwellSlip, RecordErrors, Spring, Verdict
+from dehyst.model.fit import may_creep
 from dehyst.records.signals import white_noise
 
 # What is smaller, in % of the range, is of no consequence: a record of 50 samples a cycle is read no better.

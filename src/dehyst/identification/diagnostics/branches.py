@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 # Turning points nearer to one another than this part of the stroke are the same.
 _SAME = 0.02

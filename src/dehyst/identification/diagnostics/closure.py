@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import epochs
-from dehyst.records.record import Record
+from dehyst.records import Record
 from dehyst.records.signals import white_noise
 
 _MOST_AT_TURN = 16

@@ -14,7 +14,7 @@ from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import Rows, collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers import program
-from dehyst.records.record import Record
+from dehyst.records import Record
 from dehyst.records.signals import turning_points
 
 _MOST_ROWS = 20_000

@@ -12,7 +12,8 @@ from dehyst.identification.dynamics_search import significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.regression.regression import Coefficients, Regression
-from dehyst.model.fit import FEWEST_DECADES, Outcome, RecordErrors
+from dehyst.model import Outcome, RecordErrors
+from dehyst.model.fit import FEWEST_DECADES
 
 # Below this many times the noise an element's stiffness comes out too small.
 _LOUD = 30

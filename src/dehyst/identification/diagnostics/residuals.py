@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification.diagnostics.symmetry import RISK
-from dehyst.model.actuator import Actuator
-from dehyst.model.fit import Check, RecordErrors, Trace, Verdict, may_creep
+from dehyst.model import Actuator, Check, RecordErrors, Trace, Verdict
+from dehyst.model.fit import may_creep
 from dehyst.model.summary import Slopes
 from dehyst.records.signals import turning_points
 

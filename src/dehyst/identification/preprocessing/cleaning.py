@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from dehyst._types import Array
+from dehyst.records import Record
 from dehyst.records.glitches import Glitch, glitch_sentences, glitches
-from dehyst.records.record import Record
 
 _BINS = 64
 # Displacements in a hole that lie beyond those beside it by this part of the stroke show a reversal.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification.preprocessing.cleaning import cycle_time
-from dehyst.records.record import Record
+from dehyst.records import Record
 from dehyst.records.signals import turning_points, white_noise
 
 # Turns of the voltage below this part of its range, or below its noise, are none; a hold moves less than a tenth of it

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from dehyst._types import Array
-from dehyst.model.dynamics import Dynamics
-from dehyst.records.record import Record
+from dehyst.model import Dynamics
+from dehyst.records import Record
 
 # Derivatives are those of the fourth-order polynomial through this many neighbours.
 _WINDOW, _ORDER = 9, 4

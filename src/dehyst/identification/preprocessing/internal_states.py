@@ -10,9 +10,10 @@ import numpy as np
 
 from dehyst._native import smooth_elongations, strains
 from dehyst._types import Array
-from dehyst.model.creep import Creep, clock
+from dehyst.model import Creep
+from dehyst.model.creep import clock
 from dehyst.model.structure import Grid
-from dehyst.records.record import Record
+from dehyst.records import Record
 
 # Samples of a lead that are gone through at a time.
 _BLOCK = 32_768

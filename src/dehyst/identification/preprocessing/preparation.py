@@ -12,8 +12,8 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.regressors import epochs
-from dehyst.model.creep import Creep
-from dehyst.records.record import Record
+from dehyst.model import Creep
+from dehyst.records import Record
 
 _SHORTEST = 20
 

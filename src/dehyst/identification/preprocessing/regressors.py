@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dehyst._native import slip_elongations
 from dehyst._types import Array
-from dehyst.records.record import Record
+from dehyst.records import Record
 from dehyst.records.signals import white_noise
 
 _SHORTEST_EPOCH = 16

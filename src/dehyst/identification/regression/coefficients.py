@@ -7,10 +7,7 @@ from typing import Any
 import numpy as np
 
 from dehyst.identification.regression.wide_regression import WideCoefficients
-from dehyst.model.actuator import Actuator
-from dehyst.model.creep import Creep
-from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.structure import Grid
 
 # A branch or smooth element that holds less of the voltage than this over the whole range is left out.

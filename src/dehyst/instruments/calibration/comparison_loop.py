@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.records.record import Record
-from dehyst.waveforms.excitation import Excitation
+from dehyst.records import Record
+from dehyst.waveforms import Excitation
 
 # A loop is compared in so many mean values, each over as many samples.
 _PARTS = 40

@@ -12,19 +12,20 @@ from dehyst._errors import IdentifyError, ModelError
 from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import finite, write_json
 from dehyst._version import __version__
-from dehyst.control.tracking import PathPlanner, PlannedRun, TrackedPath
-from dehyst.identification.identify import identify
+from dehyst.control import PathPlanner, TrackedPath
+from dehyst.control.tracking import PlannedRun
+from dehyst.identification import identify
 from dehyst.identification.preprocessing.cleaning import remove_glitches
 from dehyst.instruments.base import AbstractRig
 from dehyst.instruments.calibration.comparison_loop import Agreement
 from dehyst.instruments.calibration.plan import Plan, steps
 from dehyst.instruments.calibration.protocol import CreepCheck, creep_of
 from dehyst.instruments.calibration.session import NullProgress, ProgressListener, Session
-from dehyst.model.fit import Fit
-from dehyst.records.record import Record
-from dehyst.uncertainty.insight import Insight, insight
+from dehyst.model import Fit
+from dehyst.records import Record
+from dehyst.uncertainty import Insight, insight
 from dehyst.uncertainty.wide_insight import WideInsight
-from dehyst.waveforms.excitation import Excitation
+from dehyst.waveforms import Excitation
 
 __all__ = ["RESULTS", "Calibration", "Plan", "calibrate"]
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from dehyst._errors import RecordError
-from dehyst.control.tracking import PathPlanner
+from dehyst.control import PathPlanner
 from dehyst.instruments.base import AbstractRig
 from dehyst.instruments.calibration.comparison_loop import replay
 from dehyst.instruments.calibration.protocol import ExcitationPlan, sample_rate_for
-from dehyst.waveforms.excitation import Excitation, positive
+from dehyst.waveforms import Excitation
+from dehyst.waveforms.excitation import positive
 
 # What is known to come, for who watches.
 STEPS = ("look", "loops", "others", "identify", "nominal", "compensated", "report")

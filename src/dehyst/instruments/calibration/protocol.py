@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.records.record import Record
-from dehyst.waveforms.excitation import Excitation, positive
-from dehyst.waveforms.playback import Leg, Sampling
-from dehyst.waveforms.standard import descending_tops, raised_cosine, staircase
+from dehyst.records import Record
+from dehyst.waveforms import Excitation, Leg, Sampling, descending_tops, raised_cosine, staircase
+from dehyst.waveforms.excitation import positive
 
 _SAMPLES_A_CYCLE = 400
 # Cycles of the look that follow its holds, where the state is known.

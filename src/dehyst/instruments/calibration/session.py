@@ -16,11 +16,10 @@ from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.instruments.base import AbstractRig, Samples
 from dehyst.instruments.calibration.comparison_loop import Agreement, agreement, replay
-from dehyst.records.files import read
+from dehyst.records import Record, Recording, read
 from dehyst.records.hdf5 import digest
-from dehyst.records.record import Record
-from dehyst.records.recording import Recording, numbered, room, salvage
-from dehyst.waveforms.excitation import Excitation
+from dehyst.records.recording import numbered, room, salvage
+from dehyst.waveforms import Excitation
 
 FORMAT = "dehyst-calibration"
 

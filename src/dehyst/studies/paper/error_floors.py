@@ -9,7 +9,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.records.metrics import percent
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Sampling, raised_cosine
+from dehyst.waveforms import Sampling, raised_cosine
 
 # Fine enough that the sampling adds less than 1e-4 % of the range.
 _DRIVE = Sampling(sample_rate=40.0)
@@ -17,7 +17,7 @@ _PLACES = 801
 
 
 @dataclass(frozen=True, eq=False)
-class MajorLoop:
+class ClosedLoop:
     """The closed major loop of an actuator without noise.
 
     Attributes
@@ -30,7 +30,7 @@ class MajorLoop:
     falling: Array
 
     @classmethod
-    def of(cls, truth: PlayActuator) -> MajorLoop:
+    def of(cls, truth: PlayActuator) -> ClosedLoop:
         """Play two major cycles into a relaxed copy."""
         twin = replace(truth, noise=0.0)
         voltage = raised_cosine(truth.highest, cycles=2, drive=_DRIVE).voltage
@@ -49,7 +49,7 @@ class MajorLoop:
         return np.asarray(np.interp(up, *self.rising) - np.interp(down, *self.falling))
 
 
-def symmetric_width_floor(loop: MajorLoop) -> float:
+def symmetric_width_floor(loop: ClosedLoop) -> float:
     """Least largest error [% of the range] of any model whose loop is equally wide at mirrored places.
 
     At one y the branches of a plain Maxwell-slip model lie ``sum_i 2 kappa_i min(...)`` apart, which is the same at the
@@ -71,7 +71,7 @@ def symmetric_width_floor(loop: MajorLoop) -> float:
     return percent(high, loop.range)
 
 
-def chord_error(loop: MajorLoop, elements: int) -> float:
+def chord_error(loop: ClosedLoop, elements: int) -> float:
     """Largest error [% of the range] of straight segments through the break points of N = `elements`.
 
     A model that meets every break point has it; most of it lies in the first segment after a turning point.

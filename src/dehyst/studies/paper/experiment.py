@@ -9,20 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from dehyst._types import Array, Progress
-from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
-from dehyst.control.compensator import Compensator
-from dehyst.identification.identify import identify
+from dehyst.baselines import GoldfarbCelanovic
+from dehyst.control import Compensator
+from dehyst.identification import Method, Norm, identify
 from dehyst.identification.paper_methods import BreakPointLoop, loops_of
-from dehyst.identification.settings import Method
-from dehyst.identification.solvers.program import Norm
-from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
+from dehyst.model import Actuator, State
+from dehyst.records import Record
 from dehyst.records.metrics import largest, percent
-from dehyst.records.record import Record
-from dehyst.studies.paper.error_floors import MajorLoop
+from dehyst.studies.paper.error_floors import ClosedLoop
 from dehyst.uncertainty.rest_states import shift
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms.standard import Sampling, descending_tops, raised_cosine
+from dehyst.waveforms import Sampling, descending_tops, raised_cosine
 
 # The paper names the major loop's peak only; those of the two minor loops are a choice, in the ratio 10 : 7 : 3.5.
 PEAKS = {"major": 200.0, "medium": 140.0, "small": 70.0}
@@ -188,7 +185,7 @@ class Experiment:
     loops: tuple[BreakPointLoop, ...]
     trials: Mapping[str, PaperTrial]
     nominal: PaperTracking
-    exact: MajorLoop
+    exact: ClosedLoop
 
     @property
     def shift(self) -> Shift:
@@ -222,7 +219,7 @@ def run(truth: PlayActuator, tell: Progress) -> Experiment:
         rival = GoldfarbCelanovic.fit(runs[start.name].record, elements=ELEMENTS)
         trials[key] = _trial(truth, runs[start.name], key, rival.actuator, "CLOSED_FORM", rival.remarks)
     found = tuple(loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS))
-    return Experiment(truth, runs, found, trials, _tracked(truth, relaxed, None), MajorLoop.of(truth))
+    return Experiment(truth, runs, found, trials, _tracked(truth, relaxed, None), ClosedLoop.of(truth))
 
 
 def _recorded(truth: PlayActuator, start: Start, voltage: Array, seed: int) -> Measured:

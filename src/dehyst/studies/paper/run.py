@@ -12,7 +12,7 @@ from typing import Any
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst._io.json_files import write_json
 from dehyst._io.marks import demand_own_folder, make_own_folder
-from dehyst.records.files import write_columns
+from dehyst.records import write_columns
 from dehyst.studies.paper import experiment, tables
 from dehyst.studies.paper.experiment import Experiment
 from dehyst.studies.paper.tables import MODELS, PAPER

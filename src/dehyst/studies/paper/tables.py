@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.model.physical import Physical
+from dehyst.model import Physical
 from dehyst.studies.paper.error_floors import chord_error, parabola_chord_error, symmetric_width_floor
 from dehyst.studies.paper.experiment import (
     CYCLES,
