@@ -3,8 +3,8 @@
 Three parts; without one named, all:
 
 main      ours: the demo's virtual actuator, and every method on the measured records
-tracking every model of `dehyst compare` on every virtual actuator of `tracking_trials`: fitted to its records once, then
-          compensated along random paths, a path for each seed
+tracking every model of `dehyst compare` on every virtual actuator of `tracking_trials`: fitted to its records once,
+          then compensated along random paths, a path for each seed
 measured  every model on the measured records: fitted to the major loop and the first ramps, judged on the other ramps;
           ours a second time, told no more of what went before these than the others are
 

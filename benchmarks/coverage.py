@@ -15,8 +15,8 @@ import dehyst
 from dehyst.uncertainty.bootstrap import resample
 from dehyst.uncertainty.evidence import Evidence
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-import bench
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+import plain_records
 
 REPEATS = 200
 LEVEL = 0.9
@@ -40,11 +40,11 @@ def coverage(
 
     `noise` is in parts of the stroke, `samples` a leg of the record. The spring counts at its knots less the first.
     """
-    plant = bench.plant(elements, seed=1)
-    top = plant.turned(bench.STROKE)
+    plant = plain_records.plant(elements, seed=1)
+    top = plant.turned(plain_records.STROKE)
     highest = plant.voltage(top)
-    voltage = plant.compensate(bench.path(RECORDED, samples), state=top).voltage
-    path = plant.compensate(bench.path(PREDICTED, 50), state=top).voltage
+    voltage = plant.compensate(plain_records.path(RECORDED, samples), state=top).voltage
+    path = plant.compensate(plain_records.path(PREDICTED, 50), state=top).voltage
 
     def homed(actuator: dehyst.Actuator) -> dehyst.State:
         return actuator.simulate([0, highest, 0, highest]).state
@@ -52,7 +52,7 @@ def coverage(
     moved = plant.simulate(path, state=homed(plant)).displacement
     held: dict[str, list[np.ndarray]] = {"stiffness": [], "spring": [], "prediction": []}
     for seed in range(first_seed, first_seed + repeats):
-        record = bench.driven(plant, voltage, noise=noise * bench.STROKE, seed=seed, state=top)
+        record = plain_records.driven(plant, voltage, noise=noise * plain_records.STROKE, seed=seed, state=top)
         fit = dehyst.identify(
             record,
             breakaway=plant.slip.breakaway[:-1],

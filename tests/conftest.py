@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+import places
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -15,7 +16,7 @@ from dehyst._threads import one_thread
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-CORE = Path(__file__).resolve().parents[1] / "core"
+CORE = places.CORE
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
 
 # Shared machines stall: a time limit on one example would fail tests that are right.
@@ -138,7 +139,7 @@ def compiled(tmp_path):
 def fmus(tmp_path_factory):
     """(model, version, kind) to an FMU and the folder that it was unpacked to; each is made once."""
     import fmpy
-    from fmu_rig import ALL
+    from fmu_runner import ALL
 
     from dehyst.exports import export_fmu
 

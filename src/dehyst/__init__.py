@@ -7,6 +7,10 @@ Measured loops in, a physical model and the cancelling voltage out::
     command = dehyst.Compensator(fit.actuator, period=1e-3).trajectory(wanted_displacement)
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from dehyst._errors import (
     DehystError,
     FileFormatError,
@@ -14,9 +18,18 @@ from dehyst._errors import (
     MissingExtraError,
     ModelError,
     RecordError,
+    RigError,
 )
 from dehyst._version import __version__
-from dehyst.control import ClampWarning, Command, Compensator, Snapshot
+from dehyst.control import (
+    ClampWarning,
+    Command,
+    Compensator,
+    Snapshot,
+    VoltageLimits,
+    shortest_homing,
+    wave_table,
+)
 from dehyst.identification import identify
 from dehyst.model import (
     Actuator,
@@ -32,10 +45,17 @@ from dehyst.model import (
     SmoothSlip,
     Spring,
     State,
+    Structure,
     Trace,
     Transformer,
 )
 from dehyst.records import Record, read, write_record
+
+if TYPE_CHECKING:
+    from dehyst.baselines import compare
+    from dehyst.exports import export, export_fmu
+    from dehyst.instruments.calibration import calibrate
+    from dehyst.uncertainty import insight
 
 __all__ = [
     "Actuator",
@@ -58,14 +78,45 @@ __all__ = [
     "Record",
     "RecordError",
     "RecordErrors",
+    "RigError",
     "SmoothSlip",
     "Snapshot",
     "Spring",
     "State",
+    "Structure",
     "Trace",
     "Transformer",
+    "VoltageLimits",
     "__version__",
+    "calibrate",
+    "compare",
+    "export",
+    "export_fmu",
     "identify",
+    "insight",
     "read",
+    "shortest_homing",
+    "wave_table",
     "write_record",
 ]
+
+# Imported when they are used first: a control loop needs none of them.
+_LATE = {
+    "calibrate": "dehyst.instruments.calibration",
+    "compare": "dehyst.baselines",
+    "export": "dehyst.exports",
+    "export_fmu": "dehyst.exports",
+    "insight": "dehyst.uncertainty",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATE:
+        raise AttributeError(f"module 'dehyst' has no attribute '{name}'")
+    from importlib import import_module
+
+    return getattr(import_module(_LATE[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

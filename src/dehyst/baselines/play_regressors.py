@@ -67,7 +67,7 @@ class PlayRows:
     def solved(
         self, columns: Array, floors: Array | None = None, rough: Array | None = None, smoothing: float = 0.0
     ) -> Solved:
-        """Weights of columns (n, p) by nonnegative least squares; see `least_squares.nonnegative`."""
+        """Weights of columns (n, p) by nonnegative least squares; see `nonnegative_fit.nonnegative`."""
         few = self.training
         return nonnegative(columns, few.nuisances, few.displacement, floors, rough, smoothing)
 

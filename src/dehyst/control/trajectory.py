@@ -168,7 +168,7 @@ class _Path:
 
     @cached_property
     def clock(self) -> tuple[NDArray[np.int64], Array]:
-        """Runs of equal steps, see `WideModel.clock`."""
+        """Runs of equal steps, see `Evaluator.clock`."""
         return self.actuator.model.clock(self.time, self.wanted.size, TIME_NEEDED)
 
     @cached_property

@@ -80,7 +80,7 @@ class Actuator(AbstractModel):
     ------
     ModelError
         If the state does not fit the elements, the limits are no interval, graded elements leave a branch on which
-        the voltage does not rise with the displacement, or a number cannot be computed with (see `dehyst._computable`).
+        the voltage does not rise with the displacement, or a number cannot be computed with (above 1e30 in magnitude).
     """
 
     slip: MaxwellSlip | GradedSlip

@@ -32,7 +32,7 @@ class Creep:
     Raises
     ------
     ModelError
-        If lengths differ, or a value is impossible or cannot be computed with (see `dehyst._computable`).
+        If lengths differ, or a value is impossible or cannot be computed with (above 1e30 in magnitude).
     """
 
     time_constants: Array

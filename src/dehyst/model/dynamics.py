@@ -38,7 +38,7 @@ class Dynamics:
     Raises
     ------
     ModelError
-        If a number is impossible or cannot be computed with (see `dehyst._computable`).
+        If a number is impossible or cannot be computed with (above 1e30 in magnitude).
     """
 
     frequency: float

@@ -110,7 +110,7 @@ class GradedSlip:
     Raises
     ------
     ModelError
-        If shapes do not fit, or a value is impossible or cannot be computed with (see `dehyst._computable`).
+        If shapes do not fit, or a value is impossible or cannot be computed with (above 1e30 in magnitude).
     """
 
     breakaway: Array
@@ -177,7 +177,7 @@ class Spring:
     Raises
     ------
     ModelError
-        If lengths differ, a curve does not strictly increase, or cannot be computed with (see `dehyst._computable`).
+        If lengths differ, a curve does not strictly increase, or cannot be computed with (above 1e30 in magnitude).
     """
 
     displacement: Array
@@ -231,7 +231,7 @@ class Transformer:
     Raises
     ------
     ModelError
-        If lengths differ, a curve does not strictly increase, or cannot be computed with (see `dehyst._computable`).
+        If lengths differ, a curve does not strictly increase, or cannot be computed with (above 1e30 in magnitude).
     """
 
     voltage: Array

@@ -102,7 +102,7 @@ class Structure:
         return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Return the fields as JSON values."""
         return {
             "elements": self.elements,
             "spacing": self.spacing,

@@ -32,7 +32,8 @@ def _told(found: WideInsight) -> str:
     ]
     head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
     said = (
-        f"The turning points of the records tell {found.identifiability.determined} of {found.identifiability.of} directions of plain "
+        f"The turning points of the records determine {found.identifiability.determined} of {found.identifiability.of} "
+        "directions of plain "
         "elements: whether there are inner loops enough. "
         "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
         f"deviation is {100 * SHARP:g} % of the voltages at most, all other parts being free to make up for it. "

@@ -34,7 +34,7 @@ class Suggestion:
     determined, of : int
         Directions of the stiffnesses known with it, and all there are.
     weakest : float
-        Least singular value of those known [V/V]; see `dehyst.identification.diagnostics.identifiability.Directions`.
+        Least singular value of those known [V/V]; see `Identifiability`.
     """
 
     words: str

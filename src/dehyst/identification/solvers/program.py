@@ -2,8 +2,8 @@
 
     minimise || W (F a + P x - b) ||,   a free, x >= 0, C x >= l
 
-L1 is `reduction`, L2 is `squares`; L-infinity is a linear program solved by HiGHS with row generation. Each answer
-comes with its duality gap.
+L1 is `least_absolute_blocks`, L2 is `least_squares`; L-infinity is a linear program solved by HiGHS with row
+generation. Each answer comes with its duality gap.
 """
 
 from __future__ import annotations

@@ -36,7 +36,10 @@ _SECONDS, _A_SECOND = 5, 5_000_000
 _BESIDE = 256_000_000
 # Exit status of the helper after a child ended by a signal: that and the signal's number.
 _SIGNAL = 64
-_START = "import sys, json; sys.path[:] = json.loads(sys.argv[1]); from dehyst import reader_process as r; r.serve()"
+_START = (
+    "import sys, json; sys.path[:] = json.loads(sys.argv[1]); "
+    "from dehyst.records.formats import reader_process as r; r.serve()"
+)
 
 
 class Loaded(NamedTuple):

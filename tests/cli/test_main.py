@@ -1,0 +1,369 @@
+"""The command line as a process: what it prints, what it writes, its exit status."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import run
+
+import dehyst
+from dehyst import Actuator
+from dehyst.records import read_table, write_columns, write_record
+from dehyst.virtual import PlayActuator
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with two records, a model of the structure they ask for, one of the paper's, and a path."""
+    target = tmp_path_factory.mktemp("cli")
+    from dehyst.studies import demo
+
+    training, validation = demo.record_loops(PlayActuator(plays=60))
+    write_record(target / "loops.csv", training)
+    write_record(target / "other.csv", validation)
+    # In this process, where nothing can run out of time: every test of this file needs them.
+    dehyst.identify(training, validate=validation, norm="l2").actuator.save(target / "model.json")
+    dehyst.identify(training, norm="l2", structure="paper").actuator.save(target / "paper.json")
+    path = np.concatenate([np.linspace(2, 14, 50), np.linspace(14, 5, 40)])
+    rows = "\n".join(f"{i * 0.1:.1f},{y!r}" for i, y in enumerate(path.tolist()))
+    (target / "path.csv").write_text(f"time_s,displacement_um\n{rows}\n")
+    return target
+
+
+def test_identify_prints_json_that_tells_the_errors_of_both_records(folder):
+    status, out, _ = run(
+        "identify", "loops.csv", "--validate", "other.csv", "-o", "fitted.json", "--norm", "l2", "--json", cwd=folder
+    )
+    assert status == 0
+    found = json.loads(out)
+    assert found["good"] is True
+    assert [(e["record"], e["role"]) for e in found["errors"]] == [("loops", "training"), ("other", "validation")]
+    assert all(0 < e["rms_percent"] < e["largest_percent"] < 2 for e in found["errors"])
+    assert found["options"]["records"][0]["source"] == "loops.csv"
+    assert Actuator.load(folder / "fitted.json").provenance["norm"] == "l2"
+
+
+def test_identify_prints_a_table_and_writes_a_report(folder):
+    status, out, err = run("identify", "loops.csv", "--elements", "8", "--report", "r.html", cwd=folder)
+    assert status == 0
+    assert re.search(r"loops +training +\d+ +\d+ +\d\.\d+ % +\d\.\d+ %", out)
+    assert out.startswith("Identified")
+    assert "<svg" in (folder / "r.html").read_text()
+    assert err == ""  # progress is for terminals only
+
+
+def test_compensate_then_simulate_gives_the_path_back(folder):
+    assert run("compensate", "model.json", "path.csv", "-o", "voltage.csv", cwd=folder)[0] == 0
+    voltage = read_table(folder / "voltage.csv")
+    assert voltage.names == ("time_s", "displacement_um", "voltage_V", "expected_um")
+    status, out, _ = run("simulate", "model.json", "voltage.csv", "-o", "back.csv", "--json", cwd=folder)
+    assert (status, json.loads(out)["warnings"]) == (0, [])
+    back = read_table(folder / "back.csv").column("displacement")
+    wanted = read_table(folder / "path.csv").column("displacement")
+    assert np.abs(back - wanted).max() < 1e-12 * np.ptp(wanted)
+
+
+def test_a_voltage_beyond_the_limits_is_clamped_loudly(folder):
+    status, out, err = run(
+        "compensate", "model.json", "path.csv", "-o", "low.csv", "--limits", "0", "100", "--json", cwd=folder
+    )
+    assert (status, json.loads(out)["clamped"] > 0) == (1, True)
+    assert "CLAMPED" in err
+    assert read_table(folder / "low.csv").column("voltage").max() <= 100
+    status, _, err = run("compensate", "model.json", "path.csv", "-o", "slow.csv", "--slew", "20", cwd=folder)
+    sent = read_table(folder / "slow.csv")
+    slew = np.abs(np.diff(sent.column("voltage")) / np.diff(sent.column("time")))
+    assert (status, slew.max() <= 20 * (1 + 1e-9)) == (1, True)
+    assert "slew rate" in err
+
+
+def test_extrapolation_is_said(folder):
+    (folder / "high.csv").write_text("voltage_V\n0\n150\n210\n")
+    status, _, err = run("simulate", "model.json", "high.csv", "-o", "high-out.csv", cwd=folder)
+    assert (status, "1 of 3 voltages lie outside" in err) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["identify", "absent.csv"], "absent.csv"),
+        (["identify", "loops.csv", "--voltage", "drive_V"], "drive_V"),
+        (["identify", "loops.csv", "--elements", "0"], "need a whole number from 1 to 500"),
+        (["identify", "loops.csv", "-o", "loops.csv"], "is an input of this command too"),
+        (["identify", "loops.csv", "-o", "no/such/model.json"], "does not exist; create it first"),
+        (["simulate", "loops.csv", "loops.csv", "-o", "x.csv"], "loops.csv"),
+        (["compensate", "model.json", "loops.csv", "-o", "x.csv", "--limits", "5", "1"], "the lower one first"),
+        (["compensate", "model.json", "high-only.csv", "-o", "x.csv"], "high-only.csv"),
+    ],
+)
+def test_wrong_input_ends_with_status_2_and_a_sentence(folder, arguments, message):
+    status, out, err = run(*arguments, cwd=folder)
+    assert (status, out) == (2, "")
+    assert message in err
+    assert not (folder / "x.csv").exists()
+
+
+def test_a_model_that_misses_its_records_ends_with_status_1(folder):
+    t = np.arange(2400) * 0.01
+    voltage = 50 - 50 * np.cos(2 * np.pi * t / 4)
+    # A loop whose lag grows along the record: no rate-independent model follows it.
+    displacement = 1e-7 * (50 - 50 * np.cos(2 * np.pi * t / 4 - 0.2 - 0.05 * t))
+    write_record(folder / "odd.csv", dehyst.Record(t, voltage, displacement))
+    status, out, _ = run("identify", "odd.csv", "--no-drift", "--delay", "0", cwd=folder)
+    assert status == 1
+    assert "do not use it" in out
+
+
+def test_demo_leaves_its_files_and_beats_the_paper(tmp_path):
+    status, out, _ = run("demo", "-o", "d", "--json", cwd=tmp_path)
+    numbers = json.loads(out)
+    assert status == 0
+    assert numbers["compensated"]["largest_percent"] <= 0.7
+    assert numbers["linear"]["largest_percent"] > 10
+    names = {"loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json", "report.html"}
+    assert {path.name for path in (tmp_path / "d").iterdir()} == names
+    tracking = read_table(tmp_path / "d" / "tracking.csv").columns
+    data = {column.name: column.data for column in tracking}
+    error = np.abs(data["compensated_um"] - data["wanted_um"]).max() / numbers["stroke_um"] * 100
+    assert error == pytest.approx(numbers["compensated"]["largest_percent"], rel=1e-6)
+
+
+def test_help_names_every_command():
+    status, out, _ = run("--help")
+    assert status == 0
+    assert all(command in out for command in ("identify", "simulate", "compensate", "demo"))
+
+
+def test_the_measured_lag_is_said_and_can_be_put_in(folder):
+    model = json.loads((folder / "model.json").read_text())
+    (folder / "late.json").write_text(json.dumps({**model, "delay_s": 0.25}))
+    status, _, err = run("simulate", "late.json", "loops.csv", "-o", "a.csv", cwd=folder)
+    assert (status, "lag by 250 ms; --lag puts that in" in err) == (0, True)
+    assert run("simulate", "late.json", "loops.csv", "-o", "b.csv", "--lag", cwd=folder)[2] == ""
+    prompt, late = (read_table(folder / name).column("displacement") for name in ("a.csv", "b.csv"))
+    np.testing.assert_allclose(late[1:], prompt[:-1], atol=1e-18)  # one sample takes 0.25 s
+    status, _, err = run("simulate", "late.json", "high.csv", "-o", "c.csv", "--lag", cwd=folder)
+    assert (status, "--lag needs the time of each sample" in err) == (2, True)
+
+
+@pytest.mark.parametrize(("model", "top"), [("paper.json", "199.9 V"), ("model.json", "200 V")])
+def test_the_way_to_the_first_voltage_is_said(folder, model, top):
+    _, out, err = run("compensate", model, "path.csv", "-o", "slow.csv", "--slew", "1e4", cwd=folder)
+    assert "ramp there within the slew rate before you play the file" in err
+    assert f"(coming from the top, {top})" in out
+
+
+def test_a_wide_limit_does_not_hide_extrapolation(folder):
+    (folder / "far.csv").write_text("displacement_um\n2\n20\n3\n")
+    _, _, err = run("compensate", "model.json", "far.csv", "-o", "far-out.csv", "--limits", "-500", "500", cwd=folder)
+    assert "outside the identified range 0 to 200 V: extrapolated" in err
+
+
+def test_a_held_out_record_that_is_missed_decides_the_verdict(folder):
+    record = dehyst.read(folder / "loops.csv")
+    straight = dehyst.Record(record.time, record.voltage, 8e-8 * record.voltage + 1e-9 * np.sin(record.voltage))
+    write_record(folder / "straight.csv", straight)
+    status, out, _ = run("identify", "loops.csv", "--validate", "straight.csv", "--norm", "l2", cwd=folder)
+    assert (status, "misses a held-out record" in out) == (1, True)
+    assert "times that of training" in out
+
+
+@pytest.mark.parametrize("names", [["other.csv", "low.csv"], ["other.csv", "--validate", "low.csv"]])
+def test_validate_takes_every_name_up_to_the_next_option(folder, names):
+    tops = dehyst.read(folder / "other.csv")
+    write_record(folder / "low.csv", tops[800:])
+    _, out, _ = run("identify", "loops.csv", "--validate", *names, "--norm", "l2", "--json", cwd=folder)
+    roles = [(error["record"], error["role"]) for error in json.loads(out)["errors"]]
+    assert roles == [("loops", "training"), ("other", "validation"), ("low", "validation")]
+
+
+KINDS = {
+    "raised-cosine": ["200", "100"],
+    "descending-tops": ["200"],
+    "reversal-curves": ["200"],
+    "minor-loop": ["-10", "50", "--highest", "100", "--base", "-20"],
+    "staircase": ["200", "--hold", "5"],
+    "homing": ["200"],
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_excitation_is_written_within_its_limits(kind, tmp_path):
+    arguments = [*KINDS[kind], "--limits", "-20", "200", "--present", "5", "--slew", "20"]
+    status, out, err = run("excite", kind, *arguments, "-o", "v.csv", "--json", cwd=tmp_path)
+    assert status == 0, err
+    table, told = read_table(tmp_path / "v.csv"), json.loads(out)
+    time, voltage = table.column("time"), table.column("voltage")
+    assert told["samples"] == voltage.size
+    assert voltage[0] == 5
+    assert voltage.min() >= -20
+    assert voltage.max() <= 200
+    assert np.abs(np.diff(voltage)).max() <= 20 * np.diff(time).max() * (1 + 1e-9)
+
+
+def test_an_excitation_beyond_the_limits_is_refused(tmp_path):
+    status, _, err = run("excite", "raised-cosine", "200", "--limits", "0", "100", "-o", "v.csv", cwd=tmp_path)
+    assert status == 2
+    assert "200" in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_homing_of_a_model_is_certified(folder):
+    status, out, _ = run("excite", "homing", "--model", "model.json", "-o", "home.csv", cwd=folder)
+    assert status == 0
+    assert "certified to end in a known state" in out
+    status, _, err = run("excite", "homing", "-o", "home2.csv", cwd=folder)
+    assert status == 2
+    assert "either a highest voltage or --model" in err
+
+
+@pytest.mark.parametrize(
+    ("model", "told"),
+    [
+        ("paper.json", "Known of the stiffnesses: 19 of 19 directions"),
+        ("model.json", "Their turning points tell 9 of 9 directions of plain elements"),
+    ],
+)
+def test_insight_of_loops_that_tell_all_finds_nothing_to_beware_of(folder, model, told):
+    arguments = [model, "loops.csv", "--trajectory", "path.csv", "-o", "band.csv", "--report", "i.html"]
+    status, out, err = run("insight", *arguments, "--repeats", "20", cwd=folder)
+    assert status == 0, err
+    assert told in out
+    assert "certified" in out
+    band = read_table(folder / "band.csv")
+    names = ("lowest_um", "wanted_um", "highest_um")
+    lowest, wanted, highest = (band.column("displacement", name) for name in names)
+    assert np.all((lowest < wanted) & (wanted < highest))
+    assert "<svg" in (folder / "i.html").read_text()
+
+
+def test_the_newcomers_trap_is_caught(folder):
+    loops = read_table(folder / "loops.csv")
+    rows = np.column_stack([loops.column("time"), loops.column("voltage"), loops.column("displacement") * 1e6])[:1200]
+    np.savetxt(folder / "major.csv", rows, delimiter=",", header="time_s,voltage_V,displacement_um", comments="")
+    status, out, _ = run("identify", "major.csv", "-o", "major.json", cwd=folder)
+    assert status == 0
+    assert "leave directions of the stiffnesses open" in out
+    status, out, _ = run("insight", "major.json", "major.csv", "--trajectory", "path.csv", "--json", cwd=folder)
+    found = json.loads(out)
+    assert status == 1
+    assert found["directions"]["determined"] == 10
+    assert "k_1 + k_19 is known, k_1 - k_19 is not." in found["directions"]["sentences"]
+    assert found["trajectory"]["open_m"] > 3 * found["trajectory"]["misfit_m"]
+    assert found["advice"][0]["determined"] == 19
+
+
+def test_a_trajectory_without_displacement_names_the_right_option(folder):
+    status, _, err = run("insight", "model.json", "loops.csv", "--trajectory", "voltage-only.csv", cwd=folder)
+    assert status == 2
+    (folder / "voltage-only.csv").write_text("time_s,voltage_V\n0,1\n1,2\n")
+    status, _, err = run("insight", "model.json", "loops.csv", "--trajectory", "voltage-only.csv", cwd=folder)
+    assert status == 2
+    assert "--wanted" in err
+
+
+def scaled(folder, factor):
+    """The loops with displacements times a factor, as another actuator might show."""
+    table = read_table(folder / "loops.csv")
+    columns = [table.column("time"), table.column("voltage"), factor * 1e6 * table.column("displacement")]
+    name = f"times-{factor}.csv"
+    np.savetxt(
+        folder / name, np.column_stack(columns), delimiter=",", header="time_s,voltage_V,displacement_um", comments=""
+    )
+    return name
+
+
+@pytest.mark.parametrize("factor", [10, 0.1, 1.1])
+def test_insight_of_another_actuators_record_says_so_first(folder, factor):
+    status, out, _ = run("insight", "model.json", scaled(folder, factor), "--repeats", "0", cwd=folder)
+    assert status == 1
+    assert out.startswith("BEWARE: The model misses these records by up to")
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [
+        ((0, 50), ["CLAMPED", "does not make the state known"]),
+        ((-100, 400), ["beyond those of the records"]),
+    ],
+)
+def test_insight_beyond_reach_is_something_to_beware_of(folder, limits, said):
+    arguments = ["--limits", *map(str, limits), "--repeats", "20", "--trajectory", "path.csv", "--json"]
+    status, out, _ = run("insight", "model.json", "loops.csv", *arguments, cwd=folder)
+    assert status == 1
+    found = json.loads(out)
+    for words in said:
+        assert any(words in warning for warning in found["warnings"]), found["warnings"]
+    if "CLAMPED" in said:
+        assert found["trajectory"]["all_m"] >= found["trajectory"]["clamped_m"] > 1e-6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--level", "2", "--repeats", "0"], "level: got 2.0"),
+        (["--repeats", "5"], "repeats: got 5, need 20 at least"),
+        (["--repeats", "0", "--trajectory", "path.csv"], "repeats: got 0 and a trajectory"),
+        (["--wanted", "x"], "--wanted: got 'x' and no trajectory"),
+        (["--limits", "nan", "100"], "limits: got nan"),
+        (["-o", "band.csv"], "-o: got no trajectory"),
+    ],
+)
+def test_impossible_options_of_insight_are_named(folder, arguments, said):
+    status, _, err = run("insight", "model.json", "loops.csv", *arguments, cwd=folder)
+    assert status == 2
+    assert said in err
+
+
+def test_a_folder_is_no_record(folder):
+    status, _, err = run("insight", "model.json", ".", cwd=folder)
+    assert status == 2
+    assert "this is a folder" in err
+
+
+def test_an_actuator_that_creeps_is_told_the_time(folder):
+    plain = Actuator.load(folder / "model.json")
+    creep = dehyst.Creep([0.1, 3.0], [2e5, 4e5])
+    creeping = Actuator(plain.slip, plain.spring, limits=(-50, 300), creep=creep)
+    creeping.save(folder / "creeping.json")
+    status, out, _ = run("compensate", "creeping.json", "path.csv", "-o", "v.csv", "--json", cwd=folder)
+    assert status == 0
+    assert len(json.loads(out)["state"]["creep_m"]) == 2
+    assert run("simulate", "creeping.json", "v.csv", "-o", "y.csv", cwd=folder)[0] == 0
+    sent, came = read_table(folder / "path.csv"), read_table(folder / "y.csv")
+    np.testing.assert_allclose(came.column("displacement"), sent.column("displacement"), atol=1e-16)
+    (folder / "timeless.csv").write_text("voltage_V\n1.0\n2.0\n")
+    status, _, err = run("simulate", "creeping.json", "timeless.csv", "-o", "z.csv", cwd=folder)
+    assert status == 2
+    assert "this actuator creeps, so that the answer depends on time" in err
+
+
+def test_a_mass_is_taken_to_be_led_to_the_first_sample(folder, tmp_path):
+    """The way there is ramped slowly, as is said: nothing rings from it."""
+    actuator = Actuator.load(folder / "model.json")
+    swinging = dehyst.Dynamics(2 * np.pi * 300, 0.03)
+    replace(actuator, dynamics=swinging, lag=1e-4, state=None).save(tmp_path / "swinging.json")
+    time = np.arange(3000) * 1e-4
+    wanted = 7 - 4 * np.cos(2 * np.pi * 10 * time)
+    write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": wanted})
+    status, _, err = run("compensate", "swinging.json", "path.csv", "-o", "out.csv", cwd=tmp_path)
+    assert status == 0, err
+    assert "ramp there slowly" in err
+    expected = read_table(tmp_path / "out.csv").column("displacement", "expected_um")
+    assert np.abs(expected - 1e-6 * wanted).max() < 0.01e-6
+    # In Python, where the start is given, a mass that does not begin where it stands is said to ring.
+    started = Actuator.load(tmp_path / "swinging.json")
+    command = dehyst.Compensator(started).trajectory(1e-6 * wanted, time=time)
+    assert not command.followed
+    assert any("does not begin where the actuator stands" in one for one in command.warnings)
+
+
+def test_a_start_is_within_the_limits(folder, tmp_path):
+    write_columns(tmp_path / "path.csv", {"time_s": np.arange(3.0), "displacement_um": np.array([3.0, 4.0, 3.0])})
+    limits = ("--limits", 0, 100)
+    status, out, err = run("compensate", folder / "model.json", "path.csv", *limits, "-o", "out.csv", cwd=tmp_path)
+    assert status == 0, err
+    assert "(coming from the top, 100 V)" in out
+    assert "from that of the start, 100 V: ramp there" in err

@@ -1,0 +1,256 @@
+"""A homing of a wider actuator homes from wherever its voltages can have led, as far as it says."""
+
+import re
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import plain_records
+import pytest
+import structured_records
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, SmoothSlip, Spring
+from dehyst.control import StateBounds, shortest_homing
+from dehyst.control.homing_in_time import Swing
+from dehyst.control.major_loop import MajorLoop
+from dehyst.model import Structure
+from dehyst.uncertainty import RestStates
+from dehyst.uncertainty.prediction_band import state_at_top
+from dehyst.waveforms import Sampling
+
+LIMITS = -40.0, 260.0
+DRIVE = Sampling(frequency=0.01, sample_rate=2.0)
+ORDERED = {
+    name: replace(structured_records.plant(structured_records.STRUCTURES[name]).actuator, limits=LIMITS)
+    for name in ("graded", "transformer", "graded, transformer")
+}
+PLAIN = replace(plain_records.plant(6), limits=LIMITS)
+CREEPING = replace(PLAIN, creep=Creep([2.0, 30.0, 200.0], [1e5, 2e5, 2e5]))
+BRANCHES = Creep([3.0, 60.0], [2e5, 2e5])
+TIMED = {
+    "creep": CREEPING,
+    "all but smooth": replace(ORDERED["graded, transformer"], creep=BRANCHES, lag=0.5),
+    "inertia": replace(PLAIN, dynamics=Dynamics(60.0, 0.05)),
+    "inertia and a series spring": replace(CREEPING, dynamics=Dynamics(60.0, 0.05, 3e6)),
+    "smooth": replace(PLAIN, smooth=SmoothSlip([1e-6, 5e-6], [1.0, 0.5], [2e6, 1e6])),
+    "smooth and creep": replace(CREEPING, smooth=SmoothSlip([1e-6, 5e-6], [1.0, 0.5], [2e6, 1e6])),
+}
+
+
+def past(actuator, seed, present):
+    """The state at a voltage that any voltages within the limits may have led to, at rest but for creep."""
+    rng = np.random.default_rng(seed)
+    still = replace(actuator, dynamics=None, lag=0.0)
+    turns = rng.uniform(*LIMITS, 12)
+    turns[rng.integers(0, 12, 4)] = rng.choice(LIMITS, 4)
+    time = np.cumsum(rng.choice([0.1, 5.0, 1e4], 13)) if still.needs_time else None
+    start = still.turned(float(rng.uniform(0, plain_records.STROKE)), rising=bool(rng.integers(2)))
+    # The long first rest lets creep forget what no voltage led to.
+    voltage = np.concatenate([turns[:1], turns[:-1], [present]])
+    state = still.simulate(voltage, time=time, state=start).state
+    return replace_motion(state) if actuator.dynamics else state
+
+
+def replace_motion(state):
+    return type(state)(state.displacement, state.carts, state.creep, [state.displacement, 0.0], state.smooth)
+
+
+def distance(a, b, slip):
+    stiff = slip.friction > 0
+    return max(np.abs(a.carts - b.carts)[stiff].max(initial=0.0), abs(a.displacement - b.displacement))
+
+
+@pytest.mark.parametrize("name", ORDERED)
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_outermost_branch_is_where_a_long_way_ends(name, side):
+    actuator, far = ORDERED[name], 100 * side
+    branch = MajorLoop(actuator)
+    for v in np.linspace(*LIMITS, 23):
+        y = branch.displacement(float(v), side)
+        start = actuator.turned(y - far * plain_records.STROKE, rising=side > 0, extrapolate=True)
+        reached = actuator.simulate([float(v)], state=start, extrapolate=True)
+        assert reached.displacement[0] == pytest.approx(y, abs=1e-11 * plain_records.STROKE)
+        assert branch.voltage(y, side) == pytest.approx(v, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ORDERED)
+def test_no_state_at_rest_leaves_the_bracket(name):
+    actuator, rng = ORDERED[name], np.random.default_rng(1)
+    bracket = StateBounds.at_rest(actuator, 70.0)
+    for seed in range(40):
+        state = past(actuator, seed, 70.0)
+        slack = 1e-12 * plain_records.STROKE
+        assert np.all(bracket.lower.carts <= state.carts + slack)
+        assert np.all(state.carts <= bracket.upper.carts + slack)
+        assert bracket.lower.displacement - slack <= state.displacement <= bracket.upper.displacement + slack
+        voltage = rng.uniform(*LIMITS, 9)
+        known = bracket.drive(actuator, voltage)
+        y = actuator.simulate(voltage, state=state).displacement
+        assert np.all((known.lowest - slack <= y) & (y <= known.highest + slack))
+
+
+@pytest.mark.parametrize("name", ORDERED)
+@pytest.mark.parametrize(("present", "end"), [(0.0, None), (70.0, 200.0), (LIMITS[0], LIMITS[1])])
+def test_graded_elements_and_a_transformer_are_homed_exactly(name, present, end):
+    actuator = ORDERED[name]
+    found = shortest_homing(actuator, present=present, end=end)
+    assert found.certified
+    assert found.played is None
+    assert (found.turns[0], found.turns[-1]) == (present, present if end is None else end)
+    for seed in range(30):
+        reached = actuator.simulate(found.turns, state=past(actuator, seed, present)).state
+        assert distance(reached, found.state, actuator.slip) < 1e-11 * plain_records.STROKE
+
+
+@pytest.mark.parametrize("name", ORDERED)
+def test_a_little_less_does_not_home(name):
+    actuator = ORDERED[name]
+    found = shortest_homing(actuator, present=0.0)
+    ways = np.ptp(found.turns)
+    for share in (0.02, 0.1):
+        for k in range(1, len(found.turns) - 1):
+            turns = list(found.turns)
+            turns[k] += share * ways * np.sign(turns[k - 1] - turns[k])
+            assert StateBounds.at_rest(actuator, 0.0).drive(actuator, turns).bracket.width > 1e-6 * plain_records.STROKE
+
+
+@pytest.mark.parametrize("name", TIMED)
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10**6))
+def test_in_time_no_past_is_left_farther_than_said(name, seed):
+    actuator = TIMED[name]
+    found = _timed(name)
+    start = past(actuator, seed, 0.0)
+    time = found.played.time if actuator.needs_time else None
+    reached = actuator.simulate(found.played.voltage, time=time, state=start, extrapolate=True).state
+    assert abs(reached.displacement - found.state.displacement) <= found.left + 1e-12 * plain_records.STROKE
+    further = DRIVE.play("", DRIVE.legs([0.0, 150.0, 20.0, 260.0, -40.0, 0.0]))
+    time = further.time if actuator.needs_time else None
+    paths = [
+        actuator.simulate(further.voltage, time=time, state=one, extrapolate=True).displacement
+        for one in (reached, found.state)
+    ]
+    # A mass may overshoot by as much as it was off.
+    assert (
+        np.abs(paths[0] - paths[1]).max() <= (2 if actuator.dynamics else 1) * found.left + 1e-12 * plain_records.STROKE
+    )
+
+
+def _timed(name, found={}):  # noqa: B006
+    if name not in found:
+        found[name] = shortest_homing(TIMED[name], present=0.0, drive=DRIVE)
+    return found[name]
+
+
+def test_longer_holds_leave_less_until_it_is_certified():
+    left = [shortest_homing(CREEPING, drive=DRIVE, hold=hold).left for hold in (0.0, 50.0, 200.0, 800.0)]
+    assert all(b < 0.8 * a for a, b in pairwise(left))
+    # Creep that lasts for 200 s, and the spring gives way to it: what is left falls by e in a little more.
+    assert left[2] / left[3] == pytest.approx(np.exp(600 / 200), rel=0.5)
+    swing = Swing.of(CREEPING, LIMITS, (0.0, 0.0), drive=DRIVE, hold=0.0, tolerance=1e-9)
+    assert swing.left > 1e-9
+    assert f"holds of {swing.needed:.3g} s at both limits in place of 0 s would do" in swing.remarks()[0]
+    enough = shortest_homing(CREEPING, drive=DRIVE, hold=swing.needed, tolerance=1e-9)
+    assert enough.certified
+    assert enough.left == enough.error
+    assert not shortest_homing(CREEPING, drive=DRIVE, hold=0.7 * swing.needed, tolerance=1e-9).certified
+
+
+def test_limits_that_are_too_narrow_are_told():
+    found = shortest_homing(CREEPING, limits=(0.0, 60.0), drive=DRIVE)
+    assert not found.certified
+    assert "no hold would do within these limits" in found.remarks[0]
+
+
+def test_smooth_elements_are_said_to_be_simulated_not_proven():
+    assert "18 extreme and random pasts, not proven" in _timed("smooth").remarks[-1]
+    assert not any("not proven" in said for said in _timed("creep").remarks)
+
+
+@pytest.mark.parametrize("name", [*ORDERED, *TIMED])
+def test_homed_is_at_the_top_of_the_limits(name):
+    actuator = {**ORDERED, **TIMED}[name]
+    state = state_at_top(actuator, LIMITS)
+    assert actuator.voltage(state) == pytest.approx(LIMITS[1], abs=0.05 if name in TIMED else 1e-9)
+    start = past(actuator, 3, LIMITS[0])
+    found = shortest_homing(actuator, present=LIMITS[0], end=LIMITS[1])
+    if found.played is None:
+        reached = actuator.simulate(found.turns, state=start).state
+    else:
+        time = found.played.time if actuator.needs_time else None
+        reached = actuator.simulate(found.played.voltage, time=time, state=start).state
+    assert abs(reached.displacement - state.displacement) <= found.error + 1e-12
+
+
+@pytest.mark.parametrize("name", ORDERED)
+def test_equilibria_lie_between_the_outermost_branches(name):
+    actuator = ORDERED[name]
+    rests = RestStates(actuator, 70.0)
+    low, high = rests.range()
+    assert rests.residual_range()[0] < 0 < rests.residual_range()[1]
+    slack = 1e-12 * plain_records.STROKE
+    for seed in range(20):
+        state = past(actuator, seed, 70.0)
+        assert low - slack <= state.displacement <= high + slack
+        assert rests.holds(state)
+        assert not rests.holds(state.shifted(1e-7))
+
+
+def test_a_transformer_only_bends_the_voltage_of_equilibria():
+    actuator = ORDERED["transformer"]
+    tau = actuator.transformer
+    bent, straight = RestStates(actuator, 70.0), RestStates(replace(actuator, transformer=None), float(tau(70.0)))
+    np.testing.assert_allclose(bent.range(), straight.range(), rtol=1e-12)
+    for one, other in zip(bent.random(5), straight.random(5), strict=True):
+        np.testing.assert_allclose(one.carts, other.carts, rtol=1e-12)
+        assert actuator.voltage(one) == pytest.approx(70.0, abs=1e-9)
+
+
+def test_a_bracket_of_what_moves_on_is_refused_with_a_way_out():
+    with pytest.raises(ModelError, match=re.escape("this actuator creeps; use dehyst.control.homing.shortest_homing")):
+        StateBounds.at_rest(CREEPING)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"hold": -1.0}, "hold: got -1"), ({"tolerance": 0.0}, "tolerance: got 0"), ({"present": 300.0}, "present: got")],
+)
+def test_refusals(options, message):
+    with pytest.raises(ModelError, match=message):
+        shortest_homing(CREEPING, **options)
+
+
+def test_without_elements_there_is_only_creep_to_home():
+    actuator = Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 100]), creep=Creep([5.0], [1e6]), limits=(0, 100))
+    found = shortest_homing(actuator, hold=60.0)
+    assert found.certified
+    assert found.unknown == ()
+
+
+def test_the_structure_of_everything_is_homed_too():
+    plant = structured_records.plant(Structure(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True))
+    found = shortest_homing(replace(plant.actuator, limits=LIMITS), drive=DRIVE)
+    assert found.certified
+
+
+def test_the_command_says_what_is_left_and_compensation_starts_from_there(tmp_path):
+    from click.testing import CliRunner
+
+    from dehyst.cli import main
+
+    model, path, voltage = (str(tmp_path / name) for name in ("model.json", "path.csv", "voltage.csv"))
+    replace(CREEPING, limits=(0.0, 260.0)).save(model)
+    made = CliRunner().invoke(main, ["excite", "homing", "--model", model, "-o", voltage, "--hold", "900"])
+    assert made.exit_code == 0
+    assert re.search(r"certified: the displacement is known to [0-9.e-]+ um after it", made.stdout)
+    short = CliRunner().invoke(main, ["excite", "homing", "--model", model, "-o", voltage, "--hold", "1"])
+    assert short.exit_code == 1
+    assert re.search(r"holds of \d+ s at both limits in place of 1 s would do", short.stderr)
+    np.savetxt(
+        path, np.c_[np.arange(50.0), np.linspace(3, 9, 50)], delimiter=",", comments="", header="time_s,displacement_um"
+    )
+    sent = CliRunner().invoke(main, ["compensate", model, path, "-o", voltage, "--start", "homed"])
+    assert sent.exit_code == 0
+    assert "(homed, at " in sent.stdout

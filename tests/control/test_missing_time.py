@@ -1,0 +1,123 @@
+"""A model that needs time is refused in a sentence without it, a known period is the time base, never a raw error."""
+
+import numpy as np
+import pytest
+from summaries import NEEDING_TIME, PARTS, STROKE, anatomy
+
+from dehyst import Compensator, DehystError, ModelError
+from dehyst.control.reachable import reachable_range
+
+PERIOD = 1e-3
+N = 50
+PATH = STROKE * (0.5 + 0.2 * np.sin(np.linspace(0, 4, N)))
+TIME = PERIOD * np.arange(N)
+WRONG_TIMES = {
+    "short": TIME[1:],
+    "long": np.append(TIME, 1.0),
+    "falling": TIME[::-1],
+    "repeated": np.zeros(N),
+    "none": [],
+    "not finite": np.where(TIME > 0.01, np.nan, TIME),
+    "a column": TIME[:, None],
+    "words": ["soon"] * N,
+    "number": 1.0,
+}
+
+
+def calls(actuator, **time):
+    """Each way to play a whole path."""
+    compensator = Compensator(actuator)
+    voltage = np.linspace(20.0, 150.0, N)
+    return {
+        "simulate": lambda: actuator.simulate(voltage, **time),
+        "compensate": lambda: actuator.compensate(PATH, **time),
+        "trajectory": lambda: compensator.trajectory(PATH, **time),
+        "trajectory from a state": lambda: compensator.trajectory(PATH, state=actuator.turned(0.0), **time),
+        "trajectory with a velocity": lambda: compensator.trajectory(PATH, velocity=np.zeros(N), **time),
+        "trajectory with both": lambda: compensator.trajectory(
+            PATH, velocity=np.zeros(N), acceleration=np.zeros(N), **time
+        ),
+    }
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_without_time_each_call_answers_or_says_that_time_is_needed(kind):
+    for call in calls(anatomy(kind)).values():
+        if kind in NEEDING_TIME:
+            with pytest.raises(ModelError, match=r"answer depends on time; give time= \[s\], one a sample"):
+                call()
+        else:
+            call()
+
+
+@pytest.mark.parametrize("wrong", WRONG_TIMES)
+@pytest.mark.parametrize("kind", PARTS)
+def test_a_time_that_does_not_fit_is_refused_as_such(kind, wrong):
+    for call in calls(anatomy(kind), time=WRONG_TIMES[wrong]).values():
+        with pytest.raises(ModelError, match=r"^time: "):
+            call()
+
+
+@pytest.mark.parametrize("preview", [False, True])
+@pytest.mark.parametrize("kind", PARTS)
+def test_the_period_is_the_time_base_of_a_trajectory(kind, preview):
+    actuator = anatomy(kind)
+    timed = Compensator(actuator).trajectory(PATH, time=TIME)
+    by_period = Compensator(actuator, period=PERIOD, preview=preview).trajectory(PATH)
+    assert np.array_equal(by_period.voltage, timed.voltage)
+    both = Compensator(actuator, period=PERIOD).trajectory(PATH, time=TIME)
+    assert np.array_equal(both.voltage, timed.voltage)
+
+
+def test_a_period_is_enough_for_a_slew_rate():
+    actuator, rate = anatomy("plain"), 500.0
+    command = Compensator(actuator, slew_rate=rate, period=PERIOD).trajectory(PATH)
+    assert np.abs(np.diff(command.voltage)).max() <= rate * PERIOD * (1 + 1e-12)
+    assert command.clamped.any()
+
+
+@pytest.mark.parametrize("kind", ["plain", "inertia"])
+def test_a_time_that_is_given_takes_the_place_of_the_period(kind):
+    uneven = TIME.copy()
+    uneven[10] += 0.4 * PERIOD
+    for time in (TIME, uneven):
+        without = Compensator(anatomy(kind)).trajectory(PATH, time=time)
+        command = Compensator(anatomy(kind), period=2 * PERIOD).trajectory(PATH, time=time)
+        assert np.array_equal(command.voltage, without.voltage)
+
+
+@pytest.mark.parametrize("kind", NEEDING_TIME)
+def test_loops_and_blocks_ask_for_the_period(kind):
+    actuator = anatomy(kind)
+    for call in (
+        lambda: Compensator(actuator).step(PATH[0]),
+        lambda: Compensator(actuator).offer(PATH[0]),
+        lambda: Compensator(actuator).commit(50.0),
+        lambda: Compensator(actuator).hold(),
+        lambda: Compensator(actuator).run(PATH),
+        lambda: Compensator(actuator).snapshot(),
+        lambda: Compensator(actuator).tables(),
+        lambda: Compensator(actuator).to_control(),
+        actuator.to_control,
+    ):
+        with pytest.raises(ModelError, match=r"give period= \[s\]"):
+            call()
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_short_paths_answer_or_are_refused(kind):
+    actuator = anatomy(kind)
+    for path in ([], [5e-6], [5e-6, 6e-6], 5e-6, [[5e-6]], None, [np.nan]):
+        for period in (None, PERIOD):
+            try:
+                size = np.size(path)
+                assert Compensator(actuator, period=period).trajectory(path).voltage.shape == (size,)
+            except DehystError:
+                assert period is None or np.ndim(path) != 1 or not np.all(np.isfinite(np.array(path, dtype=float)))
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_what_takes_its_own_time_needs_none(kind):
+    actuator = anatomy(kind)
+    low, high = reachable_range(actuator, (10.0, 190.0))
+    assert low < high == pytest.approx(Compensator(actuator, (10.0, 190.0)).reach[1])

@@ -1,0 +1,255 @@
+"""What is known of the state: nothing leaves its bracket, brackets only shrink, a first move has an error bar."""
+
+from itertools import pairwise
+
+import numpy as np
+import plain_records
+import pytest
+import strategies as our
+from hypothesis import given
+from hypothesis import strategies as st
+from rest_states import EXACT, PLANT, SOME, carts_along, drives, equilibrium, metres, roomy
+
+from dehyst import ModelError
+from dehyst._native import slip_elongations
+from dehyst.control import StateBounds, shortest_homing
+from dehyst.control.state_bounds import first_move_error, known_by_displacement, least_range
+
+
+@given(our.motions(bank=our.actuators(0, 30)))
+def test_widths_from_a_known_displacement_are_exact(motion):
+    """The widths are those between the extreme elongations, and no elongation lies outside."""
+    actuator, _, path = motion
+    rho = actuator.slip.breakaway
+    known = known_by_displacement(actuator, path)
+    assert known.widths.shape == (path.size, rho.size)
+    if not path.size:
+        return
+    lowest, _ = slip_elongations(rho, path[0] + rho, path)
+    highest, _ = slip_elongations(rho, path[0] - rho, path)
+    allowance = metres(actuator, path)
+    np.testing.assert_allclose(highest - lowest, known.widths, rtol=0, atol=allowance)
+    between, _ = slip_elongations(rho, path[0] + np.random.default_rng(path.size).uniform(-rho, rho), path)
+    assert np.all((between >= lowest - allowance) & (between <= highest + allowance))
+
+
+@given(our.motions(bank=SOME))
+def test_unknown_counts_the_widths(motion):
+    actuator, _, path = motion
+    known = known_by_displacement(actuator, path)
+    counted = np.count_nonzero(known.widths > known.tolerance, axis=1)
+    # A width within rounding of the tolerance may count either way.
+    close = np.any(np.abs(known.widths - known.tolerance) < 1e-3 * known.tolerance, axis=1)
+    np.testing.assert_array_equal(known.unknown[~close], counted[~close])
+    assert np.all(np.diff(known.unknown) <= 0)
+    first = known.first_known
+    assert first is None or (known.unknown[first] == 0 and np.all(known.unknown[:first] > 0))
+    assert first is not None or np.all(known.unknown > 0)
+
+
+@pytest.mark.parametrize("elements", [1, 3, 7, 10, 19, 20, 33])
+@pytest.mark.parametrize("offset", [0.0, -0.3, 1.0, 17.0])
+def test_one_excursion_of_just_two_rho_tells_all(elements, offset):
+    """The usual case, rho_N half the range: rounding must not leave the last element unknown."""
+    actuator = plain_records.plant(elements)
+    known = known_by_displacement(actuator, plain_records.path((offset, offset + 1), 10))
+    assert known.first_known == 10
+    short = known_by_displacement(actuator, plain_records.path((offset, offset + 0.999), 10))
+    assert (short.first_known, short.unknown[-1]) == (None, 1)
+
+
+def test_breakaway_alone_will_do():
+    path = plain_records.path((0, 0.3, 0.1, 0.6))
+    by_actuator, by_rho = (known_by_displacement(a, path) for a in (PLANT, PLANT.slip.breakaway.tolist()))
+    np.testing.assert_array_equal(by_actuator.widths, by_rho.widths)
+    # Element i has 2 rho_i = i/10 of the stroke.
+    np.testing.assert_array_equal(by_actuator.unknown[[0, 100, 200, 300]], [10, 7, 7, 4])
+
+
+@given(drives(bank=our.actuators(0, 15)))
+def test_no_equilibrium_leaves_the_bracket(drive):
+    actuator, start, path, seed = drive
+    bracket = StateBounds.at_rest(actuator, start)
+    known = bracket.drive(actuator, path)
+    low, carts_low = carts_along(actuator, path, bracket.lower)
+    high, carts_high = carts_along(actuator, path, bracket.upper)
+    allowance = metres(actuator, low, high)
+    rng = np.random.default_rng(seed)
+    for _ in range(5):
+        state = equilibrium(actuator, start, rng)
+        assert bracket.lower.displacement - allowance <= state.displacement <= bracket.upper.displacement + allowance
+        y, carts = carts_along(actuator, path, state)
+        assert np.all((y >= known.lowest - allowance) & (y <= known.highest + allowance))
+        assert np.all((carts >= carts_low - allowance) & (carts <= carts_high + allowance))
+        end = actuator.simulate(path, state=state, extrapolate=True).state
+        for name, sign in (("lower", 1), ("upper", -1)):
+            bound = getattr(known.bracket, name)
+            assert np.all(sign * (end.carts - bound.carts) >= -allowance)
+            assert sign * (end.displacement - bound.displacement) >= -allowance
+
+
+@given(drives())
+def test_brackets_are_attained(drive):
+    """The extremes are themselves equilibria, and what is reported lies between just their two motions."""
+    actuator, start, path, _ = drive
+    bracket = StateBounds.at_rest(actuator, start)
+    volts = EXACT * (our.volts_of(actuator) + abs(start))
+    slope = max(actuator.spring.slopes.max(), 0.0) * metres(actuator)
+    assert actuator.voltage(bracket.lower) == pytest.approx(start, abs=volts + slope)
+    assert actuator.voltage(bracket.upper) == pytest.approx(start, abs=volts + slope)
+    known = bracket.drive(actuator, path)
+    (low, carts_low), (high, carts_high) = (carts_along(actuator, path, s) for s in (bracket.lower, bracket.upper))
+    allowance = metres(actuator, low, high)
+    np.testing.assert_allclose(known.lowest, low, rtol=0, atol=allowance)
+    np.testing.assert_allclose(known.highest, high, rtol=0, atol=allowance)
+    np.testing.assert_allclose(known.width, (carts_high - carts_low).max(axis=1), rtol=0, atol=allowance)
+
+
+@given(drives())
+def test_the_widest_bracket_never_grows(drive):
+    actuator, start, path, _ = drive
+    bracket = StateBounds.at_rest(actuator, start)
+    known = bracket.drive(actuator, path)
+    allowance = metres(actuator, known.lowest, known.highest)
+    assert np.all(np.diff(known.width, prepend=bracket.width) <= allowance)
+    assert np.all(known.highest - known.lowest <= known.width + allowance)
+    assert known.bracket.width == pytest.approx(known.width[-1] if path.size else bracket.width, abs=allowance)
+
+
+@given(drives())
+def test_the_widest_bracket_in_closed_form(drive):
+    """It is max(0, 2 rho_N - D), D from the extremes of the voltage alone: why no homing is shorter than ours."""
+    actuator, start, path, _ = drive
+    known = StateBounds.at_rest(actuator, start).drive(actuator, path)
+    visited = np.concatenate([[start], path])
+    extremes = zip(np.minimum.accumulate(visited)[1:], np.maximum.accumulate(visited)[1:], strict=True)
+    least = np.array([least_range(actuator, low, high) for low, high in extremes])
+    expected = np.maximum(0.0, 2 * actuator.slip.breakaway[-1] - least)
+    np.testing.assert_allclose(known.width, expected, rtol=0, atol=metres(actuator, known.lowest, known.highest))
+
+
+@given(drives())
+def test_every_state_covers_the_least_range(drive):
+    actuator, start, path, seed = drive
+    if not path.size:
+        return
+    visited = np.concatenate([[start], path])
+    state = equilibrium(actuator, start, np.random.default_rng(seed))
+    y = actuator.simulate(path, state=state, extrapolate=True).displacement
+    covered = np.ptp(np.append(y, state.displacement))
+    assert covered >= least_range(actuator, visited.min(), visited.max()) - metres(actuator, y)
+
+
+@given(drives(), st.integers(0, 60))
+def test_a_drive_in_two_parts_is_one_drive(drive, cut):
+    actuator, start, path, _ = drive
+    bracket = StateBounds.at_rest(actuator, start)
+    whole = bracket.drive(actuator, path)
+    first = bracket.drive(actuator, path[:cut])
+    second = first.bracket.drive(actuator, path[cut:])
+    allowance = metres(actuator, whole.lowest, whole.highest)
+    for name in ("lowest", "highest", "width"):
+        parts = np.concatenate([getattr(first, name), getattr(second, name)])
+        np.testing.assert_allclose(parts, getattr(whole, name), rtol=0, atol=allowance)
+    np.testing.assert_allclose(second.bracket.widths, whole.bracket.widths, rtol=0, atol=allowance)
+
+
+def test_long_records_and_their_turning_points_say_the_same():
+    turns = [0, 150, 20, 120, 60, 170, 5]
+    steps = [np.linspace(a, b, 1500)[1:] for a, b in pairwise(turns)]
+    dense = StateBounds.at_rest(PLANT).drive(PLANT, np.concatenate(steps))
+    sparse = StateBounds.at_rest(PLANT).drive(PLANT, turns[1:])
+    assert dense.width.size == 6 * 1499
+    np.testing.assert_allclose(dense.width[1498::1499], sparse.width, rtol=0, atol=metres(PLANT))
+    np.testing.assert_allclose(dense.bracket.lower.carts, sparse.bracket.lower.carts, rtol=0, atol=metres(PLANT))
+    np.testing.assert_allclose(dense.bracket.upper.carts, sparse.bracket.upper.carts, rtol=0, atol=metres(PLANT))
+
+
+def test_the_first_sample_at_which_all_is_known():
+    voltage = np.concatenate([np.linspace(0, 230, 100), np.linspace(230, 0, 100)])
+    known = StateBounds.at_rest(PLANT).drive(PLANT, voltage)
+    assert known.first_known is not None
+    assert known.unknown[0] == 10
+    assert np.all(known.unknown[known.first_known :] == 0)
+    assert known.unknown[known.first_known - 1] > 0
+    assert known.bracket.known(metres(PLANT))
+    assert StateBounds.at_rest(PLANT).drive(PLANT, [10.0, 0.0]).first_known is None
+    assert not StateBounds.at_rest(PLANT).known(1e-9)
+
+
+def test_looser_tolerances_know_earlier():
+    counts = [
+        StateBounds.at_rest(PLANT).drive(PLANT, [180.0, 0.0], tolerance=t).unknown[-1] for t in (1e-18, 1e-6, 1e-5)
+    ]
+    assert counts[0] == 10
+    assert counts[2] == 0
+    assert sorted(counts, reverse=True) == counts
+
+
+@given(SOME, our.SEEDS)
+def test_the_error_bar_of_a_first_move(actuator, seed):
+    """Readings from a sensor that starts at zero: as far apart as the starts, once all have homed."""
+    limits, present, end = roomy(actuator, seed)
+    homing = shortest_homing(actuator, limits=limits, present=present, end=end)
+    bracket = StateBounds.at_rest(actuator, present)
+    rng = np.random.default_rng(seed)
+    states = [bracket.lower, bracket.upper, *(equilibrium(actuator, present, rng) for _ in range(20))]
+    readings = [
+        actuator.simulate(homing.turns, state=s, extrapolate=True).displacement - s.displacement for s in states
+    ]
+    allowance = metres(actuator, *readings)
+    final = [reading[-1] for reading in readings]
+    assert np.ptp(final) == pytest.approx(first_move_error(bracket), abs=allowance)
+    known = bracket.drive(actuator, homing.turns)
+    for reading in readings:
+        assert np.all(reading >= known.lowest - bracket.upper.displacement - allowance)
+        assert np.all(reading <= known.highest - bracket.lower.displacement + allowance)
+
+
+def test_the_error_bar_in_closed_form():
+    friction = PLANT.slip.friction.sum()
+    ends = [PLANT.core.spring_inverse(60 + sign * friction) for sign in (-1, 1)]
+    assert first_move_error(StateBounds.at_rest(PLANT, 60)) == pytest.approx(ends[1] - ends[0])
+    assert first_move_error(StateBounds(PLANT.relaxed(), PLANT.relaxed())) == 0.0
+
+
+def test_refusals_of_wrong_types():
+    rest = StateBounds.at_rest(PLANT)
+    for call in (shortest_homing, StateBounds.at_rest, lambda a: rest.drive(a, [0.0]), lambda a: least_range(a, 0, 1)):
+        with pytest.raises(ModelError, match="actuator: got str, need an Actuator"):
+            call("plant")
+
+
+def test_brackets_refuse():
+    rest = StateBounds.at_rest(PLANT)
+    with pytest.raises(ModelError, match="lower: got float, need a State"):
+        StateBounds(0.0, rest.upper)
+    with pytest.raises(ModelError, match="got 10 and 3 carts, need states of one actuator"):
+        StateBounds(rest.lower, plain_records.plant(3).relaxed())
+    with pytest.raises(ModelError, match="the lower state lies above the upper one"):
+        StateBounds(rest.upper, rest.lower)
+    with pytest.raises(ModelError, match="voltage: got nan"):
+        StateBounds.at_rest(PLANT, np.nan)
+    with pytest.raises(ModelError, match="voltage: 1 of 2 values are not finite"):
+        rest.drive(PLANT, [0.0, np.inf])
+    with pytest.raises(ModelError, match="this actuator has 3 elements"):
+        rest.drive(plain_records.plant(3), [0.0])
+    with pytest.raises(ModelError, match="tolerance: got -1"):
+        rest.drive(PLANT, [0.0], tolerance=-1)
+    with pytest.raises(ModelError, match="tolerance: got 0"):
+        rest.known(0)
+    with pytest.raises(ModelError, match="highest: got inf"):
+        least_range(PLANT, 0, np.inf)
+
+
+def test_known_by_displacement_refuses():
+    with pytest.raises(ModelError, match="displacement: 1 of 2 values are not finite"):
+        known_by_displacement(PLANT, [0.0, np.nan])
+    with pytest.raises(ModelError, match="displacement: got an array of shape"):
+        known_by_displacement(PLANT, [[0.0]])
+    with pytest.raises(ModelError, match="must be positive and strictly increasing"):
+        known_by_displacement([2e-6, 1e-6], [0.0])
+    with pytest.raises(ModelError, match="breakaway elongations: got str"):
+        known_by_displacement("plant", [0.0])
+    with pytest.raises(ModelError, match="tolerance: got 0"):
+        known_by_displacement(PLANT, [0.0], tolerance=0)

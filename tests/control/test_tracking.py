@@ -1,0 +1,100 @@
+"""From records of actuators that are no model of ours to a path that they follow, and the measured actuator.
+
+Bounds are 1.5 times what was measured when the wider structures came, largest and RMS error in % of the stroke.
+"""
+
+from functools import cache
+
+import places
+import pytest
+import tracking_trials
+
+import dehyst
+from dehyst import Outcome
+from dehyst.model import Structure
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+
+DATA = places.DATA
+# Truth, time step, cycles of the fast and the slow loops, holds, cycles of the path [s].
+CASES = {
+    "play": (PlayActuator, {}, 0.01, 2.0, 10.0, 1.0, 2.0),
+    "creep": (PlayActuator, {"creep": 0.01}, 0.05, 4.0, 40.0, 10.0, 15.0),
+    "Preisach": (PreisachActuator, {}, 0.01, 2.0, 10.0, 1.0, 2.0),
+    "Bouc-Wen": (BoucWenActuator, {}, 2e-4, 0.02, 0.2, 0.02, 0.02),
+}
+MEASURED = {"play": (0.09, 0.02), "creep": (0.18, 0.05), "Preisach": (0.14, 0.04), "Bouc-Wen": (0.86, 0.29)}
+PLAIN = (Structure(), Structure(elements=40, spacing=2.0, knots=41))
+
+
+@cache
+def learnt(name):
+    kind, options, step, fast, slow, hold, _ = CASES[name]
+    return tracking_trials.records(kind(**options), step, fast, slow, hold)
+
+
+@cache
+def fitted(name, structure="auto"):
+    return dehyst.identify(learnt(name), structure=structure, norm="l2", shared_datum=True)
+
+
+def followed(name, structure="auto", seeds=(3, 4)):
+    kind, options, step, *_, period = CASES[name]
+    actuator = fitted(name, structure).actuator
+    found = [tracking_trials.tracked(actuator, kind(**options), learnt(name), step, period, seed) for seed in seeds]
+    return tuple(max(column) for column in zip(*found, strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_a_path_is_followed(name):
+    assert fitted(name).outcome is Outcome.WIDER
+    for got, measured in zip(followed(name), MEASURED[name], strict=True):
+        assert got < 1.5 * measured
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["play", "Preisach"])
+def test_parts_that_records_do_not_need_do_not_hurt(name):
+    """Truths without creep and dynamics, on paths that no record had: no worse than plain elements, nearly."""
+    largest, rms = followed(name)
+    plain = [followed(name, structure) for structure in PLAIN]
+    assert largest < 1.1 * min(one[0] for one in plain)
+    assert rms < 1.1 * min(one[1] for one in plain)
+    chosen = fitted(name)
+    held = {trial.structure: trial.held_out for trial in chosen.trials}
+    best = Structure(**chosen.actuator.provenance["structure"])
+    assert held[best] < 1.1 * min(held[one] for one in PLAIN)
+    assert best.creep == 0
+    assert chosen.actuator.creep is chosen.actuator.dynamics is None
+    assert chosen.actuator.delay == 0
+
+
+@pytest.mark.slow
+def test_what_the_truth_has_is_found():
+    creep, bouc_wen = fitted("creep").actuator, fitted("Bouc-Wen").actuator
+    truth = BoucWenActuator()
+    assert creep.creep is not None
+    assert creep.dynamics is None
+    assert bouc_wen.smooth is not None
+    assert bouc_wen.dynamics.frequency == pytest.approx(6.283185307 * truth.resonance, rel=0.05)
+    assert bouc_wen.delay == pytest.approx(truth.delay, abs=5e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (DATA / "major.csv").exists(), reason=f"the measured data are not in {DATA}")
+def test_the_rest_of_a_measured_record_is_predicted():
+    """Learnt to the middle of the hold, played on over the ramp up; 0.79/0.21 % of the stroke were measured."""
+    major, ramps = (
+        dehyst.read(DATA / f"{name}.csv", voltage="drive_V", displacement="displacement_um")
+        for name in ("major", "ramps")
+    )
+    fit = dehyst.identify(
+        [major, ramps[:4500]], validate=ramps[4500:].with_name("rest"), structure="auto", norm="l2", drift=False
+    )
+    rest = fit.errors[-1]
+    assert (rest.record, rest.role) == ("rest", "validation")
+    assert fit.outcome is Outcome.WIDER
+    assert rest.largest_percent < 1.5 * 0.79
+    assert rest.rms_percent < 1.5 * 0.21
+    assert fit.actuator.creep is not None
+    assert fit.actuator.delay == pytest.approx(0.014, abs=0.004)

@@ -1,0 +1,240 @@
+"""The voltage that leaves the program: never out of limits or slew rate, and the model knows what was really sent."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import strategies as our
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dehyst import Actuator, Compensator, Dynamics, ModelError, State
+from dehyst.control import trajectory
+
+PLANT = plain_records.plant(10, seed=4)
+LOW, HIGH = 20.0, 150.0
+RATE = 2e4
+
+
+def wanted(seed, size=400):
+    """It leaves what the limits allow on both sides."""
+    return plain_records.wild_path(seed, size, beyond=0.3, corners=(2, 12))
+
+
+def times(seed, size):
+    return np.cumsum(np.random.default_rng(seed + 1).uniform(0.5e-3, 2e-3, size))
+
+
+def assert_true_to_what_was_sent(command, path, start):
+    """The claimed motion is what the plant does with the sent voltages, sample by sample and at the end."""
+    motion = PLANT.simulate(command.voltage, state=start, stack=False)
+    np.testing.assert_allclose(command.displacement, motion.displacement, atol=1e-9 * plain_records.STROKE)
+    np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-9 * plain_records.STROKE)
+    assert command.state.displacement == pytest.approx(motion.state.displacement, abs=1e-9 * plain_records.STROKE)
+    np.testing.assert_array_equal(command.displacement[~command.clamped], path[~command.clamped])
+
+
+@given(st.integers(0, 10**6), st.booleans(), st.integers(1, 400))
+def test_no_path_leaves_limits_or_slew_rate(seed, slewing, size):
+    path, time = wanted(seed)[:size], times(seed, 400)[:size]
+    start = plain_records.any_state(PLANT, float(path[0]), seed)
+    compensator = Compensator(PLANT, (LOW, HIGH), RATE if slewing else None)
+    command = compensator.trajectory(path, time=time, state=start)
+    assert np.all((command.voltage >= LOW) & (command.voltage <= HIGH))
+    if slewing:
+        allowed = RATE * np.diff(time)
+        assert np.all(np.abs(np.diff(command.voltage)) <= allowed + 1e-12 * HIGH)
+    assert_true_to_what_was_sent(command, path, start)
+    assert bool(command.warnings) == bool(command.clamped.any())
+
+
+@given(st.integers(0, 10**6))
+def test_only_what_had_to_be_clamped_is_clamped(seed):
+    path = wanted(seed)
+    start = plain_records.any_state(PLANT, float(path[0]), seed)
+    command = Compensator(PLANT, (LOW, HIGH)).trajectory(path, state=start)
+    for i in np.flatnonzero(command.clamped):
+        assert command.voltage[i] in (LOW, HIGH)
+        short = path[i] - command.displacement[i]
+        assert short >= 0 if command.voltage[i] == HIGH else short <= 0
+
+
+def test_without_clamping_it_is_the_compensation():
+    path = plain_records.path((0.9, 0.2, 0.7, 0.3, 0.8))
+    command = Compensator(PLANT, (-1e4, 1e4), 1e9).trajectory(path, time=np.arange(path.size) * 1e-3)
+    motion = PLANT.compensate(path)
+    np.testing.assert_allclose(command.voltage, motion.voltage, atol=1e-9)
+    np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-15)
+    np.testing.assert_array_equal(command.displacement, path)
+    assert (command.warnings, command.clamped.any()) == ((), False)
+
+
+def test_clamping_is_loud():
+    path = plain_records.path((0.5, 1.4, 0.5))
+    start = PLANT.turned(float(path[0]))
+    command = Compensator(PLANT, (0.0, HIGH)).trajectory(path, state=start)
+    count, first = int(command.clamped.sum()), int(np.flatnonzero(command.clamped)[0])
+    miss = np.abs(path - command.displacement).max() * 1e6
+    (said,) = command.warnings
+    assert said.startswith(f"CLAMPED: {count} of {path.size} voltages ({count} at the limits 0 to 150 V, 0 by the slew")
+    assert f"the first at sample {first};" in said
+    assert said.endswith(f"missed by up to {miss:.4g} um")
+
+
+def test_a_slew_rate_is_told_apart_from_the_limits():
+    path = plain_records.STROKE * np.where(np.arange(50) < 25, 0.3, 0.6)
+    command = Compensator(PLANT, (-1e3, 1e3), 1e3).trajectory(path, time=np.arange(50) * 1e-3)
+    assert "0 at the limits" in command.warnings[0]
+    assert f"{int(command.clamped.sum())} by the slew rate" in command.warnings[0]
+    np.testing.assert_allclose(np.diff(command.voltage)[24:26], 1.0, rtol=1e-9)
+    # It catches up with the path and follows it again.
+    assert not command.clamped[:25].any()
+
+
+def test_after_a_clamp_the_path_is_followed_again():
+    path = plain_records.path((0.4, 1.5, 0.2, 0.5))
+    start = PLANT.turned(float(path[0]))
+    command = Compensator(PLANT, (-500.0, HIGH)).trajectory(path, state=start)
+    last = int(np.flatnonzero(command.clamped)[-1])
+    assert last < 250
+    np.testing.assert_array_equal(command.displacement[last + 1 :], path[last + 1 :])
+    played = PLANT.simulate(command.voltage, state=start).displacement
+    np.testing.assert_allclose(played[last + 1 :], path[last + 1 :], atol=1e-9 * plain_records.STROKE)
+
+
+@pytest.mark.parametrize("size", [0, 1, 2, 63, 64, 65, 129])
+def test_any_number_of_samples(size):
+    path = np.full(size, 0.4 * plain_records.STROKE)
+    command = Compensator(PLANT, (-1e3, 1e3), RATE).trajectory(path, time=np.arange(float(size)))
+    assert command.voltage.shape == command.displacement.shape == command.clamped.shape == (size,)
+    np.testing.assert_allclose(command.voltage, PLANT.compensate(path).voltage, atol=1e-9)
+
+
+def test_the_actuators_own_limits_are_the_default():
+    limited = Actuator(PLANT.slip, PLANT.spring, limits=(5, 95))
+    assert Compensator(limited).limits == (5.0, 95.0)
+    assert Compensator(limited, (0, 10)).limits == (0.0, 10.0)
+    command = Compensator(limited).trajectory(plain_records.path((0, 1, 0)))
+    assert (command.voltage.min(), command.voltage.max()) == (5.0, 95.0)
+
+
+def test_refusals():
+    with pytest.raises(ModelError, match="no voltage limits"):
+        Compensator(PLANT)
+    for limits in ((1.0, 1.0), (2.0, 1.0), (0.0, np.nan), (-np.inf, 1.0), (1.0,), (0.0, 1.0, 2.0)):
+        with pytest.raises(ModelError, match="limits: got"):
+            Compensator(PLANT, limits)
+    for rate in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(ModelError, match="slew_rate: got"):
+            Compensator(PLANT, (LOW, HIGH), rate)
+    slewing = Compensator(PLANT, (LOW, HIGH), RATE)
+    with pytest.raises(ModelError, match="a slew rate needs the time"):
+        slewing.trajectory([0.0, 1e-6])
+    refused = {
+        (0.0,): "got 1 values for 2 samples, need one a sample",
+        (0.0, 1.0, 2.0): "got 3 values for 2 samples",
+        (0.0, 0.0): "got 0 s after 0 s at value 1",
+        (1.0, 0.0): "got 0 s after 1 s at value 1",
+    }
+    for time, why in refused.items():
+        with pytest.raises(ModelError, match=f"time: {why}"):
+            slewing.trajectory([0.0, 1e-6], time=time)
+    with pytest.raises(ModelError, match="not finite"):
+        slewing.trajectory([0.0, np.nan], time=[0.0, 1.0])
+    with pytest.raises(ModelError, match="carts"):
+        slewing.trajectory([0.0], time=[0.0], state=plain_records.any_state(plain_records.plant(3), 0.0, 1))
+
+
+WIDE = {
+    "graded": {"graded": True, "transformer": False, "creep": False},
+    "transformer": {"graded": False, "transformer": True, "creep": False},
+    "creep": {"graded": False, "transformer": False, "creep": True},
+    "all three": {"graded": True, "transformer": True, "creep": True},
+}
+
+
+def wider(kind, seed=5, **more):
+    """The plant with wider parts; they leave its voltages about where they were."""
+    return replace(our.make_wider(PLANT, seed, **WIDE[kind]), **more)
+
+
+@pytest.mark.parametrize("kind", WIDE)
+@given(st.integers(0, 10**6), st.booleans(), st.integers(1, 400))
+def test_wider_actuators_too_are_told_what_was_sent(kind, seed, slewing, size):
+    plant, path, time = wider(kind), wanted(seed)[:size], times(seed, 400)[:size]
+    command = Compensator(plant, (LOW, HIGH), RATE if slewing else None).trajectory(path, time=time)
+    assert np.all((command.voltage >= LOW) & (command.voltage <= HIGH))
+    motion = plant.simulate(command.voltage, time=time, stack=False, extrapolate=True)
+    np.testing.assert_allclose(command.displacement, motion.displacement, atol=1e-9 * plain_records.STROKE)
+    np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-9 * plain_records.STROKE)
+    np.testing.assert_allclose(command.state.creep, motion.state.creep, atol=1e-9 * plain_records.STROKE)
+    np.testing.assert_array_equal(command.displacement[~command.clamped], path[~command.clamped])
+
+
+@pytest.mark.parametrize("kind", ["plain", *WIDE])
+@given(st.integers(0, 10**6), st.booleans(), st.booleans())
+def test_even_steps_are_clamped_in_one_go_as_they_are_one_by_one(kind, seed, slewing, loaded):
+    """Two parts of a path at different rates: one by one where time is even, or piece by piece as where it is not."""
+    plant = replace(PLANT if kind == "plain" else wider(kind), load_stiffness=1e7)
+    path, time = wanted(seed), np.append(np.arange(250) * 1e-3, 0.25 + np.arange(150) * 2e-3)
+    load = 10 * np.sin(30 * time) if loaded else None
+    compensator = Compensator(plant, (LOW, HIGH), RATE if slewing else None)
+    commands = []
+    for few in (trajectory._FEW, 0):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(trajectory, "_FEW", few)
+            commands.append(compensator.trajectory(path, time=time, load=load))
+    one, other = commands
+    np.testing.assert_allclose(one.voltage, other.voltage, atol=1e-10 * HIGH)
+    np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-10 * plain_records.STROKE)
+    np.testing.assert_allclose(one.state.carts, other.state.carts, atol=1e-10 * plain_records.STROKE)
+    # Where a wish lies on a limit to rounding, one may call it clamped and the other not.
+    differ = one.clamped != other.clamped
+    assert np.abs(one.displacement - path)[differ].max(initial=0.0) < 1e-10 * plain_records.STROKE
+
+
+def smooth(size=1500):
+    time = np.arange(size) * 2e-5
+    return time, plain_records.STROKE * (0.5 - 0.2 * np.cos(2 * np.pi * 100 * time))
+
+
+@pytest.mark.parametrize("lag", [0.0, 2e-4])
+def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
+    time, path = smooth()
+    push = plain_records.STROKE * 0.2 * (2 * np.pi * 100) ** 2
+    load = 3 * np.sin(2 * np.pi * 150 * time)
+    plant = wider("all three", dynamics=Dynamics(2 * np.pi * 1000, 0.05, 2e6), lag=lag, load_stiffness=1e7)
+    first = plant.compensate(path[:1], time=[0], load=load[:1], acceleration=[push]).state
+    start = State(first.displacement, first.carts, first.creep, [path[0], 0])
+    whole = plant.compensate(path, time=time, load=load, state=start)
+    command = Compensator(plant, (-1e4, 1e4)).trajectory(path, time=time, load=load, state=start)
+    np.testing.assert_allclose(command.voltage, whole.voltage, atol=1e-9 * np.ptp(whole.voltage))
+    played = plant.simulate(command.voltage, time=time, load=load, state=start)
+    np.testing.assert_array_equal(command.displacement, played.displacement)
+    assert np.abs(command.displacement - path).max() < 1e-3 * plain_records.STROKE
+
+
+def test_a_clamped_mass_is_told_as_it_moves():
+    time, path = smooth()
+    plant = wider("creep", dynamics=Dynamics(2 * np.pi * 1000, 0.3, 2e6))
+    high = 0.9 * plant.compensate(path, time=time).voltage.max()
+    command = Compensator(plant, (-1e4, high)).trajectory(path, time=time)
+    assert command.clamped.any()
+    assert command.voltage.max() == high
+    played = plant.simulate(command.voltage, time=time)
+    np.testing.assert_array_equal(command.displacement, played.displacement)
+    # Long after the last clamp of a damped mass the path is followed again.
+    gaps = np.flatnonzero(command.clamped)
+    after = np.arange(time.size)[gaps[-1] + 150 :]
+    assert after.size > 50
+    assert np.abs(command.displacement - path)[after].max() < 1e-3 * plain_records.STROKE
+
+
+def test_what_a_plain_or_a_timeless_task_lacks():
+    with pytest.raises(ModelError, match="creeps, so that the answer depends on time"):
+        Compensator(wider("creep"), (0, 1)).trajectory([0.0, 1e-6])
+    with pytest.raises(ModelError, match="give load_stiffness="):
+        Compensator(PLANT, (0, 1)).trajectory([0.0, 1e-6], load=[0.0, 1.0])
+    with pytest.raises(ModelError, match="load: got 1 values for 2 samples"):
+        Compensator(wider("graded", load_stiffness=1e6), (0, 1)).trajectory([0.0, 1e-6], load=[0.0])

@@ -1,0 +1,270 @@
+"""Wave tables: the cycle repeats itself, the model follows the path when homing, start-up and cycles are played."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import strategies as our
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dehyst import Creep, Dynamics, GradedSlip, RecordError, SmoothSlip, Transformer
+from dehyst.control import Compensator, wave_table
+from dehyst.control.lead_in import approach_to, follow
+from dehyst.control.steady_state import steady_state
+from dehyst.waveforms import Lissajous, MotionLimits, Spiral, Steps, Triangle
+
+UM = 1e-6
+PLAIN = replace(plain_records.plant(10), limits=(-50.0, 250.0))
+CREEP = Creep([0.05, 0.4], [1e6, 1.5e6])
+SMOOTH = SmoothSlip([1e-6, 4e-6, 9e-6], [1.0, 0.5, 0.75], [2e6, 1e6, 5e5])
+ACTUATORS = {
+    "plain": PLAIN,
+    "graded": replace(
+        PLAIN, slip=GradedSlip(PLAIN.slip.breakaway, [0, 8e-6, 16e-6], np.outer(PLAIN.slip.stiffness, [1, 0.9]))
+    ),
+    "transformer": replace(PLAIN, transformer=Transformer([-50, 100, 250], [-50, 110, 250])),
+    "creep": replace(PLAIN, creep=CREEP),
+    "smooth": replace(PLAIN, smooth=SMOOTH),
+    "creep and smooth": replace(PLAIN, creep=CREEP, smooth=SMOOTH),
+}
+TRIANGLE = Triangle(2 * UM, 12 * UM, 10, turns=0.2)
+SCANS = {
+    "triangle": TRIANGLE,
+    "lissajous": Lissajous((4 * UM, 3 * UM), 2, (3, 4), centre=(8 * UM, 8 * UM)),
+    "spiral": Spiral(4 * UM, 4, 1, centre=(8 * UM, 8 * UM)),
+}
+
+
+def simulated(actuator, played, state=None):
+    """What the actuator does with all that is played."""
+    start = actuator.relaxed(float(played.voltage[0])) if state is None else state
+    time = played.time if actuator.needs_time else None
+    return actuator.simulate(played.voltage, time=time, state=start).displacement
+
+
+def strokes(scan, axis="x"):
+    low, high = scan.path(axis).range
+    return high - low
+
+
+@given(our.actuators(), our.SEEDS, st.sampled_from(our.STATE_KINDS), st.floats(0.05, 1.5))
+def test_without_time_the_second_cycle_is_the_steady_one(actuator, seed, kind, share):
+    knots, span = actuator.spring.displacement, our.span_of(actuator)
+    path = Triangle(0.0, min(share * span, 1.0), 1, sample_rate=60).path()
+    cycles = knots[0] + path.repeated(4).displacement
+    voltage = actuator.compensate(cycles, state=our.make_state(actuator, seed, kind)).voltage
+    second, third, fourth = (voltage[k * 60 : (k + 1) * 60] for k in (1, 2, 3))
+    assert np.abs(third - second).max() <= 1e-12 * our.volts_of(actuator)
+    assert np.array_equal(fourth, third)
+
+
+@pytest.mark.parametrize("homed", [True, False])
+@pytest.mark.parametrize("scan", SCANS)
+@pytest.mark.parametrize("name", ACTUATORS)
+def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
+    actuator, state = ACTUATORS[name], None if homed else ACTUATORS[name].relaxed(20.0)
+    table = wave_table(actuator, SCANS[scan], state=state)
+    stroke, size = strokes(SCANS[scan]), len(table.cycle)
+    assert (table.homing is not None) == homed
+    assert table.clamped == 0 and table.error <= 1e-4 * stroke
+    played = table.played(80 if actuator.creep or actuator.smooth else 3)
+    made = simulated(actuator, played, state)
+    miss = np.abs(made - played.displacement)
+    assert miss[-size:].max() <= 1e-9 * stroke
+    first = np.flatnonzero(played.phase == 2)[0]
+    # What a homing leaves unknown comes on top of the error.
+    assert miss[first : first + size].max() <= 1.0001 * table.error + table.unknown + 1e-9 * stroke
+    if not homed:
+        start = played.phase == 1
+        assert miss[start].max() <= 1e-9 * stroke
+        assert played.displacement[0] == state.displacement
+
+
+@pytest.mark.parametrize("scan", SCANS)
+def test_with_dynamics_it_is_followed_to_the_discretisation(scan):
+    actuator = replace(PLAIN, dynamics=Dynamics(2 * np.pi * 1000, 0.1, 2e6))
+    errors = []
+    for times in (1, 4):
+        finer = replace(SCANS[scan], sample_rate=times * SCANS[scan].rate)
+        if scan == "triangle":
+            finer = replace(finer, rounding="cosine")
+        table = wave_table(actuator, finer, state=actuator.relaxed(20.0))
+        played = table.played(4)
+        made = simulated(actuator, played, actuator.relaxed(20.0))
+        size = len(table.cycle)
+        errors.append(np.abs(made - played.displacement)[-size:].max() / strokes(finer))
+        assert np.abs(made - played.expected)[-size:].max() <= 1e-7 * strokes(finer)
+    assert errors[0] <= 2e-4
+    # Linear between samples: the error falls with their distance squared.
+    assert errors[1] <= errors[0] / 8
+
+
+@pytest.mark.parametrize("scan", SCANS)
+@pytest.mark.parametrize("name", ["creep", "smooth", "creep and smooth"])
+def test_the_steady_state_is_what_cycles_tend_to(name, scan):
+    actuator, path = ACTUATORS[name], SCANS[scan].path()
+    compensator, state = Compensator(actuator), ACTUATORS[name].turned(2 * UM)
+    for _ in range(120):
+        state = follow(compensator, path.repeated(1), state).state
+    found = steady_state(actuator, path, follow(compensator, path.repeated(2), actuator.turned(2 * UM)).state)
+    assert np.allclose(found.creep, state.creep, rtol=0, atol=1e-9 * UM)
+    assert np.allclose(found.smooth, state.smooth, rtol=0, atol=1e-9 * UM)
+    again = follow(compensator, path.repeated(1), found).state
+    assert np.allclose(again.creep, found.creep, rtol=0, atol=1e-12 * UM)
+    assert np.allclose(again.smooth, found.smooth, rtol=0, atol=1e-12 * UM)
+    assert np.array_equal(again.carts, found.carts)
+
+
+def test_creep_whose_time_constant_is_long_settles_at_once_in_the_table():
+    slow = replace(PLAIN, creep=Creep([500.0], [2e6]))
+    path = TRIANGLE.path()
+    state = steady_state(slow, path, follow(Compensator(slow), path.repeated(2), slow.turned(2 * UM)).state)
+    # Over a cycle the strain of a slow branch follows the displacement less its mean.
+    assert state.creep[0] == pytest.approx(path.displacement[0] - path.displacement.mean(), rel=1e-3)
+
+
+def test_a_table_that_comes_too_early_is_said_with_the_cycles_that_would_do():
+    slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
+    table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=2)
+    assert table.cycles == 2 and not table.settled
+    assert "after 2 cycles of start-up the first steady cycle comes off by up to" in table.warnings[-1]
+    more = int(table.warnings[-1].split("creep takes ")[1].split()[0])
+    enough = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=2 + more)
+    assert enough.error <= 1.01e-4 * strokes(TRIANGLE)
+    found = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0))
+    assert found.settled and enough.tolerance == pytest.approx(1e-4 * strokes(TRIANGLE))
+    assert 0.8 * (2 + more) < found.cycles <= 2 + more
+
+
+@given(our.SEEDS, st.sampled_from(our.STATE_KINDS), st.sampled_from(sorted(SCANS)), st.booleans())
+def test_the_approach_is_smooth_and_keeps_the_limits_of_the_scan(seed, kind, scan, slewed):
+    path = SCANS[scan].path()
+    state = our.make_state(PLAIN, seed, kind)
+    wild = Compensator(PLAIN, (-1e4, 1e4))
+    rate = 2000.0 if slewed else None
+    way = approach_to(path, Compensator(wild.actuator, wild.limits, rate), state, MotionLimits())
+    if way is None:
+        return
+    assert way.displacement[0] == state.displacement and way.velocity[0] == 0
+    for row, whole in zip(way.rows[1:], path.rows[1:], strict=True):
+        assert np.abs(row).max() <= np.abs(whole).max() * (1 + 1e-8)
+    joined = np.append(way.displacement, path.displacement[0])
+    assert np.abs(np.diff(joined)).max() <= np.abs(path.velocity).max() / path.sample_rate * (1 + 1e-8)
+    voltage = PLAIN.compensate(joined, state=state, extrapolate=True).voltage
+    assert rate is None or np.abs(np.diff(voltage)).max() * path.sample_rate <= rate * (1 + 1e-9)
+
+
+def test_the_axes_of_a_scan_can_be_kept_together():
+    scan = SCANS["lissajous"]
+    tables = [wave_table(PLAIN, scan, axis=axis, state=PLAIN.relaxed(20.0), approach=0.05, cycles=2) for axis in "xy"]
+    assert len({len(table.start_up) for table in tables}) == 1
+    assert len(tables[0].start_up) == 2 * scan.samples + np.ceil(0.05 * scan.rate)
+
+
+def test_a_scan_that_stands_where_it_begins_has_no_approach():
+    state = PLAIN.turned(2 * UM, rising=False)
+    table = wave_table(PLAIN, TRIANGLE, state=state)
+    assert len(table.start_up) == table.cycles * TRIANGLE.samples
+    assert np.array_equal(table.played(0).phase, np.ones(len(table.start_up)))
+
+
+@pytest.mark.parametrize("name", ["plain", "creep"])
+@pytest.mark.parametrize("limits, slew", [((0.0, 120.0), None), ((-50.0, 250.0), 2500.0)])
+def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
+    actuator = ACTUATORS[name]
+    table = wave_table(actuator, TRIANGLE, limits=limits, slew_rate=slew, state=actuator.relaxed(20.0), cycles=12)
+    assert table.clamped > 0 and table.cycles == 12
+    assert table.warnings[0].startswith("CLAMPED: the steady cycle cannot be reached within the limits; each misses")
+    played = table.played(5)
+    assert limits[0] <= played.voltage.min() and played.voltage.max() <= limits[1]
+    steps = np.abs(np.diff(played.voltage)) * table.sample_rate
+    # From the start-up to the first cycle and from cycle to cycle it goes on as the last cycles did.
+    assert slew is None or steps.max() <= slew * (1 + 1e-6)
+    made, size = simulated(actuator, played, actuator.relaxed(20.0)), len(table.cycle)
+    off = np.abs(made - played.expected)
+    assert off[: -4 * size].max() <= 1e-12 * strokes(TRIANGLE)
+    # What is stated of the next cycle; those after it go on settling, ever less.
+    assert off[-4 * size : -3 * size].max() <= 1.0001 * table.error + 1e-12 * strokes(TRIANGLE)
+    assert off.max() <= 4 * table.error + 1e-12 * strokes(TRIANGLE)
+
+
+def test_a_homing_that_limits_forbid_is_said():
+    table = wave_table(PLAIN, TRIANGLE, limits=(0.0, 120.0))
+    assert table.warnings[0].startswith("not certified") and not table.certified and table.unknown > UM
+    assert table.homing.voltage.max() <= 120.0
+
+
+def test_the_homing_begins_at_the_present_voltage_and_keeps_the_slew_rate():
+    table = wave_table(PLAIN, TRIANGLE, slew_rate=8000.0, present=30.0)
+    played = table.played(1)
+    assert played.voltage[0] == 30.0
+    assert np.abs(np.diff(played.voltage)).max() * table.sample_rate <= 8000.0 * (1 + 1e-6)
+    assert table.homing.sample_rate == table.sample_rate == TRIANGLE.rate
+    end = np.flatnonzero(played.phase == 1)[0]
+    assert played.voltage[end] == pytest.approx(30.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("parts", [{}, {"dynamics": Dynamics(2 * np.pi * 300, 0.03, 1e6)}])
+def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
+    slow = replace(PLAIN, creep=Creep([5.0, 50.0], [2e5, 2e5]), **parts)
+    table = wave_table(slow, TRIANGLE)
+    assert table.homing.duration * table.sample_rate > 9e5
+    assert table.sample_rate / table.homing.sample_rate == round(table.sample_rate / table.homing.sample_rate)
+    played = table.played(2)
+    assert played.time.size == table.rows(2) and (played.phase == 0).sum() == table.homing_rows.size < 5e4
+    steps = np.diff(played.time)
+    assert steps.min() > 0.99 / table.sample_rate
+    # All that was left out lies on straight lines between rows.
+    whole = np.interp(table.homing.time, played.time, played.voltage)
+    assert np.abs(whole - table.homing.voltage)[:-1].max() <= 1e-9
+    # What was simulated with every sample is what the rows alone make, at the rows and after them.
+    made = slow.simulate(played.voltage, time=played.time, state=slow.relaxed(float(played.voltage[0]))).displacement
+    assert np.abs(made - played.expected)[played.phase == 0].max() <= 1e-5 * strokes(TRIANGLE)
+    assert np.abs(made - played.displacement)[-800:].max() <= table.error + table.unknown + 1e-4 * strokes(TRIANGLE)
+
+
+def test_a_short_homing_is_sampled_as_the_scan_is():
+    table = wave_table(ACTUATORS["creep"], TRIANGLE)
+    assert table.homing.sample_rate == table.sample_rate
+    played = table.played(1)
+    np.testing.assert_allclose(played.time, np.arange(played.time.size) / table.sample_rate, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        ({"axis": "y"}, "axis: got 'y', need 'x'"),
+        ({"cycles": -1}, "cycles: got -1, need a whole number, 0 or more, 10000000 at most"),
+        ({"state": None, "present": 900.0}, "present: got 900 V, but the limits are -50 to 250 V; ramp there first"),
+        ({"cycles": 10**7}, "cycles: got 10000000, 4e[+]09 samples of start-up, need 12500 at most"),
+        ({"tolerance": 0.0}, "tolerance: got 0, need a number above 0"),
+        ({"approach": -1.0}, "approach: got -1, need a number above 0"),
+        ({"scan": Steps((2 * UM, 5 * UM), 0.1, seconds=0.1, closed=False)}, "scan: got one that ends elsewhere"),
+    ],
+)
+def test_what_cannot_be_is_refused(options, said):
+    with pytest.raises(RecordError, match=said):
+        wave_table(PLAIN, **{"scan": TRIANGLE, "state": PLAIN.relaxed(20.0), **options})
+
+
+def test_creep_that_no_start_up_can_outlast_is_said_so():
+    slow = replace(PLAIN, creep=Creep([1e5], [2e6]))
+    table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=1)
+    assert "NOT SETTLED: after 1 cycle of start-up" in table.warnings[-1]
+    assert table.warnings[-1].endswith("but a start-up has 12500 cycles at most; play the table for so long and wait")
+
+
+def test_a_clipped_table_that_is_not_settled_says_that_no_number_is_known():
+    slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
+    table = wave_table(slow, TRIANGLE, limits=(0.0, 120.0), state=slow.relaxed(20.0))
+    assert table.clamped and not table.settled and table.cycles == 47
+    assert "how many would do is not known" in table.warnings[-1]
+    assert table.warnings[-1].endswith("it tries 47 at most and 100000 samples; give cycles=96 to see")
+
+
+def test_creep_without_clipping_is_followed_for_a_thousand_cycles():
+    slow = replace(PLAIN, creep=Creep([500.0], [2e5]))
+    table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0))
+    assert (table.cycles, table.settled, table.clamped) == (1000, False, 0)

@@ -1,0 +1,234 @@
+"""The wider class in C: compiled apart it gives the same bits, stays within its arrays, and NaN moves nothing."""
+
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import strategies as our
+
+from dehyst import Dynamics, SmoothSlip
+from dehyst._native import StepCoefficients
+
+SOURCES = plain_records.CORE_SOURCES
+
+# Reads an actuator, one pace, a state and a path; prints, a line a sample, the voltages and what they lead back to: on
+# the stack, then on the carts.
+HARNESS = r"""
+#include <stdio.h>
+#include "dehyst.h"
+#define MOST 1100
+static dehyst_real rho[MOST], kappa[MOST], knot[MOST], value[MOST], slope[MOST], edge[MOST], intercept[MOST];
+static dehyst_real stiffness[MOST], grade_knot[MOST], grade_value[MOST], grade_slope[MOST], volt[MOST], drive[MOST];
+static dehyst_real tau_slope[MOST], tau_inverse[MOST], creep[MOST], decay[MOST], gain[MOST], to[8], mass[2], motion[2];
+static dehyst_real start[MOST], cart[MOST], first[MOST], strain[MOST], path[MOST], out[4][MOST];
+static dehyst_real length[MOST], closing[MOST], back[MOST], smooth[MOST], before[MOST], elongation[MOST];
+static dehyst_real room_value[MOST], room_slope[MOST], held[MOST];
+static int segment[MOST];
+static dehyst_reversal reversal[DEHYST_STACK_CAPACITY(MOST)];
+
+static int read(dehyst_real *a, int n)
+{
+    double number;
+    int i;
+    for (i = 0; i < n; i++) {
+        if (scanf("%la", &number) != 1) return 0;
+        a[i] = (dehyst_real)number;
+    }
+    return 1;
+}
+
+int main(void)
+{
+    dehyst_wide a = {0};
+    dehyst_pace pace;
+    dehyst_wide_state state;
+    int n, m, k, l, j, q, inertia, samples, i, t, column;
+    if (scanf("%d %d %d %d %d %d %d %d", &n, &m, &k, &l, &j, &q, &inertia, &samples) != 8) return 1;
+    if (!read(rho, n) || !read(kappa, n) || !read(knot, k) || !read(value, k)) return 2;
+    if (m > 0 && (!read(grade_knot, m + 1) || !read(grade_slope, n * m))) return 2;
+    if (!read(volt, l) || !read(drive, l) || !read(creep, j) || !read(decay, j) || !read(gain, j)) return 2;
+    if (!read(length, q) || !read(closing, q) || !read(smooth, q)) return 2;
+    if (inertia && (!read(mass, 2) || !read(to, 8) || !read(motion, 2))) return 2;
+    if (!read(&state.memory.y, 1) || !read(start, n) || !read(first, j) || !read(before, q)) return 2;
+    if (!read(path, samples)) return 2;
+    a.plain.slip.size = n, a.plain.slip.rho = rho, a.plain.slip.kappa = kappa, a.plain.slip.edge = edge;
+    a.plain.slip.intercept = intercept, a.plain.slip.stiffness = stiffness;
+    a.plain.spring.size = k, a.plain.spring.knot = knot, a.plain.spring.value = value, a.plain.spring.slope = slope;
+    if (dehyst_curve_tabulate(k, knot, value, slope) != DEHYST_OK) return 3;
+    if (dehyst_slip_tabulate(n, rho, kappa, edge, intercept, stiffness, &a.plain.slip.inverse_step) != DEHYST_OK)
+        return 4;
+    if (m > 0) {
+        if (dehyst_grades_tabulate(n, m, grade_knot, grade_slope, grade_value) != DEHYST_OK) return 5;
+        a.grades.size = m, a.grades.knot = grade_knot, a.grades.value = grade_value, a.grades.slope = grade_slope;
+    }
+    if (l > 0) {
+        if (dehyst_curve_tabulate(l, volt, drive, tau_slope) != DEHYST_OK) return 6;
+        if (dehyst_curve_tabulate(l, drive, volt, tau_inverse) != DEHYST_OK) return 6;
+        a.drive.size = l, a.drive.knot = volt, a.drive.value = drive, a.drive.slope = tau_slope;
+        a.voltage.size = l, a.voltage.knot = drive, a.voltage.value = volt, a.voltage.slope = tau_inverse;
+    }
+    if (dehyst_smooth_tabulate(q, length, closing, back) != DEHYST_OK) return 8;
+    a.smooth.size = q, a.smooth.length = length, a.smooth.back = back, a.smooth.stiffness = smooth;
+    a.branches = j, a.stiffness = creep, a.inertia = inertia, a.series = mass[0], a.share = mass[1];
+    pace.decay = decay, pace.gain = gain;
+    for (i = 0; i < 4; i++) pace.transition.phi[i] = to[i];
+    for (i = 0; i < 2; i++) pace.transition.before[i] = to[4 + i], pace.transition.after[i] = to[6 + i];
+    {
+        const dehyst_real y = state.memory.y;
+        for (column = 0; column < 4; column++) {
+            dehyst_room room = {{DEHYST_STACK_CAPACITY(MOST), 0, 1, 0, 0, 0}, room_value, room_slope, held, segment};
+            if (column < 2) room.stack.reversal = reversal;
+            state.memory.y = y, state.memory.cart = cart, state.strain = strain;
+            state.elongation = elongation;
+            state.y = motion[0], state.rate = motion[1], state.input = 0;
+            for (i = 0; i < n; i++) cart[i] = start[i];
+            for (i = 0; i < j; i++) strain[i] = first[i];
+            for (i = 0; i < q; i++) elongation[i] = before[i];
+            if (dehyst_wide_check(&a, &state) != DEHYST_OK) return 7;
+            if (column % 2 == 0)
+                dehyst_wide_compensate(&a, &pace, &state, &room, path, NULL, out[column], samples);
+            else
+                dehyst_wide_simulate(&a, &pace, &state, &room, out[column - 1], NULL, out[column], samples);
+        }
+    }
+    for (t = 0; t < samples; t++)
+        printf("%a %a %a %a\n", (double)out[0][t], (double)out[1][t], (double)out[2][t], (double)out[3][t]);
+    return 0;
+}
+"""
+
+
+def bench(kind, seed):
+    """An actuator with the parts that the kind names, its state and pace, and a path long enough to reach the stack."""
+    plain = our.make_actuator(seed, 9, 9, uniform=seed % 2 == 0)
+    parts = {part: part in kind for part in ("graded", "transformer", "creep")}
+    actuator = our.make_wider(plain, seed, **parts)
+    slope, stroke = actuator.spring.slopes.min(), np.ptp(actuator.spring.displacement)
+    if "smooth" in kind:
+        # Both closings, lengths in proportion to the stroke.
+        smooth = SmoothSlip(stroke * np.array([0.03, 0.1, 0.4]), [1.0, 0.5, 0.8], slope * np.array([0.5, 0.3, 0.2]))
+        actuator = replace(actuator, smooth=smooth)
+    if "mass" in kind:
+        actuator = replace(actuator, dynamics=Dynamics(30.0, 0.3, slope))
+    model = actuator.model
+    state = model.fitted(our.make_state(plain, seed, "arbitrary"))
+    kinds = ("break points", "decay", "jumps", "noisy ramp", "walk")
+    path = np.concatenate([our.make_path(plain, state.displacement, seed, k, 200) for k in kinds])
+    time = np.arange(path.size) * 0.01
+    pace = model._pace(time, path.size)
+    # One pace for all, as a harness has it.
+    return (
+        model,
+        model.held(state),
+        StepCoefficients(np.array([0, path.size]), *(table[-1:] for table in pace[1:])),
+        path,
+    )
+
+
+def numbers(model, held, pace, path):
+    slip, tau, creep, smooth, mass = model.slip, model.transformer, model.creep, model.smooth, model.dynamics
+    graded = hasattr(slip, "knots")
+    arrays = [
+        slip.breakaway,
+        np.zeros(len(slip)) if graded else slip.stiffness,
+        model.spring.displacement,
+        model.spring.voltage,
+    ]
+    arrays += [slip.knots, slip.stiffness.ravel()] if graded else []
+    arrays += [tau.voltage, tau.drive] if tau else []
+    arrays += [creep.stiffness, pace.decay[0], pace.gain[0]] if creep else []
+    arrays += [smooth.length, smooth.closing, smooth.stiffness] if smooth else []
+    arrays += [[mass.series, mass.share(model.spring)], pace.transition[0], held.motion] if mass else []
+    arrays += [[held.w], held.carts, held.strains, path]
+    sizes = [
+        len(slip),
+        slip.knots.size - 1 if graded else 0,
+        model.spring.voltage.size,
+        tau.voltage.size if tau else 0,
+        len(creep) if creep else 0,
+        len(smooth) if smooth else 0,
+        int(mass is not None),
+        len(path),
+    ]
+    return " ".join(map(str, sizes)) + "\n" + "\n".join(float(x).hex() for x in np.concatenate(arrays))
+
+
+def run_apart(compiled, *bench):
+    command = [str(compiled.folder / "wide")]
+    done = subprocess.run(command, input=numbers(*bench), capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, f"status {done.returncode}: {done.stderr}"
+    return np.array([[float.fromhex(x) for x in line.split()] for line in done.stdout.splitlines()])
+
+
+def compile_apart(compiled, *options):
+    (compiled.folder / "wide.c").write_text("#include <stddef.h>\n" + HARNESS)
+    compiled.compile(*options, "wide.c", *SOURCES, "-o", "wide")
+
+
+KINDS = [
+    "transformer",
+    "creep",
+    "transformer creep",
+    "graded",
+    "graded transformer creep",
+    "smooth",
+    "smooth graded transformer creep",
+    "mass",
+    "transformer creep mass",
+    "graded creep mass",
+    "smooth graded transformer creep mass",
+]
+
+
+@pytest.mark.parametrize("options", [["-O2"], ["-O3", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
+def test_c_compiled_apart_gives_the_same_bits(compiled, options):
+    compile_apart(compiled, *options, "-fno-sanitize-recover")
+    for seed, kind in enumerate(KINDS):
+        model, held, pace, path = bench(kind, seed)
+        got = run_apart(compiled, model, held, pace, path)
+        for column, stack in ((0, True), (2, False)):
+            voltage, _ = model.core.compensate(path, pace, held, stack=stack)
+            back, _ = model.core.simulate(voltage, pace, held, stack=stack)
+            assert np.array_equal(got[:, column], voltage), kind
+            assert np.array_equal(got[:, column + 1], back), kind
+
+
+@pytest.mark.parametrize("options", [["-O2", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
+def test_the_wider_core_works_in_single_precision(compiled, options):
+    compiled.use_float()
+    compile_apart(compiled, *options, "-fno-sanitize-recover", "-Wdouble-promotion")
+    for seed, kind in enumerate(KINDS):
+        model, held, pace, path = bench(kind, seed)
+        got = run_apart(compiled, model, held, pace, path)
+        sent, _ = model.core.compensate(path, pace, held)
+        for column in (0, 2):
+            assert np.abs(got[:, column] - sent).max() <= 1e-4 * np.ptp(sent), kind
+            # With a mass the voltage of a path that jumps is not the one that makes it: the model is asked again.
+            back, _ = model.core.simulate(got[:, column], pace, held)
+            assert np.abs(got[:, column + 1] - back).max() <= 2e-4 * np.ptp(path), kind
+            if "mass" not in kind:
+                assert np.abs(got[:, column + 1] - path).max() <= 2e-4 * np.ptp(path), kind
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("stack", [True, False])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_sample_that_is_not_a_number_moves_nothing(kind, stack, bad):
+    model, held, pace, path = bench(kind, 3)
+    voltage, _ = model.core.compensate(path[:300], pace._replace(bounds=np.array([0, 300])), held, stack=stack)
+    hole = voltage.copy()
+    hole[[0, 70, 71, 200]] = bad
+    path = path[:300].copy()
+    path[[0, 70, 71, 200]] = bad
+    pace = pace._replace(bounds=np.array([0, 300]))
+    sent, reached = model.core.compensate(path, pace, held, stack=stack)
+    came, moved = model.core.simulate(hole, pace, held, stack=stack)
+    assert np.isfinite(sent).all()
+    assert np.isfinite(came).all()
+    for state in (reached, moved):
+        assert all(np.isfinite(part).all() for part in state)
+    if "mass" not in kind:
+        assert came[0] == held.w
+        assert came[71] == came[70] == came[69]

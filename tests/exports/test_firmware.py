@@ -1,0 +1,620 @@
+"""A compensator as C: the bits of Python here and on an emulated Cortex-M4, within stated bytes and operations."""
+
+import errno
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import compiled_exports
+import numpy as np
+import plain_records
+import pytest
+import structured_records
+from compiled_exports import KINDS, need, written
+
+import dehyst
+from dehyst import Actuator, ClampWarning, Compensator, FileFormatError, MaxwellSlip, ModelError, Spring
+from dehyst.exports import export, sizes, worst_case
+from dehyst.exports.firmware import SOURCES, code
+from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4F, STRICT
+from dehyst.exports.golden_trace import Call, golden_trace
+
+pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+
+LIMITS = LOW, HIGH = compiled_exports.LIMITS
+
+
+def make(folder, *arguments):
+    done = subprocess.run(["make", "-s", *arguments], cwd=folder, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.fixture
+def unmeasured(monkeypatch):
+    """An export that does not take the time to measure bytes."""
+    monkeypatch.setattr("dehyst.exports.firmware._PROCESSORS", {})
+
+
+def pythons(compensator, samples, every):
+    loop = compensator.afresh()
+    voltages = loop.run(compiled_exports.wishes(compensator, samples))
+    return compiled_exports.told(voltages, loop.clamps, every=every)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize(
+    ("kind", "samples"), [("plain", 10**6), ("slewing", 10**6), ("all", 50_000), ("moving", 50_000)]
+)
+def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler):
+    if compiler == "clang" and shutil.which("clang") is None:
+        pytest.skip("clang is not installed")
+    need("gcc")
+    compensator = KINDS[kind]()
+    expected = pythons(compensator, samples, samples // 100)
+    limited, slewed = (int(n) for n in expected[-1].split())
+    assert 0.005 * samples < limited + slewed < 0.999 * samples
+    folder = written(tmp_path / "c", compensator)
+    for options in (["-O0"], ["-O2"], ["-O3"], ["-Os", "-flto"]):
+        got = compiled_exports.driven(
+            folder, compensator, samples, every=samples // 100, compiler=compiler, options=options
+        )
+        assert got == expected, options
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "samples"), [("plain", 10**6), ("all", 10_000), ("moving", 10_000)])
+def test_an_emulated_cortex_m4_answers_pythons_bits(tmp_path, kind, samples):
+    need("arm-none-eabi-gcc", "qemu-system-arm")
+    compensator = KINDS[kind]()
+    got = compiled_exports.emulated(written(tmp_path / "c", compensator), compensator, samples, every=samples // 100)
+    assert got == pythons(compensator, samples, samples // 100)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "samples"), [("plain", 10**6), ("all", 50_000), ("moving", 50_000)])
+def test_floats_by_its_unit_are_those_of_this_computer(tmp_path, kind, samples):
+    need("gcc", "arm-none-eabi-gcc", "qemu-system-arm")
+    compensator = KINDS[kind]()
+    folder = written(tmp_path / "c", compensator, "float")
+    here = compiled_exports.driven(folder, compensator, samples, every=samples // 100)
+    assert compiled_exports.emulated(folder, compensator, samples, every=samples // 100) == here
+    assert here != pythons(compensator, samples, samples // 100)
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_was_exported_replays_what_python_did(tmp_path, kind, number, unmeasured):
+    need("gcc", "make")
+    made = export(KINDS[kind](), tmp_path / "c", number)
+    status, said = make(made.folder, "check", "symbols")
+    assert status == 0, said
+    assert "no symbol is needed from outside" in said
+    assert ("double: 0 of" if number == "double" else "float: largest error") in said
+    assert (made.error is None) == (number == "double")
+    if made.error is not None:
+        assert 1e-9 < made.error < 1e-3
+        assert f"{made.error:.1e}" in (made.folder / "README.md").read_text()
+
+
+def test_a_wrong_number_or_a_wrong_number_type_is_found(tmp_path, unmeasured):
+    need("gcc", "make")
+    compensator = compiled_exports.plain()
+    double = export(compensator, tmp_path / "double").folder
+    header = double / "model.h"
+    text = header.read_text()
+    first = re.search(r"model_kappa\[10\] = \{\n    (0x[^,]+),", text)
+    header.write_text(text.replace(first[1], (float.fromhex(first[1]) * (1 + 2**-52)).hex()))
+    status, said = make(double, "check")
+    assert status != 0
+    assert re.search(r"double: \d\d+ of", said)
+    # A config that was not rewritten: the numbers are floats', the arithmetic double's; a float's error is missed.
+    single = export(compensator, tmp_path / "float", "float").folder
+    (single / "dehyst_config.h").write_text(code(compensator)["dehyst_config.h"])
+    assert make(single, "check")[0] != 0
+    text = (single / "trace.h").read_text()
+    (single / "dehyst_config.h").write_text(code(compensator, "float")["dehyst_config.h"])
+    for bound, worse in (("MOST", "1e-9"), ("LEAST", "1e-3")):
+        (single / "trace.h").write_text(re.sub(rf"TRACE_{bound} \S+", f"TRACE_{bound} {worse}", text))
+        assert make(single, "check")[0] != 0, bound
+
+
+def test_the_trace_has_every_kind_of_call():
+    trace = golden_trace(compiled_exports.plain(slew=2e4, period=1e-3))
+    assert {row.what for row in trace.rows} == set(Call)
+    assert trace.clamps.limited > 5
+    assert trace.clamps.slewed > 5
+    assert trace.refused > 3
+    offers = [i for i, row in enumerate(trace.rows) if row.what is Call.OFFER]
+    assert any(trace.rows[i + 1].what in (Call.STEP, Call.OFFER) for i in offers), "an offer that was not taken"
+    steps = [row for row in trace.rows if row.what is Call.STEP]
+    assert any(LOW < row.answer < HIGH for row in steps)
+    assert any(row.answer in (LOW, HIGH) for row in steps)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_actuator_of_the_trace_is_the_virtual_one(kind):
+    compensator = KINDS[kind]()
+    rows = [row for row in golden_trace(compensator).rows if row.what is Call.SIMULATE]
+    actuator, state = compensator.actuator, compensator.state
+    voltages = np.array([actuator.voltage(state), *(row.given for row in rows)])
+    time = np.arange(voltages.size) * (compensator.period or 1.0)
+    motion = actuator.simulate(voltages, time=time if actuator.needs_time else None, state=state)
+    got = np.array([row.answer for row in rows])
+    np.testing.assert_allclose(got, motion.displacement[1:], rtol=0, atol=1e-12 * plain_records.STROKE)
+
+
+def test_an_export_leaves_the_compensator_alone_and_begins_at_its_start(tmp_path):
+    compensator = compiled_exports.plain()
+    first = code(compensator)
+    compensator.run(np.linspace(0, plain_records.STROKE, 50))
+    before = compensator.snapshot()
+    assert code(compensator) == first
+    golden_trace(compensator)
+    assert compensator.snapshot().counts == before.counts
+    np.testing.assert_array_equal(compensator.snapshot().rest, before.rest)
+
+
+def test_the_core_is_copied_byte_for_byte_but_for_the_number_type():
+    compensator = compiled_exports.plain()
+    double, single = code(compensator), code(compensator, "float")
+    core = {path.name: path.read_text() for path in plain_records.CORE.iterdir()}
+    for name in double:
+        if name in core:
+            assert double[name] == core[name], name
+    changed = {name for name in double if name in core and single[name] != core[name]}
+    assert changed == {"dehyst_config.h"}
+    assert "typedef float dehyst_real;" in single["dehyst_config.h"]
+    assert "DBL_" not in single["dehyst_config.h"]
+    # Only piezo.c sees the numbers.
+    assert [name for name, text in double.items() if '"model.h"' in text] == ["piezo.c"]
+    for unused in ("edge", "intercept"):
+        assert unused not in double["model.h"]
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("kind", ["plain", "moving"])
+def test_strict_compilers_find_nothing_and_nothing_is_needed(tmp_path, kind, number):
+    need("gcc")
+    folder = written(tmp_path / "c", KINDS[kind](), number)
+    strict = [*STRICT, "-ffreestanding", "-Wdouble-promotion", "-Wfloat-conversion", "-Wshadow", "-Wvla"]
+    if number == "double":
+        strict = [flag for flag in strict if flag != "-Wdouble-promotion"]
+    for optimise in ("-O0", "-O3"):
+        compiled_exports.must_run(["gcc", *strict, optimise, "-c", *SOURCES], folder)
+    if shutil.which("arm-none-eabi-gcc") is None:
+        return
+    for flags in (CORTEX_M4, CORTEX_M4F):
+        compiled_exports.must_run(["arm-none-eabi-gcc", *strict, *flags, "-c", *SOURCES], folder)
+        compiled_exports.must_run(
+            ["arm-none-eabi-gcc", "-nostdlib", "-r", *(f"{s[:-2]}.o" for s in SOURCES), "-o", "all.o"], folder
+        )
+        needed = set(re.findall(r"U (\S+)", compiled_exports.must_run(["arm-none-eabi-nm", "-u", "all.o"], folder)))
+        assert all(name.startswith("__aeabi_") for name in needed), needed
+        if number == "float":
+            # Not one operation slips into double, and the unit needs no help.
+            assert not any(name.startswith("__aeabi_d") for name in needed), needed
+            assert flags is CORTEX_M4 or not needed
+
+
+def test_folders_that_hold_something_else_are_left_alone(tmp_path, unmeasured):
+    compensator, folder = compiled_exports.plain(), tmp_path / "c"
+    made = export(compensator, folder)
+    assert made.folder == folder
+    (folder / "piezo.o").write_text("built")
+    with pytest.raises(FileFormatError, match="holds an earlier export; give another name, or --force to replace it"):
+        export(compensator, folder)
+    export(compensator, folder, "float", force=True)
+    assert "typedef float" in (folder / "dehyst_config.h").read_text()
+    assert not (folder / "piezo.o").exists()
+    (folder / "notes.txt").write_text("mine")
+    before = sorted(folder.iterdir())
+    for force in (False, True):
+        with pytest.raises(FileFormatError, match=r"holds other files \(notes.txt\).*own files must live outside"):
+            export(compensator, folder, force=force)
+    assert sorted(folder.iterdir()) == before
+    other = tmp_path / "core"
+    other.mkdir()
+    (other / "README.md").write_text("mine")
+    with pytest.raises(FileFormatError, match=r"holds other files \(README.md\)"):
+        export(compensator, other, force=True)
+    with pytest.raises(FileFormatError, match="is a file"):
+        export(compensator, other / "README.md")
+    with pytest.raises(FileFormatError, match="does not exist; create it first"):
+        export(compensator, tmp_path / "no" / "c")
+    (tmp_path / "empty").mkdir()
+    export(compensator, tmp_path / "empty")
+    assert {path.name for path in tmp_path.iterdir()} == {"c", "core", "empty"}
+
+
+@pytest.mark.parametrize(
+    ("number", "advice"),
+    [(errno.ENOSPC, "make room there"), (errno.EACCES, "check the folder's rights"), (errno.EIO, "room and rights")],
+)
+def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch, number, advice):
+    def fail(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("dehyst.exports.firmware._readme", fail)
+    with pytest.raises(FileFormatError, match=rf"cannot be written \({os.strerror(number)}\); .*{advice}"):
+        export(compiled_exports.plain(), tmp_path / "c", measure=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    made = export(compiled_exports.plain(), tmp_path / "c", "float")
+    assert (made.footprints, made.error, made.unmeasured) == ({}, None, "no C compiler (cc) was found")
+    text = (tmp_path / "c" / "README.md").read_text()
+    assert "Not measured on this computer: no C compiler (cc) was found." in text
+    assert "it is taken to be below 1e-03 of the range" in text
+    assert "TRACE_MOST 0.001" in (tmp_path / "c" / "trace.h").read_text()
+    with pytest.raises(FileFormatError, match="cc: cannot be run"):
+        sizes(tmp_path / "c")
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+def test_a_compiler_that_fails_is_told_from_none(tmp_path, monkeypatch, number):
+    broken = tmp_path / "cc"
+    broken.write_text("#!/bin/sh\necho 'licence expired' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    made = export(compiled_exports.plain(), tmp_path / "c", number)
+    assert made.unmeasured is not None
+    assert made.unmeasured.startswith("the C compiler failed (cc -std=c99 ...: licence expired")
+    assert made.unmeasured in (tmp_path / "c" / "README.md").read_text()
+    compiled_exports.plain().actuator.save(tmp_path / "model.json")
+    command = [str(Path(sys.executable).parent / "dehyst"), "export", "model.json", "d", "--limits", "0", "250"]
+    for more, said in (([], True), (["--no-measure", "--force"], False)):
+        done = subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert ("bytes and errors were not measured on this computer: the C compiler failed" in done.stderr) == said
+
+
+def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
+    def fail(*_):
+        raise AssertionError("compiled")
+
+    monkeypatch.setattr("dehyst.exports.firmware.run", fail)
+    monkeypatch.setattr("dehyst.exports.firmware.sizes", fail)
+    for number in ("double", "float"):
+        made = export(compiled_exports.plain(), tmp_path / number, number, measure=False)
+        assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not asked for")
+        assert "Not measured on this computer: not asked for." in (tmp_path / number / "README.md").read_text()
+    assert "TRACE_MOST 0.001" in (tmp_path / "float" / "trace.h").read_text()
+
+
+@pytest.mark.parametrize("given", [compiled_exports.plain().actuator, None, 3, "model.json"])
+def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
+    for run in (export, lambda one, _: worst_case(one), lambda one, _: code(one)):
+        with pytest.raises(ModelError, match="need a Compensator; pass Compensator"):
+            run(given, tmp_path / "c")
+    for path in (None, 3, b"c", "a\0b"):
+        with pytest.raises(FileFormatError, match="need the name of a file or a folder; give a path"):
+            export(compiled_exports.plain(), path)
+    assert list(tmp_path.iterdir()) == []
+
+
+TWO_AXES = """
+#include <stdio.h>
+#include "x_axis.h"
+#include "y_axis.h"
+
+static x_axis x;
+static y_axis y;
+
+int main(void)
+{
+    double a, b;
+    if (x_axis_begin(&x) != DEHYST_OK || y_axis_begin(&y) != DEHYST_OK) return 1;
+    while (scanf("%la %la", &a, &b) == 2) printf("%a %a\\n", x_axis_step(&x, a), y_axis_step(&y, b));
+    return X_AXIS_MODEL_AHEAD == Y_AXIS_MODEL_AHEAD;
+}
+"""
+
+
+def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path, unmeasured):
+    need("gcc", "make")
+    models = {"x_axis": KINDS["plain"](), "y_axis": KINDS["moving"]()}
+    for name, compensator in models.items():
+        folder = export(compensator, tmp_path / name, name=name).folder
+        assert {f"{name}.c", f"{name}.h", f"{name}_model.h", f"{name}_model_size.h"} < {
+            p.name for p in folder.iterdir()
+        }
+        for path in folder.iterdir():
+            text = path.read_text()
+            assert "piezo_" not in text and not re.search(r"\b(MODEL_|PIEZO_H)", text), path
+        status, said = make(folder, "check", "symbols")
+        assert status == 0, said
+        assert sizes(folder, "gcc").ram == sizes(written(tmp_path / f"{name}_piezo", compensator), "gcc").ram
+        assert sizes(folder, "gcc").stack == sizes(tmp_path / f"{name}_piezo", "gcc").stack
+        export(compensator, folder, force=True, name=name)
+    (tmp_path / "main.c").write_text(TWO_AXES)
+    core = [f"x_axis/{name}" for name in SOURCES if name != "piezo.c"]
+    both = ["x_axis/x_axis.c", "y_axis/y_axis.c", "-Ix_axis", "-Iy_axis"]
+    compiled_exports.must_run(["gcc", *STRICT, "-O2", "main.c", *core, *both, "-o", "both"], tmp_path)
+    wished = [compiled_exports.wishes(compensator, 500) for compensator in models.values()]
+    given = "".join(f"{a.hex()} {b.hex()}\n" for a, b in zip(*(w.tolist() for w in wished), strict=True))
+    lines = compiled_exports.must_run(["./both"], tmp_path, input=given).split()
+    got = np.array([float.fromhex(word) for word in lines]).reshape(-1, 2)
+    for column, compensator, wishes in zip(got.T, models.values(), wished, strict=True):
+        np.testing.assert_array_equal(column, compensator.run(wishes))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "7x",
+        "a-b",
+        "ü",
+        "_x",
+        "dehyst_x",
+        "Dehyst",
+        "double",
+        "class",
+        "loop",
+        "model",
+        "trace",
+        "stdio",
+        "Check",
+        "main",
+        "a" * 41,
+        None,
+    ],
+)
+def test_names_that_mean_something_else_are_refused(tmp_path, name):
+    with pytest.raises(ModelError, match=r"^name: got "):
+        export(compiled_exports.plain(), tmp_path / "c", name=name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
+@pytest.mark.parametrize("more", [[], ["--fmu"]])
+def test_ended_from_outside_it_leaves_nothing(tmp_path, more):
+    """While a compiler is at work."""
+    for name in ("work", "temporary", "bin"):
+        (tmp_path / name).mkdir()
+    slow = tmp_path / "bin" / "cc"
+    slow.write_text('#!/bin/sh\n: > "$TMPDIR/../started"\nexec sleep 60\n')
+    slow.chmod(0o755)
+    compiled_exports.plain().actuator.save(tmp_path / "model.json")
+    command = [str(Path(sys.executable).parent / "dehyst"), "export", "../model.json", "c.fmu" if more else "c"]
+    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
+    running = subprocess.Popen(
+        [*command, "--limits", "0", "250", *more],
+        cwd=tmp_path / "work",
+        env={**os.environ, "PATH": path, "CC": "cc", "TMPDIR": str(tmp_path / "temporary")},
+        stderr=subprocess.PIPE,
+    )
+    for _ in range(600):
+        if (tmp_path / "started").exists():
+            break
+        time.sleep(0.05)
+    running.terminate()
+    _, said = running.communicate(timeout=30)
+    assert (running.returncode, said) == (128 + signal.SIGTERM, b"")
+    assert (tmp_path / "started").exists()
+    for name in ("work", "temporary"):
+        assert list((tmp_path / name).iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["x", "y", "stage", "Stage_2", "a" * 40])
+def test_other_names_compile(tmp_path, name, unmeasured):
+    need("gcc")
+    folder = export(compiled_exports.plain(), tmp_path / "c", name=name).folder
+    sources = [name + ".c" if source == "piezo.c" else source for source in SOURCES]
+    example = re.search(r"^    (#include.*?^)    }\n\n", (folder / "README.md").read_text(), re.MULTILINE | re.DOTALL)[
+        1
+    ]
+    bench_words = (
+        "void start_timer(void), dac_write(double);\ndouble next_displacement(void);\nvoid timer_interrupt(void);\n"
+    )
+    (folder / "example.c").write_text(f"{bench_words}{example}}}\n")
+    compiled_exports.must_run(["gcc", *STRICT, "-c", "example.c", "check.c", *sources], folder)
+    assert (folder / f"{name}.o").exists()
+    compiled_exports.must_run(["g++", "-Wall", "-Werror", "-fsyntax-only", "-x", "c++", f"{name}.h"], folder)
+
+
+def narrow(rho, knots):
+    """A plain actuator whose numbers are nearly alike."""
+    rho, knots = np.asarray(rho), np.asarray(knots)
+    return Compensator(Actuator(MaxwellSlip(rho, np.full(rho.size, 1e6)), Spring(knots, 1e7 * knots)), (0, 100))
+
+
+def test_models_that_floats_cannot_hold_are_refused():
+    apart = 1 + 1e-9
+    with pytest.raises(ModelError, match=r"float: the breakaway elongations 1e-06 and .* are one number when rounded"):
+        code(narrow([1e-6, 1e-6 * apart], [0, 1e-5]), "float")
+    with pytest.raises(ModelError, match="float: the displacements of the spring's knots"):
+        code(narrow([1e-6], [0, 1e-5, 1e-5 * apart]), "float")
+    with pytest.raises(ModelError, match="float: a number of slope is too large"):
+        code(Compensator(Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-20], [0, 1e25])), (0, 1)), "float")
+    with pytest.raises(ModelError, match="float: a breakaway elongation, 1e-50, is 0 when rounded"):
+        code(narrow([1e-50, 1e-6], [0, 1e-5]), "float")
+    slow = dehyst.Creep([1e-2, 1e6], [1e5, 1e5])
+    creeping = Compensator(replace(plain_records.plant(3), creep=slow), (0, 100), period=1e-3)
+    with pytest.raises(ModelError, match="float: creep is so slow beside the period that it would never relax"):
+        code(creeping, "float")
+    with pytest.raises(ModelError, match="number: got 'half', need 'double' or 'float'"):
+        code(creeping, "half")
+    for compensator in (narrow([1e-6, 1e-6 * apart], [0, 1e-5]), creeping):
+        assert "model.h" in code(compensator)
+    with pytest.raises(ModelError, match="give period="):
+        code(Compensator(replace(plain_records.plant(3), creep=slow), (0, 100)))
+
+
+@pytest.mark.parametrize("limits", [(0.1, 100.1), (-0.1, 150.3), (-20.7, 99.9)])
+def test_floats_stay_within_the_limits(limits):
+    compensator = Compensator(plain_records.plant(3), limits, 1234.567, period=1e-3)
+    files = code(compensator, "float")
+    found = [float(np.float32(number)) for number in re.findall(r"(?:LOW|HIGH) (\S+)f", files["model_size.h"])]
+    steps = [float(abs(np.spacing(np.float32(limit)))) for limit in limits]
+    assert limits[0] <= found[0] < limits[0] + steps[0]
+    assert limits[1] - steps[1] < found[1] <= limits[1]
+    low, high, change = re.findall(r"^ (\S+)f, (\S+)f, (\S+)f,$", files["model.h"], re.MULTILINE)[0]
+    assert [float.fromhex(low), float.fromhex(high)] == found
+    assert 1.234567 - 1e-6 < float.fromhex(change) <= 1234.567 * 1e-3
+    with pytest.raises(ModelError, match="float: no number lies within the limits"):
+        code(Compensator(plain_records.plant(3), (100, 100 + 1e-9)), "float")
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("kind", ["slewing", "moving"])
+def test_sanitizers_find_nothing(tmp_path, kind, number, unmeasured):
+    need("gcc")
+    folder = export(KINDS[kind](), tmp_path / "c", number).folder
+    watched = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    compiled_exports.must_run(["gcc", *STRICT, *watched, "check.c", *SOURCES, "-o", "check"], folder)
+    said = compiled_exports.must_run(["./check"], folder)
+    assert re.match(r"double: 0 of \d+ answers differ" if number == "double" else r"float: ", said), said
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "*/ int evil; /*",
+        'quote"d\\',
+        "ünder",
+        "a\nb",
+        "*/*/",
+        "/*/",
+        "*\n/",
+        "??/",
+        "\u202e*/",
+        "\\",
+        "a\u2028*/\udc80",
+    ],
+)
+def test_no_name_breaks_out_of_its_comment(tmp_path, name):
+    need("gcc")
+    compensator = compiled_exports.plain()
+    named = Compensator(replace(compensator.actuator, name=name), LIMITS)
+    folder = written(tmp_path / "c", named)
+    compiled_exports.must_run(["gcc", *STRICT, "-c", *SOURCES], folder)
+    symbols = compiled_exports.must_run(["nm", "--defined-only", "piezo.o"], folder)
+    assert "piezo_step" in symbols
+    assert "evil" not in symbols
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("standard", ["c++98", "c++11", "c++17"])
+def test_any_cpp_takes_the_headers_and_reads_the_same_numbers(tmp_path, standard, number):
+    need("g++")
+    compensator = Compensator(plain_records.plant(3), (-20.7, 1e3 / 3), 1234.567, period=1e-4 / 3)
+    folder = written(tmp_path / "c", compensator, number)
+    (folder / "told.cc").write_text(
+        '#include <cstdio>\n#include "piezo.h"\nint main() '
+        '{ std::printf("%.17g %.17g %.17g", (double)MODEL_LOW, (double)MODEL_HIGH, (double)MODEL_PERIOD); }\n'
+    )
+    compiled_exports.must_run(
+        ["g++", f"-std={standard}", "-Wall", "-Wextra", "-Werror", "-pedantic", "told.cc", "-o", "t"], folder
+    )
+    told = [float(word) for word in compiled_exports.must_run(["./t"], folder).split()]
+    expected = [*compensator.limits, compensator.period]
+    if number == "double":
+        assert told == expected
+    else:
+        assert told[2] == float(np.float32(expected[2]))
+        np.testing.assert_allclose(told, expected, rtol=2**-23)
+
+
+def test_for_another_processor_as_the_makefile_says(tmp_path):
+    need("make", "arm-none-eabi-gcc")
+    folder = export(compiled_exports.plain(), tmp_path / "c", measure=False).folder
+    example = re.search(r"^#   make (clean all symbols .*)$", (folder / "Makefile").read_text(), re.MULTILINE)[1]
+    status, said = make(folder, *shlex.split(example))
+    assert status == 0, said
+    assert "no symbol is needed from outside" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ('Möbius P-753.1CD [#7: 15 µm] & "x"', None),
+        ("50 % of $name", None),
+        ("piezo MODEL_7", None),
+        ("a*/b\nc", "a* /b c"),
+    ],
+)
+def test_the_name_of_a_model_is_kept_in_comments(tmp_path, name, kept):
+    compensator = Compensator(replace(compiled_exports.plain().actuator, name=name), LIMITS)
+    folder = export(compensator, tmp_path / "c", measure=False, name="stage").folder
+    for file in ("stage_model.h", "stage_model_size.h"):
+        assert f"actuator '{kept or name}', made by" in (folder / file).read_text(encoding="utf-8")
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    assert readme.startswith("# " + (name if kept is None else "a*/b c") + ": a compensator in C")
+
+
+def test_on_the_command_line(tmp_path):
+    made = compiled_exports.plain()
+    model = tmp_path / "model.json"
+    made.actuator.save(model)
+    command = [str(Path(sys.executable).parent / "dehyst"), "export", str(model), "c", "--limits", "0", "250"]
+
+    def dehyst_export(*more):
+        return subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    done = dehyst_export("--json", "--slew", "2e4", "--period", "1e-3")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    compensator = Compensator(
+        made.actuator, (0, 250), 2e4, period=1e-3, state=made.actuator.turned(plain_records.STROKE)
+    )
+    assert told["operations"]["arithmetic"] == worst_case(compensator).arithmetic
+    for name, text in code(compensator).items():
+        assert (tmp_path / "c" / name).read_text() == text, name
+    again = dehyst_export()
+    assert again.returncode == 2
+    assert again.stderr.startswith("dehyst: c: holds an earlier export")
+    done = dehyst_export("--force", "--number", "float", "--start", "bottom", "--name", "stage")
+    assert (tmp_path / "c" / "stage_model.h").exists()
+    assert done.returncode == 0
+    assert "a step: at most" in done.stdout
+    late = dehyst_export("--force", "--slew", "2e4")
+    assert late.returncode == 2
+    assert "give --period S" in late.stderr
+    assert "memory begins at 0 um, " in done.stdout
+    assert "lower the voltage slowly from its highest, never back, to " in done.stdout
+    top = made.actuator.voltage(made.actuator.turned(plain_records.STROKE))
+    for high, said in ((top / 1.009, False), (top / 1.02, True)):
+        command[-1] = str(high)
+        assert ("memory begins at the nearest limit" in dehyst_export("--force").stderr) == said
+
+
+def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
+    made = export(KINDS["moving"](), tmp_path / "c")
+    text = (tmp_path / "c" / "README.md").read_text()
+    ahead = KINDS["moving"]().samples_ahead
+    assert ahead > 0
+    assert (
+        f"{{\n        /* Give each displacement {ahead} samples before its time, MODEL_AHEAD. */\n        dac_write("
+        in text
+    )
+    assert "Wishes must be smooth" in text
+    assert f"#define MODEL_AHEAD {ahead}" in (tmp_path / "c" / "model_size.h").read_text()
+    assert f"every {1 / structured_records.RATE:.9g} s" in text
+    assert str(made.operations.arithmetic) in text
+
+
+def test_a_model_that_is_not_ahead_says_nothing_of_it(tmp_path):
+    export(compiled_exports.plain(), tmp_path / "c", measure=False)
+    text = (tmp_path / "c" / "README.md").read_text()
+    assert "Wishes must be smooth" not in text and "before its time" not in text
+
+
+def test_steps_warn_once_as_ever():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ClampWarning)
+        compensator = compiled_exports.plain()
+        golden_trace(compensator)
+        with pytest.raises(ClampWarning):
+            compensator.step(1.0)

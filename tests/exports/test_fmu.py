@@ -1,0 +1,337 @@
+"""FMUs of both versions: what Python does, to the last bit, through the functions of the standard alone."""
+
+import itertools
+
+import numpy as np
+import plain_records
+import pytest
+from fmu_runner import (
+    ALL,
+    INPUT,
+    KINDS,
+    LIMITED,
+    MODELS,
+    OUTPUT,
+    PATH,
+    PERIOD,
+    VERSIONS,
+    Slave,
+    actuator_voltages,
+    displacements,
+    fmpy,
+    voltages,
+    wanted,
+)
+
+from dehyst import Compensator
+from dehyst.exports import export_fmu
+
+FMICallException = fmpy.fmi1.FMICallException
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("model", MODELS)
+def test_the_compensator_is_pythons_bit_for_bit(fmus, model, version):
+    v, clamps = voltages(ALL[model], PATH)
+    assert clamps.limited > 5
+    with Slave(fmus(model, version, "compensator")[1]) as slave:
+        np.testing.assert_array_equal(slave.run(PATH), v)
+        assert slave.counts() == tuple(clamps)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("model", MODELS)
+def test_the_actuator_is_pythons(fmus, model, version):
+    volts = actuator_voltages(model)
+    with Slave(fmus(model, version, "actuator")[1]) as slave:
+        y = slave.run(volts)
+    np.testing.assert_allclose(y, displacements(model, volts), rtol=0, atol=1e-12 * plain_records.STROKE)
+    assert np.ptp(y) > 0.5 * plain_records.STROKE
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("model", ["plain", "mass"])
+def test_simulate_fmu_gives_the_same(fmus, model, version):
+    """The importer's own loop: inputs from a table, outputs a step later."""
+    count = 200
+    time = np.arange(count) * PERIOD
+    for kind, given, expected in (
+        ("compensator", PATH[:count], voltages(ALL[model], PATH[:count])[0]),
+        ("actuator", actuator_voltages(model)[:count], displacements(model, actuator_voltages(model)[:count])),
+    ):
+        source, sink = ("displacement", "voltage")[:: 1 if kind == "compensator" else -1]
+        table = np.array(list(zip(time, given, strict=True)), dtype=[("time", "f8"), (source, "f8")])
+        result = fmpy.simulate_fmu(
+            str(fmus(model, version, kind)[0]),
+            stop_time=time[-1],
+            step_size=PERIOD,
+            output_interval=PERIOD,
+            input=table,
+        )
+        assert result["time"].size == count
+        span = float(np.ptp(expected))
+        np.testing.assert_allclose(result[sink][1:], expected[:-1], rtol=0, atol=1e-12 * span)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_before_the_first_step_it_rests_in_the_start_state(fmus, version, kind):
+    fresh = ALL["mass"].afresh()
+    start = fresh.state.motion[0], fresh.voltage
+    assert fresh.limits[0] <= start[1] <= fresh.limits[1]
+    if kind == "actuator":  # it has no limits to be brought within
+        asked = fresh.actuator.model.fitted(fresh.asked_start)
+        start = asked.motion[0], fresh.actuator.voltage(asked)
+    with Slave(fmus("mass", version, kind)[1]) as slave:
+        assert tuple(slave.read([INPUT, OUTPUT])) == (start if kind == "compensator" else start[::-1])
+        if kind == "actuator":  # held there, it stays
+            assert slave.step() == pytest.approx(start[0], rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_step_of_many_periods_is_as_many_steps(fmus, version, kind):
+    _, folder = fmus("creep", version, kind)
+    given = PATH[:40] if kind == "compensator" else actuator_voltages("creep")[:40]
+    with Slave(folder) as one, Slave(folder) as other:
+        expected = one.run(np.repeat(given, 3))[2::3]
+        np.testing.assert_array_equal([other.step(value, 3 * PERIOD) for value in given], expected)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_any_step_is_one_sample_without_time(fmus, version):
+    v, _ = voltages(ALL["timeless"], PATH[:50])
+    steps = np.random.default_rng(3).uniform(1e-6, 10, 50)
+    with Slave(fmus("timeless", version, "compensator")[1]) as slave:
+        np.testing.assert_array_equal([slave.step(y, by) for y, by in zip(PATH, steps, strict=False)], v)
+
+
+@pytest.mark.parametrize("by", [0.5 * PERIOD, 1.5 * PERIOD, PERIOD * (1 + 1e-7), 0.0, -PERIOD, np.nan, np.inf])
+@pytest.mark.parametrize("version", VERSIONS)
+def test_another_step_is_refused_and_moves_nothing(fmus, version, by):
+    with Slave(fmus("creep", version, "compensator")[1]) as slave:
+        slave.run(PATH[:20])
+        before = slave.state()
+        with pytest.raises(FMICallException, match="error"):
+            slave.step(by=by)
+        assert slave.state() == before
+        category, message = slave.said[-1]
+        assert category == "logStatusError" and f"need a whole multiple of {PERIOD:.17g} s" in message
+
+
+@pytest.mark.parametrize("off", [PERIOD, -PERIOD, 1e-7 * PERIOD, 1e3, np.nan, np.inf])
+@pytest.mark.parametrize("model", ["creep", "timeless"])
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_step_from_where_it_does_not_stand_is_refused_and_moves_nothing(fmus, version, model, off):
+    with Slave(fmus(model, version, "compensator")[1]) as slave:
+        slave.run(PATH[:20])
+        before = slave.state()
+        with pytest.raises(FMICallException, match="error"):
+            slave.fmu.doStep(currentCommunicationPoint=slave.time + off, communicationStepSize=PERIOD)
+        assert slave.state() == before
+        word = "communication point: got" if np.isfinite(off) else "communication step: got"
+        assert slave.said[-1][1].startswith(word)
+        slave.time *= 1 + 1e-16
+        slave.step()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_steps_between_rounded_times_are_steps(fmus, version):
+    """As an importer takes them: differences of times far from zero."""
+    with Slave(fmus("creep", version, "compensator")[1], begin=False) as slave:
+        slave.begin(1e5)
+        times = 1e5 + np.arange(300) * PERIOD
+        for at, to in itertools.pairwise(times):
+            slave.fmu.doStep(currentCommunicationPoint=at, communicationStepSize=to - at)
+        assert slave.read([0]) == [pytest.approx(times[-1], abs=1e-9)]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_what_is_no_number_is_refused_and_moves_nothing(fmus, version, kind, value):
+    given = PATH[:30] if kind == "compensator" else actuator_voltages("mass")[:30]
+    with Slave(fmus("mass", version, kind)[1]) as one, Slave(fmus("mass", version, kind)[1]) as other:
+        first = one.run(given)
+        other.run(given[:10])
+        before = other.state()
+        with pytest.raises(FMICallException):
+            other.write([INPUT], [value])
+        assert other.state() == before
+        assert "need a finite number of" in other.said[-1][1]
+        np.testing.assert_array_equal(other.run(given[10:]), first[10:])
+
+
+@pytest.mark.parametrize(("model", "value"), [("mass", 1.7e308), ("preview", 1e300)])
+@pytest.mark.parametrize("version", VERSIONS)
+def test_numbers_beyond_all_measure_are_refused(fmus, version, model, value):
+    """Finite ones of which no finite voltage comes: at once, or in the second of a step's periods."""
+    with Slave(fmus(model, version, "compensator")[1]) as slave:
+        slave.run(PATH[:5])
+        slave.write([INPUT], [value])
+        before = slave.state()
+        with pytest.raises(FMICallException):
+            slave.step(by=4 * PERIOD)
+        assert slave.state() == before
+        assert "more than the model can follow" in slave.said[-1][1]
+        if model == "preview":
+            assert slave.step() == ALL[model].limits[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("model", MODELS)
+def test_a_state_is_gone_back_to_bit_for_bit(fmus, model, version, kind):
+    _, folder = fmus(model, version, kind)
+    given = PATH if kind == "compensator" else actuator_voltages(model)
+    with Slave(folder) as one, Slave(folder) as other:
+        one.run(given[:101])
+        time = one.time
+        kept, data = one.fmu.getFMUState(), one.state()
+        expected = one.run(given[101:])
+        after = one.state()
+        one.fmu.setFMUState(kept)
+        one.time = time
+        assert one.state() == data
+        np.testing.assert_array_equal(one.run(given[101:]), expected)
+        one.fmu.freeFMUState(kept)
+        # In another instance that has been elsewhere.
+        other.run(given[200:250])
+        other.restore(data)
+        other.time = time
+        np.testing.assert_array_equal(other.run(given[101:]), expected)
+        assert other.state() == after
+        # From the beginning.
+        other.fmu.reset()
+        other.begin()
+        other.run(given[:101])
+        assert other.state() == data
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_state_of_another_model_is_refused(fmus, version):
+    with (
+        Slave(fmus("plain", version, "compensator")[1]) as one,
+        Slave(fmus("creep", version, "compensator")[1]) as other,
+    ):
+        for data in (one.state(), other.state()[:-1], b""):
+            with pytest.raises(FMICallException):
+                other.restore(data)
+            assert other.said[-1][1] == "state: it is of another model"
+
+
+def checksum(data):
+    """FNV-1a of 64 bits, of what lies behind it."""
+    value = 14695981039346656037
+    for byte in data[48:]:
+        value = ((value ^ byte) * 1099511628211) % 2**64
+    return value.to_bytes(8, "little")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_damaged_state_is_refused(fmus, version, kind):
+    """Any bit of it turned, and numbers that no FMU writes, though their checksum fits."""
+    with Slave(fmus("creep", version, kind)[1]) as slave:
+        given = PATH[:20] if kind == "compensator" else actuator_voltages("creep")[:20]
+        slave.run(given)
+        data = slave.state()
+        assert data[40:48] == checksum(data)
+        for bit in range(40 * 8, len(data) * 8, 31):
+            broken = bytearray(data)
+            broken[bit // 8] ^= 1 << bit % 8
+            with pytest.raises(FMICallException):
+                slave.restore(bytes(broken))
+            assert slave.said[-1][1] == "state: its checksum does not fit; it is not what was serialized"
+        low, high = ALL["creep"].limits
+        sent = 80 + 8 * 4
+        for at, value, words in (
+            (80, np.nan, "a number of it is not finite"),
+            (len(data) - 8, np.inf, "a number of it is not finite"),
+            (sent, np.nextafter(high, np.inf), "its voltage lies outside the limits"),
+            (sent + 8 * 9, -1e6, "its voltage lies outside the limits"),
+        ):
+            broken = bytearray(data)
+            broken[at : at + 8] = np.float64(value).tobytes()
+            broken[40:48] = checksum(broken)
+            if kind == "actuator" and "limits" in words:
+                slave.restore(bytes(broken))
+                continue
+            with pytest.raises(FMICallException):
+                slave.restore(bytes(broken))
+            assert words in slave.said[-1][1]
+        if kind == "compensator":
+            assert low <= slave.read([OUTPUT])[0] <= high
+        slave.restore(data)
+        assert slave.state() == data
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, version, tmp_path):
+    """Also before the first step, and where a state is held by a voltage outside them."""
+    folder = fmus("creep", version, "compensator")[1]
+    voltage = next(one for one in fmpy.read_model_description(folder).modelVariables if one.name == "voltage")
+    assert (float(voltage.min), float(voltage.max)) == ALL["creep"].limits
+    actuator = ALL["plain"].actuator
+    low, high = narrow = 60.0, 61.0
+    export_fmu(Compensator(actuator, narrow, state=actuator.relaxed()), tmp_path / "x.fmu", version)
+    with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x"), begin=False) as slave:
+        assert slave.read([OUTPUT]) == [low]
+        slave.begin()
+        assert slave.read([OUTPUT]) == [low]
+        sent = slave.run(PATH)
+        assert low <= sent.min() and sent.max() <= high
+    free = fmpy.read_model_description(fmus("creep", version, "actuator")[1]).modelVariables
+    assert all(one.min is None and one.max is None for one in free)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_actuator_knows_no_limits_of_the_compensator(version, tmp_path):
+    actuator = ALL["plain"].actuator
+    state = actuator.relaxed()
+    compensator = Compensator(actuator, (60, 61), state=state)
+    export_fmu(compensator, tmp_path / "x.fmu", version, "actuator")
+    volts = np.array([0.0, 160.0, 20.0, 90.0])
+    expected = actuator.simulate(np.append(actuator.voltage(state), volts), state=state).displacement[1:]
+    with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x")) as slave:
+        np.testing.assert_allclose(slave.run(volts), expected, rtol=0, atol=1e-12 * plain_records.STROKE)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_instances_do_not_meddle(fmus, version):
+    """Several of one library and of others, step by step in turn."""
+    models = ("plain", "creep", "creep", "mass")
+    paths = [wanted(seed, 120) for seed in range(4)]
+    slaves = [Slave(fmus(model, version, "compensator")[1]) for model in models]
+    found = np.array([[one.step(y) for one, y in zip(slaves, row, strict=True)] for row in zip(*paths, strict=True)])
+    for one, model, path, column in zip(slaves, models, paths, found.T, strict=True):
+        np.testing.assert_array_equal(column, voltages(ALL[model], path)[0])
+        one.fmu.freeInstance()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_clamping_is_said_once_of_each(fmus, version):
+    for logging in (True, False):
+        with Slave(fmus("plain", version, "compensator")[1], logging=logging) as slave:
+            slave.run(PATH)
+            assert min(slave.counts()) > 2
+            words = [message for category, message in slave.said if category == "logStatusWarning"]
+            assert len(words) == (2 if logging else 0)
+            assert all(word.startswith("CLAMPED: ") for word in words)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_what_is_not_allowed_is_refused(fmus, version):
+    _, folder = fmus("plain", version, "compensator")
+    with pytest.raises(Exception, match="instantiate"):
+        Slave(folder, token="{another}")
+    with Slave(folder, begin=False) as slave:
+        with pytest.raises(FMICallException):
+            slave.fmu.doStep(currentCommunicationPoint=0.0, communicationStepSize=PERIOD)
+        assert slave.said[-1][1] == "DoStep: not allowed now; end the initialization first"
+        slave.begin()
+        for write, reference, words in ((slave.write, OUTPUT, "no input"), (slave.read, LIMITED, "no real number")):
+            with pytest.raises(FMICallException):
+                write([reference], *([[1.0]] if write == slave.write else []))
+            assert words in slave.said[-1][1]
+        slave.fmu.terminate()

@@ -1,0 +1,240 @@
+"""FMUs as files: valid, whole, built from their own sources, made by the command line and by the documentation."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import warnings
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import places
+import plain_records
+import pytest
+from fmpy.build import build_platform_binary
+from fmpy.validation import validate_fmu
+from fmu_runner import (
+    ALL,
+    KINDS,
+    MODELS,
+    PATH,
+    PERIOD,
+    VERSIONS,
+    Slave,
+    actuator_voltages,
+    compensators,
+    displacements,
+    fmpy,
+    voltages,
+)
+
+from dehyst import Compensator, FileFormatError, ModelError
+from dehyst.cli.common import start_state
+from dehyst.exports import SourceOnlyWarning, export_fmu
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("model", MODELS)
+def test_validation_finds_nothing(fmus, model, version, kind):
+    path, _ = fmus(model, version, kind)
+    assert validate_fmu(str(path)) == []
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_built_from_its_own_sources_it_is_the_same(fmus, version, tmp_path, monkeypatch):
+    """As an importer builds it: the files, language and definitions of its own description, no flags of ours."""
+    cmake = shutil.which("cmake") or shutil.which("cmake", path=str(Path(sys.executable).parent))
+    if cmake is None:
+        pytest.skip("cmake is not installed")
+    monkeypatch.setenv("PATH", f"{Path(cmake).parent}{os.pathsep}{os.environ['PATH']}")
+    for kind in KINDS:
+        folder = Path(fmpy.extract(fmus("mass", version, kind)[0], tmp_path / kind))
+        shutil.rmtree(folder / "binaries")
+        build_platform_binary(folder)
+        given = PATH if kind == "compensator" else actuator_voltages("mass")
+        with Slave(folder) as built, Slave(fmus("mass", version, kind)[1]) as shipped:
+            np.testing.assert_array_equal(built.run(given), shipped.run(given))
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_declarations_are_those_of_the_standard(fmus, version, tmp_path):
+    """Its own headers say no other thing than the official ones, nothing is missing, and nothing else is seen."""
+    _, folder = fmus("creep", version, "compensator")
+    official = Path(fmpy.__file__).parent / "c-code"
+    flags = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-strict-prototypes"]
+    for options in ([], ["-DFMU_STANDARD_HEADERS", f"-I{official}"]):
+        command = ["cc", *flags, *options, "-fPIC", "-shared", "all.c", "-o", str(tmp_path / "x.so")]
+        subprocess.run(command, cwd=folder / "sources", check=True)
+    listed = subprocess.run(["nm", "-D", "--defined-only", str(tmp_path / "x.so")], capture_output=True, check=True)
+    seen = {line.split()[-1] for line in listed.stdout.decode().splitlines()}
+    assert all(name.startswith(f"fmi{version[0]}") for name in seen)
+    if version == "3.0":
+        text = (official / "fmi3Functions.h").read_text()
+        assert seen == {line.split()[-1].rstrip(";") for line in text.splitlines() if line.startswith("FMI3_Export")}
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_no_memory_is_lost_or_overrun(fmus, version, tmp_path):
+    """A life from instantiation to the end, under the sanitizers of the compiler."""
+    _, folder = fmus("preview", version, "compensator")
+    life = places.SUPPORT.joinpath(f"fmu_life{version[0]}.c")
+    command = ["cc", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{folder / 'sources'}"]
+    built = subprocess.run(
+        [*command, str(life), "-o", str(tmp_path / "life")], capture_output=True, text=True, check=False
+    )
+    if "cannot find" in built.stderr:
+        pytest.skip("the sanitizers' libraries are not installed")
+    assert built.returncode == 0, built.stderr
+    ran = subprocess.run([str(tmp_path / "life")], capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert ran.stdout == "alike\n"
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_same_model_makes_the_same_file(fmus, version, tmp_path):
+    path, _ = fmus("creep", version, "compensator")
+    again = compensators()["creep"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        again.run(PATH)  # where it is now does not matter, where it was fmus does
+    export_fmu(again, tmp_path / "again.fmu", version)
+    assert (tmp_path / "again.fmu").read_bytes() == path.read_bytes()
+    tokens = {fmpy.read_model_description(fmus(model, version, kind)[0]).guid for model in MODELS for kind in KINDS}
+    # But for a delay, "mass" and "preview" have one actuator, and an actuator does not look ahead.
+    assert len(tokens) == len(MODELS) * len(KINDS) - 1
+
+
+def test_without_a_compiler_it_holds_sources(tmp_path, monkeypatch):
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path / "absent"))
+    with pytest.warns(SourceOnlyWarning, match="no C compiler is installed"):
+        export_fmu(ALL["plain"], tmp_path / "a.fmu")
+    monkeypatch.setenv("CC", str(tmp_path / "absent" / "cc"))
+    with pytest.warns(SourceOnlyWarning, match="No such file"):
+        export_fmu(ALL["plain"], tmp_path / "b.fmu")
+    names = zipfile.ZipFile(tmp_path / "a.fmu").namelist()
+    assert "sources/all.c" in names and not [name for name in names if name.startswith("binaries")]
+    assert validate_fmu(str(tmp_path / "a.fmu")) == []
+
+
+def test_the_licence_goes_with_it(fmus):
+    _, folder = fmus("plain", "3.0", "actuator")
+    assert "MIT License" in (folder / "documentation" / "licenses" / "license.txt").read_text()
+
+
+def test_any_name_makes_an_fmu(tmp_path):
+    odd = replace(plain_records.plant(3), name='Möbius "<&> 100 %\n\x00 7')
+    export_fmu(Compensator(odd, (0, 100)), tmp_path / "x.fmu")
+    assert validate_fmu(str(tmp_path / "x.fmu")) == []
+    with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x")) as slave:
+        assert slave.step(5e-6) == voltages(Compensator(odd, (0, 100)), [5e-6])[0][0]
+
+
+def test_refusals(tmp_path):
+    with pytest.raises(ModelError, match=r"version: got '1\.0', need '2\.0' or '3\.0'"):
+        export_fmu(ALL["plain"], tmp_path / "x.fmu", "1.0")
+    with pytest.raises(ModelError, match="kind: got 'plant', need 'compensator' or 'actuator'"):
+        export_fmu(ALL["plain"], tmp_path / "x.fmu", kind="plant")
+    with pytest.raises(FileFormatError, match=r"ends in \.fmu"):
+        export_fmu(ALL["plain"], tmp_path / "x.zip")
+    with pytest.raises(ModelError, match="give period="):
+        export_fmu(Compensator(ALL["creep"].actuator, (0, 1)), tmp_path / "x.fmu")
+    with pytest.raises(ModelError, match="got Actuator, need a Compensator; pass Compensator"):
+        export_fmu(ALL["plain"].actuator, tmp_path / "x.fmu")
+    with pytest.raises(FileFormatError, match="got 7, need the name of a file or a folder; give a path"):
+        export_fmu(ALL["plain"], 7)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_of_others_is_replaced_by_force_only(tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", str(tmp_path / "absent" / "cc"))
+    path = tmp_path / "x.fmu"
+    path.write_text("mine")
+    with pytest.raises(FileFormatError, match="is there already, and dehyst did not write it"):
+        export_fmu(ALL["plain"], path)
+    assert path.read_text() == "mine"
+    with pytest.warns(SourceOnlyWarning):
+        export_fmu(ALL["plain"], path, force=True)
+    assert zipfile.is_zipfile(path)
+    with pytest.warns(SourceOnlyWarning):
+        export_fmu(ALL["plain"], path)
+    ALL["plain"].actuator.save(tmp_path / "model.json")
+    assert (
+        cli("model.json", "x.fmu", "--fmu", "--force", "--limits", 0, 100, "--period", 1, cwd=tmp_path).returncode == 0
+    )
+    with pytest.raises(FileFormatError, match="this is a folder"), pytest.warns(SourceOnlyWarning):
+        export_fmu(ALL["plain"], (tmp_path / "folder.fmu").mkdir() or tmp_path / "folder.fmu")
+
+
+def cli(*arguments, cwd):
+    command = [sys.executable, "-c", "from dehyst.cli.commands import main; main()", "export", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=600, check=False)
+    assert "Traceback" not in done.stderr, done.stderr
+    return done
+
+
+def test_the_command_line_writes_both_kinds(tmp_path):
+    compensator = ALL["creep"]
+    compensator.actuator.save(tmp_path / "model.json")
+    low, high = compensator.limits
+    options = "--limits", low, high, "--slew", compensator.slew_rate, "--period", PERIOD
+    done = cli("model.json", "c.fmu", *options, "--fmu", cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout.startswith("c.fmu: an FMU 3.0 of the compensator, sources and a binary for Linux x86-64")
+    assert "outside the limits" in done.stderr
+    done = cli("model.json", "a.fmu", "--period", PERIOD, "--fmu", "2.0", "--kind", "actuator", "--json", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    told = json.loads(done.stdout)
+    begins = told.pop("begins")
+    assert told == {"fmu": "a.fmu", "version": "2.0", "kind": "actuator", "binary": True, "warnings": []}
+    state = start_state(compensator.actuator, "top")
+    assert begins["voltage_V"] == compensator.actuator.voltage(state)
+    assert begins["displacement_m"] == state.displacement
+    for name in ("c", "a"):
+        assert validate_fmu(str(tmp_path / f"{name}.fmu")) == []
+    with Slave(fmpy.extract(tmp_path / "a.fmu", tmp_path / "a")) as slave:
+        volts = actuator_voltages("creep")
+        y = slave.run(volts)
+    expected = displacements("creep", volts, start_state(compensator.actuator, "top"))
+    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-12 * plain_records.STROKE)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], "an FMU? give --fmu"),
+        (["--kind", "actuator"], "an FMU? give --fmu"),
+        (["--fmu", "2.0", "--number", "float"], "an FMU has doubles"),
+        (["--fmu", "--name", "x"], "an FMU has its model's name"),
+        (["--fmu", "--no-measure"], "an FMU has its model's name"),
+        (["--fmu", "2.0", "--kind", "actuator", "--preview"], "leave out --limits, --slew, --preview"),
+        (
+            ["--fmu", "2.0", "--limits", "0", "100"],
+            "dehyst did not write it; give another name, or --force to replace it",
+        ),
+    ],
+)
+def test_the_command_line_refuses(tmp_path, options, words):
+    ALL["plain"].actuator.save(tmp_path / "model.json")
+    (tmp_path / "x.fmu").write_text("mine")
+    done = cli("model.json", "x.fmu", *options, cwd=tmp_path)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert (tmp_path / "x.fmu").read_text() == "mine"
+
+
+def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch):
+    """And what it shows: the actuator follows two steps late."""
+    page = (places.DOCS / "fmu.md").read_text()
+    names = {}
+    ALL["creep"].actuator.save(tmp_path / "model.json")
+    monkeypatch.chdir(tmp_path)
+    exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], names)
+    missed = np.abs(names["moved"]["displacement"][2:] - names["wanted"].displacement[:-2])
+    assert names["sent"]["limited"][-1] == 0
+    assert missed.max() < 1e-12 * plain_records.STROKE

@@ -1,0 +1,128 @@
+"""Delay, damping and inertia of actuators that are known, and of those that have none."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import plain_records
+import pytest
+import structured_records as wide
+import tracking_trials
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dehyst import Dynamics, Record
+from dehyst.identification.dynamics_search import SensedDynamics, find_dynamics
+from dehyst.identification.preprocessing.dynamics import derivatives, remove_dynamics
+
+PLANT = plain_records.plant(20, seed=2)
+STEP, PERIOD = 1e-4, 0.02
+
+
+def driven(actuator, *, delay=0, noise=0.0, step=STEP):
+    """Descending tops, the displacement so many samples late."""
+    v = tracking_trials.tops(12, round(PERIOD / STEP / 2))
+    time = np.arange(v.size) * step
+    late = np.concatenate([np.full(delay, v[0]), v])[: v.size]
+    state = actuator.relaxed()
+    if actuator.dynamics is not None:
+        state = replace(state, motion=[state.displacement, 0.0])
+    y = actuator.simulate(late, time=time, state=state).displacement
+    return Record(time, v, y + noise * np.random.default_rng(1).normal(size=y.size), "driven")
+
+
+def with_dynamics(resonance, damping):
+    return replace(PLANT, dynamics=Dynamics(2 * np.pi * resonance, damping))
+
+
+@given(frequency=st.floats(10, 1e5), damping=st.floats(0, 2))
+def test_as_a_part_of_an_actuator(frequency, damping):
+    """The law y + damping y' + mass y'' is the one that Dynamics.lead adds."""
+    inertia = SensedDynamics(0.0, 2 * damping / frequency, 1 / frequency**2)
+    dynamics = inertia.dynamics
+    assert dynamics.frequency == pytest.approx(frequency)
+    assert dynamics.damping == pytest.approx(damping)
+    velocity, acceleration = np.array([3.0, -2.0]), np.array([5.0, 7.0])
+    lead = inertia.damping * velocity + inertia.mass * acceleration
+    np.testing.assert_allclose(dynamics.lead(velocity, acceleration), lead, rtol=1e-9)
+
+
+def test_without_mass_there_are_no_dynamics():
+    assert SensedDynamics(1e-3, 0.0, 0.0).dynamics is None
+    record = plain_records.loops(PLANT, plain_records.MAJOR)
+    assert remove_dynamics(record, None) is record
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_derivatives_of_a_quartic_are_exact(seed):
+    curve = np.polynomial.Polynomial(1e-5 * np.random.default_rng(seed).normal(size=5))
+    time = np.linspace(-1, 1, 60)
+    found = derivatives(Record(time, time, curve(time)))
+    for order, values in enumerate(found, start=1):
+        np.testing.assert_allclose(values, curve.deriv(order)(time), rtol=0, atol=1e-9 * 1e-5 * 60**order)
+
+
+def test_what_the_resonance_had_to_follow_comes_back():
+    """A second way: the same actuator without its mass moves so. Corners of its motion are rounded a little."""
+    actuator = with_dynamics(300.0, 0.05)
+    made = driven(actuator)
+    expected = driven(replace(actuator, dynamics=None)).displacement
+    seen, left = (
+        np.abs(y - expected)[10:-10].max() / np.ptp(expected)
+        for y in (made.displacement, remove_dynamics(made, actuator.dynamics).displacement)
+    )
+    assert seen > 0.04
+    assert left < 1e-3
+
+
+@pytest.mark.parametrize(("resonance", "damping", "delay"), [(300.0, 0.03, 2), (300.0, 0.1, 0), (200.0, 0.05, 1)])
+def test_delay_damping_and_mass_come_back(resonance, damping, delay):
+    """Excited at 50 Hz, far below the resonance: a lag by delay is hard to tell from one by damping."""
+    record = driven(with_dynamics(resonance, damping), delay=delay, noise=1e-4 * plain_records.STROKE)
+    found = wide.frame([record], delay=delay * STEP).with_inertia().inertia
+    omega = 2 * np.pi * resonance
+    assert found.dynamics.frequency == pytest.approx(omega, rel=0.05)
+    assert found.delay == pytest.approx(delay * STEP, abs=0.5 * STEP)
+    assert found.delay + found.damping == pytest.approx(delay * STEP + 2 * damping / omega, abs=0.1 * STEP)
+
+
+@pytest.mark.parametrize("delay", [0.0, 2e-3 * STEP, 0.3 * STEP])
+def test_a_delay_below_a_hundredth_of_a_sample_is_none(delay):
+    """The search itself, on a cost that is least there."""
+
+    def build(inertia):
+        off = abs(inertia.delay - delay) / STEP + abs(inertia.mass / STEP**2 - 1) + inertia.damping / STEP
+        return SimpleNamespace(rms=lambda: 1e-2 + off)
+
+    found = find_dynamics(build, 0.0, STEP, PERIOD)
+    assert found.mass > 0
+    assert found.delay == (pytest.approx(delay, abs=0.02 * STEP) if delay > 0.1 * STEP else 0)
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_none_is_found_where_there_is_none(delay):
+    frame = wide.frame([driven(PLANT, delay=delay, noise=1e-4 * plain_records.STROKE)], delay=delay * STEP)
+    assert frame.with_inertia() is frame
+
+
+def test_cycles_of_many_samples_are_not_searched():
+    """A thousand samples a cycle: what has a mass then is the sensor's noise."""
+    v = tracking_trials.tops(3, 600)
+    y = PLANT.simulate(v, state=PLANT.relaxed()).displacement
+    frame = wide.frame([Record(np.arange(v.size) * STEP, v, y)])
+    assert frame.with_inertia() is frame
+
+
+def test_a_mass_that_is_not_worth_it_is_left_out():
+    """The search itself, whatever led to it."""
+    record = driven(PLANT, noise=1e-4 * plain_records.STROKE)
+    frame = wide.frame([record])
+    tried = []
+
+    def build(inertia):
+        tried.append(inertia)
+        return replace(frame, inertia=inertia).regression(wide.STRUCTURES["plain"], 1000)
+
+    assert find_dynamics(build, 0.0, STEP, PERIOD) == SensedDynamics(0.0, 0.0, 0.0)
+    assert 10 < len(tried) < 100
+    assert all(one.delay >= 0 and one.damping >= 0 and one.mass >= 0 for one in tried)

@@ -1,0 +1,200 @@
+"""Wider actuators beside records: a model that made a record meets it, whatever had gone before; given structures."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import structured_records as wide
+import tracking_trials
+
+import dehyst
+from dehyst import Creep, Dynamics, IdentifyError, Outcome, Record, State
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.identification.validation import Protocol, errors_of, state_after, without_offset
+from dehyst.model import Structure
+
+PROTOCOL = Protocol("validation", 0.0, 0.0, False, plain_records.STROKE)
+EXACT = 1e-9
+
+
+def missed(actuator, record, **changes):
+    """Largest error [% of the stroke]."""
+    return errors_of(actuator, record if hasattr(record, "pieces") else prepare(record), replace(PROTOCOL, **changes))[
+        0
+    ].largest_percent
+
+
+@pytest.mark.parametrize("name", wide.STRUCTURES)
+def test_an_actuator_meets_its_own_record(name):
+    plant = wide.plant(wide.STRUCTURES[name])
+    error, trace = errors_of(plant.actuator, prepare(plant.record()), PROTOCOL)
+    assert error.largest_percent < EXACT
+    assert abs(error.offset) < 1e-9 * plain_records.VOLTS
+    assert error.samples + error.left_out == plant.path.size
+    assert error.samples > 0.8 * plant.path.size
+    # Far from the record if it is another's.
+    other = wide.plant(wide.STRUCTURES[name], seed=1)
+    assert missed(other.actuator, plant.record()) > 0.5
+    np.testing.assert_array_equal(trace.time, plant.time[-error.samples :])
+
+
+def test_strains_of_creep_at_the_start_are_found():
+    plant = wide.plant(wide.STRUCTURES["creep"])
+    strains = plain_records.STROKE * np.array([0.0, 0.1, -0.1, 0.2])
+    record = plant.record(state=State(plant.state.displacement, plant.state.carts, strains))
+    assert missed(plant.actuator, record) < EXACT
+    # The same model cannot be told from its voltages as if it had been at rest.
+    v = plant.record().voltage
+    assert np.abs(record.voltage - v).max() > 0.01 * plain_records.VOLTS
+
+
+def test_a_branch_of_no_stiffness_changes_nothing():
+    plant = wide.plant(wide.STRUCTURES["creep"])
+    creep = plant.actuator.creep
+    more = Creep(np.append(creep.time_constants, 1.0), np.append(creep.stiffness, 0.0))
+    assert missed(replace(plant.actuator, creep=more), plant.record()) < EXACT
+
+
+@pytest.mark.parametrize("name", ["smooth", "all"])
+def test_a_record_cut_after_its_start_goes_on_from_its_lead(name):
+    plant = wide.plant(wide.STRUCTURES[name])
+    record = plant.record()
+    prepared = prepare(record.slice(20, len(record)))
+    assert prepared.lead is None
+    led = replace(prepared, lead=record.slice(0, 20))
+    assert missed(plant.actuator, led) < EXACT
+    # Alone, the smooth elements are taken to begin at none.
+    assert missed(plant.actuator, prepared) > 1e-4
+
+
+def swung(resonance=300.0, delay=0):
+    """A record of an actuator with inertia, driven at 50 Hz, so many samples late."""
+    actuator = replace(plain_records.plant(20, seed=2), dynamics=Dynamics(2 * np.pi * resonance, 0.05))
+    v = tracking_trials.tops(12, 100)
+    time = 1e-4 * np.arange(v.size)
+    late = np.concatenate([np.full(delay, v[0]), v])[: v.size]
+    start = actuator.relaxed()
+    y = actuator.simulate(late, time=time, state=replace(start, motion=[start.displacement, 0.0])).displacement
+    return actuator, Record(time, v, y, "swung")
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_an_actuator_with_inertia_meets_its_own_record(delay):
+    """Its motion where an epoch begins is read from the record: good to what derivatives of samples cost."""
+    actuator, record = swung(delay=delay)
+    got = missed(actuator, record, delay=1e-4 * delay)
+    assert got < 0.02
+    assert missed(replace(actuator, dynamics=None), record, delay=1e-4 * delay) > 100 * got
+
+
+@pytest.mark.parametrize("norm", ["l1", "l2"])
+@pytest.mark.parametrize("name", ["plain", "graded", "transformer", "smooth", "graded, transformer", "all"])
+def test_a_given_structure_that_an_actuator_has_is_identified(name, norm):
+    structure = wide.STRUCTURES[name]
+    plant = wide.plant(structure)
+    fit = dehyst.identify(plant.record(), structure=structure, norm=norm, delay=0.0)
+    assert fit.outcome is (Outcome.WIDER if fit.actuator.wide else Outcome.IDENTIFIED)
+    assert abs(fit.gap) < 1e-9
+    assert fit.errors[0].largest_percent < EXACT
+    assert fit.trials == ()
+    assert fit.actuator.provenance["structure"] == structure.as_dict()
+    asked = plant.actuator.compensate(plant.path, time=plant.time, state=plant.state).voltage
+    # A plain actuator of a plain structure has no use for the time, but takes it.
+    got = fit.actuator.compensate(plant.path, time=plant.time, state=plant.state).voltage
+    assert np.abs(got - asked).max() < 1e-6 * plain_records.VOLTS
+
+
+def test_elements_that_jitter_is_kept_from_need_no_remark():
+    record = wide.plant(wide.STRUCTURES["plain"]).record(noise=5e-3 * plain_records.STROKE)
+    paper, given = (
+        dehyst.identify(record, delay=0.0, **options)
+        for options in ({"elements": 8}, {"structure": wide.STRUCTURES["plain"]})
+    )
+    assert any("times the sensor's noise" in remark for remark in paper.remarks)
+    assert not any("times the sensor's noise" in remark for remark in given.remarks)
+
+
+def test_creep_on_a_grid_of_its_own_is_met_nearly():
+    """A transient that is left out shortens the record, and with it the longest time constant: not the true grid."""
+    structure = wide.STRUCTURES["creep"]
+    plant = wide.plant(structure)
+    fit = dehyst.identify(plant.record(), structure=structure, norm="l2", delay=0.0)
+    assert "left out" in fit.repairs[0]
+    assert fit.errors[0].largest_percent < 5e-3
+    assert fit.actuator.creep.time_constants[-1] < plant.actuator.creep.time_constants[-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"structure": "wide"}, "structure: got 'wide', need 'auto', 'paper' or a dehyst.model.structure.Structure"),
+        ({"structure": None}, "structure: got None, need 'auto', 'paper' or a dehyst.model.structure.Structure"),
+        (
+            {"structure": Structure(), "method": "breakpoints"},
+            "structure: method 'breakpoints' knows the paper's class only; leave one out",
+        ),
+        (
+            {"structure": Structure(), "elements": 10},
+            "structure: it has elements and knots of its own; leave elements, breakaway and knots out",
+        ),
+        (
+            {"structure": Structure(), "breakaway": [1e-6]},
+            "structure: it has elements and knots of its own; leave elements, breakaway and knots out",
+        ),
+    ],
+)
+def test_what_is_no_structure_is_refused(options, message):
+    with pytest.raises(IdentifyError) as refused:
+        dehyst.identify(plain_records.loops(plain_records.plant(), plain_records.MAJOR), **options)
+    assert str(refused.value) == message
+
+
+@pytest.mark.parametrize("options", [{"elements": 10}, {"knots": 8}, {"method": "breakpoints"}])
+def test_what_only_the_papers_class_knows_asks_for_it(options):
+    record = plain_records.loops(plain_records.plant(), plain_records.DESCENDING_TOPS)
+    found, paper = (dehyst.identify(record, **options, **more) for more in ({}, {"structure": "paper"}))
+    assert found.trials == ()
+    assert found.actuator.as_dict() == paper.actuator.as_dict()
+
+
+def test_without_inner_loops_the_papers_class_is_kept():
+    """Nothing could be held out that tells structures apart, and what a lone loop leaves open must be said as ever."""
+    record = plain_records.loops(plain_records.plant(), plain_records.MAJOR)
+    found = dehyst.identify(record)
+    assert found.outcome is Outcome.UNDETERMINED
+    assert found.trials == ()
+    assert not found.actuator.wide
+    assert any(
+        remark.startswith("Wider structures were not tried: the turning points tell 5 of 9") for remark in found.remarks
+    )
+    assert (
+        found.actuator.slip.stiffness.tolist()
+        == dehyst.identify(record, structure="paper").actuator.slip.stiffness.tolist()
+    )
+
+
+@pytest.mark.parametrize("name", ["plain", "graded", "creep", "smooth", "all"])
+def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
+    """Half a record of a known actuator, its voltages shifted: the other half is simulated as it was measured."""
+    plant = wide.plant(wide.STRUCTURES[name])
+    record = plant.record()
+    half = len(record) // 2
+    shift = 0.7 if plant.actuator.transformer is None else 0.0
+    shifted = Record(record.time, record.voltage + shift, record.displacement, record.name)
+    state, offset = state_after(plant.actuator, shifted.slice(0, half + 1), plain_records.STROKE)
+    assert offset == pytest.approx(shift, abs=1e-6 * plain_records.VOLTS)
+    rest = shifted.slice(half, len(record))
+    voltage = without_offset(plant.actuator, rest.voltage, offset)
+    time = rest.time if plant.actuator.needs_time else None
+    again = plant.actuator.simulate(voltage, time=time, state=state).displacement
+    assert np.abs(again - rest.displacement).max() < 1e-4 * plain_records.STROKE
+
+
+def test_a_lead_without_a_cycle_tells_what_it_can():
+    """The spring and the carts that were dragged along agree with the last voltage; the rest is as in the middle."""
+    plant = wide.plant(wide.STRUCTURES["plain"])
+    short = plant.record().slice(0, 30)
+    state, offset = state_after(plant.actuator, short, plain_records.STROKE)
+    assert state.displacement == short.displacement[-1]
+    assert plant.actuator.voltage(state) + offset == pytest.approx(short.voltage[-1], abs=1e-9)

@@ -1,0 +1,257 @@
+"""The whole experiment on a bench in a time of its own: what it finds, what it leaves on disk, how it goes on."""
+
+import json
+
+import numpy as np
+import pytest
+from calibration_listener import Heard
+
+from dehyst import Actuator, DehystError, FileFormatError, RecordError, read
+from dehyst._io.marks import written_by_dehyst
+from dehyst.instruments import DeviceError
+from dehyst.instruments.calibration import Plan, calibrate
+from dehyst.instruments.calibration.experiment import RESULTS
+from dehyst.instruments.calibration.plan import steps
+from dehyst.instruments.calibration.protocol import ExcitationPlan, creep_of
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.report import write_calibration
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Excitation, raised_cosine
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bench") / "play"
+    rig, heard = SimulatedRig(PlayActuator()), Heard()
+    return calibrate(rig, folder, watcher=heard), folder, rig, heard
+
+
+def test_the_model_takes_the_hysteresis_out(finished):
+    found, _, _, _ = finished
+    assert found.nominal.largest_percent > 10
+    assert found.compensated.largest_percent < 0.2
+    assert found.good
+    assert found.insight.trustworthy
+    assert not found.creep.seen
+
+
+def test_what_was_put_out_kept_the_limits(finished):
+    _, _, rig, _ = finished
+    assert rig.instrument.log.lowest >= 0
+    assert rig.instrument.log.highest <= 200
+    assert rig.instrument.log.refused == 0
+
+
+def test_everything_is_on_disk(finished, tmp_path):
+    found, folder, rig, heard = finished
+    names = [one.name for one in (*found.training, *found.held_out)]
+    assert names == ["look", "loops", "others"]
+    for name in (*names, "nominal", "compensated"):
+        record = read(folder / "records" / f"{name}.h5")
+        assert record.meta["complete"] is True
+        assert record.meta["identity"] == rig.identity
+        assert len(record) == heard.samples_of[name]
+    told = json.loads((folder / "calibration.json").read_text())
+    assert told["compensated"]["largest_percent"] == found.compensated.largest_percent
+    assert set(told["sha256"]) == {f"{name}.h5" for name in (*names, "nominal", "compensated")}
+    assert Actuator.load(folder / "model.json").limits is not None
+    assert all(written_by_dehyst(folder / name) for name in RESULTS)
+    write_calibration(tmp_path / "report.html", found, command="dehyst calibrate sim://play")
+    page = (tmp_path / "report.html").read_text()
+    assert "Measured along a path" in page
+    assert "dehyst calibrate sim://play" in page
+
+
+def test_the_error_is_what_was_measured(finished):
+    """Told again from the files alone."""
+    found, folder, _, _ = finished
+    record = read(folder / "records" / "compensated.h5")
+    along = slice(len(record) - found.compensated.wanted.size, None)
+    error = record.displacement[along] - found.compensated.wanted
+    assert 100 * np.abs(error).max() / found.compensated.stroke == found.compensated.largest_percent
+    two_loops = read(folder / "records" / "look.h5").displacement[-801:]
+    assert found.compensated.stroke == pytest.approx(np.ptp(two_loops), rel=1e-3)
+
+
+def test_the_loop_error_is_told_while_it_plays(finished):
+    found, _, _, heard = finished
+    told = np.concatenate(heard.expected)
+    assert np.nanmax(told) == pytest.approx(0.01 * found.nominal.largest_percent)
+    assert np.isnan(told).sum() == 2 * len(ExcitationPlan(0, 200, 400.0).homing())
+
+
+def test_a_second_call_plays_one_loop_only(finished):
+    found, folder, _, _ = finished
+    rig, heard = SimulatedRig(PlayActuator()), Heard()
+    again = calibrate(rig, folder, watcher=heard)
+    assert again.played == ()
+    assert again.kept == ("look", "loops", "others", "nominal", "compensated")
+    assert again.compensated.largest_percent == found.compensated.largest_percent
+    assert heard.steps[0] == "comparison"
+    assert set(heard.samples_of) == {"comparison"}
+    assert again.agreement.good
+    assert again.as_dict()["comparison"]["difference_percent"] < 0.1
+    assert rig.instrument.voltage == 0
+    assert found.agreement is None
+
+
+def test_it_goes_on_after_an_interrupt(tmp_path):
+    truth = PlayActuator()
+    first, rig = Heard("others", after=500), SimulatedRig(truth)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        calibrate(rig, tmp_path, watcher=first)
+    assert rig.instrument.log.steepest <= rig.slew_rate * (1 + 1e-6)
+    assert "brought to 0 V" in caught.value.__notes__[0]
+    cut = read(tmp_path / "records" / "others.h5")
+    assert cut.meta["complete"] is False
+    assert len(cut) == first.samples_of["others"] >= 500
+    found = calibrate(SimulatedRig(truth), tmp_path, watcher=Heard())
+    assert found.kept == ("look", "loops")
+    assert found.played == ("others", "nominal", "compensated")
+    assert found.compensated.largest_percent < 0.2
+    # What was cut off is still there, under another name.
+    [aside] = (tmp_path / "records" / "set-aside").iterdir()
+    assert len(read(aside)) == len(cut)
+    assert sorted(json.loads((tmp_path / "calibration.json").read_text())["sha256"]) == [
+        f"{name}.h5" for name in ("compensated", "look", "loops", "nominal", "others")
+    ]
+
+
+def test_creep_is_seen_and_followed(tmp_path):
+    rig = SimulatedRig(PlayActuator(creep=0.01))
+    found = calibrate(rig, tmp_path, watcher=Heard())
+    assert found.creep.seen
+    assert [one.name for one in found.training] == ["look", "loops", "fast", "stairs"]
+    assert found.fit.actuator.creep is not None
+    assert found.compensated.largest_percent < 0.4
+
+
+def test_a_path_is_not_followed_by_an_old_record_of_what_creeps(tmp_path):
+    """What crept in an hour between the nominal path and the compensated one, a new nominal path tells."""
+    rig = SimulatedRig(PlayActuator(creep=0.01))
+    calibrate(rig, tmp_path)
+    (tmp_path / "records" / "compensated.h5").unlink()
+    rig._wait(3600.0)
+    found = calibrate(rig, tmp_path)
+    assert found.played == ("nominal", "compensated")
+    assert found.compensated.largest_percent < 0.4
+
+
+def test_a_folder_of_another_instrument_is_refused(finished):
+    _, folder, _, _ = finished
+    truth = PlayActuator()
+    rig = SimulatedRig(truth)
+    rig.identity = "another controller"
+    with pytest.raises(FileFormatError, match=r"holds a calibration of simulated play-.*give another folder"):
+        calibrate(rig, folder, watcher=Heard())
+
+
+def test_a_given_protocol_is_played_as_it_is(tmp_path):
+    given = raised_cosine([200, 150, 100, 50], cycles=2, drive=ExcitationPlan(0, 200, 400.0).drive())
+    found = calibrate(SimulatedRig(PlayActuator()), tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
+    assert [one.name for one in found.training] == ["look", "given-1"]
+    np.testing.assert_allclose(read(tmp_path / "records" / "given-1.h5").voltage, given.voltage, atol=1e-9)
+
+
+def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
+    given = raised_cosine([150.0], drive=ExcitationPlan(0, 200, 400.0).drive())
+    rig = SimulatedRig(PlayActuator(), limits=(0, 100))
+    with pytest.raises(RecordError, match=r"raised-cosine: 0 to 150 V, but .* may have 0 to 100 V"):
+        calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
+    assert rig.instrument.log.highest == 0
+    assert not (tmp_path / "records").exists()
+
+
+def test_it_retreats_from_what_stops_it_between_records(tmp_path):
+    """The given protocol ends at 100 V, where the voltage stays while the model is identified."""
+    rising = raised_cosine([200, 100], cycles=1, drive=ExcitationPlan(0, 200, 400.0).drive())
+    given = Excitation("rising", rising.voltage[:-200], rising.sample_rate)
+    rig = SimulatedRig(PlayActuator())
+
+    class Impatient(Heard):
+        def step(self, name, seconds=0.0):
+            super().step(name, seconds)
+            if name == "others":
+                assert rig.instrument.voltage == 100
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Impatient())
+    assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
+    assert rig.instrument.voltage == 0
+
+
+def test_a_wave_that_was_left_playing_is_stopped_first(tmp_path):
+    rig = SimulatedRig(PlayActuator())
+    rig.instrument.start(np.linspace(0, 150, 5000), 100)
+    first = Heard("look", after=100)
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(rig, tmp_path, watcher=first)
+    assert read(tmp_path / "records" / "look.h5").voltage[0] == 0
+
+
+def test_a_record_without_samples_is_not_left(tmp_path):
+    rig = SimulatedRig(PlayActuator())
+    rig._wave = lambda voltage, rate: iter(())
+    with pytest.raises(DeviceError, match=r"recorded 0 of \d+ samples") as caught:
+        calibrate(rig, tmp_path, watcher=Heard())
+    assert len(caught.value.__notes__) == 1
+    assert list((tmp_path / "records").iterdir()) == []
+
+
+def test_steps_send_nothing_and_fit_the_limits():
+    rig = SimulatedRig(PlayActuator(), limits=(10, 120), slew_rate=300)
+    told = steps(rig, Plan())
+    assert [step.name for step in told] == [
+        "comparison",
+        "look",
+        "loops",
+        "fast",
+        "stairs",
+        "more-1",
+        "more-2",
+        "others",
+        "nominal",
+        "compensated",
+    ]
+    for step in told:
+        if step.excitation is not None:
+            low, high = step.excitation.voltage_range
+            assert (low, high) == (10, 120)
+            steepest = np.abs(np.diff(step.excitation.voltage)).max() * step.excitation.sample_rate
+            assert steepest <= 300 * (1 + 1e-6)
+    assert rig.instrument.log.highest == 0
+
+
+def test_a_low_slew_rate_is_kept_along_the_path_too(tmp_path):
+    rig = SimulatedRig(PlayActuator(), limits=(0, 120), slew_rate=200)
+    found = calibrate(rig, tmp_path)
+    assert found.unreached == ()
+    assert found.compensated.largest_percent < 0.2
+    for name in found.played:
+        record = read(tmp_path / "records" / f"{name}.h5")
+        assert np.abs(np.diff(record.voltage) / np.diff(record.time)).max() <= 200 * (1 + 1e-6)
+
+
+def test_it_ends_at_a_safe_voltage(finished):
+    _, _, rig, _ = finished
+    assert rig.read().voltage == 0
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"frequency": 0}, {"goal": -1}, {"rounds": -1}, {"rounds": 1.5}, {"hold": 0.0}, {"frequency": np.nan}]
+)
+def test_impossible_plans_are_refused(wrong):
+    with pytest.raises(DehystError, match=next(iter(wrong))):
+        Plan(**wrong).pace(SimulatedRig(PlayActuator()))
+
+
+@pytest.mark.parametrize("creep", [0.0, 0.002, 0.02])
+def test_creep_is_told_from_the_look(creep):
+    """The virtual actuator creeps by this share a decade; between 0.15 and 0.95 of a hold lie 0.8 decades."""
+    truth = PlayActuator(creep=creep, noise=2e-9)
+    pace = ExcitationPlan(0, 200, 400.0, hold=10.0)
+    look = SimulatedRig(truth).play(pace.look())
+    found = creep_of(look)
+    assert found.share == pytest.approx(np.log10(0.95 / 0.15) * creep, rel=0.3, abs=4 * found.doubt)
+    assert found.seen == (creep > 0)

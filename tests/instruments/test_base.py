@@ -1,0 +1,472 @@
+"""What all rigs share: the look at what comes, the sensor's watch, signals, and the way back to a safe voltage."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+
+import numpy as np
+import places
+import pytest
+from fake_rig import FakeRig
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dehyst._errors import ModelError, RecordError
+from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError
+from dehyst.instruments.interrupts import shielded
+from dehyst.instruments.sensor_watch import SensorWatch
+from dehyst.waveforms import Excitation
+
+UP = Excitation("up", np.linspace(0, 50, 101), 1000.0)
+BROUGHT = "The voltage was brought to 0 V."
+finite = st.floats(-500, 500)
+
+
+@given(st.tuples(finite, finite), st.none() | st.tuples(finite, finite), st.none() | st.floats(1e-3, 1e6))
+def test_limits_are_what_both_allow(device, limits, slew_rate):
+    device = (min(device), max(device) + 1)
+    limits = limits and (min(limits), max(limits) + 1)
+    low, high = limits or device
+    low, high = max(low, device[0]), min(high, device[1])
+    if not low < high:
+        with pytest.raises(RigError, match="nothing is left"):
+            FakeRig(device, limits=limits, slew_rate=slew_rate)
+        return
+    rig = FakeRig(device, limits=limits, slew_rate=slew_rate, device_slew=300.0)
+    assert (rig.limits.low, rig.limits.high) == (low, high)
+    assert rig.slew_rate == min(300.0, slew_rate or 300.0)
+    assert low <= rig.safe <= high
+    assert abs(rig.safe) == min(abs(v) for v in (low, high, min(max(0.0, low), high)))
+
+
+@pytest.mark.parametrize("options", [{"limits": (5, 5)}, {"limits": (5, np.nan)}, {"slew_rate": 0}, {"slew_rate": -1}])
+def test_impossible_limits_are_refused(options):
+    with pytest.raises(ModelError):
+        FakeRig(**options)
+
+
+def test_a_table_of_one_is_refused():
+    with pytest.raises(RigError, match="takes waves of 1 samples, need 2 at least; check its wave table"):
+        FakeRig(longest=1)
+
+
+@given(st.integers(2, 300), st.integers(2, 60))
+def test_pieces_join_at_the_same_voltage(count, longest):
+    rig = FakeRig(longest=longest)
+    rows = rig.rows(count)
+    ends = np.flatnonzero(np.diff(rows) == 0)
+    pieces = np.split(rows, ends + 1)
+    assert all(2 <= piece.size <= longest for piece in pieces)
+    assert np.array_equal(np.unique(rows), np.arange(count))
+    assert np.array_equal(rows, np.sort(rows))
+
+
+def spoiled(spoil):
+    """Return a rig of which lots are spoiled, and the lots that were heard."""
+    rig = FakeRig()
+    wave = rig._wave
+
+    def spoiling(voltage, rate):
+        for number, samples in enumerate(wave(voltage, rate)):
+            yield from spoil(number, samples)
+
+    rig._wave = spoiling
+    return rig
+
+
+def at(lot, change):
+    """Change one lot and leave the others."""
+    return lambda number, samples: [change(samples) if number == lot else samples]
+
+
+def with_nan(column):
+    def change(samples):
+        spoilt = getattr(samples, column).copy()
+        spoilt[3] = np.nan
+        return samples._replace(**{column: spoilt})
+
+    return change
+
+
+SPOILT = {
+    "time is NaN": (at(2, with_nan("time")), LinkError, "got samples that are not finite; check the link and the sens"),
+    "voltage is NaN": (at(2, with_nan("voltage")), LinkError, "not finite"),
+    "displacement is NaN": (at(2, with_nan("displacement")), LinkError, "not finite"),
+    "a column is short": (
+        at(2, lambda s: s._replace(voltage=s.voltage[1:])),
+        LinkError,
+        r"got columns of shapes .*need one length",
+    ),
+    "no column": (at(2, lambda s: s._replace(voltage=np.float64(3))), LinkError, "got columns of shapes"),
+    "too many": (
+        lambda n, s: [s, s._replace(time=s.time + 0.01)] if n == 10 else [s],
+        LinkError,
+        "got 102 samples for 101 voltages; check the link",
+    ),
+    "a lot comes twice": (
+        lambda n, s: [s, s] if n == 3 else [s],
+        LinkError,
+        r"got a sample of .* s after one of .* s, need rising times",
+    ),
+    "time stands still": (at(2, lambda s: s._replace(time=np.full_like(s.time, s.time[0]))), LinkError, "rising times"),
+    "time falls back": (at(4, lambda s: s._replace(time=s.time - 1)), LinkError, "need rising times; check the link"),
+    "a lot is missing": (
+        lambda n, s: [] if n == 10 else [s],
+        DeviceError,
+        "recorded 100 of 101 samples; check its data recorder",
+    ),
+    "nothing comes": (lambda n, s: [], DeviceError, "recorded 0 of 101 samples"),
+    "the output stays": (
+        lambda n, s: [s._replace(voltage=np.zeros_like(s.voltage))],
+        DeviceError,
+        r"its output is .* V away from what was sent; is the amplifier on, the servo off",
+    ),
+}
+
+
+@pytest.mark.parametrize(("spoil", "kind", "message"), SPOILT.values(), ids=SPOILT)
+def test_what_comes_is_looked_at(spoil, kind, message):
+    rig, heard = spoiled(spoil), []
+    with pytest.raises(kind, match=message) as caught:
+        rig.play(UP, heard.append)
+    assert caught.value.__notes__ == [BROUGHT]
+    assert rig.instrument.voltage == 0.0
+    assert not rig.instrument.playing
+    # What was not believed was not heard either, but for a voltage that is finite and not the one sent.
+    for samples in heard:
+        assert all(np.isfinite(column).all() for column in samples)
+        assert len({column.shape for column in samples}) == 1
+    times = np.concatenate([[-1.0], *(samples.time for samples in heard)])
+    assert np.all(np.diff(times) > 0)
+
+
+def test_lots_may_be_lists_and_empty_and_a_sample_late():
+    def late(number, samples):
+        voltage = np.concatenate([[late.last], samples.voltage[:-1]])
+        late.last = samples.voltage[-1]
+        yield Samples(np.zeros(0), np.zeros(0), np.zeros(0))
+        yield Samples(samples.time.tolist(), voltage.tolist(), samples.displacement.tolist())
+
+    late.last = 0.0
+    record = spoiled(late).play(UP)
+    assert np.array_equal(record.voltage[1:], UP.voltage[:-1])
+
+
+@pytest.mark.parametrize("stop", ["listen", "wave"])
+def test_a_wave_is_closed_before_the_retreat(stop):
+    """What a leaf does at its end may not come after the voltage was brought back."""
+    rig = FakeRig()
+
+    def listen(samples):
+        if stop == "listen" and samples.time[-1] > 0.05:
+            raise ValueError
+        if stop == "wave" and samples.time[-1] > 0.05:
+            rig.instrument.put = failing
+
+    def failing(_):
+        rig.instrument.put = type(rig.instrument).put.__get__(rig.instrument)
+        raise LinkError("lost")
+
+    with pytest.raises((ValueError, LinkError)):
+        rig.play(UP, listen)
+    ended = rig.done.index("wave ended")
+    assert rig.done[ended + 1] == "halt"
+    assert set(rig.done[ended + 2 :]) == {"put"}
+
+
+def test_what_shows_that_the_sensor_is_dead_is_heard_too():
+    rig, heard = FakeRig((0.0, 100.0)), []
+    rig.instrument.unplugged = True
+    with pytest.raises(SensorError, match="does not move") as caught:
+        rig.play(UP, heard.append)
+    low, high = heard[0].voltage[0], heard[-1].voltage[-1]
+    fifth = 0.2 * np.ptp(UP.voltage)
+    assert high - low > fifth > heard[-2].voltage[-1] - low
+    assert caught.value.__notes__ == [BROUGHT]
+
+
+def test_a_reading_that_is_no_number_is_refused():
+    rig = FakeRig()
+    rig._read = lambda: Reading(0.0, np.nan, 0.0)
+    with pytest.raises(LinkError, match=r"read Reading\(.*need finite numbers"):
+        rig.read()
+    for ask in (rig.retreat, lambda: rig.set_voltage(3)):
+        with pytest.raises(DeviceError, match="read a voltage of nan V, need a finite one"):
+            ask()
+    assert rig.instrument.sent == [0.0]
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [lambda: Reading(0.0, 50.0, np.nan), lambda: Reading(0.0, np.nan, np.nan), lambda: 1 / 0, lambda: None],
+    ids=["no displacement", "nothing finite", "raises", "nothing"],
+)
+def test_a_retreat_needs_no_sensor(broken):
+    rig, heard = FakeRig((0.0, 100.0)), []
+
+    def listen(samples):
+        heard.append(samples)
+        if samples.voltage[-1] >= 50:
+            rig._read = broken
+            raise ValueError("enough")
+
+    with pytest.raises(ValueError, match="enough") as caught:
+        rig.play(UP, listen)
+    assert caught.value.__notes__ == [BROUGHT]
+    assert rig.instrument.sent[-1] == 0.0
+    # From where it stood, in small steps.
+    back = rig.instrument.sent[-40:]
+    assert max(abs(np.diff(back))) <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("name", ["_read", "_put", "_wave", "_halt", "nearest_rate"])
+def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name):
+    rig = FakeRig((0.0, 100.0))
+    setattr(rig, name, lambda *_: {}[1])
+    with pytest.raises(DeviceError, match=f"{name} of the rig raised KeyError.*see to its code"):
+        rig.retreat() if name == "_halt" else rig.play(Excitation("up", np.linspace(1, 5, 10), 100.0))
+
+
+@pytest.mark.parametrize("error", [LinkError("lost"), OSError("gone"), ZeroDivisionError("a leaf's own mistake")])
+def test_a_retreat_that_fails_is_told_beside_the_first_error(error):
+    rig = FakeRig()
+
+    def fail():
+        raise error
+
+    def listen(_):
+        rig._halt = fail
+        raise ValueError("first")
+
+    with pytest.raises(ValueError, match="first") as caught:
+        rig.play(UP, listen)
+    [note] = caught.value.__notes__
+    assert note.startswith("The voltage could not be brought to 0 V (")
+    assert f"{error}" in note
+    assert "the device holds" in note
+    assert note.endswith("see to it by hand.")
+    assert rig.done[-1] == "close"
+    with pytest.raises(RigError, match="is closed"):
+        rig.read()
+
+
+def test_a_readback_with_an_error_may_be_beyond_the_limits():
+    rig = FakeRig((0.0, 100.0))
+    honest = rig._read
+    rig._read = lambda: honest()._replace(voltage=honest().voltage - 0.5)
+    rig.set_voltage(30.0)
+    assert rig.retreat() == 0.0
+    assert (rig.instrument.log.lowest, rig.instrument.voltage) == (0.0, 0.0)
+    rig._read = lambda: honest()._replace(voltage=-6.0)
+    with pytest.raises(DeviceError, match="stands at -6 V, but 0 to 100 V is allowed"):
+        rig.set_voltage(30.0)
+
+
+def test_an_excitation_as_steep_as_allowed_is_played():
+    rig = FakeRig(slew_rate=500.0)
+    assert len(rig.play(UP)) == 101
+    with pytest.raises(RecordError, match=r"is as steep as 500\.001 V/s at 1000 Hz, but fake may have 499\.995"):
+        FakeRig(slew_rate=500.0 * (1 - 1e-5)).play(Excitation("up", UP.voltage, 1000.002))
+
+
+# The watch over the sensor.
+
+
+def watched(*columns, span=100.0):
+    watch = SensorWatch(span)
+    for voltage, displacement in columns:
+        watch.see(np.asarray(voltage, float), np.asarray(displacement, float))
+
+
+@given(st.lists(st.integers(1, 40), min_size=1), st.data())
+def test_the_watch_sees_a_stretch_however_it_comes_in_lots(sizes, data):
+    """The same answer for a record in one piece and in lots."""
+    n = sum(sizes)
+    voltage = np.cumsum(data.draw(st.lists(st.floats(-8, 8), min_size=n, max_size=n)))
+    steps = data.draw(st.lists(st.sampled_from([0, 0, 0, 1]), min_size=n, max_size=n))
+    displacement = np.cumsum(steps).astype(float)
+
+    def answer(*lots):
+        try:
+            watched(*lots)
+        except SensorError as error:
+            return str(error).split(":")[0]
+        return None
+
+    ends = np.cumsum(sizes)[:-1]
+    whole = answer((voltage, displacement))
+    assert answer(*zip(np.split(voltage, ends), np.split(displacement, ends), strict=True)) == whole
+    stretches = [voltage[displacement == value] for value in np.unique(displacement)]
+    assert (whole is not None) == any(np.ptp(stretch) > 20.0 for stretch in stretches)
+
+
+def test_the_watch_says_whether_it_ever_moved():
+    voltage = np.linspace(0, 30, 31)
+    with pytest.raises(SensorError, match=r"does not move: it stays at 2\.5 um while the voltage goes from 0 to 30 V"):
+        watched((voltage, np.full(31, 2.5e-6)))
+    with pytest.raises(SensorError, match=r"is saturated: it stays at 7 um .* from 7 to 30 V; shift its range"):
+        watched((voltage, np.minimum(voltage, 7.0) * 1e-6))
+
+
+def test_the_watch_lets_holds_and_coarse_digits_pass():
+    """They pass, and are not forgotten: what stands still from then on is told from where it stood."""
+    watch = SensorWatch(100.0)
+    for voltage, displacement in (([50.0] * 1000, [1e-6] * 1000), ([], []), ([50.0], [1e-6])):
+        watch.see(np.asarray(voltage), np.asarray(displacement))
+    with pytest.raises(SensorError, match="it stays at 1 um while the voltage goes from 50 to 71 V"):
+        watch.see(np.array([71.0]), np.array([1e-6]))
+    coarse, voltage = SensorWatch(100.0), np.linspace(0, 100, 1001)
+    coarse.see(voltage, np.round(voltage / 15) * 1e-6)
+    with pytest.raises(SensorError, match="stays at 7 um while the voltage goes from 79 to 100 V"):
+        coarse.see(np.array([79.0]), np.array([7e-6]))
+
+
+# Signals.
+
+
+def interrupt(number=signal.SIGINT):
+    os.kill(os.getpid(), number)
+
+
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+
+
+@POSIX
+def test_the_first_signal_passes_and_the_others_wait():
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), shielded() as shield:
+        try:
+            interrupt()
+        except KeyboardInterrupt:
+            for _ in range(3):
+                interrupt()
+            assert shield.late == [signal.SIGINT] * 3
+            raise
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@POSIX
+def test_what_waited_comes_at_the_end():
+    reached = []
+    with pytest.raises(KeyboardInterrupt), shielded(held=True):
+        interrupt()
+        reached.append("end")
+    assert reached == ["end"]
+    # Also where another error ended it; that one is its context.
+    with pytest.raises(KeyboardInterrupt) as caught, shielded(held=True):
+        interrupt()
+        raise ValueError("first")
+    assert str(caught.value.__context__) == "first"
+
+
+@POSIX
+def test_a_handler_that_only_takes_note_stops_nothing(monkeypatch):
+    noted = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: noted.append(number))
+    try:
+        with shielded() as shield:
+            interrupt(signal.SIGTERM)
+            interrupt(signal.SIGTERM)
+            assert not shield.held
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert noted == [signal.SIGTERM] * 2
+
+
+def test_another_thread_has_no_signals():
+    said = []
+
+    def run():
+        rig = FakeRig()
+        rig.play(UP)
+        said.append(rig.retreat())
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert said == [0.0]
+
+
+@POSIX
+@pytest.mark.parametrize("times", [1, 2, 5])
+def test_an_impatient_user_does_not_cut_the_retreat_short(times):
+    rig = FakeRig(slew_rate=1000.0)
+    put = rig._put
+
+    def listen(samples):
+        if samples.voltage[-1] > 40:
+            rig._put = lambda voltage: (put(voltage), times > 1 and interrupt())
+            interrupt()
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        rig.play(UP, listen)
+    assert caught.value.__notes__ == [BROUGHT]
+    assert rig.instrument.voltage == 0.0
+
+
+@POSIX
+def test_ctrl_c_between_an_error_and_the_retreat_waits():
+    rig = FakeRig()
+    retreated = rig._retreated
+
+    def late():
+        interrupt()
+        return retreated()
+
+    def listen(samples):
+        if samples.voltage[-1] > 20:
+            rig._retreated = late
+            raise ValueError("first")
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        rig.play(UP, listen)
+    assert rig.instrument.voltage == 0.0
+    first = caught.value.__context__
+    assert (str(first), first.__notes__) == ("first", [BROUGHT])
+
+
+@POSIX
+def test_ctrl_c_during_a_retreat_waits_for_its_end():
+    rig = FakeRig(slew_rate=100.0)
+    rig.set_voltage(50.0)
+    put = rig._put
+    rig._put = lambda voltage: (put(voltage), rig.instrument.voltage == 30.0 and interrupt())
+    with pytest.raises(KeyboardInterrupt):
+        rig.retreat()
+    assert rig.instrument.voltage == 0.0
+
+
+CHILD = """
+import sys, time
+sys.path.insert(0, {tests!r})
+from fake_rig import FakeRig
+from dehyst.excitation import Excitation
+import numpy as np
+rig = FakeRig()
+rig._wait = time.sleep
+try:
+    with rig:
+        rig.play(Excitation("up", np.linspace(0, 50, 10_000), 1000.0), lambda _: print(time.sleep(0.01), flush=True))
+finally:
+    print(rig.instrument.voltage, rig.done.count("close"), flush=True)
+"""
+
+
+@POSIX
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
+def test_a_process_told_to_end_brings_the_voltage_back(name):
+    number = getattr(signal, name)
+    script = textwrap.dedent(CHILD.format(tests=str(places.SUPPORT)))
+    process = subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    for _ in range(10):
+        assert process.stdout.readline() == "None\n"
+    process.send_signal(number)
+    out, err = process.communicate(timeout=30)
+    assert out.splitlines()[-1] == "0.0 1"
+    assert process.returncode == (-signal.SIGINT if name == "SIGINT" else 128 + number)
+    assert ("KeyboardInterrupt" in err) == (name == "SIGINT")

@@ -1,0 +1,270 @@
+"""Whatever comes over the link, no voltage leaves the limits, nothing hangs, and what is raised is ours."""
+
+import os
+import random
+import signal
+import threading
+import time
+import warnings
+
+import numpy as np
+import pytest
+from fake_gcs import FakeController
+from faulty_link import KINDS, Meddling, PipeLink, Proxy, QuickRig
+
+from dehyst._errors import DehystError
+from dehyst.instruments import DeviceError, LinkError, SensorError, open_rig
+from dehyst.instruments.pi import PiRig
+from dehyst.virtual import PlayActuator, VirtualBench
+from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
+from dehyst.waveforms import Excitation
+
+DEVICE, ALLOWED = (-20.0, 120.0), (0.0, 60.0)
+ODD = [np.nan, np.inf, -np.inf, 1e308, -1e308, 60.0000001, -1e-9, 5e-324, 0.0, 60.0, 119.0]
+# Microvolts that voltages are rounded to.
+ROUNDED = 2e-6
+
+
+def excitation(rng, slew_rate):
+    """Mostly one that may be played; some leave the limits or are too steep."""
+    count, rate = rng.randint(2, 300), rng.choice([100.0, 333.3, 1000.0, 20000.0])
+    low, high = rng.choice([(0.0, 60.0), (10.0, 20.0), (5.0, 6.0), (-3.0, 30.0), (30.0, 61.0)])
+    turn = min(0.3, rng.uniform(0.1, 1.1) * slew_rate / (0.5 * (high - low) * rate))
+    phase = rng.uniform(0, 6) + turn * np.arange(count)
+    return Excitation("odd", low + (high - low) * 0.5 * (1 - np.cos(phase)), rate)
+
+
+def act(rig, rng):
+    """Do one thing at random; what is raised must be ours."""
+    listened = rng.choice([None, None, 1, 3])
+
+    def listen(_):
+        nonlocal listened
+        if listened is not None:
+            listened -= 1
+            if listened == 0:
+                raise DehystError("enough")
+
+    try:
+        match rng.choice(["set", "read", "play", "retreat"] if rng.random() < 0.98 else ["close"]):
+            case "set":
+                rig.set_voltage(rng.choice(ODD) if rng.random() < 0.4 else rng.uniform(-30, 130))
+            case "read":
+                rig.read()
+            case "play":
+                rig.play(excitation(rng, rig.slew_rate), listen)
+            case "retreat":
+                rig.retreat()
+            case "close":
+                rig.close()
+    except DehystError:
+        return False
+    return True
+
+
+def refuse_excess(bench, lines=()):
+    """Both sides: what the bench has put out, and what it was sent."""
+    assert ALLOWED[0] <= bench.log.lowest
+    assert bench.log.highest <= ALLOWED[1]
+    assert bench.log.refused == 0
+    for line in lines:
+        if line.endswith("*spoiled*"):
+            # Cut off in the middle, and made unreadable for that reason.
+            continue
+        word, *rest = line.split() or [""]
+        sent = rest[1:] if word == "SVA" else rest[5:] if word == "WAV" else []
+        assert all(ALLOWED[0] <= float(value) <= ALLOWED[1] for value in sent), line
+
+
+def ordeal(seed, share, kinds=KINDS):
+    """One rig's life with a meddler on the line; returns how many replies were changed, and the seconds it took."""
+    rng, began = random.Random(seed), time.monotonic()
+    controller = FakeController(limits=DEVICE)
+    meddle = Meddling(seed, share if rng.random() < 0.3 else 0.0, kinds)
+    try:
+        rig = QuickRig(PipeLink(controller, meddle), limits=ALLOWED, slew_rate=rng.uniform(50, 5000), patience=0.02)
+    except DehystError:
+        pass
+    else:
+        meddle.share = share
+        for _ in range(rng.randint(1, 8)):
+            act(rig, rng)
+        rig.close()
+    refuse_excess(controller.bench, controller.lines)
+    return meddle.count, time.monotonic() - began
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    ("share", "replies"),
+    [(0.02, 1000), pytest.param(0.05, 4000, marks=pytest.mark.slow), pytest.param(0.3, 6000, marks=pytest.mark.slow)],
+)
+def test_fuzzed_replies_never_move_a_voltage_out_of_its_limits(share, replies):
+    seed = changed = 0
+    while changed < replies:
+        count, seconds = ordeal(int(1e6 * share) + seed, share)
+        assert seconds < 1.0
+        changed, seed = changed + count, seed + 1
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_of_meddling(kind):
+    assert sum(ordeal(seed, 0.1, [kind])[0] for seed in range(30)) > 20
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("sequences", [200, pytest.param(1000, marks=pytest.mark.slow)])
+def test_random_calls_keep_limits_and_slew_rate(sequences):
+    done = 0
+    for seed in range(sequences):
+        rng = random.Random(seed)
+        controller, slew_rate = FakeController(limits=DEVICE), rng.uniform(50, 5000)
+        rig = QuickRig(PipeLink(controller), limits=ALLOWED, slew_rate=slew_rate, patience=0.02)
+        done += sum(act(rig, rng) for _ in range(rng.randint(1, 8)))
+        rig.close()
+        refuse_excess(controller.bench, controller.lines)
+        assert controller.bench.log.largest_step <= 0.01 * slew_rate + ROUNDED
+    assert done > sequences
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_ctrl_c_in_the_middle_of_an_answer_still_retreats(seed):
+    rng = random.Random(seed)
+    controller = FakeController(limits=DEVICE)
+    rig = QuickRig(PipeLink(controller), limits=ALLOWED, patience=0.02, slew_rate=2000.0)
+    rig.set_voltage(30.0)
+    pipe, left = rig._client._link._socket, rng.randint(1, 60)
+    receive, send = pipe.recv, pipe.sendall
+
+    def interrupted(call):
+        def method(argument):
+            nonlocal left
+            left -= 1
+            if left == 0:
+                if call == send:
+                    send(argument[: rng.randrange(len(argument))])
+                raise KeyboardInterrupt
+            return call(argument)
+
+        return method
+
+    pipe.recv, pipe.sendall = interrupted(receive), interrupted(send)
+    wave = Excitation("there and back", 30 + 30 * np.sin(np.linspace(0, 6.28, 200)), 1000.0)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        while True:
+            rig.play(wave)
+    assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
+    assert controller.bench.voltage == 0.0
+    refuse_excess(controller.bench, controller.lines)
+    assert rig.set_voltage(12.5) == 12.5
+
+
+def served(faults=(), **options):
+    bench = VirtualBench(PlayActuator(), limits=DEVICE, **({"speed": 20.0} | options))
+    return bench, Server(Controller(bench), port=0, rehearsal=Rehearsal([Fault.parse(fault) for fault in faults]))
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "why", "back"),
+    [
+        ("drop", LinkError, "the controller closed the connection", True),
+        ("silence", LinkError, "got nothing in", False),
+        ("garble", LinkError, "got ", True),
+        ("truncate", LinkError, "need an answer", True),
+        ("error", DeviceError, "error 215", True),
+        ("unplug", SensorError, "sensor", True),
+        ("refuse", LinkError, "closed the connection|refused", False),
+        ("stall", LinkError, "no new sample", True),
+    ],
+)
+def test_each_rehearsed_fault_over_a_socket(fault, error, why, back):
+    bench, server = served([fault], speed=10.0)
+    wave = Excitation("up and down", 55 * 0.5 * (1 - np.cos(np.linspace(0, 20, 10000))), 1000.0)
+    lots = []
+    with server, PiRig.connect("127.0.0.1", server.port, timeout=0.3, patience=0.3, limits=ALLOWED) as rig:
+        with pytest.raises(error, match=why) as caught:
+            rig.play(wave, lots.append)
+        note = caught.value.__notes__[0]
+        assert note.startswith("The voltage was brought to 0 V" if back else "The voltage could not be brought to 0 V")
+        with server.lock:
+            assert bench.voltage == 0.0 or not back
+    came = sum(lot.time.size for lot in lots)
+    # It comes at 5000; a tenth of a second, which is 1000 samples here, may not have been asked for.
+    assert 2000 < came < 10000
+    assert np.abs(np.concatenate([lot.voltage for lot in lots]) - wave.voltage[:came]).max() < 1e-6
+    assert bench.log.refused == 0
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("cases", [8, pytest.param(80, marks=pytest.mark.slow)])
+def test_fuzzed_replies_over_real_sockets(cases):
+    changed = 0
+    for seed in range(cases):
+        rng = random.Random(seed)
+        bench, server = served(speed=1000.0)
+        meddle = Meddling(seed, 0.0)
+        with server, Proxy(server.port, meddle) as proxy:
+            rig = PiRig.connect("127.0.0.1", proxy.port, limits=ALLOWED, timeout=0.03, patience=0.1, slew_rate=5e4)
+            meddle.share = 0.15
+            for _ in range(8):
+                act(rig, rng)
+            rig.close()
+        assert ALLOWED[0] <= bench.log.lowest
+        assert bench.log.highest <= ALLOWED[1]
+        changed += meddle.count
+    # A life may end at its first false reply.
+    assert changed > cases
+
+
+def test_limits_narrower_than_told_over_a_socket():
+    bench = VirtualBench(PlayActuator(), limits=(-20.0, 40.0), speed=10.0)
+    wave = Excitation("too far", 27 * (1 - np.cos(np.linspace(0, 6, 2000))), 1000.0)
+    with (
+        Server(Controller(bench, told=DEVICE), port=0) as server,
+        PiRig.connect("127.0.0.1", server.port, limits=ALLOWED) as rig,
+    ):
+        for act_ in (lambda: rig.set_voltage(55.0), lambda: rig.play(wave)):
+            with pytest.raises(DeviceError, match=r"error 302: .*limits are narrower than it told.*after") as caught:
+                act_()
+            assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
+    assert bench.log.highest <= 40.0
+
+
+def test_a_second_client_is_told_so_and_the_first_is_undisturbed():
+    _, server = served()
+    with server, open_rig(f"pi://127.0.0.1:{server.port}/1", limits=ALLOWED) as rig:
+        with pytest.raises(LinkError, match="no other client connected"):
+            PiRig.connect("127.0.0.1", server.port, timeout=0.3)
+        assert rig.set_voltage(3.0) == 3.0
+
+
+def test_a_real_ctrl_c_over_a_socket():
+    _, server = served()
+    wave = Excitation("long", 30 - 30 * np.cos(np.linspace(0, 60, 40000)), 1000.0)
+    lots = []
+    with server, open_rig(f"pi://127.0.0.1:{server.port}", limits=ALLOWED) as rig:
+        timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+
+        def keep(lot):
+            lots.append(lot)
+            if len(lots) == 1:
+                timer.start()
+
+        with pytest.raises(KeyboardInterrupt) as caught:
+            rig.play(wave, keep)
+        timer.cancel()
+        assert "brought to 0 V" in caught.value.__notes__[0]
+        assert rig.read().voltage == 0.0
+    assert lots
+
+
+def test_ten_thousand_samples_come_quickly():
+    _, server = served(speed=1000.0)
+    wave = Excitation("many", 30 - 30 * np.cos(np.linspace(0, 30, 10000)), 1000.0)
+    with server, open_rig(f"pi://127.0.0.1:{server.port}", limits=ALLOWED) as rig, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        began = time.process_time()
+        record = rig.play(wave)
+        assert time.process_time() - began < 5
+    assert np.abs(record.voltage - wave.voltage).max() < 1e-6

@@ -1,0 +1,303 @@
+"""The PI rig on a fake controller in this process, odd ones too."""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+from fake_gcs import IDENTITY, WAVES, FakeController, FakeDevice
+from faulty_link import PipeLink, QuickRig
+
+from dehyst import ClampWarning
+from dehyst._errors import RecordError
+from dehyst.instruments import DeviceError, LinkError, RigError
+from dehyst.instruments.pi import PiRig
+from dehyst.waveforms import Excitation
+
+
+def quick(controller, **options):
+    return QuickRig(PipeLink(controller), **({"patience": 0.05} | options))
+
+
+def triangle(low=0.0, high=80.0, count=401, rate=1000.0):
+    half = np.linspace(low, high, count // 2 + 1)
+    return Excitation("triangle", np.concatenate([half, half[-2::-1]]), rate)
+
+
+def test_it_says_what_it_is():
+    rig = quick(FakeController(), limits=(-5.0, 500.0), slew_rate=2000.0)
+    assert rig.name == f"{IDENTITY} at pipe:1"
+    assert (rig.limits.low, rig.limits.high, rig.slew_rate, rig.axis, rig.longest) == (-5.0, 120.0, 2000.0, "1", 4096)
+
+
+def test_nothing_is_put_out_by_connecting_reading_and_closing():
+    controller = FakeController()
+    with quick(controller) as rig:
+        reading = rig.read()
+    assert reading.voltage == 0.0
+    assert not [line for line in controller.lines if line.startswith(("SVA", "WGO", "MOV", "SVO "))]
+
+
+def test_a_voltage_is_ramped_and_read_back():
+    controller = FakeController()
+    rig = quick(controller, slew_rate=1000.0)
+    assert rig.set_voltage(55.5) == 55.5
+    assert rig.read().voltage == 55.5
+    assert controller.bench.log.largest_step <= 10.0 + 1e-6
+    with pytest.warns(ClampWarning):
+        assert rig.set_voltage(1e9) == 120.0
+    for bad in (math.nan, math.inf):
+        with pytest.raises(RecordError, match="nothing was sent"):
+            rig.set_voltage(bad)
+
+
+def test_a_record_is_what_the_bench_did():
+    controller = FakeController()
+    rig = quick(controller)
+    wave = triangle()
+    lots = []
+    record = rig.play(wave, lots.append)
+    assert np.abs(record.voltage - wave.voltage).max() <= 0.6e-6
+    assert np.allclose(np.diff(record.time), 1e-3, rtol=1e-9)
+    _, _, displacement = controller.bench.samples()
+    assert np.allclose(record.displacement, displacement, rtol=1e-12)
+    assert len(lots) > 1
+    assert sum(lot.time.size for lot in lots) == len(wave)
+    again = rig.play(wave)
+    assert again.time[0] > record.time[-1]
+    assert rig.read().time >= again.time[-1]
+
+
+def test_long_waves_are_cut_where_the_tables_end():
+    controller = FakeController(wave_points=100, record_points=90)
+    rig = quick(controller)
+    assert rig.longest == 90
+    wave = triangle(count=401)
+    record = rig.play(wave)
+    rows = rig.rows(len(wave))
+    assert np.abs(record.voltage - wave.voltage[rows]).max() <= 0.6e-6
+    assert (np.diff(record.time) > 0).all()
+
+
+def test_times_rise_without_a_clock_of_the_controller():
+    rig = quick(FakeController(without=["TIM?"]))
+    wave = triangle()
+    first, second = rig.play(wave), rig.play(wave)
+    assert second.time[0] > first.time[-1]
+    assert rig.read().time >= second.time[-1]
+
+
+@pytest.mark.parametrize("rate", [20000.0, 12345.0, 999.9, 1.0])
+def test_the_rate_is_the_nearest_that_divides_the_servos(rate):
+    rig = quick(FakeController())
+    near = rig.nearest_rate(rate)
+    divider = round(20000 / near)
+    assert near == pytest.approx(20000 / divider, rel=1e-12)
+    for other in (max(1, divider - 1), divider + 1):
+        assert abs(near - rate) <= abs(20000 / other - rate) + 1e-9
+
+
+@pytest.mark.parametrize("send", [lambda rig: rig.set_voltage(1.0), lambda rig: rig.play(triangle())])
+def test_a_servo_that_is_on_is_switched_off_by_the_first_voltage_and_that_is_said(send):
+    controller = FakeController()
+    controller.bench.servo = True
+    rig = quick(controller)
+    rig.read()
+    assert controller.bench.servo
+    with pytest.warns(UserWarning, match="servo was on and is switched off"):
+        send(rig)
+    assert not controller.bench.servo
+
+
+def test_a_servo_that_stays_on_is_told():
+    controller = FakeController(told={"SVO?": ["1=1"]})
+    with pytest.warns(UserWarning, match="was on"), pytest.raises(DeviceError, match="does not go off"):
+        quick(controller).set_voltage(1.0)
+    assert not [line for line in controller.lines if line.startswith("SVA")]
+
+
+@pytest.mark.parametrize("lacking", [["WAV"], ["DRR?"], ["HDR?"], WAVES])
+def test_without_a_wave_generator_or_recorder_the_host_plays(lacking):
+    controller = FakeController(without=lacking)
+    with pytest.warns(UserWarning, match=f"does not know .*{lacking[0].replace('?', '.')}.*slowly"):
+        rig = quick(controller, slew_rate=4000.0)
+    assert rig.nearest_rate(1000.0) == 200.0
+    record = rig.play(triangle(high=20.0, count=41, rate=200.0))
+    assert (np.diff(record.time) > 0).all()
+    assert record.voltage.size == 41
+    assert controller.bench.log.largest_step <= 40.0
+
+
+@pytest.mark.parametrize(
+    ("told", "why"),
+    [
+        ({"TNR?": ["1"]}, "recorder tables"),
+        ({"HDR?": ["#RecordOptions", "2=Current Position"]}, "cannot record both"),
+        ({"SPA?": None}, "does not tell the parameters 0x0e000200"),
+        ({"SPA?": lambda a: [f"1 {a[1]}=0"]}, "0x0e000200"),
+    ],
+)
+def test_half_a_recorder_is_none(told, why):
+    with pytest.warns(UserWarning, match=why):
+        quick(FakeController(told=told))
+
+
+def test_an_older_syntax_version_is_that_of_gcs_2():
+    with quick(FakeController(told={"CSV?": ["1.0"]})) as rig:
+        assert rig.limits.high > 0
+
+
+@pytest.mark.parametrize(
+    ("told", "without", "options", "error", "why"),
+    [
+        ({"CSV?": ["3.0"]}, [], {}, DeviceError, "speaks GCS 3"),
+        ({"*IDN?": ["HTTP/1.1 400 Bad Request"]}, [], {}, LinkError, "web server"),
+        ({"*IDN?": ["SSH-2.0-OpenSSH_9"]}, [], {}, LinkError, "is it a GCS controller"),
+        ({"*IDN?": None}, [], {}, LinkError, "got nothing in .*other client"),
+        ({}, ["SVA"], {}, DeviceError, "does not know SVA"),
+        ({}, ["VMA?"], {}, DeviceError, "does not know VMA.; give the voltages"),
+        ({"VMI?": ["1=200"]}, [], {}, LinkError, "no range"),
+        ({"SAI?": ["1", "2"]}, [], {}, RigError, "has the axes 1, 2; say which"),
+        ({}, [], {"axis": "7"}, RigError, "got the axis '7', it has 1"),
+        ({}, [], {"limits": (200.0, 300.0)}, RigError, "nothing is left"),
+        ({"VOL?": ["1=nan"]}, [], {}, LinkError, "sent '\\[?.?VOL. 1.*got '1=nan'|need a finite number"),
+    ],
+)
+def test_odd_controllers_are_refused_with_a_reason(told, without, options, error, why):
+    controller = FakeController(told=told, without=without)
+    with pytest.raises(error, match=why) as caught, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        quick(controller, **options).read()
+    assert "pipe:1" in str(caught.value) or "limits" in str(caught.value)
+    assert not [line for line in controller.lines if line.startswith("SVA")]
+
+
+def test_an_offline_channel_is_refused():
+    controller = FakeController(told={"ONL?": ["1=0"]})
+    controller.known.append("ONL?")
+    with pytest.raises(DeviceError, match="offline; switch it on"):
+        quick(controller)
+
+
+def test_the_users_limits_serve_where_the_controller_tells_none():
+    rig = quick(FakeController(without=["VMI?"]), limits=(0.0, 50.0))
+    assert (rig.limits.low, rig.limits.high) == (0.0, 50.0)
+
+
+def test_a_slew_rate_in_open_loop_is_asked_for():
+    spa = FakeController().on_spa_asked
+    told = {
+        "HPA?": ["0x07000200=0 1 FLOAT Slew Rate closed loop", "0x07000201=0 1 FLOAT Open Loop Slew Rate V/s"],
+        "SPA?": lambda a: [f"1 {a[1]}=250.0"] if a[1] == "0x07000201" else spa(*a),
+    }
+    controller = FakeController(told=told)
+    controller.known.append("HPA?")
+    assert quick(controller).slew_rate == 250.0
+    assert quick(controller, slew_rate=100.0).slew_rate == 100.0
+
+
+def test_narrower_limits_than_told_are_an_error_of_the_device():
+    controller = FakeController(limits=(-20.0, 60.0), told={"VMA?": ["1=120"]})
+    rig = quick(controller)
+    with pytest.raises(DeviceError, match=r"error 7: .*narrower than it told.*SVA 1") as caught:
+        rig.set_voltage(100.0)
+    assert "brought to 0 V" in caught.value.__notes__[0]
+    assert controller.bench.voltage == 0.0
+    assert rig.set_voltage(10.0) == 10.0
+    with pytest.raises(DeviceError, match="error"):
+        rig.play(triangle(high=100.0))
+    assert controller.bench.log.highest <= 60.0
+
+
+@pytest.mark.parametrize(
+    ("playing", "error", "why"),
+    [(0, DeviceError, "generator stopped; 3 of 401"), (1, LinkError, "no new sample .*3 of 401")],
+)
+def test_a_recorder_that_stands_still_is_found_out(playing, error, why):
+    controller = FakeController()
+    rig = quick(controller)
+
+    def three(tables):
+        controller.bench.advance()
+        return [f"{table}={min(3, controller.bench.recorded)}" for table in tables]
+
+    def going(_):
+        # Once it is looked for, and off when it has been told so.
+        return [f"1={playing if controller.lines[-2] == 'DRL? 1 2' else 0}"]
+
+    controller.told = {"DRL?": three, "WGO?": going}
+    lots = []
+    with pytest.raises(error, match=why):
+        rig.play(triangle(), lots.append)
+    assert sum(lot.time.size for lot in lots) == 3
+    assert controller.bench.voltage == 0.0
+
+
+def test_another_rate_than_asked_for_is_an_error_of_the_device():
+    controller = FakeController()
+    controller.told["DRR?"] = lambda a: [
+        line.replace("# SAMPLE_TIME = 0.001", "# SAMPLE_TIME = 0.002") for line in controller.on_drr_asked(*a)
+    ]
+    with pytest.raises(DeviceError, match=r"records every 0\.002 s, need 0\.001 s"):
+        quick(controller).play(triangle())
+
+
+def test_a_generator_that_goes_on_is_told():
+    controller = FakeController(told={"WGO?": ["1=1"]})
+    with pytest.raises(DeviceError, match="goes on; switch it off by hand"):
+        quick(controller).retreat()
+
+
+def test_a_latched_error_is_said_with_its_number():
+    controller = FakeController()
+    rig = quick(controller)
+    controller.error = 333
+    with pytest.raises(DeviceError, match="error 333: its hardware has failed"):
+        rig.set_voltage(3.0)
+
+
+def test_a_connected_device_serves_as_well():
+    controller = FakeController()
+    device = FakeDevice(controller)
+    rig = QuickRig.of_device(device, limits=(0.0, 90.0))
+    wave = triangle()
+    record = rig.play(wave)
+    assert np.abs(record.voltage - wave.voltage).max() <= 0.6e-6
+    rig.close()
+    assert device.open
+    with pytest.raises(LinkError, match="ReadGCSCommand"):
+        PiRig.of_device(object())
+
+
+def test_a_device_that_only_sends_and_reads_serves_too():
+    class Plain:
+        def __init__(self, device):
+            self.controller, self.send, self.read = device.controller, device.GcsCommandset, device.ReadGCSCommand
+
+    controller = FakeController()
+    rig = QuickRig.of_device(Plain(FakeDevice(controller)))
+    assert rig.set_voltage(4.0) == 4.0 == controller.bench.voltage
+
+
+def test_a_devices_own_exceptions_become_ours():
+    class RefusedError(Exception):
+        val = 17
+
+    controller = FakeController()
+    device = FakeDevice(controller)
+    rig = QuickRig.of_device(device)
+    device.controller.told["SVA"] = lambda _: (_ for _ in ()).throw(RefusedError)
+    with pytest.raises(DeviceError, match="error 17: a parameter is out of its range"):
+        rig.set_voltage(5.0)
+    device.controller.told["VOL?"] = None
+    with pytest.raises(LinkError, match="TimeoutError: no answer"):
+        rig.read()
+
+
+def test_messages_are_short():
+    controller = FakeController(told={"VOL?": ["1=" + "9" * 5000 + "x"]})
+    rig = quick(controller)
+    with pytest.raises(LinkError) as caught:
+        rig.read()
+    assert len(str(caught.value)) < 250
+    assert "VOL? 1" in str(caught.value)

@@ -1,0 +1,49 @@
+"""The simulated rig: a virtual bench in a time of its own."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plain_records import plant
+
+from dehyst.control import ClampWarning
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.virtual import PlayActuator
+from dehyst.virtual.modelled import VIRTUAL, virtual_actuator
+from dehyst.waveforms import Sampling, standard
+
+
+@pytest.mark.parametrize("kind", VIRTUAL)
+def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
+    protocol = standard.descending_tops(150.0, drive=Sampling(sample_rate=200, frequency=0.1, limits=(0, 200)))
+    rig, lots = SimulatedRig(virtual_actuator(kind), wave_points=5000), []
+    began = time.process_time()
+    record = rig.play(protocol, lots.append)
+    assert time.process_time() - began < 5 < protocol.duration
+    assert sum(lot.time.size for lot in lots) == len(record) > 20000
+    assert len(lots) > 300
+    np.testing.assert_allclose(np.diff(record.time), 1 / 200, rtol=1e-6)
+    np.testing.assert_array_equal(record.voltage, protocol.voltage[rig.rows(len(protocol))])
+    assert (rig.instrument.log.lowest, rig.instrument.log.highest) == (0, 150)
+    assert rig.instrument.log.steepest <= rig.slew_rate * (1 + 1e-6)
+
+
+def test_the_displacement_is_the_truths_own():
+    protocol = standard.raised_cosine(120.0, cycles=2, drive=Sampling(sample_rate=100, frequency=0.5))
+    record = SimulatedRig(PlayActuator(noise=0)).play(protocol)
+    np.testing.assert_array_equal(record.displacement, PlayActuator(noise=0).drive(protocol.voltage))
+
+
+def test_the_rate_is_one_of_whole_servo_periods():
+    rig = SimulatedRig(PlayActuator(), servo_period=1e-3)
+    assert rig.nearest_rate(300.0) == pytest.approx(1000 / 3)
+    assert rig.nearest_rate(1e6) == pytest.approx(1000)
+
+
+def test_an_identified_actuators_limits_are_the_devices():
+    rig = SimulatedRig(replace(plant(), limits=(-10.0, 90.0)), limits=(-50, 80))
+    assert (rig.limits.low, rig.limits.high, rig.name) == (-10, 80, "simulated actuator")
+    with pytest.warns(ClampWarning):
+        assert rig.set_voltage(100) == 80
+    assert rig.instrument.log.highest == 80

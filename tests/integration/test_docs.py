@@ -1,0 +1,77 @@
+"""The documents on rigs keep their word: their code runs."""
+
+import re
+import sys
+
+import numpy as np
+import places
+import pytest
+
+from dehyst import read
+from dehyst.instruments import open_rig
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, raised_cosine
+
+DOCS = places.DOCS
+MY_LAB = """
+from dehyst.virtual import PlayActuator
+truth, sent = PlayActuator(), [0.0]
+def write_volts(v): sent.append(v)
+def read_micrometres(): return 1e6 * float(truth.drive(sent[-1:])[0])
+def disconnect(): sent.append(None)
+"""
+
+
+def blocks(page):
+    return re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(), re.DOTALL)
+
+
+@pytest.fixture
+def my_rig(tmp_path, monkeypatch):
+    """The rig of fifty lines, in a file of its own beside the laboratory's."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    for name in ("my_rig", "my_lab"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    (tmp_path / "my_lab.py").write_text(MY_LAB)
+    code = next(block for block in blocks("rigs.md") if "class MyRig" in block)
+    assert len(code.splitlines()) <= 50
+    (tmp_path / "my_rig.py").write_text(code)
+    return f"{tmp_path / 'my_rig.py'}:make"
+
+
+def test_a_rig_of_fifty_lines_plays_and_keeps_its_limits(my_rig):
+    with open_rig(my_rig, limits=(0, 100), slew_rate=400) as rig:
+        lab = sys.modules["my_lab"]
+        drive = Sampling(frequency=2, sample_rate=rig.nearest_rate(400), limits=(0, 100), slew_rate=rig.slew_rate)
+        excitation = raised_cosine([100.0, 50.0], drive=drive)
+        record = rig.play(excitation)
+        rig.retreat()
+    sent = lab.sent[:-1]
+    assert lab.sent[-1] is None
+    assert len(record) == len(excitation)
+    assert (min(sent), max(sent), sent[-1]) == (0, 100, 0)
+    alone = PlayActuator(noise=0.0)
+    np.testing.assert_allclose(record.displacement, alone.drive(excitation.voltage), atol=20e-9)
+    assert np.abs(np.diff(record.voltage) / np.diff(record.time)).max() <= 400 * 1.05
+
+
+def test_the_first_lines_run():
+    code = next(block for block in blocks("rigs.md") if "sim://play" in block)
+    space = {}
+    exec(code, space)
+    assert len(space["record"]) > 1000
+    assert space["rig"].safe == 0
+
+
+def test_the_calibration_in_python_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    space = {}
+    exec(blocks("calibrate.md")[0], space)
+    assert space["found"].good
+    assert read(tmp_path / "stage-1" / "records" / "look.h5").meta["complete"]
+
+
+@pytest.mark.parametrize("page", ["rigs.md", "calibrate.md", "safety.md"])
+def test_what_they_refer_to_is_there(page):
+    for target in re.findall(r"\]\(([^)#]+)\)", (DOCS / page).read_text()):
+        assert target.startswith("http") or (DOCS / target).exists(), target

@@ -1,0 +1,124 @@
+"""A share of the seeded attacks of `tests/fuzz`; the rest runs with -m fuzz, or by their command lines."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import places
+import pytest
+import sanitized
+
+FUZZ = places.FUZZ
+CORE = places.CORE
+
+
+def attacked(*command, env=None):
+    """The summary of a fuzzer, which must have found nothing."""
+    words = [sys.executable, *map(str, command)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=env)
+    assert done.stdout, done.stderr[-2000:]
+    summary = json.loads(done.stdout)
+    assert not summary["findings"], summary["findings"][:5]
+    assert done.returncode == 0
+    return summary
+
+
+@pytest.fixture(scope="session")
+def native(tmp_path_factory):
+    """Compile the core and its harness under sanitizers; a function of the number type returns the program."""
+    if missing := sanitized.runtime_missing():
+        pytest.skip(f"{missing} is not installed: the core cannot be compiled under sanitizers")
+    programs = {}
+
+    def program(number):
+        if number not in programs:
+            folder = tmp_path_factory.mktemp(number)
+            for source in CORE.glob("*.[ch]"):
+                shutil.copy(source, folder)
+            config = folder / "dehyst_config.h"
+            if number == "float":
+                config.write_text(config.read_text().replace("typedef double", "typedef float").replace("DBL_", "FLT_"))
+            sources = [*sorted(folder.glob("*.c")), FUZZ / "core.c"]
+            strict = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-I", folder]
+            command = ["gcc", *strict, *sanitized.SANITIZE, *sources, "-lm", "-o", folder / "program"]
+            done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stderr
+            programs[number] = folder / "program"
+        return programs[number]
+
+    return program
+
+
+def lives(program, seed, count):
+    done = subprocess.run([program, str(seed), "0", str(count)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{done.stdout}{done.stderr[-3000:]}"
+    assert f"{count} cases" in done.stdout
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+def test_random_lives_on_the_sanitized_core(native, number):
+    lives(native(number), 1, 5000)
+
+
+@pytest.mark.fuzz
+@pytest.mark.parametrize("number", ["double", "float"])
+def test_many_random_lives_on_the_sanitized_core(native, number):
+    lives(native(number), 2, 1_000_000)
+
+
+@pytest.mark.parametrize(("name", "count"), [("compensators", 60), ("models", 150)])
+def test_a_share_of_the_attacks_finds_nothing(name, count):
+    assert attacked(FUZZ / f"{name}.py", "--seed", 3, "--count", count)["cases"] == count
+
+
+def test_hostile_calls_on_a_compiled_export_find_nothing():
+    need_exports()
+    assert attacked(FUZZ / "exports.py", "--seed", 3, "--count", 2)["counts"]["thousands of calls"] > 0
+
+
+def need_exports():
+    if missing := sanitized.runtime_missing():
+        pytest.skip(f"{missing} is not installed: exports cannot be compiled under sanitizers")
+
+
+@pytest.mark.fuzz
+def test_a_million_hostile_calls_on_exports_find_nothing():
+    need_exports()
+    assert attacked(FUZZ / "exports.py", "--seed", 4, "--count", 60)["counts"]["thousands of calls"] >= 1000
+
+
+@pytest.mark.fuzz
+@pytest.mark.parametrize(("name", "count"), [("compensators", 100_000), ("models", 10_000)])
+def test_all_attacks_on_the_sanitized_package_find_nothing(tmp_path, name, count):
+    if missing := sanitized.missing():
+        pytest.skip(f"{missing} is not installed: the package cannot be built under sanitizers")
+    environment = sanitized.environment(sanitized.build(tmp_path))
+    assert attacked(FUZZ / f"{name}.py", "--seed", 5, "--count", count, env=environment)["cases"] == count
+
+
+def test_a_crash_and_a_hang_are_findings(tmp_path):
+    """The runner itself: what ends its process is found, and the other cases are played."""
+    program = tmp_path / "fuzzer.py"
+    program.write_text(f"""
+import os, signal, sys
+sys.path.insert(0, {str(FUZZ)!r})
+import batches
+batches.HANG = 1
+def play(seed, case, note):
+    note("played")
+    if case == 3:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if case == 5:
+        raise KeyError("x")
+    while case == 7:
+        pass
+    return ["wrong"] if case == 8 else []
+batches.main("test", play)
+""")
+    done = subprocess.run([sys.executable, program, "--count", "10"], capture_output=True, text=True, check=False)
+    summary = json.loads(done.stdout)
+    assert (done.returncode, summary["cases"]) == (1, 10)
+    assert [found["case"] for found in summary["findings"]] == [3, 5, 7, 8]
+    for found, words in zip(summary["findings"], ("signal 11", "KeyError", "hang", "wrong"), strict=True):
+        assert words in found["what"]

@@ -1,0 +1,101 @@
+"""The public face: what `import dehyst` loads, and the names it offers."""
+
+import inspect
+import json
+import subprocess
+import sys
+from enum import Enum
+
+import numpy as np
+import pytest
+
+import dehyst
+
+HEAVY = {"scipy", "highspy", "matplotlib", "h5py", "pyarrow", "nptdms", "click", "pandas", "threadpoolctl"}
+
+
+def loaded_by(statement):
+    """Top-level modules in a fresh interpreter after `statement`."""
+    program = f"{statement}; import sys, json; print(json.dumps(sorted({{m.split('.')[0] for m in sys.modules}})))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    return set(json.loads(done.stdout))
+
+
+def test_import_loads_nothing_heavier_than_numpy():
+    ours, bare = loaded_by("import dehyst"), loaded_by("import numpy")
+    assert "numpy" in ours
+    assert not ours & HEAVY
+    outside = {m for m in ours - bare if m not in sys.stdlib_module_names and not m.startswith("_")}
+    assert outside == {"dehyst"}
+
+
+def test_the_check_would_notice():
+    assert "scipy" in loaded_by("import dehyst, scipy.optimize")
+
+
+def test_names_are_few_sorted_and_real():
+    assert dehyst.__all__ == sorted(dehyst.__all__)
+    assert len(set(dehyst.__all__)) == len(dehyst.__all__) <= 45
+    for name in dehyst.__all__:
+        assert getattr(dehyst, name) is not None
+    assert dir(dehyst) == dehyst.__all__
+
+
+def test_no_public_class_or_function_is_left_out_of_all():
+    """What the package's own file brings in, it offers."""
+    things = {
+        name: thing for name, thing in vars(dehyst).items() if inspect.isclass(thing) or inspect.isfunction(thing)
+    }
+    found = {name for name, thing in things.items() if thing.__module__.startswith("dehyst")}
+    late = set(dehyst._LATE)
+    assert {name for name in found if not name.startswith("_")} - late == set(dehyst.__all__) - {"__version__"} - late
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'identification_of'"):
+        _ = dehyst.identification_of
+
+
+def public_things():
+    """Every public function, class, method and property reachable through `dehyst.__all__`, with its full name."""
+    for name in dehyst.__all__:
+        thing = getattr(dehyst, name)
+        if not (inspect.isclass(thing) or inspect.isfunction(thing)):
+            continue
+        yield name, thing
+        for attribute, member in vars(thing).items() if inspect.isclass(thing) else ():
+            function = getattr(member, "func", getattr(member, "__func__", member))
+            if not attribute.startswith("_") and (inspect.isfunction(function) or isinstance(function, property)):
+                yield f"{name}.{attribute}", function
+
+
+@pytest.mark.parametrize(
+    ("name", "thing"), list(public_things()), ids=lambda value: value if isinstance(value, str) else ""
+)
+def test_has_a_docstring(name, thing):
+    text = thing.__doc__
+    assert text, f"{name} has no docstring"
+    assert len(text.split()) >= 3, f"{name}: {text!r} says too little"
+    # A dataclass without a docstring is given its own signature.
+    assert not text.startswith(f"{name}("), f"{name} has no docstring but its signature"
+
+
+def test_outcomes_are_sentences():
+    assert issubclass(dehyst.Outcome, Enum)
+    for outcome in dehyst.Outcome:
+        assert outcome.value[0].isupper()
+        assert outcome.value.endswith(".")
+
+
+def test_the_version_is_the_distributions():
+    from importlib.metadata import version
+
+    assert version("dehyst") == dehyst.__version__
+
+
+def test_errors_are_both_ours_and_the_builtin_one():
+    for error in (dehyst.ModelError, dehyst.RecordError, dehyst.IdentifyError, dehyst.FileFormatError):
+        assert issubclass(error, dehyst.DehystError)
+        assert issubclass(error, ValueError)
+    with pytest.raises(ValueError, match="strictly increase"):
+        dehyst.Spring(np.zeros(2), [0, 1])

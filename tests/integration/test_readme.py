@@ -1,0 +1,62 @@
+"""The README keeps its word: its figures are the benchmarks', its code runs, its files exist."""
+
+import re
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import places
+import pytest
+from summaries import PARTS, anatomy
+
+import dehyst
+from dehyst.records import write_record
+from dehyst.studies import demo
+from dehyst.virtual import PlayActuator
+
+ROOT = places.ROOT
+
+
+def test_its_figures_are_those_of_the_benchmarks():
+    check = [sys.executable, str(ROOT / "benchmarks" / "readme.py"), "--check"]
+    assert subprocess.run(check, check=False).returncode == 0, "run make bench"
+
+
+def its_code():
+    return "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
+
+
+def test_its_code_runs(tmp_path, monkeypatch, capsys):
+    code = its_code()
+    write_record(tmp_path / "loops.csv", demo.record_loops(PlayActuator(plays=60))[0])
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(code, names)
+    assert "loops: 0." in capsys.readouterr().out
+    assert names["command"].voltage.shape == (1000,)
+    assert names["command"].warnings == ()
+    assert names["compensator"].clamps == (0, 0)
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_its_code_runs_for_any_model_that_an_identification_may_choose(kind, monkeypatch, capsys):
+    fit = SimpleNamespace(actuator=anatomy(kind), outcome=dehyst.Outcome.WIDER, errors=())
+    monkeypatch.setattr(dehyst, "read", lambda path: None)
+    monkeypatch.setattr(dehyst, "identify", lambda record: fit)
+    names = {}
+    exec(its_code(), names)
+    assert names["command"].warnings == ()
+    assert names["command"].missed <= 1e-9
+    assert names["compensator"].clamps == (0, 0)
+    assert capsys.readouterr().out.splitlines()[-1].startswith("Clamps(limited=0, slewed=0)")
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
+def test_the_files_it_names_exist(page):
+    text = (ROOT / page).read_text()
+    links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
+    modules = re.findall(r"`((?:[a-z_]+/)*[a-z_]+\.(?:py|h|c|cpp))`", text)
+    folders = ("", "src/dehyst", "tests", "core")
+    missing = [name for name in (*links, *modules) if not any((ROOT / place / name).exists() for place in folders)]
+    assert missing == []
+    assert links or modules

@@ -1,0 +1,131 @@
+"""BLAS runs on one thread while dehyst solves, whichever library it comes from and whoever asks first."""
+
+import json
+import os
+import subprocess
+import sys
+
+import places
+import pytest
+
+from dehyst._threads import one_thread
+
+# Looks at every BLAS library from inside the solvers, whenever a function of linear algebra is called.
+WATCH = """
+import json, sys, time
+import numpy as np, threadpoolctl
+most, looks = {}, 0
+
+def look():
+    global looks
+    for library in threadpoolctl.threadpool_info():
+        if library["user_api"] == "blas":
+            name = library["filepath"].rsplit("/", 1)[1]
+            most[name] = max(most.get(name, 0), library["num_threads"])
+    looks += 1
+
+def watch(frame, event, _, last=[0.0]):
+    path = frame.f_code.co_filename
+    solver = event == "call" and ("/linalg/" in path or "/scipy/optimize/" in path)
+    if solver and time.monotonic() - last[0] > 0.02 and not importing(frame):
+        look()
+        last[0] = time.monotonic()
+
+def importing(frame):
+    while frame and "importlib" not in frame.f_code.co_filename:
+        frame = frame.f_back
+    return frame is not None
+
+import bench, dehyst
+%s
+sys.setprofile(watch)
+%s
+sys.setprofile(None)
+print(json.dumps({"looks": looks, "threads": most}))
+"""
+SETUP = """
+from dehyst.baselines.comparison import compare, contenders
+from dehyst.insight import insight
+from dehyst.structure import Structure
+from dehyst import demo
+actuator = bench.plant(6)
+record = bench.loops(actuator, bench.DESCENDING_TOPS)
+"""
+SOLVERS = {
+    "plain": "dehyst.identify(record, structure='paper')",
+    "a structure": "dehyst.identify(record, structure=Structure(elements=8, knots=9, transformer=4, creep=2))",
+    "insight": "insight(dehyst.identify(record, structure='paper').actuator, record, repeats=20)",
+    "compare": "compare(record, models={'linear': contenders()['linear ratio'], 'play': contenders()['Preisach']})",
+}
+FREE = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
+
+
+def answer(program):
+    """What a fresh process prints that is free to use as many threads as it likes."""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={**FREE, "PYTHONPATH": str(places.SUPPORT)},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.skipif(os.cpu_count() == 1, reason="one processor: BLAS has one thread without a limit, too")
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_every_blas_library_has_one_thread_inside_of(solver):
+    seen = answer(WATCH % (SETUP, SOLVERS[solver]))
+    assert seen["looks"] > 5
+    assert len(seen["threads"]) >= 2, "NumPy's and SciPy's own"
+    assert set(seen["threads"].values()) == {1}
+
+
+@pytest.mark.skipif(os.cpu_count() == 1, reason="one processor: BLAS has one thread without a limit, too")
+def test_the_watch_would_notice():
+    seen = answer(WATCH % (SETUP, "import scipy.linalg; scipy.linalg.cholesky(np.eye(9))"))
+    assert max(seen["threads"].values()) > 1
+
+
+COUNTS = """
+import json, threading
+import scipy.linalg, threadpoolctl
+from dehyst.threads import one_thread
+counts = lambda: sorted(library["num_threads"] for library in threadpoolctl.threadpool_info())
+seen = [counts()]
+first, second = one_thread(), one_thread()
+with one_thread():
+    with one_thread():
+        seen.append(counts())
+    seen.append(counts())
+seen.append(counts())
+first.__enter__()
+second.__enter__()
+first.__exit__(None, None, None)
+seen.append(counts())
+second.__exit__(None, None, None)
+seen.append(counts())
+print(json.dumps(seen))
+"""
+
+
+def test_the_limit_holds_until_the_last_solver_has_ended():
+    before, nested, outer, after, overlapping, finally_ = answer(COUNTS)
+    assert set(nested) == set(outer) == set(overlapping) == {1}
+    assert before == after == finally_
+
+
+def test_an_error_lifts_the_limit():
+    import threadpoolctl
+
+    def threads():
+        return [library["num_threads"] for library in threadpoolctl.threadpool_info()]
+
+    with one_thread():
+        pass
+    before = threads()
+    with pytest.raises(ValueError, match="solver"), one_thread():
+        raise ValueError("solver")
+    assert threads() == before

@@ -1,0 +1,376 @@
+"""The wider class: graded elements, transformer and creep. Laws, the oracle, an ODE solver, and every refusal."""
+
+from functools import partial
+
+import numpy as np
+import plain_records
+import pytest
+import reference_model
+import strategies as our
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Spring, State, Transformer
+
+EXACT = 1e-12
+SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
+TAU, CREEP = Transformer([0, 50, 100], [0, 60, 100]), Creep([0.1, 1.0], [1e6, 2e6])
+GRADED = GradedSlip([1e-6, 2e-6], [0, 5e-6, 1e-5], [[1e6, 2e6], [2e6, 3e6]])
+
+
+def scales(actuator, state, path):
+    """Rounding [V] and [m]: what creep and elements hold at most over this motion, and its range."""
+    metres = max(our.span_of(actuator), float(np.ptp(np.append(path, state.displacement))))
+    creep = 0.0 if actuator.creep is None else float(actuator.creep.stiffness.sum())
+    slopes = actuator.spring.slopes.max() + np.sum(actuator.slip.stiffness) + creep
+    return EXACT * slopes * metres, EXACT * metres
+
+
+def same_state(one, two, metres):
+    plain_records.assert_close(one.displacement, two.displacement, metres)
+    plain_records.assert_close(one.carts, two.carts, metres)
+    plain_records.assert_close(one.creep, two.creep, metres)
+
+
+@pytest.mark.parametrize("stack", [True, False])
+@given(motion=our.wider_motions())
+def test_compensate_agrees_with_the_oracle(stack, motion):
+    actuator, state, time, path = motion
+    volts, metres = scales(actuator, state, path)
+    got, known = (
+        actuator.compensate(path, time=time, state=state, stack=stack, extrapolate=True),
+        reference_model.Wide(actuator, state),
+    )
+    plain_records.assert_close(got.voltage, known.compensate(path, time), 3 * volts)
+    same_state(got.state, State(known.y, known.carts, known.y - known.z), metres)
+
+
+@pytest.mark.parametrize("stack", [True, False])
+@given(motion=our.wider_motions(max_elements=6, max_samples=25))
+@settings(max_examples=40)
+def test_simulate_agrees_with_the_oracle(stack, motion):
+    actuator, state, time, path = motion
+    v = actuator.compensate(path, time=time, state=state, extrapolate=True).voltage
+    v = v + 0.1 * np.ptp(v) * np.random.default_rng(1).normal(size=v.size) if v.size else v
+    known = reference_model.Wide(actuator, state)
+    expected = known.simulate(v, time)
+    metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(expected, state.displacement)))
+    got = actuator.simulate(v, time=time, state=state, stack=stack, extrapolate=True)
+    plain_records.assert_close(got.displacement, expected, 10 * metres)
+    same_state(got.state, State(known.y, known.carts, known.y - known.z), 10 * metres)
+
+
+@pytest.mark.parametrize("there", [True, False])
+@pytest.mark.parametrize("back", [True, False])
+@given(motion=our.wider_motions(max_samples=300))
+def test_simulating_the_compensating_voltage_gives_the_path(there, back, motion):
+    actuator, state, time, path = motion
+    _, metres = scales(actuator, state, path)
+    sent = actuator.compensate(path, time=time, state=state, stack=there, extrapolate=True)
+    came = actuator.simulate(sent.voltage, time=time, state=state, stack=back, extrapolate=True)
+    plain_records.assert_close(came.displacement, path, 3 * metres)
+    same_state(came.state, sent.state, 3 * metres)
+
+
+@given(motion=our.wider_motions(max_samples=200), cut=st.floats(0, 1))
+def test_a_record_may_be_cut_at_any_sample(motion, cut):
+    """The part that carries on begins with the sample at which the state was reached."""
+    actuator, state, time, path = motion
+    assume(path.size)
+    k = int(cut * (path.size - 1))
+    volts, metres = scales(actuator, state, path)
+    whole = actuator.compensate(path, time=time, state=state, extrapolate=True)
+    for name, drive, allowance in (("compensate", path, volts), ("simulate", whole.voltage, 3 * metres)):
+        out = "voltage" if name == "compensate" else "displacement"
+        run = partial(getattr(actuator, name), extrapolate=True)
+        first = run(drive[: k + 1], time=time[: k + 1], state=state)
+        second = run(drive[k:], time=time[k:], state=first.state)
+        joined = np.concatenate([getattr(first, out)[:-1], getattr(second, out)])
+        plain_records.assert_close(joined, getattr(run(drive, time=time, state=state), out), allowance)
+
+
+@given(our.wider_motions({"graded": False, "transformer": True, "creep": False}, states=("turned up", "relaxed")))
+def test_beside_a_transformer_alone_the_stack_puts_down_the_memory_of_the_clips(motion):
+    """The core maps voltages in place: the stack reads a sample before it writes there."""
+    actuator, state, _, path = motion
+    _, metres = scales(actuator, state, path)
+    voltage = actuator.compensate(path, state=state, extrapolate=True).voltage
+    stack, clips = (actuator.simulate(voltage, state=state, stack=stack, extrapolate=True) for stack in (True, False))
+    plain_records.assert_close(stack.displacement, clips.displacement, metres)
+    same_state(stack.state, clips.state, metres)
+
+
+@given(motion=our.motions(our.actuators(1, 20)), seed=our.SEEDS)
+def test_one_grade_is_a_plain_element(motion, seed):
+    actuator, state, path = motion
+    slip = actuator.slip
+    knots = np.sort(np.random.default_rng(seed).uniform(*actuator.spring.displacement[[0, -1]], 2))
+    graded = Actuator(GradedSlip(slip.breakaway, knots, slip.stiffness[:, None]), actuator.spring)
+    volts, metres = scales(actuator, state, path)
+    plain = actuator.compensate(path, state=state, extrapolate=True)
+    plain_records.assert_close(graded.compensate(path, state=state, extrapolate=True).voltage, plain.voltage, volts)
+    plain_records.assert_close(
+        graded.simulate(plain.voltage, state=state, extrapolate=True).displacement, path, 2 * metres
+    )
+    plain_records.assert_close(
+        graded.slip.friction,
+        slip.friction,
+        EXACT * max(slip.friction.max(), slip.stiffness.max() * our.span_of(actuator)),
+    )
+
+
+@given(motion=our.motions(our.actuators(1, 20)), seed=our.SEEDS)
+def test_without_effect_the_wider_parts_change_nothing(motion, seed):
+    """Creep that holds nothing, a transformer that is a straight line."""
+    actuator, state, path = motion
+    creep, identity = Creep([0.1, 1.0, 7.0], [0, 0, 0]), Transformer([0, 1, 7], [0, 1, 7])
+    wider, time = (
+        Actuator(actuator.slip, actuator.spring, creep=creep, transformer=identity),
+        our.make_time(seed, path.size),
+    )
+    volts, metres = scales(actuator, state, path)
+    plain = actuator.compensate(path, state=state, extrapolate=True)
+    plain_records.assert_close(
+        wider.compensate(path, time=time, state=state, extrapolate=True).voltage, plain.voltage, volts
+    )
+    plain_records.assert_close(
+        wider.simulate(plain.voltage, time=time, state=state, extrapolate=True).displacement, path, metres
+    )
+
+
+@given(motion=our.wider_motions(max_samples=40), more=st.floats(1e-6, 1))
+def test_more_voltage_more_displacement(motion, more):
+    actuator, state, time, path = motion
+    assume(path.size)
+    reached = actuator.compensate(path, time=time, state=state, extrapolate=True)
+    times = [0.0, 0.3]
+    now = reached.voltage[-1]
+    ends = [
+        actuator.simulate([now, v], time=times, state=reached.state, extrapolate=True).displacement[-1]
+        for v in (now, now + more * our.volts_of(Actuator(MaxwellSlip([], []), actuator.spring)))
+    ]
+    assert ends[1] > ends[0]
+
+
+@given(motion=our.wider_motions({"creep": True}, max_samples=30), parts=st.integers(2, 5))
+def test_samples_added_on_a_straight_path_change_nothing(motion, parts):
+    """Creep is exact for a displacement that is linear in time between samples."""
+    actuator, state, time, path = motion
+    assume(path.size > 1)
+    fine = np.interp(np.arange(parts * (path.size - 1) + 1) / parts, np.arange(path.size), time)
+    volts, _ = scales(actuator, state, path)
+    coarse = actuator.compensate(path, time=time, state=state, extrapolate=True).voltage
+    dense = actuator.compensate(np.interp(fine, time, path), time=fine, state=state, extrapolate=True).voltage
+    # np.interp rounds times and places; a gain near 1 hands that on.
+    plain_records.assert_close(dense[::parts], coarse, 30 * volts)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_creep_agrees_with_an_ode_solver(seed):
+    from scipy.integrate import solve_ivp
+
+    rng = np.random.default_rng(seed)
+    creep, spring = Creep(10 ** rng.uniform(-1, 1, 3), rng.uniform(1e6, 3e6, 3)), Spring([0, 1e-5], [0, 90])
+    time, path = np.cumsum(rng.uniform(0.05, 0.5, 12)), 1e-5 * rng.random(12)
+    actuator = Actuator(SLIP, spring, creep=creep)
+    start = State(path[0], np.full(2, path[0]))
+    d, found = np.zeros(3), [np.zeros(3)]
+    for k in range(1, 12):
+        slope = (path[k] - path[k - 1]) / (time[k] - time[k - 1])
+        d = solve_ivp(
+            lambda t, d, s=slope: s - d / creep.time_constants, time[k - 1 : k + 1], d, rtol=1e-12, atol=1e-20
+        ).y[:, -1]
+        found.append(d)
+    plain = Actuator(SLIP, spring).compensate(path, state=start).voltage
+    got = actuator.compensate(path, time=time, state=start)
+    np.testing.assert_allclose(got.voltage, plain + np.array(found) @ creep.stiffness, atol=1e-8)
+    np.testing.assert_allclose(creep.strains(time, path), found, atol=1e-15)
+
+
+def test_under_a_held_voltage_it_creeps_on_and_carts_slide():
+    actuator = Actuator(SLIP, SPRING, creep=CREEP)
+    time = np.arange(400) * 0.05
+    motion = actuator.simulate(np.full(400, 60.0), time=time, state=actuator.relaxed())
+    assert np.all(np.diff(motion.displacement[:100]) > 0)
+    jump = actuator.simulate([60.0], time=[0.0], state=actuator.relaxed()).state
+    assert np.all(motion.state.carts > jump.carts)
+    assert motion.displacement[-1] == pytest.approx(
+        Actuator(SLIP, SPRING).simulate([60.0], state=State(0, [0, 0])).displacement[0]
+    )
+
+
+def test_a_simulation_of_creep_converges_at_second_order():
+    """Between samples the voltage is what is straight, not the displacement: an error of the step squared."""
+    actuator = Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 90]), creep=CREEP)
+    errors, start = [], actuator.relaxed()
+    fine = np.linspace(0, 2, 32 * 512 + 1)
+    exact = actuator.simulate(40 * fine * (2 - fine), time=fine, state=start).displacement
+    for n in (32, 64, 128):
+        t = fine[:: 32 * 512 // n]
+        errors.append(
+            np.abs(
+                actuator.simulate(40 * t * (2 - t), time=t, state=start).displacement - exact[:: 32 * 512 // n]
+            ).max()
+        )
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert np.all(orders > 1.9), orders
+
+
+@given(actuator=our.actuators(1, 12), seed=our.SEEDS, width=st.floats(0.1, 3))
+def test_dissipation_of_graded_elements(actuator, seed, width):
+    """A loop loses what friction takes: rho_i psi_i' |db_i| of each cart that slides, here to and fro."""
+    wider = our.make_wider(actuator, seed, graded=True, transformer=False, creep=False)
+    slip, knots = wider.slip, wider.spring.displacement
+    rho, bottom = slip.breakaway, float(np.mean(knots)) - width * slip.breakaway[-1]
+    top = bottom + 2 * width * rho[-1]
+    bends = np.concatenate(
+        [(slip.knots[:, None] + np.append(0, [-rho, rho])).ravel(), knots, top - 2 * rho, bottom + 2 * rho]
+    )
+    ticks = np.unique(np.append(bends.clip(bottom, top), [bottom, top]))
+    loop = np.concatenate([ticks, ticks[-2::-1]])
+    v = wider.compensate(
+        np.concatenate([loop, loop]), state=wider.turned(bottom, rising=False, extrapolate=True), extrapolate=True
+    ).voltage[loop.size :]
+    area = float(np.sum(0.5 * (v[1:] + v[:-1]) * np.diff(loop)))
+    low, high = bottom + rho, np.maximum(top - rho, bottom + rho)
+    lost = float(2 * rho @ (slip.held(high) - slip.held(low)))
+    volts, _ = scales(wider, wider.turned(bottom, extrapolate=True), loop)
+    assert lost >= 0
+    plain_records.assert_close(area, lost, loop.size * volts * (top - bottom))
+
+
+@given(motion=our.wider_motions({"creep": True, "graded": False}, max_samples=60))
+def test_creep_gives_back_no_more_than_it_stored(motion):
+    """Work done on branch j over a step, with y straight, is c s tau (dy - dd): it exceeds what is stored, c d^2/2."""
+    actuator, _, time, path = motion
+    assume(path.size > 1)
+    creep = actuator.creep
+    d = creep.strains(time, path)
+    dy, dt = np.diff(path)[:, None], np.diff(time)[:, None]
+    work = (dy / dt * creep.time_constants * (dy - np.diff(d, axis=0))).cumsum(axis=0)
+    stored = 0.5 * d[1:] ** 2
+    allowance = 1e-9 * (creep.time_constants / dt.min() + 1) * (np.ptp(path) ** 2 * path.size)
+    assert np.all(work >= stored - allowance)
+
+
+@given(motion=our.wider_motions(max_samples=0), seed=our.SEEDS)
+def test_states_rest_where_they_say(motion, seed):
+    actuator, state, *_ = motion
+    v = actuator.voltage(state)
+    volts, metres = scales(actuator, state, [])
+    here = actuator.compensate([state.displacement], time=[seed], state=state, extrapolate=True)
+    plain_records.assert_close(here.voltage, [v], 3 * volts)
+    plain_records.assert_close(
+        actuator.simulate([v], time=[seed], state=state, extrapolate=True).displacement,
+        [state.displacement],
+        10 * metres,
+    )
+    relaxed = actuator.relaxed(v, extrapolate=True)
+    plain_records.assert_close(actuator.voltage(relaxed), v, 3 * volts + 1e-12 * abs(v))
+    assert np.ptp(np.append(relaxed.carts, relaxed.displacement)) == 0
+
+
+def outer_slopes(slip, spring, y):
+    """Slopes of the two outermost branches at y, by differences."""
+    h = 1e-9 * np.ptp(spring.displacement)
+    for rho in (slip.breakaway, -slip.breakaway):
+        v = [
+            spring(at[:, 0]) + (slip.held(at) - slip.held(at - rho)).sum(axis=-1)
+            for at in (y[:, None] - h, y[:, None] + h)
+        ]
+        yield (v[1] - v[0]) / (2 * h)
+
+
+@given(seed=our.SEEDS, size=st.floats(0.1, 10))
+def test_branches_that_fall_are_refused_and_no_others(seed, size):
+    rng = np.random.default_rng(seed)
+    spring = Spring([0, 0.4, 1], [0, 0.5, 1])
+    slip = GradedSlip(np.cumsum(rng.uniform(0.05, 0.3, 4)), np.sort(rng.uniform(0, 1, 5)), size * rng.random((4, 4)))
+    y = np.linspace(-1.5, 2.5, 4001)
+    slope = min(s.min() for s in outer_slopes(slip, Spring([0, 0.4, 1], [0, 0.5, 1]), y))
+    assume(abs(slope) > 1e-6)
+    try:
+        Actuator(slip, spring)
+    except ModelError as error:
+        assert "outermost branch near" in str(error)
+    else:
+        assert slope > 0
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: GradedSlip([1, 2], [0, 1], [[1], [1], [1]]), r"got stiffnesses of shape \(3, 1\).*need \(2, 1\)"),
+        (lambda: GradedSlip([1, 2], [0], [[], []]), r"1 grade knots, need \(2, 1\)"),
+        (lambda: GradedSlip([1], [0, 1], [1]), "need two dimensions"),
+        (lambda: GradedSlip([1], [0, 1], [[np.nan]]), "1 of 1 values are not finite"),
+        (lambda: GradedSlip([1], [0, 1], [["a"]]), "need an array of numbers"),
+        (lambda: GradedSlip([1], [1, 1], [[1]]), "grade knots must strictly increase"),
+        (lambda: GradedSlip([1], [0, 1], [[-1]]), "stiffness 0, 0 is -1 V/m"),
+        (lambda: GradedSlip([2, 1], [0, 1], [[1], [1]]), "positive and strictly increasing"),
+        (lambda: Transformer([0, 1], [0]), "2 transformer knots and 1 drives"),
+        (lambda: Transformer([0], [0]), "two at least"),
+        (lambda: Transformer([0, 0], [0, 1]), "transformer knots must strictly increase"),
+        (lambda: Transformer([0, 1], [1, 0]), "transformer drives must strictly increase"),
+        (lambda: Creep([1], [1, 2]), "1 creep time constants and 2 stiffnesses"),
+        (lambda: Creep([0], [1]), "must be positive"),
+        (lambda: Creep([1], [-1]), "creep stiffness 0 is -1 V/m; a negative one"),
+        (lambda: Actuator(SLIP, SPRING, transformer=CREEP), "transformer: got Creep, need a Transformer"),
+        (lambda: Actuator(SLIP, SPRING, creep=3), "creep: got int, need a Creep"),
+        (lambda: Actuator(SPRING, SPRING), "slip: got Spring, need a MaxwellSlip or GradedSlip"),
+        (lambda: Actuator(SLIP, SPRING, State(0, [0, 0], [1e-9])), "got 1 creep strains, this actuator has 0"),
+        (lambda: Actuator(SLIP, SPRING, creep=CREEP).simulate([0.0]), r"creeps.*give time= \[s\]"),
+        (lambda: Actuator(SLIP, SPRING, creep=CREEP).compensate([0.0]), "depends on time"),
+        (lambda: Actuator(SLIP, SPRING, creep=CREEP).simulate([0.0, 1], time=[1, 1]), "strictly increasing"),
+        (lambda: Actuator(SLIP, SPRING, creep=CREEP).simulate([0.0, 1], time=[1]), "got 1 values for 2 samples"),
+        (lambda: Actuator(SLIP, SPRING).simulate([0.0, 1], time=[1, 0]), "time: got 0 s after 1 s at value 1"),
+        (lambda: Actuator(SLIP, SPRING, creep=CREEP).simulate([0.0, 1], time=[0, np.nan]), "time: 1 of 2"),
+        (lambda: State(0, [0], motion=[1]), "motion of 1 numbers, need displacement and velocity"),
+    ],
+)
+def test_impossible_parts_are_refused(make, message):
+    with pytest.raises(ModelError, match=message):
+        make()
+
+
+def test_physical_units_are_refused_where_they_mean_nothing():
+    constants = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
+    with pytest.raises(ModelError, match="graded elements have no single stiffness"):
+        Actuator(GRADED, SPRING).physical(**constants)
+    with pytest.raises(ModelError, match="T v is no force"):
+        Actuator(SLIP, SPRING, transformer=TAU).physical(**constants)
+    with pytest.raises(ModelError, match="T x no charge"):
+        Actuator(SLIP, SPRING, transformer=TAU).charge([0.0], **constants)
+    with pytest.raises(ModelError, match="transformer_ratio: got 0, need a positive number"):
+        Actuator(SLIP, SPRING).charge([0.0], **{**constants, "transformer_ratio": 0})
+    creeping = Actuator(SLIP, SPRING, creep=CREEP).physical(**constants)
+    assert np.array_equal(creeping.friction, Actuator(SLIP, SPRING).physical(**constants).friction)
+
+
+@given(motion=our.motions(our.actuators(1, 12), max_samples=30))
+def test_charge_balances_power(motion):
+    """The work v dq at the terminals is F dx on the elements and the spring: T v dx."""
+    actuator, state, path = motion
+    assume(path.size > 1)
+    constants = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
+    paper, v = actuator.physical(**constants), actuator.compensate(path, state=state, extrapolate=True).voltage
+    q = actuator.charge(path, **constants)
+    x = np.diff(path) * 1.4e6 / paper.equivalent_stiffness
+    mean = 0.5 * (v[1:] + v[:-1])
+    np.testing.assert_allclose(mean * np.diff(q), 0.042 * mean * x, atol=1e-12 * np.abs(v).max() * np.ptp(q))
+    at_knots = actuator.charge(actuator.spring.displacement, **constants)
+    np.testing.assert_allclose(at_knots, 0.042 * paper.deformation, atol=1e-12 * np.ptp(at_knots))
+
+
+def test_what_knows_plain_actuators_only_says_so():
+    from dehyst.control import StateBounds
+    from dehyst.uncertainty import RestStates, state_from_first_rise
+
+    wider = Actuator(GRADED, SPRING, transformer=TAU, creep=CREEP, limits=(0, 100))
+    for ask, message in (
+        (lambda: StateBounds.at_rest(wider), "this actuator creeps; use dehyst.control.homing.shortest_homing"),
+        (lambda: RestStates(wider).vertex(np.ones(len(GRADED))), "no polytope of elongations; .*bounds it"),
+        (lambda: state_from_first_rise(wider, None), "plain slip elements and a spring only; home a wider actuator"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            ask()

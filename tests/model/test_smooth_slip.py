@@ -1,0 +1,423 @@
+"""Smooth elements: the core's own mathematics, the laws of Dahl and of Bouc and Wen, and actuators that have them."""
+
+import math
+import subprocess
+from functools import partial
+
+import numpy as np
+import plain_records
+import pytest
+import reference_model
+import strategies as our
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from dehyst import (
+    Actuator,
+    Compensator,
+    Creep,
+    GradedSlip,
+    MaxwellSlip,
+    ModelError,
+    SmoothSlip,
+    Spring,
+    State,
+    Transformer,
+)
+from dehyst._native import CoreState, StepCoefficients
+from dehyst.control import StateBounds
+
+EXACT = 1e-12
+SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
+SMOOTH = SmoothSlip([1e-6, 3e-6], [1, 0.7], [4e6, 2e6])
+ACTUATOR = Actuator(SLIP, SPRING, smooth=SMOOTH)
+NONE = np.zeros(0)
+
+
+def make_smooth(seed, span, volts, count):
+    """Return elements whose lengths lie between a thousandth and ten times the span, some without stiffness."""
+    rng = np.random.default_rng([seed, 4])
+    closing = rng.choice([0.5, 1.0, rng.uniform(0.5, 1)], count)
+    stiffness = volts / span * 10 ** rng.uniform(-2, 1.5, count) * (rng.random(count) < 0.9)
+    return SmoothSlip(span * 10 ** rng.uniform(-3, 1, count), closing, stiffness)
+
+
+@st.composite
+def motions(draw, max_elements=20, max_samples=120):
+    """Draw a plain actuator with smooth elements, a state in which they are elongated, and a path."""
+    plain, state, path = draw(our.motions(our.actuators(0, max_elements), max_samples=max_samples))
+    seed, count = draw(our.SEEDS), draw(st.integers(1, 5))
+    smooth = make_smooth(seed, our.span_of(plain), our.volts_of(plain), count)
+    strained = np.random.default_rng([seed, 5]).uniform(-1, 1, count).round(draw(st.integers(0, 3)))
+    state = State(state.displacement, state.carts, smooth=strained * smooth.length)
+    return Actuator(plain.slip, plain.spring, smooth=smooth), state, path
+
+
+def scales(actuator, state, path):
+    """Rounding of a motion: 1e-12 of the voltage at most held over its range [V], and of that range [m]."""
+    metres = max(our.span_of(actuator), float(np.ptp(np.append(path, state.displacement))))
+    slopes = actuator.spring.slopes.max() + np.sum(actuator.slip.stiffness) + actuator.smooth.stiffness.sum()
+    return EXACT * slopes * metres, EXACT * metres
+
+
+MATHEMATICS = r"""
+#include <stdio.h>
+#include "dehyst_parts.h"
+int main(void)
+{
+    double x;
+    while (scanf("%la", &x) == 1)
+        printf("%a %a\n", (double)dehyst_decay((dehyst_real)x), (double)dehyst_log1p((dehyst_real)(x < 1 ? x : 1)));
+    return 0;
+}
+"""
+
+
+def mathematics(compiled, x):
+    """Return decay(x) and log1p(min(x, 1)) of the core, compiled apart."""
+    (compiled.folder / "mathematics.c").write_text(MATHEMATICS)
+    compiled.compile("-O2", "mathematics.c", *plain_records.CORE_SOURCES, "-o", "mathematics")
+    command, text = [str(compiled.folder / "mathematics")], "\n".join(float(one).hex() for one in x)
+    done = subprocess.run(command, input=text, capture_output=True, text=True, check=True, timeout=60)
+    return np.array([[float.fromhex(word) for word in line.split()] for line in done.stdout.splitlines()]).T
+
+
+@pytest.mark.parametrize(("single", "ulps"), [(False, 2), (True, 3)])
+def test_its_exponential_and_logarithm(compiled, single, ulps):
+    """Within few units in the last place of Python's, from the smallest numbers to where nothing is left."""
+    kind = np.float32 if single else np.float64
+    x = np.unique(np.concatenate([np.geomspace(1e-30, 60, 20001), np.linspace(0, 45, 20001)]).astype(kind))
+    # About half-way between multiples of ln 2, and where the logarithm changes its form, the reduction is tightest.
+    ties = (np.arange(60)[:, None] + 0.5) * math.log(2) * (1 + 1e-15 * np.arange(-4, 5))
+    x = np.concatenate([x, ties.ravel().astype(kind), 0.4142 + 1e-6 * np.arange(-5, 6), [0.0, 1.0]]).astype(kind)
+    decay, logarithm = mathematics(compiled.use_float() if single else compiled, x)
+    expected = np.array([-math.expm1(-float(one)) for one in x])
+    assert np.all(np.abs(decay - expected) <= ulps * np.spacing(expected.astype(kind)))
+    expected = np.array([math.log1p(min(float(one), 1.0)) for one in x])
+    assert np.all(np.abs(logarithm - expected) <= ulps * np.spacing(expected.astype(kind)))
+
+
+@given(our.SEEDS, st.integers(1, 5), st.integers(0, 60), st.sampled_from([1e-3, 0.1, 1, 30]))
+def test_elongations_agree_with_the_oracle(seed, count, samples, reach):
+    rng, smooth = np.random.default_rng(seed), make_smooth(seed, 1.0, 1.0, count)
+    path = reach * rng.normal(size=samples).round(rng.integers(0, 4))
+    steps, q, expected = np.diff(path, prepend=path[:1]), np.zeros(count), []
+    for step in steps:
+        q = reference_model.smooth_step(smooth.length, smooth.closing, q, step)
+        expected.append(q)
+    got = smooth.elongations(path)
+    assert got.shape == (samples, count)
+    plain_records.assert_close(got / smooth.length, np.reshape(expected, (samples, count)) / smooth.length, 1e-13)
+
+
+@pytest.mark.parametrize("closing", [0.5, 0.6, 0.99, 1.0])
+def test_elongations_agree_with_an_ode_solver(closing):
+    from scipy.integrate import solve_ivp
+
+    smooth, path, q = SmoothSlip([0.7], [closing], [1.0]), np.array([0, 1.3, -0.2, 0.5, -2.0, 3.0, 2.9]), 0.0
+    for a, b, got in zip(path[:-1], path[1:], smooth.elongations(path)[1:, 0], strict=True):
+        way = np.sign(b - a)
+
+        def slope(_, q, way=way):
+            return 1 - np.abs(q / 0.7) * (closing * np.sign(q * way) + 1 - closing)
+
+        q = solve_ivp(slope, (a, b), [q], method="DOP853", rtol=1e-11, atol=1e-13, max_step=1e-2).y[0, -1]
+        assert abs(got - q) < 1e-7 * 0.7  # the right-hand side has a corner that the solver steps over
+
+
+def test_with_closing_1_it_is_dahls():
+    """dq = dy (1 - sgn(dy) q / length): one exponential a step, whatever the sign of q."""
+    length, path = 0.4, np.random.default_rng(0).normal(size=300)
+    q, expected = 0.0, [0.0]
+    for step in np.diff(path):
+        end = length * np.sign(step)
+        q = end + (q - end) * math.exp(-abs(step) / length)
+        expected.append(q)
+    plain_records.assert_close(SmoothSlip([length], [1], [1]).elongations(path)[:, 0], expected, 1e-14)
+
+
+def test_with_closing_one_half_it_comes_back_straight():
+    smooth = SmoothSlip([1.0], [0.5], [1])
+    there = smooth.elongations([0, 2.0])[1, 0]
+    back = smooth.elongations(2.0 - np.concatenate([[2.0, 0.0], np.linspace(0, there, 9)]))[2:, 0]
+    plain_records.assert_close(back, np.linspace(there, 0, 9), 1e-15)
+
+
+@given(our.SEEDS, st.integers(2, 40))
+def test_an_element_only_takes_work(seed, samples):
+    """From none elongated, the work done on it is at least what it can give back, and it is never longer than it is.
+
+    It can give back int r / (1 + rate r) dr, r from 0 to |q|, rate = (2 closing - 1) / length. Along the motion q is
+    concave, so that the trapezoidal rule gives too little: at most the sum of h^3 / 12 of its curvature, 2 / length.
+    """
+    smooth = make_smooth(seed, 1.0, 1.0, 1)
+    length, rate = smooth.length[0], (2 * smooth.closing[0] - 1) / smooth.length[0]
+    turns = np.random.default_rng(seed).normal(size=samples)
+    path = np.interp(np.linspace(0, samples - 1, 400 * (samples - 1) + 1), np.arange(samples), turns)
+    q = smooth.elongations(path)[:, 0]
+    assert np.abs(q).max() <= length
+    h = np.abs(np.diff(path))
+    lacking = np.minimum(h**3 / (6 * length), 4 * h * length).sum()
+    r = np.linspace(0, abs(q[-1]), 2001)
+    stored = np.trapezoid(r / (1 + rate * r), r)
+    assert np.sum(np.diff(path) * (q[1:] + q[:-1]) / 2) + lacking >= stored * (1 - 1e-6) - EXACT * length * h.sum()
+
+
+def test_an_inner_loop_leaves_a_trace():
+    """What tells them from Maxwell-slip elements: a loop within the last one, closed again, is not wiped out."""
+    loop = SmoothSlip([1.0], [1.0], [1.0]).elongations([0, 1, 0.8, 1])[:, 0]
+    assert abs(loop[3] - loop[1]) > 0.1
+
+
+@pytest.mark.parametrize("stack", [True, False])
+@given(motion=motions())
+def test_compensate_agrees_with_the_oracle(stack, motion):
+    actuator, state, path = motion
+    volts, metres = scales(actuator, state, path)
+    got, known = (
+        actuator.compensate(path, state=state, stack=stack, extrapolate=True),
+        reference_model.Smooth(actuator, state),
+    )
+    plain_records.assert_close(got.voltage, known.compensate(path), volts)
+    plain_records.assert_close(got.state.carts, known.y - known.elongation, metres)
+    plain_records.assert_close(got.state.smooth, known.q, EXACT * actuator.smooth.length.max())
+
+
+@given(motion=motions(max_elements=6, max_samples=20))
+@settings(max_examples=40)
+def test_simulate_agrees_with_the_oracle(motion):
+    actuator, state, path = motion
+    v = actuator.compensate(path, state=state, extrapolate=True).voltage
+    v = v + 0.1 * np.ptp(v) * np.random.default_rng(1).normal(size=v.size) if v.size else v
+    got, known = actuator.simulate(v, state=state, extrapolate=True), reference_model.Smooth(actuator, state)
+    expected = known.simulate(v)
+    plain_records.assert_close(got.displacement, expected, 10 * scales(actuator, state, expected)[1])
+
+
+@given(motion=motions(max_samples=200))
+@settings(max_examples=200)
+def test_simulating_the_compensating_voltage_gives_the_path(motion):
+    actuator, state, path = motion
+    sent = actuator.compensate(path, state=state, extrapolate=True)
+    came = actuator.simulate(sent.voltage, state=state, extrapolate=True)
+    metres = 10 * scales(actuator, state, path)[1]
+    plain_records.assert_close(came.displacement, path, metres)
+    plain_records.assert_close(came.state.carts, sent.state.carts, metres)
+    plain_records.assert_close(came.state.smooth, sent.state.smooth, 3 * metres)
+
+
+def everything(seed, graded):
+    """Return an actuator of every part, and its times and path."""
+    rng = np.random.default_rng(seed)
+    slip = GradedSlip([1e-6, 2e-6], [0, 5e-6, 1e-5], [[1e6, 2e6], [2e6, 3e6]]) if graded else SLIP
+    actuator = Actuator(
+        slip,
+        SPRING,
+        transformer=Transformer([0, 50, 100], [0, 60, 100]),
+        smooth=SMOOTH,
+        creep=Creep([0.1, 1, 7], [1e6, 2e6, 5e5]),
+    )
+    steps = rng.choice([0.01, 0.02, rng.uniform(0.01, 3)], 400)
+    return actuator, np.cumsum(steps), 5e-6 + np.cumsum(rng.normal(scale=2e-7, size=400))
+
+
+@pytest.mark.parametrize("graded", [True, False])
+@pytest.mark.parametrize("seed", range(5))
+def test_beside_every_other_part(graded, seed):
+    actuator, time, path = everything(seed, graded)
+    sent = actuator.compensate(path, time=time)
+    came = actuator.simulate(sent.voltage, time=time)
+    plain_records.assert_close(came.displacement, path, 1e-11 * np.ptp(path))
+    plain_records.assert_close(came.state.smooth, sent.state.smooth, 1e-11 * np.ptp(path))
+    bare = Actuator(actuator.slip, SPRING, creep=actuator.creep).compensate(path, time=time).voltage
+    q = Actuator(MaxwellSlip([], []), SPRING, smooth=SMOOTH)
+    held = q.compensate(path, state=q.turned(1e-5)).voltage - SPRING(path)
+    plain_records.assert_close(actuator.transformer(sent.voltage), bare + held, 1e-10)
+    plain_records.assert_close(actuator.voltage(sent.state), sent.voltage[-1], 1e-10)
+
+
+@given(motion=motions(max_samples=60), seed=our.SEEDS)
+def test_rate_independence(motion, seed):
+    """Samples held, or added on the way from one to the next, change nothing at the samples that were there."""
+    actuator, state, path = motion
+    assume(path.size)
+    volts, metres = scales(actuator, state, path)
+    part = np.sort(np.random.default_rng(seed).uniform(0, 1, (path.size, 4)), axis=1)
+    part[:, 2:] = 1
+    previous = np.append(state.displacement, path)[:-1, None]
+    slow = np.where(part == 1, path[:, None], previous + part * (path[:, None] - previous))
+    fast, slowed = (
+        actuator.compensate(path, state=state, extrapolate=True),
+        actuator.compensate(slow.ravel(), state=state, extrapolate=True),
+    )
+    plain_records.assert_close(slowed.voltage[3::4], fast.voltage, volts)
+    plain_records.assert_close(slowed.state.smooth, fast.state.smooth, metres)
+    back = actuator.simulate(slowed.voltage, state=state, extrapolate=True)
+    plain_records.assert_close(back.displacement[3::4], path, 10 * metres)
+
+
+@given(motion=motions(max_samples=100), cut=st.floats(0, 1))
+def test_a_record_may_be_cut_anywhere(motion, cut):
+    actuator, state, path = motion
+    k = int(cut * path.size)
+    whole = actuator.compensate(path, state=state, extrapolate=True)
+    for name, drive, out in (("compensate", path, "voltage"), ("simulate", whole.voltage, "displacement")):
+        run = partial(getattr(actuator, name), extrapolate=True)
+        first = run(drive[:k], state=state)
+        joined = np.append(getattr(first, out), getattr(run(drive[k:], state=first.state), out))
+        plain_records.assert_close(
+            joined, getattr(run(drive, state=state), out), scales(actuator, state, path)[name == "simulate"]
+        )
+
+
+@given(motion=motions())
+def test_without_stiffness_they_change_nothing(motion):
+    actuator, state, path = motion
+    idle = SmoothSlip(actuator.smooth.length, actuator.smooth.closing, np.zeros(len(actuator.smooth)))
+    plain, idling = (Actuator(actuator.slip, actuator.spring, smooth=smooth) for smooth in (None, idle))
+    bare, (volts, metres) = State(state.displacement, state.carts), scales(actuator, state, path)
+    for stack in (True, False):
+        sent = plain.compensate(path, state=bare, stack=stack, extrapolate=True).voltage
+        plain_records.assert_close(
+            idling.compensate(path, state=state, stack=stack, extrapolate=True).voltage, sent, volts
+        )
+    plain_records.assert_close(
+        idling.simulate(sent, state=state, extrapolate=True).displacement,
+        plain.simulate(sent, state=bare, extrapolate=True).displacement,
+        metres,
+    )
+
+
+@given(motion=motions(max_samples=30), more=st.floats(1e-6, 1))
+def test_more_voltage_more_displacement(motion, more):
+    actuator, state, path = motion
+    reached = actuator.compensate(path, state=state, extrapolate=True).state
+    now = actuator.voltage(reached)
+    steps = now + more * our.volts_of(actuator) * np.array([0.0, 1.0])
+    ends = [actuator.simulate([v], state=reached, extrapolate=True).displacement[0] for v in steps]
+    assert ends[1] > ends[0]
+
+
+@pytest.mark.parametrize("ratio", [1e3, 1e6, 1e9])
+def test_stiff_elements_beside_a_soft_spring(ratio):
+    """The equation is solved to rounding although its slope falls by the ratio in one step."""
+    actuator = Actuator(SLIP, SPRING, smooth=SmoothSlip([1e-7, 1e-6], [1, 0.5], [1e6 * ratio, 1e5 * ratio]))
+    start = actuator.turned(0, rising=False)
+    top = 1e-5
+    v = np.linspace(actuator.voltage(start), actuator.voltage(actuator.turned(top)), 13)
+    v = np.concatenate([v[::12], v[::-4], v])
+    motion = actuator.simulate(v, state=start)
+    back = actuator.compensate(motion.displacement, state=start)
+    plain_records.assert_close(back.voltage, v, 1e-13 * np.ptp(v))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_equation_holds_to_its_rounding(seed):
+    """Wherever knots crowd and whatever slopes meet: no more is left than one rounding of what is held there."""
+    rng = np.random.default_rng(seed)
+    n, count, m = rng.integers(0, 6), rng.integers(1, 5), rng.integers(2, 40)
+    gaps, slopes = 10 ** rng.uniform(-6, 0, m - 1), 10 ** rng.uniform(-3, 3, m - 1)
+    spring = Spring(np.cumsum([0, *gaps]), np.cumsum([0, *(gaps * slopes)]))
+    span = spring.displacement[-1]
+    slip = MaxwellSlip(np.sort(span * rng.uniform(0.01, 1, n)), 10 ** rng.uniform(-3, 3, n))
+    smooth = SmoothSlip(
+        span * 10 ** rng.uniform(-4, 1, count), rng.uniform(0.5, 1, count), 10 ** rng.uniform(-3, 6, count)
+    )
+    actuator = Actuator(slip, spring, smooth=smooth)
+    ends = [actuator.voltage(actuator.turned(end, rising=end > 0)) for end in (0.0, span)]
+    v = ends[0] + (ends[1] - ends[0]) * rng.uniform(-0.3, 1.3, 60)
+    y = actuator.simulate(v, extrapolate=True).displacement
+    slope = slip.stiffness.sum() + spring.slopes.max() + 2 * smooth.stiffness.sum()
+    held = np.ptp(spring.voltage) + 2 * slip.friction.sum() + 2 * smooth.stiffness @ smooth.length
+    rounding = np.spacing(np.abs(y)) * slope + np.spacing(np.abs(v)) + np.finfo(float).eps * held
+    assert np.all(np.abs(actuator.compensate(y, extrapolate=True).voltage - v) <= 2 * rounding)
+
+
+def test_a_sample_that_is_not_a_number_moves_nothing():
+    core, held = ACTUATOR.model.core, ACTUATOR.model.held(ACTUATOR.state)
+
+    def pace(samples):
+        return StepCoefficients(np.array([0, samples]), *np.empty((3, 1, 0)))
+
+    for run, drive in ((core.compensate, [9e-6, np.nan, 7e-6]), (core.simulate, [90.0, np.inf, 60.0])):
+        out, reached = run(np.array(drive), pace(3), held)
+        good, there = run(np.array(drive)[[0, 2]], pace(2), held)
+        assert out[0] == out[1]
+        plain_records.assert_close(out[[0, 2]], good, 1e-12 * abs(out[0]))
+        for one, two in zip(reached, there, strict=True):
+            plain_records.assert_close(one, two, 1e-20)
+
+
+def test_after_a_long_motion_they_are_as_long_as_they_get():
+    far = ACTUATOR.compensate([1.0, -1.0, 5e-6], extrapolate=True).state
+    turned = ACTUATOR.turned(5e-6)
+    plain_records.assert_close(far.smooth, turned.smooth, 0.0)
+    plain_records.assert_close(far.carts, turned.carts, 1e-18)
+    assert np.array_equal(ACTUATOR.turned(0, rising=False).smooth, -SMOOTH.length)
+    assert ACTUATOR.state.smooth.tolist() == SMOOTH.length.tolist()
+    slipping = SLIP.friction.sum() + SMOOTH.stiffness @ SMOOTH.length
+    assert ACTUATOR.voltage(turned) == pytest.approx(float(SPRING(5e-6)) + slipping, rel=1e-14)
+
+
+def test_relaxed_they_hold_nothing():
+    relaxed = ACTUATOR.relaxed(30.0)
+    assert relaxed.displacement == pytest.approx(4e-6, rel=1e-14)
+    assert ACTUATOR.voltage(relaxed) == pytest.approx(30.0, rel=1e-14)
+    moved = ACTUATOR.simulate([30.0], state=relaxed).state
+    assert moved.smooth.shape == (2,)
+    plain_records.assert_close(moved.smooth, [0, 0], 1e-20)
+
+
+def test_a_state_moves_with_its_axis():
+    assert ACTUATOR.state.shifted(1e-6).smooth.tolist() == SMOOTH.length.tolist()
+
+
+def test_a_compensator_clamps_with_them():
+    wanted = 5e-6 - 6e-6 * np.cos(np.linspace(0, 20, 300))
+    command = Compensator(ACTUATOR, limits=(5.0, 90.0)).trajectory(wanted)
+    assert command.clamped.any()
+    assert not command.clamped.all()
+    plain_records.assert_close(
+        ACTUATOR.simulate(command.voltage).displacement, command.displacement, 1e-11 * np.ptp(wanted)
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: SmoothSlip([1, 2], [1], [1]), "got 2 of length, 1 of closing, 1 of stiffness; need as many"),
+        (lambda: SmoothSlip([0], [1], [1]), "need lengths above 0 and stiffnesses of 0 or more"),
+        (lambda: SmoothSlip([1], [1], [-1]), "need lengths above 0 and stiffnesses of 0 or more"),
+        (lambda: SmoothSlip([1], [0.4], [1]), r"closing must be 1/2 to 1, got \[0.4\]"),
+        (lambda: SmoothSlip([1], [1.1], [1]), r"closing must be 1/2 to 1, got \[1.1\]"),
+        (lambda: SmoothSlip([np.nan], [1], [1]), "smooth elements: length: 1 of 1 values are not finite"),
+        (lambda: SMOOTH.elongations([0, np.nan]), "displacement: 1 of 2 values are not finite, the first at index 1"),
+        (lambda: Actuator(SLIP, SPRING, smooth=SLIP), "smooth: got MaxwellSlip, need a SmoothSlip"),
+        (
+            lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[1e-6]), smooth=SMOOTH),
+            "state: got 1 smooth elongations, this actuator has 2 smooth elements",
+        ),
+        (lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[0.0])), "got 1 smooth elongations, .* has 0 smooth"),
+        (
+            lambda: ACTUATOR.voltage(State(0, [0, 0], smooth=[0, -3.1e-6])),
+            "state: smooth element 1 is elongated by -3.1e-06 m, its length is 3e-06 m",
+        ),
+        (lambda: StateBounds.at_rest(ACTUATOR), "this actuator has smooth elements"),
+        (
+            lambda: ACTUATOR.model.core.voltage(CoreState(0.0, np.zeros(2), np.zeros(1), NONE)),
+            "arrays of different lengths",
+        ),
+        (
+            lambda: ACTUATOR.model.core.voltage(CoreState(0.0, np.zeros(2), np.ones(2), NONE)),
+            "farther .*, or a smooth element",
+        ),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(ModelError, match=message):
+        make()
+
+
+def test_what_rounding_left_of_a_state_is_taken():
+    long = State(0, [0, 0], smooth=SMOOTH.length * (1 + 1e-12))
+    assert ACTUATOR.compensate([0.0], state=long).state.smooth.tolist() == SMOOTH.length.tolist()

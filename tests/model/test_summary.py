@@ -1,0 +1,101 @@
+"""What an actuator is made of: numbers that a second way gives too."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import structured_records
+
+from dehyst import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.model import Structure
+from dehyst.model.summary import Slopes, bend, parts_of, resonance, step_response
+from dehyst.report.parts_section import made_of
+
+EVERYTHING = Structure(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True)
+
+
+def linear(creep):
+    """A spring with creep and nothing else: 10 V/um."""
+    return Actuator(MaxwellSlip([], []), Spring([0.0, 10e-6], [0.0, 100.0]), creep=creep, limits=(0.0, 100.0))
+
+
+def test_the_step_of_one_branch_is_an_exponential():
+    # (K + c) y = c z + v, z' = (y - z)/tau: back to v/K with the time constant tau (K + c)/K.
+    k, c, tau = 1e7, 2e6, 5.0
+    time, share = step_response(linear(Creep([tau], [c])))
+    first = k / (k + c)
+    risen = 0.1 * tau
+    # The rise itself lasts a tenth of tau, in which z follows a ramp.
+    expected = (1 - first) * np.exp(-time * k / (k + c) / tau)
+    left = 1 / (1 + share[-1]) * share[-1] - share / (1 + share[-1])
+    ratio = left[: len(time) // 2] / (expected - expected[-1])[: len(time) // 2]
+    assert np.ptp(ratio) < 0.01
+    assert 1 - risen / tau < ratio[0] < 1
+
+
+def test_steep_where_stiff():
+    slip = GradedSlip([1e-6], [0.0, 5e-6, 10e-6], [[2e6, 4e6]])
+    spring = Spring([0.0, 10e-6], [0.0, 100.0])
+    found = Slopes.of(slip, spring)
+    y = found.displacement
+    actuator = Actuator(slip, spring)
+    for slope, side in ((found.rising, True), (found.falling, False)):
+        volts = np.array([actuator.voltage(actuator.turned(float(at), rising=side)) for at in y])
+        steps = np.diff(volts) / np.diff(y)
+        smooth = slope[1:] == slope[:-1]
+        np.testing.assert_allclose(steps[smooth], slope[1:][smooth], rtol=1e-9)
+    assert set(np.round(found.turned)) == {1.2e7, 1.4e7}
+
+
+def test_a_transformer_bends_between_its_ends():
+    tau = Transformer([0.0, 50.0, 100.0], [0.0, 60.0, 100.0])
+    np.testing.assert_allclose(bend(tau), [0, 10, 0])
+    actuator = replace(linear(None), transformer=tau)
+    said = {part.name: part.sentence for part in parts_of(actuator)}["Transformer"]
+    assert "up to 10 V (10 % of the voltages) above a straight line, most at 50 V" in said
+    assert "0.8 to 1.2 of the mean" in said
+
+
+def test_resonances_of_theory_section_9():
+    spring = Spring([0.0, 1e-6], [0.0, 10.0])
+    free, driven = resonance(Dynamics(2 * np.pi * 100, 0.01, 3e7), spring)
+    assert free == pytest.approx(100)
+    assert driven == pytest.approx(100 * np.sqrt(1e7 / 4e7))
+
+
+@pytest.mark.parametrize("structure", [*structured_records.STRUCTURES.values()])
+def test_every_part_is_told(structure):
+    actuator = structured_records.plant(structure).actuator
+    names = {part.name for part in parts_of(actuator)}
+    assert ("Transformer" in names) == bool(structure.transformer)
+    assert ("Creep" in names) == bool(structure.creep)
+    assert ("Smooth elements" in names) == structure.smooth
+    assert {"Slip elements", "Parallel spring"} <= names
+
+
+def test_numbers_are_parts_too():
+    actuator = replace(linear(None), dynamics=Dynamics(600.0, 0.05, 1e6), lag=1e-3, load_stiffness=2e6, delay=2e-3)
+    said = {part.name: part.sentence for part in parts_of(actuator)}
+    assert "Resonance at 95.49 Hz with a damping of 0.05, under a voltage at 91.05 Hz" in said["Inertia"]
+    assert "2 ms after the voltage" in said["Delay"]
+    assert "lags by 1 ms" in said["Amplifier"]
+    assert "1 N moves it by 0.5 um" in said["Load"]
+
+
+def test_what_parts_hold_is_what_they_can_hold():
+    plant = structured_records.plant(EVERYTHING)
+    holds = {part.name: part.holds for part in parts_of(plant.actuator)}
+    y = plain_records.path(np.random.default_rng(0).uniform(0, 1, 40), 20)
+    strains = plant.actuator.creep.strains(np.arange(y.size) / 100, y) @ plant.actuator.creep.stiffness
+    held = plant.actuator.smooth.elongations(y) @ plant.actuator.smooth.stiffness
+    assert np.abs(strains).max() <= holds["Creep"]
+    assert np.abs(held).max() <= holds["Smooth elements"]
+
+
+def test_the_section_of_the_report():
+    text = made_of(structured_records.plant(EVERYTHING).actuator)
+    for words in ("What the model is made of", "Transformer", "Creep branches", "Graded elements", "Smooth elements"):
+        assert words in text
+    assert text.count("<svg") == 5
+    assert made_of(plain_records.plant()) == ""

@@ -1,0 +1,479 @@
+"""Hostile and damaged files: nothing outside of them is read, no memory is taken on their word, nothing hangs."""
+
+import io
+import os
+import re
+import resource
+import subprocess
+import sys
+import threading
+import time as clock
+import zipfile
+import zlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import places
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+
+import dehyst
+from dehyst._errors import FileFormatError, RecordError
+from dehyst.records import Record, read, read_table, write_hdf5
+from dehyst.records.formats import reader_process
+from dehyst.records.formats.columns import Column
+
+N = 200
+T = np.arange(N) * 1e-3
+V = np.abs(50.0 - np.arange(N) % 100)
+Y = V * 1e-7
+NAMED = {"time_s": T, "voltage_V": V, "displacement_um": Y * 1e6}
+HEAD = "time_s,voltage_V,displacement_um"
+BODY = "\n".join(",".join(map(repr, row)) for row in zip(*(x.tolist() for x in NAMED.values()), strict=True)) + "\n"
+SECONDS = 3.0
+
+
+def refused(path, match, **options):
+    """Refuse a file quickly: CPU time of this process and of those that it started."""
+    reader_process.close()
+    began = clock.process_time(), sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
+    with pytest.raises(FileFormatError, match=match):
+        read(path, **options)
+    reader_process.close()
+    assert clock.process_time() - began[0] < SECONDS
+    assert sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2]) - began[1] < SECONDS
+
+
+def text(tmp_path, content, name="a.csv"):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+# Out of the file
+
+
+def with_foreign(path, kind, name="displacement_um", version_7_3=False):
+    """A file whose displacement is another file's bytes."""
+    secret = path.with_name("secret.h5")
+    with h5py.File(secret, "w") as file:
+        file["x"] = Y * 1e6
+    with h5py.File(path, "w", userblock_size=512 if version_7_3 else 0) as file:
+        file["time_s"], file["voltage_V"] = T, V
+        if kind == "external storage":
+            file.create_dataset(name, shape=(N,), dtype="<f8", external=[(str(secret), 0, N * 8)])
+        elif kind == "external link":
+            file[name] = h5py.ExternalLink(str(secret), "x")
+        elif kind == "virtual dataset":
+            layout = h5py.VirtualLayout(shape=(N,), dtype="f8")
+            layout[:] = h5py.VirtualSource(str(secret), "x", shape=(N,))
+            file.create_virtual_dataset(name, layout)
+        else:
+            file[name] = h5py.SoftLink(f"/{name}")
+    if version_7_3:
+        with path.open("r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file, HDF5".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.hdf5", "a.mat"])
+@pytest.mark.parametrize("kind", ["external storage", "external link", "virtual dataset"])
+def test_samples_of_other_files_are_refused(tmp_path, kind, name):
+    path = with_foreign(tmp_path / name, kind, version_7_3=name.endswith("mat"))
+    refused(path, rf"column 'displacement_um': (is an?|has) {kind}")
+
+
+@pytest.mark.parametrize("kind", ["external storage", "external link", "virtual dataset", "soft link"])
+def test_dehysts_own_files_have_their_own_samples(tmp_path, kind):
+    path = with_foreign(tmp_path / "own.h5", kind, "displacement_m")
+    with h5py.File(path, "a") as file:
+        file.attrs["dehyst"], file.attrs["sha256"] = '{"name": "x", "meta": {}}', "0" * 64
+    refused(path, r"own\.h5: dataset 'displacement_m' (has external storage|is a)")
+
+
+def test_what_points_elsewhere_is_set_aside_while_the_file_has_the_column(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values in NAMED.items():
+            file[f"run/{name}"] = values
+        file["old/displacement_um"] = h5py.ExternalLink("other.h5", "x")
+    assert read(tmp_path / "a.h5").displacement == pytest.approx(Y)
+    refused(
+        tmp_path / "a.h5",
+        "'old/displacement_um': is an external link to 'other.h5'",
+        displacement="old/displacement_um",
+    )
+
+
+def test_links_that_go_in_circles_come_to_an_end(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values in NAMED.items():
+            file[f"run/{name}"] = values
+        file["run/up"] = file["/"]
+        file["loop"] = h5py.SoftLink("/loop")
+        file["twice"] = file["run/time_s"]
+    assert read(tmp_path / "a.h5").time == pytest.approx(T)
+
+
+def test_groups_may_not_be_endlessly_deep(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["/".join(["g"] * 200)] = T
+    refused(tmp_path / "a.h5", "groups more than 64 deep")
+
+
+# On its word
+
+
+def with_declared(path, kind):
+    """Files of some kilobytes that declare 8 GB or more."""
+    many = 10**9
+    if kind == "npz header":
+        head = io.BytesIO()
+        np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (many,)})
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("time_s.npy", head.getvalue())
+    elif kind == "npz bomb":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("time_s.npy", "w") as stream:
+            np.lib.format.write_array_header_1_0(
+                stream, {"descr": "<f8", "fortran_order": False, "shape": (70_000_000,)}
+            )
+            for _ in range(70):
+                stream.write(bytes(8_000_000))
+    elif kind == "hdf5 fill":
+        with h5py.File(path, "w") as file:
+            file.create_dataset("time_s", shape=(many,), dtype="f8", chunks=(1 << 20,), fillvalue=1.0)
+    elif kind == "hdf5 chunk":
+        with h5py.File(path, "w") as file:
+            file.create_dataset("time_s", shape=(N,), maxshape=(None,), dtype="f8", chunks=(1 << 28,), fillvalue=1.0)
+    elif kind == "mat dimensions":
+        scipy.io.savemat(path, {"time_s": T})
+        path.write_bytes(path.read_bytes().replace(N.to_bytes(4, "little"), many.to_bytes(4, "little"), 1))
+    elif kind == "mat bomb":
+        scipy.io.savemat(path, {"note": "x", **NAMED})
+        zeros = zlib.compress(bytes(600_000_000), 1)
+        path.write_bytes(path.read_bytes() + b"\x0f\0\0\0" + len(zeros).to_bytes(4, "little") + zeros)
+    elif kind == "parquet rows":
+        values = pa.array(np.zeros(70_000_000, "i1")).cast(pa.int8())
+        pq.write_table(pa.table({"time_s": values}), path, row_group_size=70_000_000)
+    elif kind == "text":
+        path.write_bytes(b"t" + b",x" * 9_000 + b"\n" * 10_000)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "what"),
+    [
+        ("npz header", "a.npz", "array 'time_s' declares 8000 MB"),
+        ("npz bomb", "a.npz", "array 'time_s' declares 560 MB"),
+        ("hdf5 fill", "a.h5", "dataset 'time_s' declares 8000 MB"),
+        ("hdf5 chunk", "a.h5", "a chunk of dataset 'time_s' declares 2147 MB"),
+        ("mat dimensions", "a.mat", "variable 'time_s' declares 8000 MB"),
+        ("mat bomb", "a.mat", "its compressed variables declares 5.* MB"),
+        ("parquet rows", "a.parquet", "column 'time_s' declares 560 MB"),
+        ("text", "a.csv", "the number of its lines declares 720.* MB"),
+    ],
+)
+def test_declared_sizes_are_checked_first(tmp_path, kind, name, what):
+    path = with_declared(tmp_path / name, kind)
+    refused(path, f"{re.escape(name)}: {what}.*500 MB that are read.*max_bytes=")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".h5", ".mat", ".parquet"])
+def test_the_limit_is_named_and_can_be_raised(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    writers = {
+        ".csv": lambda: path.write_text(f"{HEAD}\n{BODY}"),
+        ".npz": lambda: np.savez(path, **NAMED),
+        ".h5": lambda: write_hdf5(path, Record(T, V, Y)),
+        ".mat": lambda: scipy.io.savemat(path, NAMED),
+        ".parquet": lambda: pq.write_table(pa.table(NAMED), path),
+    }
+    writers[suffix]()
+    with pytest.raises(FileFormatError, match=r"more than the \d+ bytes.*max_bytes="):
+        read(path, max_bytes=N)
+    with pytest.raises(FileFormatError, match=r"more than the \d+ bytes.*max_bytes="):
+        read_table(path, max_bytes=path.stat().st_size - 1)
+    assert len(read(path, max_bytes=1e6)) == N
+    for nonsense in (0, -1, float("nan"), float("inf"), "5", True, None):
+        with pytest.raises(FileFormatError, match=r"max_bytes: got .*need a number of bytes above 0"):
+            read(path, max_bytes=nonsense)
+
+
+def test_an_array_with_less_than_it_declares(tmp_path):
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (1000,)})
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("time_s.npy", head.getvalue() + bytes(100))
+    refused(tmp_path / "a.npz", r"array 'time_s' declares 1000 numbers, but only \d+ bytes are there")
+
+
+# For ever
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "time_s," + "x" * 2_000_000 + "\n1,2\n",
+        HEAD + "\n" + "1" * 3_000_000,
+        '"' * 2_000_000 + "\n" + BODY,
+        "#" * 5_000_000,
+    ],
+)
+def test_endless_lines(tmp_path, content):
+    refused(text(tmp_path, content), r"line \d is longer than 1000000 bytes")
+
+
+def test_columns_without_number(tmp_path):
+    row = ",".join("1" for _ in range(20_000))
+    refused(
+        text(tmp_path, ",".join(f"c{i}" for i in range(20_000)) + f"\n{row}\n{row}\n"), "has 20000 columns, at most"
+    )
+
+
+RUNS = [mark * 20_000 for mark in (" ", "_", "[", "(", "]", "\t", " _", "[ ", "]]", ") ")]
+
+
+@pytest.mark.parametrize("run", RUNS, ids=lambda run: repr(run[:2]))
+def test_headers_are_taken_apart_in_linear_time(run):
+    began = clock.process_time()
+    for name in (f"x [{run}y", f"x{run}[V]", f"{run}[V]", f"x [{run}]", f"x{run}", f"{run}x{run}(V){run}"):
+        word, unit = Column(name, np.zeros(2)).parts
+        assert len(word) + len(unit) <= len(name)
+    assert clock.process_time() - began < 0.5
+
+
+@pytest.mark.parametrize("run", RUNS, ids=lambda run: repr(run[:2]))
+def test_hostile_cells_take_no_time(tmp_path, run):
+    began = clock.process_time()
+    for content in (
+        f"{HEAD},x [{run}y\n" + BODY.replace("\n", ",0\n"),
+        f"time_s voltage_V{run}x\n1 2\n",
+        f"{HEAD},{run}\n" + BODY.replace("\n", f",{run}\n", 3),
+        f"{HEAD}\n{run}\n{run}%\n{BODY}",
+        f"{HEAD}\n" + "\n".join([run] * 20) + "%",
+    ):
+        try:
+            read(text(tmp_path, content))
+        except dehyst.DehystError as error:
+            assert len(str(error)) < 3000  # a message is read by a person
+    assert clock.process_time() - began < SECONDS
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("drive_V", ("drive", "V")),
+        ("drive [V]", ("drive", "V")),
+        (" drive__ ( V ) ", ("drive", "V")),
+        ("a [b] (c)", ("a", "b] (c")),
+        ("drive [V", ("drive [V", "")),
+        ("[V]", ("", "V")),
+        ("drive[]", ("drive", "")),
+        ("x] [V]", ("x]", "V")),
+        ("V]", ("V]", "")),
+        ("[", ("[", "")),
+        ("", ("", "")),
+    ],
+)
+def test_the_same_parts_as_ever(name, parts):
+    assert Column(name, np.zeros(2)).parts == parts
+
+
+def test_many_blank_lines_before_a_comment(tmp_path):
+    began = clock.process_time()
+    assert len(read(text(tmp_path, f"{HEAD}\n{BODY}" + "\n" * 200_000 + "% end\n"))) == N
+    assert clock.process_time() - began < SECONDS
+
+
+@pytest.mark.parametrize("cell", ["5_0", "\u0665\u0660", "\u22125"])
+def test_numbers_that_only_python_writes(tmp_path, cell):
+    refused(text(tmp_path, f"{HEAD}\n{BODY.replace('50.0', cell, 1)}"), f"line 2 holds '{cell}', which is no number")
+
+
+@pytest.mark.parametrize(("suffix", "message"), [(".mat", "SIGSEGV"), (".h5", "CPU time")])
+def test_a_library_that_crashes_or_stops_is_contained(tmp_path, monkeypatch, suffix, message):
+    """A stand-in for the library, for which file does it changes with its version."""
+    script = tmp_path / "sitecustomize.py"
+    script.write_text(
+        "import dehyst.records.formats.loaders as f, os, signal\n"
+        f"def stop(data, allowance):\n"
+        f"    if {suffix == '.mat'}: os.kill(os.getpid(), signal.SIGSEGV)\n"
+        "    while True: pass\n"
+        f"f.LOADERS['{suffix}'] = f.LOADERS['{suffix}']._replace(load=stop)\n"
+        "import dehyst.records.formats.reader_process as r; r._SECONDS = 1\n"
+    )
+    reader_process.close()
+    with monkeypatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(tmp_path))
+        with pytest.raises(FileFormatError, match=rf"a\{suffix}: not a readable \{suffix} file: .*{message}.*copy"):
+            read_table(text(tmp_path, "anything", f"a{suffix}"))
+    reader_process.close()
+    scipy.io.savemat(tmp_path / "b.mat", NAMED)
+    assert len(read(tmp_path / "b.mat")) == N
+
+
+def test_the_helper_is_started_once_and_again_when_it_is_gone(tmp_path):
+    scipy.io.savemat(tmp_path / "b.mat", NAMED)
+    read(tmp_path / "b.mat")
+    first = reader_process._HELPER._process
+    with pytest.raises(FileFormatError):
+        read(text(tmp_path, "no such thing", "bad.mat"))
+    read(tmp_path / "b.mat")
+    assert reader_process._HELPER._process is first
+    first.kill()
+    first.wait()
+    assert len(read(tmp_path / "b.mat")) == N
+
+
+# Once
+
+
+def sent(path, content):
+    """Write into a named pipe; a reader that came twice would wait for ever."""
+    thread = threading.Thread(target=path.write_bytes, args=(content,), daemon=True)
+    thread.start()
+    return thread
+
+
+@pytest.mark.parametrize("name", ["a.csv", "pipe"])
+def test_a_named_pipe_is_read_once(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    writer = sent(tmp_path / name, f"{HEAD}\n{BODY}".encode())
+    record = read(tmp_path / name)
+    writer.join(5)
+    assert not writer.is_alive()
+    assert record.voltage.tolist() == V.tolist()
+    assert record.meta["sha256"] == read_sha(f"{HEAD}\n{BODY}".encode())
+
+
+def read_sha(content):
+    import hashlib
+
+    return hashlib.sha256(content).hexdigest()
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".npz", ".mat", ".parquet"])
+def test_a_pipe_without_a_suffix_is_known_by_its_first_bytes(tmp_path, suffix):
+    whole = tmp_path / f"whole{suffix}"
+    {
+        ".h5": lambda: write_hdf5(whole, Record(T, V, Y, "own")),
+        ".npz": lambda: np.savez(whole, **NAMED),
+        ".mat": lambda: scipy.io.savemat(whole, NAMED),
+        ".parquet": lambda: pq.write_table(pa.table(NAMED), whole),
+    }[suffix]()
+    os.mkfifo(tmp_path / "pipe")
+    writer = sent(tmp_path / "pipe", whole.read_bytes())
+    record = read(tmp_path / "pipe")
+    writer.join(5)
+    assert record.displacement == pytest.approx(Y)
+    assert record.name == ("own" if suffix == ".h5" else "pipe")
+
+
+def test_a_pipe_that_never_ends(tmp_path):
+    os.mkfifo(tmp_path / "a.csv")
+    endless = subprocess.Popen(["sh", "-c", f"exec cat /dev/zero > '{tmp_path / 'a.csv'}'"])
+    try:
+        refused(
+            tmp_path / "a.csv", r"a\.csv: the file has at least 10 MB, more than the 10 MB that are read", max_bytes=1e7
+        )
+    finally:
+        endless.kill()
+        endless.wait()
+
+
+@pytest.mark.parametrize("device", ["/dev/zero", "/dev/null", "/dev/random"])
+def test_devices_are_refused(tmp_path, device):
+    (tmp_path / "a.csv").symlink_to(device)
+    refused(tmp_path / "a.csv", r"a\.csv: this is a device, need a file or a pipe")
+
+
+def test_the_command_line_takes_pipes_and_limits(tmp_path):
+    program = (
+        [sys.executable, "-m", "dehyst.cli.commands"]
+        if not (b := Path(sys.executable).with_name("dehyst")).exists()
+        else [b]
+    )
+    path = text(tmp_path, f"{HEAD}\n{BODY}")
+    with path.open("rb") as stream:
+        command = [*program, "compare", "/dev/stdin", "--max-size", "0.001"]
+        done = subprocess.run(
+            ["sh", "-c", 'cat | "$0" "$@"', *command],
+            stdin=stream,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "more than the 1000 bytes that are read" in done.stderr
+    for name in ("identify", "simulate", "compensate", "insight", "compare", "calibrate"):
+        help_text = subprocess.run([*program, name, "--help"], capture_output=True, text=True, check=True, timeout=60)
+        assert "--max-size MB" in help_text.stdout
+
+
+# Numbers
+
+
+@pytest.mark.parametrize("column", ["time", "voltage", "displacement"])
+@pytest.mark.parametrize("value", [1e308, -1e308, 1e200, 1e31])
+def test_numbers_that_are_no_measurement(column, value):
+    columns = {"time": T.copy(), "voltage": V.copy(), "displacement": Y.copy()}
+    at = 0 if column == "time" and value < 0 else N - 1
+    columns[column][at] = value
+    unit = {"time": "s", "voltage": "V", "displacement": "m"}[column]
+    with pytest.raises(
+        RecordError, match=rf"'r': {column}\[{at}\] = {re.escape(f'{value:.6g}')} {unit} is no {column}"
+    ):
+        Record(**columns, name="r")
+    columns[column][at] = value / abs(value) * 1e30
+    record = Record(**columns)
+    record.problems(), record.cycles(), record.gaps(), repr(record)
+
+
+def test_times_that_no_clock_tells_apart():
+    time = T.copy()
+    time[1] = 5e-324
+    with pytest.raises(RecordError, match=r"time\[1\] is 4.94e-324 s after time\[0\], which no clock tells apart"):
+        Record(time, V, Y)
+
+
+def test_times_since_1970_in_nanoseconds(tmp_path):
+    def rows(step):
+        lines = (f"{1763780000000000000 + i * step},{v},{y}" for i, (v, y) in enumerate(zip(V, Y, strict=True)))
+        return "time_ns,voltage_V,displacement_m\n" + "\n".join(lines)
+
+    with pytest.raises(RecordError, match=r"kept to 2.4e-07 s only: count them from the record's first sample"):
+        read(text(tmp_path, rows(1)))
+    coarse = read(text(tmp_path, rows(3000)))
+    assert any("kept to 2.4e-07 s only" in sentence for sentence in coarse.problems())
+    assert not any("kept to" in sentence for sentence in read(text(tmp_path, rows(1_000_000))).problems())
+
+
+def test_a_stroke_below_a_nucleus_is_constant():
+    with pytest.raises(RecordError, match="displacement is constant but for noise"):
+        Record(T, V, Y * 1e-200).check_usable()
+
+
+# By dice
+
+
+def test_mutated_files(monkeypatch):
+    """A small share of `python tests/fuzz/files.py`."""
+    monkeypatch.syspath_prepend(places.FUZZ)
+    import files
+
+    found = files.attack(seed=13, count=150)
+    assert found["cases"] == 150
+    assert found["findings"] == []
+    assert found["ends"]["prepared"] > 5
+
+
+@pytest.mark.fuzz
+def test_ten_thousand_mutated_files(monkeypatch):
+    monkeypatch.syspath_prepend(places.FUZZ)
+    import files
+
+    assert files.attack(seed=1, count=10_000)["findings"] == []

@@ -1,0 +1,373 @@
+"""Files: every format read back, every way of naming a column and a unit, every refusal with its message."""
+
+import hashlib
+import sys
+import time as clock
+from pathlib import Path
+
+import h5py
+import nptdms
+import numpy as np
+import places
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+
+from dehyst._errors import FileFormatError, MissingExtraError, RecordError
+from dehyst.records import Record, read, read_table, write_columns, write_record
+
+DATA = places.DATA
+T = np.arange(30) * 0.01
+V = 50 - 50 * np.cos(T * 20)
+Y = 1e-5 * np.sin(T * 20)
+NAMED = {"time_ms": T * 1e3, "voltage_V": V, "displacement_um": Y * 1e6}
+
+
+def text(tmp_path, content, name="a.csv", encoding="utf-8"):
+    path = tmp_path / name
+    path.write_bytes(content.encode(encoding))
+    return path
+
+
+def assert_same(record):
+    assert record.time == pytest.approx(T, rel=1e-14)
+    assert record.voltage == pytest.approx(V, rel=1e-14)
+    assert record.displacement == pytest.approx(Y, rel=1e-14)
+
+
+def write_tdms(path, channels):
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment([nptdms.ChannelObject(*channel) for channel in channels])
+
+
+def as_hdf5(path):
+    with h5py.File(path, "w") as file:
+        for name, values in NAMED.items():
+            file[f"run/{name}"] = values
+
+
+def as_mat73(path):
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in NAMED.items():
+            file[name] = values.reshape(1, -1)
+        file["#refs#/time_s"] = T
+    head = b"MATLAB 7.3 MAT-file, HDF5".ljust(124) + b"\x00\x02IM"
+    with path.open("r+b") as stream:
+        stream.write(head)
+
+
+WRITERS = {
+    "a.mat": lambda path: scipy.io.savemat(path, {**NAMED, "note": "text", "image": np.eye(3)}),
+    "new.mat": as_mat73,
+    "a.h5": as_hdf5,
+    "a.hdf5": as_hdf5,
+    "a.parquet": lambda path: pq.write_table(pa.table({**NAMED, "note": ["x"] * 30}), path),
+    "a.tdms": lambda path: write_tdms(path, [("Group", name, values) for name, values in NAMED.items()]),
+    "a.npz": lambda path: np.savez(path, **NAMED),
+    "a.csv": lambda path: write_columns(path, NAMED),
+    "a.tsv": lambda path: write_columns(path, NAMED),
+    "A.CSV": lambda path: write_columns(path, NAMED),
+    "a.dat": lambda path: np.savetxt(
+        path, np.c_[T * 1e3, V, Y * 1e6], header=" ".join(NAMED), comments="", fmt="%.17g"
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format(tmp_path, name):
+    path = tmp_path / name
+    WRITERS[name](path)
+    record = read(path)
+    assert_same(record)
+    assert record.name == path.stem
+    assert record.meta["source"] == name
+    assert record.meta["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert {q: c.rsplit("/")[-1] for q, c in record.meta["columns"].items()} == {
+        "time": "time_ms",
+        "voltage": "voltage_V",
+        "displacement": "displacement_um",
+    }
+    assert read(path, name="other").name == "other"
+
+
+def test_units_in_attributes_and_properties(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values, unit in (("time", T * 1e3, "ms"), ("drive", V, np.bytes_("V")), ("pos", Y * 1e9, "nm")):
+            file[name] = values
+            file[name].attrs["units" if name == "pos" else "unit"] = unit
+    assert_same(read(tmp_path / "a.h5"))
+    channels = [("G", "t", T * 1e6, {"unit_string": "us"}), ("G", "V", V * 1e3, {"unit_string": "mV"})]
+    write_tdms(tmp_path / "a.tdms", [*channels, ("G", "Y", Y * 1e3, {"unit_string": "mm"})])
+    assert_same(read(tmp_path / "a.tdms"))
+
+
+def test_a_tdms_waveform_brings_its_own_time(tmp_path):
+    step = {"wf_increment": 0.01}
+    with nptdms.TdmsWriter(tmp_path / "w.tdms") as file:
+        file.write_segment(
+            [
+                nptdms.ChannelObject("g", name, data, step)
+                for name, data in (("voltage_V", V), ("displacement_um", Y * 1e6))
+            ]
+        )
+    assert_same(read(tmp_path / "w.tdms"))
+
+
+def test_an_unknown_attribute_leaves_the_unit_in_the_name(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values in NAMED.items():
+            file[name] = values
+            file[name].attrs["unit"] = "volts"
+    assert_same(read(tmp_path / "a.h5"))
+
+
+@pytest.mark.parametrize(
+    ("quantity", "name", "factor"),
+    [
+        *(("time", f"t_{u}", f) for u, f in (("s", 1), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("ns", 1e-9))),
+        ("time", "Time (min)", 60),
+        *(("voltage", f"Drive [{u}]", f) for u, f in (("V", 1), ("mV", 1e-3), ("kV", 1e3))),
+        *(("displacement", f"Position({u})", f) for u, f in (("m", 1), ("mm", 1e-3), ("um", 1e-6), ("µm", 1e-6))),
+        *(("displacement", f"y_{u}", f) for u, f in (("μm", 1e-6), ("nm", 1e-9), ("pm", 1e-12))),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
+def test_units(tmp_path, quantity, name, factor, encoding):
+    if "μ" in name and encoding == "latin-1":
+        encoding = "utf-8"  # only the micro sign, not the Greek letter, is in Latin-1
+    table = read_table(text(tmp_path, f"{name},x\n1.5,0\n3,0\n", encoding=encoding))
+    assert table.column(quantity) == pytest.approx([1.5 * factor, 3 * factor], rel=1e-15)
+
+
+def test_a_table_needs_only_what_is_asked(tmp_path):
+    table = read_table(text(tmp_path, "time_s,voltage_V\n0,1\n1,2\n"))
+    assert table.names == ("time_s", "voltage_V")
+    assert table.has("voltage")
+    assert not table.has("displacement")
+    assert table.column("voltage").tolist() == [1, 2]
+    with pytest.raises(FileFormatError, match=r"a\.csv: no displacement column; the file holds 'time_s', 'voltage_V'"):
+        table.column("displacement")
+
+
+TEXTS = {
+    "comma": "time_s,voltage_V,displacement_um\n0,1,2.5\n0.5,3,4\n",
+    "windows": "time_s,voltage_V,displacement_um\r\n0,1,2.5\r\n0.5,3,4\r\n",
+    "old mac": "time_s,voltage_V,displacement_um\r0,1,2.5\r0.5,3,4\r",
+    "no last newline": "time_s,voltage_V,displacement_um\n0,1,2.5\n0.5,3,4",
+    "semicolon": "time_s;voltage_V;displacement_um\n0;1;2.5\n0.5;3;4\n",
+    "decimal comma": "time_s;voltage_V;displacement_um\n0,0;1,0;2,5\n0,5;3;4\n",
+    "decimal comma, tabs": "time_s\tvoltage_V\tdisplacement_um\n0,0\t1,0\t2,5\n0,5\t3\t4\n",
+    "blanks": "  time_s   voltage_V displacement_um\n  0  1   2.5\n  0.5 3 4\n",
+    "blanks before units": "time (s)  voltage (V) displacement [um]\n0 1 2.5\n0.5 3 4\n",
+    "comments": "# made\n% by\n\ntime_s,voltage_V,displacement_um\n# s\n0,1,2.5\n\n  % x\n0.5,3,4\n# end\n",
+    "quoted": '"time (s)","voltage [V]","displacement_um"\n0,1,2.5\n0.5,3,4\n',
+    "quoted cells": 'time_s,voltage_V,"displacement_um"\n"0","1","2.5"\n"0.5",3,4\n',
+    "quoted delimiter": '"voltage, sent; whole_mV",time_s,voltage_V,y_um\n9,0,1,2.5\n9,0.5,3,4\n',
+    "blank behind commas": "time_s, voltage_V, displacement_um\n0, 1, 2.5\n0.5, 3, 4\n",
+    "trailing": "time_s,voltage_V,displacement_um,\n0,1,2.5,\n0.5,3,4,\n",
+    "trailing in rows": "time_s;voltage_V;displacement_um\n0;1;2.5;\n0.5;3;4;\n",
+    "trailing in header": "time_s\tvoltage_V\tdisplacement_um\t\n0\t1\t2.5\n0.5\t3\t4\n",
+    "empty rows": "time_s,voltage_V,displacement_um\n0,1,2.5\n0.5,3,4\n,,\n",
+    "other columns": "state,time_s,voltage_V,displacement_um,temp\nok,0,1,2.5,\nbad,0.5,3,4,hot\n",
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_text(tmp_path, name):
+    record = read(text(tmp_path, TEXTS[name]))
+    assert record.time.tolist() == [0, 0.5]
+    assert record.voltage.tolist() == [1, 3]
+    assert record.displacement == pytest.approx([2.5e-6, 4e-6], rel=1e-15)
+
+
+HEAD = "time_s,voltage_V,displacement_um\n"
+BROKEN = {
+    "bad cell": (HEAD + "0,1,2\n1,2x,3\n", r"a\.csv: column 'voltage_V': line 3 holds '2x', which is no number"),
+    "bad cell behind comments": ("# a\n\n" + HEAD + "0,1,2\n#\n1,?,3\n", r"line 6 holds '\?'"),
+    "short row": (HEAD + "0,1,2\n1,2\n", r"line 3 has 2 cells where the header has 3: '1,2'; correct"),
+    "long row": (HEAD + "0,1,2\n1,2,3,4\n", "line 3 has 4 cells where the header has 3"),
+    "all rows long": (HEAD + "0,1,2,3\n1,2,3,4\n", "line 2 has 4 cells"),
+    "no rows": (HEAD, "a header but no rows"),
+    "no rows but comments": (HEAD + "# none\n\n", "a header but no rows"),
+    "no header": ("0,1,2\n1,2,3\n", "line 1 is '0,1,2', but a header line with names and units is needed"),
+    "no header, decimal comma": ("0,5;1;2\n1,5;2;3\n", "a header line with names and units is needed"),
+    "header in a comment": ("# time_s,voltage_V\n0,1,2\n1,2,3\n", "line 2 is '0,1,2'.*not behind a # or %"),
+    "only comments": ("# nothing\n\n% here\n", "nothing but blank and comment lines"),
+    "empty": ("", "the file is empty"),
+    "binary": ("time\0s", "NUL bytes"),
+    "no unit": (
+        "time,voltage_V,y_um\n0,1,2\n1,2,3\n",
+        r"column 'time' has no unit; known are s, ms, .*'time_s' or 'time",
+    ),
+    "unknown unit": (
+        "time_s,voltage_MV,y_um\n0,1,2\n1,2,3\n",
+        r"the unit 'MV', unknown for voltage; known are V, mV, kV",
+    ),
+    "wrong unit": ("time_s,voltage_um,y_um\n0,1,2\n1,2,3\n", "unit 'um', unknown for voltage.*\"voltage_um:V\""),
+    "two fit": (
+        "time_s,voltage_V,drive_V,y_um\n0,1,2,3\n1,2,3,4\n",
+        r"2 columns fit: 'voltage_V', 'drive_V' as voltage column;.*voltage=\"NAME\"\.",
+    ),
+    "twice": ("time_s,voltage_V,voltage_V,y_um\n0,1,2,3\n1,2,3,4\n", "2 columns fit: 'voltage_V', 'voltage_V'"),
+    "no voltage": ("time_s,y_um\n0,1\n1,2\n", r"no voltage column; the file holds 'time_s', 'y_um'.*voltage=\"NAME\""),
+    "no time": ("voltage_V,y_um\n0,1\n1,2\n", "no time column; .*time=\"NAME\".*'time_s' is found.*sample_rate= in Hz"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_broken_text(tmp_path, case):
+    content, message = BROKEN[case]
+    with pytest.raises(FileFormatError, match=message):
+        read(text(tmp_path, content))
+
+
+@pytest.mark.parametrize("cell", ["", "nan", "NaN"])
+def test_a_missing_cell_is_refused_by_the_record(tmp_path, cell):
+    path = text(tmp_path, HEAD + f"0,1,2\n1,{cell},3\n2,3,4\n", "gone.csv")
+    with pytest.raises(RecordError, match=r"'gone': voltage holds 1 .* voltage\[1\] = nan V"):
+        read(path)
+
+
+def test_time_that_does_not_rise_is_refused_by_the_record(tmp_path):
+    with pytest.raises(RecordError, match=r"'a': time must rise strictly"):
+        read(text(tmp_path, HEAD + "0,1,2\n0,1,3\n"))
+
+
+def test_chosen_columns(tmp_path):
+    path = text(tmp_path, "time_s,out,monitor_V,drive_V,gauge 1 (nm),y_um\n0,7,1,2,3,4\n1,7,5,6,7,8\n")
+    record = read(path, voltage="monitor_V", displacement="gauge 1 (nm)")
+    assert record.voltage.tolist() == [1, 5]
+    assert record.displacement == pytest.approx([3e-9, 7e-9])
+    assert record.meta["columns"] == {"time": "time_s", "voltage": "monitor_V", "displacement": "gauge 1 (nm)"}
+    assert read(path, voltage="monitor").voltage.tolist() == [1, 5]
+    assert read(path, voltage="out:mV").voltage == pytest.approx([7e-3, 7e-3])
+    with pytest.raises(FileFormatError, match=r"column 'out' has no unit.*voltage=\"out:V\"$"):
+        read(path, voltage="out")
+    with pytest.raises(FileFormatError, match="unit 'bar', unknown for voltage"):
+        read(path, voltage="out:bar")
+    with pytest.raises(FileFormatError, match=r"no column 'absent' for voltage; the file holds 'time_s', 'out'"):
+        read(path, voltage="absent")
+    double = text(tmp_path, "time_s,a_V,a_V,y_um\n0,1,2,3\n1,2,3,4\n", "b.csv")
+    with pytest.raises(FileFormatError, match="2 columns fit: 'a_V', 'a_V' as column 'a_V' for voltage"):
+        read(double, voltage="a_V")
+
+
+def test_chosen_columns_in_groups(tmp_path):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        for group, gain in (("one", 1), ("two", 2)):
+            for name, values in NAMED.items():
+                file[f"{group}/{name}"] = values * (gain if name == "voltage_V" else 1)
+        file["two/only_V"] = 3 * V
+    common = {"time": "one/time_ms", "displacement": "/two/displacement_um"}
+    assert read(path, voltage="two/voltage_V", **common).voltage == pytest.approx(2 * V)
+    assert read(path, voltage="only_V", **common).voltage == pytest.approx(3 * V)
+    with pytest.raises(FileFormatError, match="2 columns fit: 'one/voltage_V', 'two/voltage_V'"):
+        read(path, voltage="voltage_V", **common)
+    with pytest.raises(FileFormatError, match="2 columns fit"):
+        read(path)
+
+
+def test_sample_rate(tmp_path):
+    path = text(tmp_path, "voltage_V,y_um\n0,1\n1,2\n2,3\n")
+    record = read(path, sample_rate=200)
+    assert record.time.tolist() == [0, 0.005, 0.01]
+    assert record.meta["columns"]["time"] == "index / 200 Hz"
+    for rate in (0, -1, float("nan"), float("inf")):
+        with pytest.raises(FileFormatError, match=r"sample_rate is .* Hz; give a number above 0"):
+            read(path, sample_rate=rate)
+    timed = text(tmp_path, HEAD + "0,1,2\n1,2,3\n", "b.csv")
+    with pytest.raises(FileFormatError, match="got sample_rate= and the time column 'time_s'; leave one"):
+        read(timed, sample_rate=200)
+    with pytest.raises(FileFormatError, match="got sample_rate= and the time column 'voltage_V'"):
+        read(path, sample_rate=200, time="voltage_V")
+    counted = text(tmp_path, "time_ticks,voltage_V,y_um\n0,1,2\n9,2,3\n", "c.csv")
+    assert read(counted, sample_rate=10).time.tolist() == [0, 0.1]
+
+
+def test_paths_that_are_no_measurement(tmp_path):
+    with pytest.raises(FileFormatError, match=r"absent\.csv: no such file"):
+        read(tmp_path / "absent.csv")
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(FileFormatError, match=r"folder\.csv: this is a folder"):
+        read(tmp_path / "folder.csv")
+    with pytest.raises(FileFormatError, match=r"unknown kind of file '\.xlsx'; dehyst reads \.csv .*\.npz"):
+        read(text(tmp_path, "a", "a.xlsx"))
+    with pytest.raises(FileFormatError, match="unknown kind of file ''"):
+        read(text(tmp_path, "a", "plain"))
+
+
+def test_no_permission(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError
+
+    path = text(tmp_path, HEAD)
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(FileFormatError, match=r"a\.csv: no permission to read it"):
+        read(path)
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".h5", ".hdf5", ".parquet", ".tdms", ".npz"])
+def test_content_that_does_not_fit_the_suffix(tmp_path, suffix):
+    path = text(tmp_path, HEAD + "0,1,2\n1,2,3\n" * 50, f"a{suffix}")
+    with pytest.raises(FileFormatError, match=rf"a\{suffix}: not a readable \{suffix} file .*; check that the suffix"):
+        read(path)
+    with pytest.raises(FileFormatError, match="the file is empty"):
+        read(text(tmp_path, "", f"b{suffix}"))
+
+
+def test_pickles_in_npz_are_not_opened(tmp_path):
+    np.savez(tmp_path / "a.npz", time_s=np.array([{}, {}], dtype=object))
+    with pytest.raises(FileFormatError, match=r"not a readable \.npz file"):
+        read(tmp_path / "a.npz")
+
+
+def test_no_vectors(tmp_path):
+    np.savez(tmp_path / "a.npz", time_s=np.eye(3), name=np.array("x"))
+    with pytest.raises(FileFormatError, match="no numeric columns found; store time"):
+        read(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "module", "message"),
+    [
+        ("a.h5", "h5py", r"Reading \.h5 files needs h5py"),
+        ("new.mat", "h5py", r"Reading \.mat files needs h5py"),
+        ("a.parquet", "pyarrow.parquet", "Reading Parquet files needs pyarrow, "),
+        ("a.tdms", "nptdms", "Reading TDMS files needs nptdms"),
+    ],
+)
+def test_missing_library(tmp_path, monkeypatch, name, module, message):
+    WRITERS[name](tmp_path / name)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=message + r".*dehyst\[files\]"):
+        read(tmp_path / name)
+
+
+def test_text_needs_no_library(tmp_path, monkeypatch):
+    for module in ("h5py", "nptdms", "pyarrow", "scipy"):
+        monkeypatch.setitem(sys.modules, module, None)
+    write_columns(tmp_path / "a.csv", NAMED)
+    assert_same(read(tmp_path / "a.csv"))
+
+
+def test_a_million_rows(tmp_path):
+    path = tmp_path / "big.csv"
+    t = np.arange(1_000_000) * 1e-4
+    write_record(path, Record(t, np.sin(t), 1e-6 * np.cos(t)))
+    began = clock.process_time()
+    record = read(path)
+    assert clock.process_time() - began < 6  # of this process alone; 1.3 s here
+    assert np.array_equal(record.time, t)
+
+
+@pytest.mark.parametrize(("name", "rows"), [("major.csv", 8027), ("ramps.csv", 7350)])
+def test_measured_data(name, rows):
+    if not (DATA / name).exists():
+        pytest.skip(f"the measured data {name} are not beside the repository")
+    record = read(DATA / name)
+    assert len(record) == rows
+    assert record.sample_time == pytest.approx(0.005)
+    assert record.meta["columns"]["voltage"] == "drive_V"
+    record.check_usable()

@@ -1,0 +1,361 @@
+"""Voltages that are not believed: isolated glitches, ends of the range that few samples reach, far extrapolation."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import places
+import plain_records
+import pytest
+from command_line import run
+from hypothesis import given
+from hypothesis import strategies as st
+
+import dehyst
+from dehyst import Actuator, Compensator, Record
+from dehyst.baselines import GoldfarbCelanovic, compare
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.instruments.calibration.experiment import _ends
+from dehyst.model import Structure
+from dehyst.records import write_record
+from dehyst.records.glitches import glitches
+from dehyst.uncertainty import state_from_first_rise
+
+DATA = places.DATA
+PLANTS = [plain_records.plant(10, share=share, seed=i) for i, share in enumerate((0.1, 0.4, 0.7))]
+CLEAN = plain_records.loops(plain_records.plant(10), plain_records.THREE_LOOPS, noise=5e-9, name="loops")
+SMOOTH = ("sine", "triangle", "descending", "random")
+KINDS = (*SMOOTH, "sawtooth", "staircase", "square", "walk")
+
+
+def with_voltage(record, samples, volts):
+    """A record with other voltages at some samples."""
+    voltage = record.voltage.copy()
+    voltage[samples] = volts
+    return replace(record, voltage=voltage)
+
+
+def fitted(record, **options):
+    return dehyst.identify(record, structure="paper", norm="l2", **options)
+
+
+@pytest.fixture(scope="module")
+def clean_fit():
+    return fitted(CLEAN)
+
+
+def excited(rng, kind, cycle, size):
+    """A voltage of 0 to 200 V; `cycle` samples a cycle."""
+    t = np.arange(size) / cycle + rng.uniform()
+    triangle = np.abs(2 * (t % 1) - 1)
+    stairs = max(2, min(10, cycle // 6))
+    spectrum = rng.normal(size=(2, size // 2 + 1)) @ np.eye(size // 2 + 1)
+    spectrum[:, size // cycle + 2 :] = 0
+    shapes = {
+        "sine": lambda: 0.5 - 0.5 * np.cos(2 * np.pi * t),
+        "triangle": lambda: triangle,
+        "descending": lambda: triangle * (1 - 0.8 * np.linspace(0, 1, size)),
+        "random": lambda: np.fft.irfft(spectrum[0] + 1j * spectrum[1], size),
+        "sawtooth": lambda: t % 1,
+        "staircase": lambda: np.round(triangle * stairs),
+        "square": lambda: (t % 1 < 0.4).astype(float),
+        "walk": lambda: np.cumsum(rng.normal(size=size)),
+    }
+    shape = shapes[kind]()
+    return 200 * (shape - shape.min()) / np.ptp(shape)
+
+
+def measured(rng, kind, cycle, size, lag):
+    """Voltage and displacement that comes `lag` samples late, whole or not."""
+    v = excited(rng, kind, cycle, size)
+    plant = PLANTS[rng.integers(len(PLANTS))]
+    y = plant.simulate(v, state=plant.turned(0.0)).displacement
+    return v, np.interp(np.arange(size) - lag, np.arange(size), y)
+
+
+def spoiled(rng, values, noise, digits):
+    """With noise, and rounded to digits; both parts of the range."""
+    span = np.ptp(values)
+    values = values + noise * span * rng.normal(size=values.size)
+    return digits * span * np.round(values / (digits * span)) if digits else values
+
+
+def samples_of(found):
+    return {i for one in found for i in range(one.start, one.stop)}
+
+
+NOISES = st.sampled_from([0.0, 1e-4, 1e-3, 1e-2, 5e-2])
+DIGITS = st.sampled_from([0.0, 1e-4, 1e-2, 6e-2])
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from(KINDS),
+    cycle=st.integers(10, 500),
+    cycles=st.floats(3, 8),
+    lag=st.sampled_from([0, 0.5, 1, 3.3]),
+    noise=NOISES,
+    digits=DIGITS,
+    sensor=st.sampled_from([0.0, 1e-4, 1e-2]),
+    sensor_digits=st.sampled_from([0.0, 1e-4, 1e-2]),
+)
+def test_a_record_without_glitches_loses_nothing(seed, kind, cycle, cycles, lag, noise, digits, sensor, sensor_digits):
+    rng = np.random.default_rng(seed)
+    size = max(80, int(cycle * cycles))
+    v, y = measured(rng, kind, cycle, size, lag)
+    v, y = spoiled(rng, v, noise, digits), spoiled(rng, y, sensor, sensor_digits)
+    assert glitches(np.arange(float(size)), v, y) == ()
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from((*SMOOTH, "staircase", "square")),
+    cycle=st.integers(40, 500),
+    lag=st.sampled_from([0, 0.5, 1, 3.3]),
+    count=st.integers(1, 4),
+    noise=st.sampled_from([0.0, 1e-4, 1e-3]),
+    width=st.integers(1, 3),
+    sensor=st.sampled_from([0.0, 1e-4, 1e-3]),
+)
+def test_glitches_above_slew_and_noise_are_found_and_only_they(seed, kind, cycle, lag, count, noise, width, sensor):
+    rng = np.random.default_rng(seed)
+    size = 6 * cycle + 200
+    v, y = measured(rng, kind, cycle, size, lag)
+    v, y = spoiled(rng, v, noise, 0), spoiled(rng, y, sensor, 0)
+    steps = np.abs(np.diff(v))
+    slew = float(np.quantile(steps, 0.9) if kind in SMOOTH else steps.max())
+    width = width if kind in SMOOTH else 1
+    places = 20 * rng.choice(np.arange(1, size // 20 - 1), count, replace=False) + rng.integers(0, 10)
+    bad, hit = v.copy(), set()
+    for start in places.tolist():
+        least = 1.25 * (width + 1) * slew + 0.05 * 200
+        bad[start : start + width] += rng.choice([-1, 1]) * least * rng.uniform(1, 10)
+        hit |= set(range(start, start + width))
+    assert samples_of(glitches(np.arange(float(size)), bad, y)) == hit
+
+
+@given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(SMOOTH), cycle=st.integers(40, 500), last=st.booleans())
+def test_a_glitch_at_an_end_of_the_record_is_found(seed, kind, cycle, last):
+    rng = np.random.default_rng(seed)
+    v, y = (column[cycle:] for column in measured(rng, kind, cycle, 7 * cycle, 0))
+    bad, place = v.copy(), 6 * cycle - 1 if last else 0
+    bad[place] += rng.choice([-1, 1]) * (5 * np.abs(np.diff(v)).max() + 10) * rng.uniform(1, 10)
+    assert samples_of(glitches(np.arange(6.0 * cycle), bad, y)) == {place}
+
+
+@pytest.mark.parametrize("lag", [0, 1, 2.5])
+@pytest.mark.parametrize("width", [1, 2, 3])
+@pytest.mark.parametrize("pulse", [60.0, -60.0])
+def test_a_pulse_that_the_displacement_follows_is_no_glitch(lag, width, pulse):
+    v = 100 - 100 * np.cos(2 * np.pi * np.arange(1200) / 200)
+    v[650 : 650 + width] += pulse
+    plant = plain_records.plant(10)
+    y = plant.simulate(v, state=plant.turned(0.0)).displacement
+    late = np.interp(np.arange(1200) - lag, np.arange(1200), y)
+    time = np.arange(1200.0)
+    assert glitches(time, v, late) == ()
+    still = plant.simulate(np.delete(v, slice(650, 650 + width)), state=plant.turned(0.0)).displacement
+    unmoved = np.insert(still, 650, np.full(width, still[650]))
+    assert samples_of(glitches(time, v, unmoved)) == set(range(650, 650 + width))
+
+
+@pytest.mark.parametrize(
+    "samples",
+    [[1100], [50], [0], [1700], [100], [200], [301, 302], [600, 700, 1400]],
+    ids=["counted", "lead-in", "first", "last", "turn left out", "turn counted", "two together", "three apart"],
+)
+def test_a_glitch_widens_no_limits_and_spoils_no_fit(samples, clean_fit):
+    fit = fitted(with_voltage(CLEAN, samples, 500.0))
+    assert fit.actuator.limits == clean_fit.actuator.limits == (0.0, 200.0)
+    (error,), (clean,) = fit.errors, clean_fit.errors
+    assert error.rms == pytest.approx(clean.rms, rel=0.01)
+    assert error.largest == pytest.approx(clean.largest, rel=0.15)
+    assert error.samples + error.left_out == len(CLEAN)
+    assert plain_records.stiffness_error(fit.actuator, clean_fit.actuator) < 0.01
+    assert fit.remarks == clean_fit.remarks
+    assert sum("voltage glitch at sample" in said and "500 V" in said for said in fit.repairs) >= 1
+    assert not any("gap" in said for said in fit.repairs)
+    command = Compensator(fit.actuator).trajectory(np.linspace(0, 30e-6, 400))
+    assert (command.voltage.max(), len(command.warnings)) == (200.0, 1)
+
+
+@pytest.mark.parametrize("voltage", [500.0, -300.0])
+@pytest.mark.parametrize(("first", "width"), [(1100, 6), (820, 10), (1000, 20), (1330, 20)])
+def test_a_channel_that_drops_out_for_longer_widens_no_limits(first, width, voltage, clean_fit):
+    samples = list(range(first, first + width))
+    record = with_voltage(CLEAN, samples, voltage)
+    assert samples_of(glitches(record.time, record.voltage, record.displacement)) == set(samples)
+    fit = fitted(record)
+    assert fit.actuator.limits == (0.0, 200.0)
+    assert fit.errors[0].rms == pytest.approx(clean_fit.errors[0].rms, rel=0.05)
+    assert any(f"glitch at samples {first} to {first + width - 1}" in said for said in fit.repairs)
+
+
+def test_what_lies_between_two_long_glitches_is_none():
+    samples = [*range(1020, 1030), *range(1045, 1055)]
+    record = with_voltage(CLEAN, samples, 500.0)
+    assert samples_of(glitches(record.time, record.voltage, record.displacement)) == set(samples)
+
+
+def test_the_sentence_has_sample_time_value_and_neighbours():
+    fit = fitted(with_voltage(CLEAN, [1100], 500.0))
+    before, after = CLEAN.voltage[1099], CLEAN.voltage[1101]
+    assert fit.repairs == (
+        f"loops: voltage glitch at sample 1100 ({CLEAN.time[1100]:.6g} s): 500 V between {before:.6g} and "
+        f"{after:.6g} V; the displacement does not follow: left out.",
+    )
+    many = with_voltage(CLEAN, 150 * np.arange(1, 10), 500.0)
+    assert len([said for said in fitted(many).repairs if "glitch" in said]) == 5
+    assert "5 more voltage glitches, of 500 to 500 V" in fitted(many).repairs[4]
+    assert any("glitch at sample 150" in said for said in many.problems())
+
+
+def test_a_glitch_in_a_start_up_transient_is_left_out_too():
+    t = np.arange(1200)
+    y = plain_records.STROKE * (0.5 + 0.5 * np.cos(2 * np.pi * t / 97.3))
+    steady = plain_records.record(plain_records.plant(10), y, name="sine")
+    moved = steady.displacement + np.where(t < 30, 0.1 * plain_records.STROKE, 0)
+    starting = replace(steady, displacement=moved)
+    fit = fitted(with_voltage(starting, [12], -500.0))
+    assert fit.actuator.limits == fitted(starting).actuator.limits
+    assert [("glitch at sample 12" in said, "start-up transient" in said) for said in fit.repairs[:2]] == [
+        (True, False),
+        (False, True),
+    ]
+
+
+def test_a_wider_model_from_a_record_with_glitches_is_that_of_the_clean_one():
+    structure = Structure(elements=10, creep=2)
+    clean = dehyst.identify(CLEAN, structure=structure)
+    fit = dehyst.identify(with_voltage(CLEAN, [1100, 1250], 500.0), structure=structure)
+    assert fit.actuator.limits == clean.actuator.limits
+    assert fit.errors[0].rms == pytest.approx(clean.errors[0].rms, rel=0.02)
+
+
+@pytest.mark.parametrize("method", ["breakpoints", "antisymmetric"])
+def test_the_papers_methods_leave_glitches_out(method):
+    clean = dehyst.identify(CLEAN, method=method)
+    fit = dehyst.identify(with_voltage(CLEAN, [1100, 50], [500.0, -300.0]), method=method)
+    assert fit.actuator.limits == (0.0, 200.0)
+    # Few break points carry the noise of the samples beside them.
+    assert fit.errors[0].rms == pytest.approx(clean.errors[0].rms, rel=0.05)
+
+
+def test_a_held_out_record_with_a_glitch_is_judged_as_the_clean_one():
+    other = plain_records.loops(plain_records.plant(10), plain_records.DESCENDING_TOPS, noise=5e-9, name="tops")
+    clean = fitted(CLEAN, validate=other)
+    fit = fitted(CLEAN, validate=with_voltage(other, [900], 500.0))
+    assert fit.errors[1].rms == pytest.approx(clean.errors[1].rms, rel=0.02)
+    assert not any("extrapolated" in said for said in fit.remarks)
+    assert any(said.startswith("tops: voltage glitch at sample 900") for said in fit.repairs)
+
+
+def test_a_glitch_among_few_samples_a_cycle_cuts_the_record_only_where_a_reversal_is_lost():
+    turns = np.array([0, 1] * 8 + [0])
+    y = plain_records.STROKE * np.interp(np.arange(161), 10 * np.arange(17), turns)
+    coarse = plain_records.record(plain_records.plant(10), y)
+    assert len(prepare(with_voltage(coarse, [75], 900.0)).pieces) == 1
+    first, second = prepare(with_voltage(coarse, [70], 900.0)).pieces
+    assert (first.time[-1], second.time[0]) == (coarse.time[69], coarse.time[71])
+
+
+def test_every_reader_of_records_leaves_glitches_out(clean_fit):
+    plant = plain_records.plant(10)
+    rising = plant.simulate(200 * (0.5 - 0.5 * np.cos(np.pi * np.arange(800) / 100)), state=plant.relaxed())
+    volts = 200 * (0.5 - 0.5 * np.cos(np.pi * np.arange(800) / 100))
+    record = Record(np.arange(800) / 200, volts, rising.displacement, "rise")
+    bad = with_voltage(record, [40, 300], 500.0)
+    assert _ends(bad) == pytest.approx(_ends(record), rel=1e-9)
+    clean, found = GoldfarbCelanovic.fit(record, elements=5), GoldfarbCelanovic.fit(bad, elements=5)
+    assert plain_records.stiffness_error(found.actuator, clean.actuator) < 0.02
+    assert any("glitch at sample 40" in said for said in found.remarks)
+    first, again = (state_from_first_rise(plant, one) for one in (record, bad))
+    assert np.abs(first.state.carts - again.state.carts).max() < 0.01 * plain_records.STROKE
+    assert any("glitch at sample 300" in said for said in again.remarks)
+    compared = compare(with_voltage(CLEAN, [1100], 500.0), models={"paper": lambda _: clean_fit.actuator})
+    (row,) = compared.rows
+    assert row.scores[0].rms < 0.1
+
+
+def test_samples_cut_off_at_a_gap_do_not_widen_the_limits():
+    """Twelve samples at another voltage, cut off by a gap, are in no piece and count nowhere."""
+    time = np.concatenate([CLEAN.time, CLEAN.time[-1] + 10 + 0.005 * np.arange(12)])
+    volts = np.concatenate([CLEAN.voltage, np.full(12, 290.0)])
+    y = np.concatenate([CLEAN.displacement, np.full(12, 20e-6)])
+    fit = fitted(Record(time, volts, y, "cut"))
+    assert fit.actuator.limits == (0.0, 200.0)
+
+
+@pytest.mark.skipif(not (DATA / "major.csv").exists(), reason=f"the measured data are not in {DATA}")
+@pytest.mark.parametrize("name", ["major", "ramps"])
+def test_measured_records_lose_nothing_but_a_glitch_that_was_put_in(name):
+    record = dehyst.read(DATA / f"{name}.csv")
+    assert prepare(record).samples == len(record)
+    assert not any("glitch" in said for said in prepare(record).sentences)
+    clean, fit = (fitted(one) for one in (record, with_voltage(record, [5, 1100, 4000], 9.0)))
+    assert not any("Only" in said for said in clean.remarks)
+    assert fit.actuator.limits == clean.actuator.limits
+    assert fit.errors[0].rms == pytest.approx(clean.errors[0].rms, rel=0.01)
+
+
+def rare(samples, cycle=200):
+    """Loops to 150 V; one of them goes to 200 V for some samples, and the displacement with it."""
+    v = 75 - 75 * np.cos(2 * np.pi * np.arange(10 * cycle) / cycle)
+    middle = 5 * cycle // 2
+    v[middle - samples // 2 : middle - samples // 2 + samples] = 200.0
+    plant = plain_records.plant(10)
+    return plain_records.driven(plant, np.concatenate([v, v[: 2 * cycle]]), state=plant.turned(0.0))
+
+
+@pytest.mark.parametrize("samples", [2, 8])
+def test_a_range_that_few_samples_reach_is_reported(samples):
+    fit = fitted(rare(samples))
+    assert fit.actuator.limits == (0.0, 200.0)
+    (said,) = [said for said in fit.remarks if said.startswith("Only")]
+    assert "samples that count lie above 180 V, the highest voltage is 200 V" in said
+
+
+@pytest.mark.parametrize("cycle", [10, 30, 100, 1000])
+@pytest.mark.parametrize("turns", ["MAJOR", "DESCENDING_TOPS", "THREE_LOOPS", "REVERSAL_CURVES"])
+def test_loops_of_any_kind_have_no_rare_voltages(turns, cycle):
+    path = (*plain_records.MAJOR, *getattr(plain_records, turns))
+    fit = fitted(plain_records.loops(plain_records.plant(10), path, samples=max(cycle // 2, 10)), elements=5)
+    assert not any(said.startswith("Only") for said in fit.remarks)
+
+
+def test_a_single_largest_loop_among_many_smaller_ones_is_enough():
+    tops = np.linspace(1, 0.1, 40)
+    turns = np.concatenate([[0.0], np.stack([tops, np.zeros(40)], axis=1).ravel()])
+    fit = fitted(plain_records.loops(plain_records.plant(10), turns, samples=60))
+    assert not any(said.startswith("Only") for said in fit.remarks)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, clean_fit):
+    target = tmp_path_factory.mktemp("glitches")
+    clean_fit.actuator.save(target / "model.json")
+    write_record(target / "bad.csv", with_voltage(CLEAN, [1100], 500.0))
+    write_record(target / "rare.csv", rare(2))
+    return target
+
+
+def test_the_command_line_reports_glitches_and_rare_voltages(folder):
+    status, out, _ = run("identify", "bad.csv", "--structure", "paper", "-o", "found.json", cwd=folder)
+    assert (status, "voltage glitch at sample 1100" in out) == (0, True)
+    assert Actuator.load(folder / "found.json").limits == (0.0, 200.0)
+    status, out, _ = run("identify", "rare.csv", "--structure", "paper", "--json", cwd=folder)
+    assert (status, "lie above 180 V" in " ".join(json.loads(out)["remarks"])) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("volts", "status", "outside", "far"),
+    [([0, 100, 200], 0, 0, False), ([0, 219, -19], 0, 2, False), ([0, 221], 1, 1, True), ([-21, 50, 205], 1, 2, True)],
+)
+def test_simulate_far_beyond_the_records_warns_and_ends_with_status_1(folder, volts, status, outside, far):
+    (folder / "v.csv").write_text("voltage_V\n" + "".join(f"{v}\n" for v in volts))
+    got, out, err = run("simulate", "model.json", "v.csv", "-o", "y.csv", "--json", cwd=folder)
+    result = json.loads(out)
+    assert (got, result["outside"], result["far_outside"]) == (status, outside, far)
+    assert [("outside the identified range 0 to 200 V" in err), ("more than 10 %" in err)] == [outside > 0, far]
+    assert len(result["warnings"]) == (outside > 0)
+    assert (folder / "y.csv").exists()

@@ -1,0 +1,311 @@
+"""Exported folders compiled by others: for this computer, for an emulated Cortex-M4, and with operations counted."""
+
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import structured_records
+
+from dehyst import Compensator, Dynamics
+from dehyst.exports.firmware import SOURCES, code
+from dehyst.exports.footprint import CORTEX_M4F, STRICT
+
+LIMITS = (10.0, 150.0)
+SEED, MULTIPLIER, INCREMENT = 88172645463325252, 6364136223846793005, 1442695040888963407
+OFFSET, PRIME, WORD = 14695981039346656037, 1099511628211, 2**64 - 1
+
+# Both sides make the same wishes: jumps over the whole reach and beyond, then smaller and smaller, and again. Of the
+# answers a running digest is compared, and some one by one.
+DRIVER = r"""
+#include <stdint.h>
+#include <stdio.h>
+#include <string.h>
+#include "piezo.h"
+
+static void put(uint64_t bits)
+{
+    printf("%08lx%08lx\n", (unsigned long)(bits >> 32), (unsigned long)(bits & 0xffffffffu));
+}
+
+int main(void)
+{
+    static piezo p;
+    uint64_t x = 88172645463325252u, digest = 14695981039346656037u;
+    long t;
+    if (piezo_begin(&p) != DEHYST_OK) return 1;
+    for (t = 0; t < SAMPLES; t++) {
+        double share, wide = 1.0 / (double)(1 << (t / 512 % 6));
+        uint64_t bits = 0;
+        dehyst_real v;
+        x = x * 6364136223846793005u + 1442695040888963407u;
+        share = (double)(x >> 11) * 0x1p-53;
+        v = piezo_step(&p, (dehyst_real)(MIDDLE + HALF * (2 * share - 1) * wide));
+        memcpy(&bits, &v, sizeof v);
+        digest = (digest ^ bits) * 1099511628211u;
+        if (t % EVERY == 0) put(bits);
+    }
+    put(digest);
+    printf("%lu %lu\n", p.loop.limited, p.loop.slewed);
+    return 0;
+}
+"""
+
+# What a Cortex-M4 needs before newlib's own start, and where QEMU's board has its memory.
+START = """
+.syntax unified
+.thumb
+.section .vectors, "a"
+.word stack_top, reset, fault, fault
+.text
+.thumb_func
+fault: b fault
+.thumb_func
+reset: ldr r0, =0xE000ED88 /* the floating-point unit on */
+ldr r1, [r0]
+orr r1, r1, #0xF00000
+str r1, [r0]
+dsb
+isb
+b _mainCRTStartup
+"""
+BOARD = """
+ENTRY(_mainCRTStartup)
+MEMORY { code (rwx) : ORIGIN = 0, LENGTH = 4M  data (rwx) : ORIGIN = 0x20000000, LENGTH = 4M }
+stack_top = ORIGIN(data) + LENGTH(data);
+SECTIONS {
+  .text : { KEEP(*(.vectors)) *(.text*) *(.rodata*) KEEP(*(.init)) KEEP(*(.fini)) *(.eh_frame*) } > code
+  .ARM.exidx : { __exidx_start = .; *(.ARM.extab*) *(.ARM.exidx*) __exidx_end = .; } > code
+  .init_array : {
+    __preinit_array_start = .; KEEP(*(.preinit_array)) __preinit_array_end = .;
+    __init_array_start = .; KEEP(*(.init_array)) __init_array_end = .;
+    __fini_array_start = .; KEEP(*(.fini_array)) __fini_array_end = .; } > code
+  .data : { *(.data*) } > code
+  .bss : { __bss_start__ = .; *(.bss*) *(COMMON) __bss_end__ = .; end = .; __end__ = .; } > data
+}
+"""
+QEMU = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting", "-kernel"]
+
+# The door by which an export makes floats lets in a number that counts what is done to it.
+COUNTING = r"""
+#ifndef DEHYST_CONFIG_H
+#define DEHYST_CONFIG_H
+#include <float.h>
+struct Counted { long arithmetic, divisions, comparisons; };
+inline Counted counted;
+struct dehyst_real {
+    double x;
+    dehyst_real() = default;
+    constexpr dehyst_real(double value) : x(value) {}
+    explicit operator int() const { return int(x); }
+};
+inline dehyst_real operator+(dehyst_real a, dehyst_real b) { counted.arithmetic++; return a.x + b.x; }
+inline dehyst_real operator-(dehyst_real a, dehyst_real b) { counted.arithmetic++; return a.x - b.x; }
+inline dehyst_real operator*(dehyst_real a, dehyst_real b) { counted.arithmetic++; return a.x * b.x; }
+inline dehyst_real operator/(dehyst_real a, dehyst_real b) { counted.divisions++; return a.x / b.x; }
+inline dehyst_real operator-(dehyst_real a) { counted.arithmetic++; return -a.x; }
+inline dehyst_real &operator+=(dehyst_real &a, dehyst_real b) { return a = a + b; }
+inline dehyst_real &operator-=(dehyst_real &a, dehyst_real b) { return a = a - b; }
+inline dehyst_real &operator*=(dehyst_real &a, dehyst_real b) { return a = a * b; }
+inline bool operator<(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x < b.x; }
+inline bool operator>(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x > b.x; }
+inline bool operator<=(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x <= b.x; }
+inline bool operator>=(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x >= b.x; }
+inline bool operator==(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x == b.x; }
+inline bool operator!=(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x != b.x; }
+#define DEHYST_EPSILON DBL_EPSILON
+#define DEHYST_LARGEST DBL_MAX
+#endif
+"""
+COUNTER = r"""
+#include <cstdio>
+#include <cmath>
+#include "piezo.h"
+
+// Wishes on standard input; prints the most that a step takes of each kind, then voltages.
+int main()
+{
+    static piezo p;
+    Counted most = {};
+    double wish;
+    if (piezo_begin(&p) != DEHYST_OK) return 1;
+    while (std::scanf("%la", &wish) == 1) {
+        counted = {};
+        const dehyst_real v = piezo_step(&p, wish);
+        if (counted.arithmetic > most.arithmetic) most.arithmetic = counted.arithmetic;
+        if (counted.divisions > most.divisions) most.divisions = counted.divisions;
+        if (counted.comparisons > most.comparisons) most.comparisons = counted.comparisons;
+        std::printf("%a\n", v.x);
+    }
+    std::printf("%ld %ld %ld\n", most.arithmetic, most.divisions, most.comparisons);
+    return 0;
+}
+"""
+
+
+def plain(elements=10, *, slew=None, period=None):
+    """A compensator of the plain class."""
+    actuator = plain_records.plant(elements, seed=4)
+    return Compensator(actuator, LIMITS, slew, period=period, state=actuator.turned(0.3 * plain_records.STROKE))
+
+
+def wider(kind, *, moving=False):
+    """One of a wider class; moving: with a mass, a delay and a lag, which it makes up for."""
+    made = structured_records.plant(structured_records.STRUCTURES[kind])
+    period, actuator = 1 / structured_records.RATE, made.actuator
+    if moving:
+        actuator = replace(actuator, dynamics=Dynamics(2 * np.pi * 5, 0.1, 2e6), lag=0.01, delay=0.012)
+    return Compensator(actuator, LIMITS, 5e3, period=period, state=None if moving else made.state, preview=moving)
+
+
+def spread(compensator):
+    """Middle and half width of the wishes: a tenth beyond the reach."""
+    low, high = compensator.reach
+    return 0.5 * (low + high), 0.55 * (high - low)
+
+
+def wishes(compensator, samples):
+    """Those that DRIVER makes."""
+    shares, x = np.empty(samples), SEED
+    for t in range(samples):
+        x = (x * MULTIPLIER + INCREMENT) & WORD
+        shares[t] = (x >> 11) * 2.0**-53
+    middle, half = spread(compensator)
+    return middle + half * (2 * shares - 1) * (1.0 / 2.0 ** (np.arange(samples) // 512 % 6))
+
+
+def told(voltages, clamps, *, every):
+    """What DRIVER prints of such answers."""
+    words, value = voltages.view(np.uint64), OFFSET
+    for bits in words.tolist():
+        value = ((value ^ bits) * PRIME) & WORD
+    return [*(f"{bits:016x}" for bits in (*words[::every].tolist(), value)), f"{clamps.limited} {clamps.slewed}"]
+
+
+def must_run(command, folder, **options):
+    """What a command prints that must succeed."""
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=900, **options)
+    assert done.returncode == 0, f"{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def _defines(compensator, samples, every):
+    middle, half = spread(compensator)
+    return [f"-DSAMPLES={samples}L", f"-DEVERY={every}L", f"-DMIDDLE={middle.hex()}", f"-DHALF={half.hex()}"]
+
+
+def driven(folder, compensator, samples, *, every, compiler="gcc", options=("-O2",)):
+    """Lines that DRIVER prints, compiled for this computer."""
+    (folder / "driver.c").write_text(DRIVER)
+    defines = _defines(compensator, samples, every)
+    must_run([compiler, *STRICT, *options, *defines, "driver.c", *SOURCES, "-o", "driver"], folder)
+    return must_run(["./driver"], folder).splitlines()
+
+
+def emulated(folder, compensator, samples, *, every):
+    """The same on an emulated Cortex-M4, doubles by software and floats by its unit."""
+    (folder / "driver.c").write_text(DRIVER)
+    (folder / "start.S").write_text(START)
+    (folder / "board.ld").write_text(BOARD)
+    defines = _defines(compensator, samples, every)
+    link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
+    must_run(
+        ["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F, *defines, "driver.c", *SOURCES, *link, "-o", "driver.elf"], folder
+    )
+    return must_run([*QEMU, "driver.elf"], folder).splitlines()
+
+
+def counted(folder, given):
+    """Most operations of a step over such wishes (arithmetic, divisions, comparisons), and the voltages."""
+    work = folder.parent / f"{folder.name}_counted"
+    shutil.copytree(folder, work, dirs_exist_ok=True)
+    (work / "dehyst_config.h").write_text(COUNTING)
+    (work / "counter.cc").write_text(COUNTER)
+    as_cpp = ["-std=c++17", "-O1", "-ffp-contract=off", "-Drestrict=__restrict", "-x", "c++"]
+    must_run(["g++", *as_cpp, *SOURCES, "counter.cc", "-o", "counter"], work)
+    *voltages, most = must_run(["./counter"], work, input="\n".join(float(x).hex() for x in given)).splitlines()
+    return tuple(int(n) for n in most.split()), np.array([float.fromhex(v) for v in voltages])
+
+
+PAINT = r"""
+#include <stdio.h>
+#include "piezo.h"
+#define ROOM 4096
+
+static volatile unsigned char *bottom;
+
+__attribute__((noinline)) static void paint(void)
+{
+    volatile unsigned char room[ROOM];
+    int i;
+    for (i = 0; i < ROOM; i++) room[i] = 0xA5;
+    bottom = room;
+}
+
+__attribute__((noinline)) static int depth(void)
+{
+    int i = 0;
+    while (i < ROOM && bottom[i] == 0xA5) i++;
+    return ROOM - i;
+}
+
+int main(void)
+{
+    static piezo p;
+    dehyst_real wish = 1;
+    int t, most = 0, now;
+    piezo_begin(&p);
+    for (t = 0; t < 100; t++) {
+        wish = -wish;
+        paint();
+        piezo_step(&p, wish);
+        now = depth();
+        if (now > most) most = now;
+    }
+    printf("%d %d\n", most, (int)sizeof(piezo));
+    return 0;
+}
+"""
+
+
+def painted(folder):
+    """Bytes of stack that steps have touched on an emulated Cortex-M4, by its unit, and of one piezo."""
+    for name, text in (("paint.c", PAINT), ("start.S", START), ("board.ld", BOARD)):
+        (folder / name).write_text(text)
+    link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
+    flags = ["-Wno-dangling-pointer"]
+    must_run(["arm-none-eabi-gcc", *STRICT, *flags, *CORTEX_M4F, "paint.c", *SOURCES, *link, "-o", "paint.elf"], folder)
+    return tuple(int(n) for n in must_run([*QEMU, "paint.elf"], folder).split())
+
+
+KINDS = {
+    "plain": plain,
+    "slewing": lambda: plain(slew=2e4, period=1e-3),
+    "graded": lambda: wider("graded, transformer"),
+    "creep": lambda: wider("creep"),
+    "all": lambda: wider("all"),
+    "moving": lambda: wider("all", moving=True),
+}
+TOOLS = {
+    "gcc": "the exported C cannot be compiled",
+    "make": "the exported Makefile cannot be run",
+    "g++": "operations cannot be counted",
+    "arm-none-eabi-gcc": "nothing can be compiled for ARM (Debian: gcc-arm-none-eabi libnewlib-arm-none-eabi)",
+    "qemu-system-arm": "no Cortex-M4 can be emulated (Debian: qemu-system-arm)",
+}
+
+
+def need(*tools):
+    for tool in tools:
+        if shutil.which(tool) is None:
+            pytest.skip(f"{tool} is not installed: {TOOLS[tool]}")
+
+
+def written(folder, compensator, number="double"):
+    """The C files alone."""
+    folder.mkdir()
+    for name, text in code(compensator, number).items():
+        (folder / name).write_text(text)
+    return folder

@@ -1,0 +1,155 @@
+"""An FMU of either version in one's hand, and the compensators to make FMUs of."""
+
+import os
+import shutil
+import sys
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import structured_records
+
+import dehyst
+
+fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed")
+if not sys.platform.startswith("linux") or os.uname().machine != "x86_64" or shutil.which("cc") is None:
+    pytest.skip("an FMU's binary is built by a C compiler on Linux x86-64", allow_module_level=True)
+
+PERIOD = 1 / structured_records.RATE
+INPUT, OUTPUT, LIMITED, SLEWED = 1, 2, 3, 4
+VERSIONS = ("2.0", "3.0")
+KINDS = ("compensator", "actuator")
+# Resonance [rad/s] that a period of 5 ms can follow.
+SLOW = dehyst.Dynamics(2 * np.pi * 12, 0.4, 2e6)
+
+
+def _all_parts(**more):
+    return replace(structured_records.plant(structured_records.STRUCTURES["all"]).actuator, name="every part", **more)
+
+
+def compensators():
+    """Plain; without time; all parts with creep; those with a mass and a lag as well; the same looking ahead."""
+    heavy = _all_parts(dynamics=SLOW, lag=2e-3)
+    plain = replace(plain_records.plant(10, seed=4), name="plain")
+    limits = 30.0, 160.0
+    return {
+        "plain": dehyst.Compensator(plain, limits, 4e3, period=PERIOD),
+        "timeless": dehyst.Compensator(plain, limits),
+        "creep": dehyst.Compensator(_all_parts(), limits, 4e3, period=PERIOD),
+        "mass": dehyst.Compensator(heavy, limits, 4e3, period=PERIOD),
+        "preview": dehyst.Compensator(replace(heavy, delay=7e-3), limits, period=PERIOD, preview=True),
+    }
+
+
+def wanted(seed=1, size=400):
+    """A path [m] of ramps, rests and steps that leaves what the limits allow on both sides."""
+    rng = np.random.default_rng(seed)
+    at = np.sort(rng.choice(np.arange(1, size - 1), 14, replace=False))
+    y = np.interp(np.arange(size), [0, *at, size], rng.uniform(-0.1, 1.1, 16))
+    return plain_records.STROKE * (y + 0.02 * rng.normal(size=size) * (np.arange(size) % 100 < 50))
+
+
+def voltages(compensator, path):
+    """Python's, begun where an FMU begins."""
+    fresh = compensator.afresh()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", dehyst.ClampWarning)
+        return fresh.run(path), fresh.clamps
+
+
+ALL = compensators()
+MODELS = tuple(ALL)
+PATH = wanted()
+
+
+def actuator_voltages(model):
+    """Any but too fast: a random path, and beyond the limits."""
+    return np.clip(PATH / plain_records.STROKE, -0.2, 1.2) * 150 + 10
+
+
+def displacements(model, volts, start=None):
+    """Of `Actuator.simulate`, from the start state on."""
+    compensator = ALL[model]
+    actuator, start = compensator.actuator, compensator.asked_start if start is None else start
+    given = np.append(actuator.voltage(start), volts)
+    time = np.arange(given.size) * PERIOD if compensator.period else None
+    return actuator.simulate(given, time=time, state=start).displacement[1:]
+
+
+class Slave:
+    """One instance; `said` is what it has logged: category and message."""
+
+    def __init__(self, folder, *, token=None, logging=True, begin=True):
+        self.description = fmpy.read_model_description(folder)
+        self.second = self.description.fmiVersion == "2.0"
+        self.said = []
+        options = {
+            "guid": token or self.description.guid,
+            "unzipDirectory": str(folder),
+            "modelIdentifier": self.description.coSimulation.modelIdentifier,
+            "instanceName": "one",
+        }
+        if self.second:
+            from fmpy import fmi2
+
+            self.fmu = fmi2.FMU2Slave(**options)
+            # A logger of no number of arguments is called as one of five.
+            logger = fmi2.fmi2CallbackLoggerTYPE(lambda _, name, status, category, text: self._hear(category, text))
+            self.fmu.instantiate(callbacks=fmi2.fmi2CallbackFunctions(logger=logger), loggingOn=logging)
+            self.read, self.write, self.count = self.fmu.getReal, self.fmu.setReal, self.fmu.getInteger
+        else:
+            from fmpy.fmi3 import FMU3Slave
+
+            self.fmu = FMU3Slave(**options)
+            self.fmu.instantiate(
+                logMessage=lambda _, status, category, text: self._hear(category, text), loggingOn=logging
+            )
+            self.read, self.write, self.count = self.fmu.getFloat64, self.fmu.setFloat64, self.fmu.getUInt64
+        if begin:
+            self.begin()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.fmu.freeInstance()
+
+    def _hear(self, category, text):
+        self.said.append((category.decode(), text.decode()))
+
+    def begin(self, start=0.0):
+        self.time = start
+        if self.second:
+            self.fmu.setupExperiment(startTime=start)
+            self.fmu.enterInitializationMode()
+        else:
+            self.fmu.enterInitializationMode(startTime=start)
+        self.fmu.exitInitializationMode()
+
+    def step(self, value=None, by=PERIOD):
+        """Output after a step with this input."""
+        if value is not None:
+            self.write([INPUT], [value])
+        self.fmu.doStep(currentCommunicationPoint=self.time, communicationStepSize=by)
+        self.time += by
+        return self.read([OUTPUT])[0]
+
+    def run(self, values):
+        return np.array([self.step(float(value)) for value in values])
+
+    def counts(self):
+        return tuple(self.count([LIMITED, SLEWED]))
+
+    def state(self):
+        """Serialised; what was allocated for it is free again."""
+        state = self.fmu.getFMUState()
+        data = self.fmu.serializeFMUState(state)
+        self.fmu.freeFMUState(state)
+        return data
+
+    def restore(self, data):
+        state = self.fmu.deserializeFMUState(data)
+        self.fmu.setFMUState(state)
+        self.fmu.freeFMUState(state)

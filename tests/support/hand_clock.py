@@ -1,0 +1,14 @@
+"""A clock that a test sets."""
+
+
+class Hand:
+    """A clock that is set by hand."""
+
+    def __init__(self):
+        self.time = 0.0
+
+    def __call__(self):
+        return self.time
+
+    def wait(self, seconds):
+        self.time += seconds

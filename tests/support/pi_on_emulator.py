@@ -1,0 +1,60 @@
+"""PI rigs on the emulated controller, for the contract of rigs: in this process, and over a socket."""
+
+from contextlib import contextmanager
+
+from fake_gcs import Clock
+from faulty_link import PipeLink, QuickRig
+
+from dehyst.instruments.pi import PiRig
+from dehyst.virtual import PlayActuator, VirtualBench
+from dehyst.virtual.emulator import Controller, Server
+
+LOW, HIGH = -20.0, 100.0
+
+
+class Locked:
+    """An instrument that a server looks after at the same time."""
+
+    def __init__(self, instrument, lock):
+        self.__dict__.update(instrument=instrument, lock=lock)
+
+    def __getattr__(self, name):
+        with self.lock:
+            return getattr(self.instrument, name)
+
+    def __setattr__(self, name, value):
+        with self.lock:
+            setattr(self.instrument, name, value)
+
+
+def _instrument(longest, **options):
+    # A controller divides its recorder between two tables.
+    return VirtualBench(
+        PlayActuator(highest=HIGH, noise=1e-10),
+        limits=(LOW, HIGH),
+        wave_points=longest,
+        record_points=2 * longest,
+        **options,
+    )
+
+
+@contextmanager
+def by_pipe(longest=65536, **options):
+    """Open a PI controller in this process, in a time of its own."""
+    clock = Clock()
+    instrument = _instrument(longest, clock=clock)
+    controller = Controller(instrument)
+    controller.clock = clock
+    with QuickRig(PipeLink(controller), **options) as rig:
+        yield rig, instrument
+
+
+@contextmanager
+def by_tcp(longest=65536, **options):
+    """Open a PI controller over a socket, in time twice as fast."""
+    instrument = _instrument(longest, speed=2.0)
+    with (
+        Server(Controller(instrument), port=0) as server,
+        PiRig.connect("127.0.0.1", server.port, **options) as rig,
+    ):
+        yield rig, Locked(instrument, server.lock)

@@ -1,0 +1,10 @@
+"""Folders of the repository, and the measured data beside it."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+BENCHMARKS, CORE, DOCS, EXAMPLES = (ROOT / name for name in ("benchmarks", "core", "docs", "examples"))
+SOURCES = ROOT / "src" / "dehyst"
+TESTS = ROOT / "tests"
+FUZZ, SUPPORT = TESTS / "fuzz", TESTS / "support"
+DATA = ROOT.parent / "shared" / "data" / "p885"

@@ -1,0 +1,162 @@
+"""Virtual actuators of wider structures, and records of them that are exact to rounding.
+
+The parts lie where `Structure.grid` would put them for their own record, so that found and true coefficients can be
+compared one by one.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import plain_records
+
+from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
+from dehyst.identification.dynamics_search import SensedDynamics
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.identification.preprocessing.regressors import collect
+from dehyst.identification.regression.coefficients import coefficients_of
+from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.identification.training_data import TrainingData
+from dehyst.model import SmoothSlip, Structure
+from dehyst.model.structure import Grid
+
+SLOPE = plain_records.VOLTS / plain_records.STROKE
+FLOOR = 0.1 * SLOPE
+RATE = 200.0
+
+
+def wandering(legs=70, seed=5, samples=30, hold=0):
+    """A path [m]: major loops, then legs between random turning points, each followed by a hold of some samples."""
+    rng = np.random.default_rng(seed)
+    turns = [1.0, 0.0, 1.0, 0.0, 1.0]
+    for k in range(legs):
+        share = rng.uniform(0.2, 1.0)
+        turns.append(turns[-1] + share * ((0.02 if k % 2 == 0 else 0.98) - turns[-1]))
+    path = plain_records.path([*turns, 0.0], samples)
+    if not hold:
+        return path
+    parts = np.split(path[1:], np.arange(samples, path.size - 1, samples))
+    return np.concatenate([path[:1], *(np.append(part, np.full(hold, part[-1])) for part in parts)])
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """An actuator, the path that it is taken along, the state in which it begins, and the grid of its parts."""
+
+    actuator: Actuator
+    path: np.ndarray
+    state: State
+    grid: Grid
+
+    @property
+    def time(self):
+        return np.arange(self.path.size) / RATE
+
+    def record(self, *, state=None, noise=0.0, seed=0, name="made"):
+        """Voltages by `Actuator.compensate`, the path with the sensor's noise."""
+        start = self.state if state is None else state
+        motion = self.actuator.compensate(self.path, time=self.time, state=start)
+        sensed = self.path + noise * np.random.default_rng(seed).normal(size=self.path.size)
+        return Record(self.time, motion.voltage, sensed, name)
+
+    def coefficients(self, regression):
+        """The true ones, with the constant of every epoch."""
+        base = float(self.actuator.spring.voltage[0])
+        return replace(coefficients_of(self.actuator), offsets=dict.fromkeys(np.unique(regression.rows.epoch), base))
+
+
+def plant(structure, seed=0, path=None):
+    """An actuator of a structure; every branch rises by a fifth of the mean slope at least."""
+    rng = np.random.default_rng([seed, 7])
+    y = wandering() if path is None else path
+    times = 1 / RATE, (y.size - 1) / RATE
+    grid = structure.grid((0.0, plain_records.STROKE), (0.0, plain_records.VOLTS), times)
+    parts = {"slip": _slip(grid, rng), "spring": _spring(grid, rng)}
+    if structure.creep:
+        parts["creep"] = Creep(grid.time_constants, 0.1 * SLOPE * rng.uniform(0.2, 1, structure.creep))
+    if structure.smooth:
+        share = 0.05 * plain_records.VOLTS * rng.uniform(0.2, 1, grid.lengths.size)
+        parts["smooth"] = SmoothSlip(grid.lengths, grid.closings, share / grid.lengths / grid.lengths.size)
+    actuator = Actuator(**parts)
+    # Smooth elements begin at none, as the regression takes them to; what they forget would take many cycles.
+    state = replace(actuator.turned(float(y[0])), smooth=np.zeros(grid.lengths.size))
+    if structure.transformer:
+        drive = actuator.compensate(y, time=np.arange(y.size) / RATE, state=state).voltage
+        ends = float(drive.min()), float(drive.max())
+        grid = structure.grid((0.0, plain_records.STROKE), ends, times)
+        actuator = replace(actuator, transformer=_transformer(grid, rng), state=state)
+    return Plant(actuator, y, state, grid)
+
+
+def _slip(grid, rng):
+    n = grid.breakaway.size
+    kappa = rng.uniform(0.3, 1.5, n) * np.exp(-np.arange(n) / n) * grid.movable
+    kappa *= 0.3 * plain_records.VOLTS / max(2 * float(kappa @ grid.breakaway), 1e-9)
+    if grid.segments == 1:
+        return MaxwellSlip(grid.breakaway, kappa)
+    return GradedSlip(grid.breakaway, grid.grades, kappa[:, None] * rng.uniform(0.8, 1.0, (n, grid.segments)))
+
+
+def _spring(grid, rng):
+    slopes = SLOPE * rng.uniform(0.55, 0.85, grid.knots.size - 1)
+    return Spring.of_slopes(grid.knots, slopes, 0.15 * plain_records.VOLTS)
+
+
+def _transformer(grid, rng):
+    rises = np.diff(grid.drive) * rng.uniform(0.7, 1.4, grid.drive.size - 1)
+    rises *= np.ptp(grid.drive) / rises.sum()
+    return Transformer(grid.drive, grid.drive[0] + np.append(0, np.cumsum(rises)))
+
+
+def moved_along(grid, piece, lead):
+    """What `dehyst.identification.preprocessing.internal_states.Beside` is, in one piece."""
+    creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
+    smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
+    time, y = piece.time, piece.displacement
+    if lead is not None and lead.time[-1] < time[0] <= lead.time[-1] + 1.5 * lead.sample_time:
+        time, y = np.concatenate([lead.time, time]), np.concatenate([lead.displacement, y])
+    columns = [np.zeros((time.size, 0))]
+    if len(creep):
+        columns.append(creep.strains(time, y))
+    if len(smooth):
+        columns.append(smooth.elongations(y))
+    if len(creep):
+        columns.append(np.exp(-(time[:, None] - time[0]) / grid.time_constants))
+    return np.hstack(columns)[-len(piece) :]
+
+
+def regression(grid, records, *, leads=(), **options):
+    """The rows of records as they are: no smoothing, no search for anything."""
+    leads = leads or [None] * len(records)
+    pieces = [(q, one, np.zeros(len(one))) for q, one in enumerate(records)]
+    rows, _ = collect(
+        pieces, grid.breakaway, [0.0] * len(pieces), moved=lambda q, piece: moved_along(grid, piece, leads[q])
+    )
+    return WideRegression(rows, grid, FLOOR, np.zeros(len(pieces)), **options)
+
+
+def _rough(**parts):
+    """A structure whose neighbours may be as unlike as a random actuator's are: only so is that one met exactly."""
+    return Structure(smoothing=0.0, **parts)
+
+
+STRUCTURES = {
+    "plain": _rough(elements=8, knots=7),
+    "dense": _rough(elements=10, spacing=2.0, knots=7),
+    "graded": _rough(elements=6, grades=3, knots=7),
+    "transformer": _rough(elements=8, knots=7, transformer=6),
+    "creep": _rough(elements=8, knots=7, creep=4),
+    "smooth": _rough(elements=8, knots=7, smooth=True),
+    "graded, transformer": _rough(elements=6, grades=3, knots=7, transformer=5),
+    "all": _rough(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True),
+}
+
+
+def frame(records, delay=0.0):
+    """What an identification of these records shares, their sensors never zeroed anew."""
+    training = [prepare(one) for one in records]
+    spans = [item.span() for item in training]
+    span = max(spans, key=lambda ends: ends[1] - ends[0])
+    volts = [one.voltage_range for one in records]
+    ends = min(low for low, _ in volts), max(high for _, high in volts)
+    floor = 0.2 * (ends[1] - ends[0]) / (span[1] - span[0])
+    return TrainingData(training, SensedDynamics(delay, 0.0, 0.0), span, ends, floor, np.zeros(len(records)))

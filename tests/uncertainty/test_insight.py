@@ -1,0 +1,175 @@
+"""What `insight` says holds: intervals cover, no truth is contradicted, advice closes, a trap is caught."""
+
+import json
+
+import numpy as np
+import plain_records
+import pytest
+
+import dehyst
+from dehyst import Outcome, Record
+from dehyst._io.json_files import finite
+from dehyst.identification.diagnostics.identifiability import identifiability
+from dehyst.identification.preprocessing.regressors import collect
+from dehyst.identification.regression.regression import Regression
+from dehyst.uncertainty import insight
+from dehyst.uncertainty.evidence import Evidence
+from dehyst.uncertainty.experiment_design import advise
+from dehyst.uncertainty.feasible_set import feasible_set
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, raised_cosine
+
+PLANT = plain_records.plant(10, seed=2)
+MAJOR = (1, 0, 1, 0)
+TABLE = [
+    (MAJOR, 5),
+    ((*MAJOR, 0.3, 0, 0.3, 0), 6),
+    ((*MAJOR, 0.5, 0, 0.5, 0), 7),
+    ((*MAJOR, 0.7, 0, 0.7, 0), 8),
+    ((*MAJOR, 0.3, 0, 0.3, 0, 0.5, 0, 0.5, 0), 8),
+    (plain_records.THREE_LOOPS, 9),
+    ((1, 0, 1, 0, 0.6, 0, 0.6, 0, 0.35, 0, 0.35, 0), 9),
+    ((*MAJOR, 0.65, 0.35, 0.65, 0.35), 9),
+    (plain_records.DESCENDING_TOPS, 9),
+    (plain_records.REVERSAL_CURVES, 9),
+    ((0, 1, 0, 1, 0), 10),
+]
+
+
+def told(turns, plant=PLANT, relaxed=False):
+    record, rho = plain_records.loops(plant, turns), plant.slip.breakaway
+    rows, _ = collect([(0, record, np.zeros(len(record)))], rho, [0.0])
+    regression = Regression(rows, plant.spring.displacement, 1.0, np.ones(rho.size, dtype=bool), np.zeros(1))
+    return identifiability([record], rho, regression, relaxed=(0,) if relaxed else ())
+
+
+@pytest.mark.parametrize(("turns", "determined"), TABLE)
+def test_the_table_of_identifiability_to_the_digit(turns, determined):
+    found = told(turns, relaxed=determined == 10)
+    assert (found.determined, found.of) == (determined, 10)
+    # Between what is known and what is not lie twelve decades, not a matter of taste.
+    if determined < 10:
+        assert found.values[determined] < 1e-12 * found.values[determined - 1]
+
+
+@pytest.mark.parametrize("elements", [2, 3, 7, 10, 20])
+def test_the_major_loop_tells_half_of_the_directions(elements):
+    assert told(MAJOR, plain_records.plant(elements)).determined == elements // 2
+
+
+def test_open_directions_are_said_in_words():
+    assert told(MAJOR).sentences() == (
+        "k_1 + k_9 is known, k_1 - k_9 is not.",
+        "k_2 + k_8 is known, k_2 - k_8 is not.",
+        "k_3 + k_7 is known, k_3 - k_7 is not.",
+        "k_4 + k_6 is known, k_4 - k_6 is not.",
+        "k_10 is not known.",
+        "Known by themselves: k_5.",
+    )
+
+
+def test_what_is_known_by_itself():
+    assert np.flatnonzero(told(MAJOR).alone).tolist() == [4]
+    assert np.flatnonzero(told(plain_records.DESCENDING_TOPS).alone).tolist() == list(range(9))
+    assert told((0, 1, 0, 1, 0), relaxed=True).alone.all()
+
+
+def hidden(change, turns):
+    """What is left of the voltages of a change of stiffnesses when spring and constant have taken what they can [V]."""
+    y = plain_records.path(turns)
+    first = PLANT.turned(float(y[0]))
+    from dehyst._native import slip_elongations
+    from dehyst.model.elements import parts_in_segments
+
+    elongation, _ = slip_elongations(PLANT.slip.breakaway, first.carts, y)
+    others = np.column_stack([parts_in_segments(PLANT.spring.displacement, y), np.ones(y.size)])
+    volts = elongation @ change
+    return volts - others @ np.linalg.lstsq(others, volts, rcond=None)[0]
+
+
+@pytest.mark.parametrize("turns", [turns for turns, determined in TABLE if determined < 9])
+def test_open_changes_do_not_show_on_the_record_but_elsewhere(turns):
+    found = told(turns)
+    for change in found.open:
+        volts = 1e6 * change
+        assert np.abs(hidden(volts, turns)).max() < 1e-9 * plain_records.VOLTS
+        if not change[-1]:
+            assert np.abs(hidden(volts, plain_records.DESCENDING_TOPS)).max() > 1e-3
+    # What is known is orthogonal to all that may change.
+    for combination in found.known:
+        assert all(abs(combination @ change) < 1e-9 for change in found.open)
+
+
+@pytest.mark.parametrize("noise", [0.0, 2e-9])
+def test_the_truth_is_not_contradicted(noise):
+    record = plain_records.loops(PLANT, MAJOR * 2, noise=noise)
+    actuator = dehyst.identify(record, elements=10, delay=0.0).actuator
+    found = feasible_set(Evidence.of(actuator, record))
+    slack = 1e-6 * PLANT.slip.stiffness.max() if not noise else 0.05 * PLANT.slip.stiffness.max()
+    assert np.all(found.stiffness[0][:9] <= PLANT.slip.stiffness[:9] + slack)
+    assert np.all(PLANT.slip.stiffness[:9] - slack <= found.stiffness[1][:9])
+    assert np.ptp(found.stiffness, axis=0)[0] > 0.1 * PLANT.slip.stiffness[0]
+
+
+def test_what_is_determined_has_no_latitude():
+    record = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS)
+    actuator = dehyst.identify(record, elements=10, delay=0.0).actuator
+    found = feasible_set(Evidence.of(actuator, record))
+    assert np.ptp(found.stiffness, axis=0).max() < 1e-3 * PLANT.slip.stiffness.max()
+
+
+def test_the_first_advice_closes_what_is_open():
+    major = plain_records.loops(PLANT, MAJOR * 2)
+    fit = dehyst.identify(major, elements=10, delay=0.0)
+    assert fit.outcome is Outcome.UNDETERMINED
+    advice = advise(Evidence.of(fit.actuator, major))
+    best = advice[0]
+    assert (best.determined, best.of) == (9, 9)
+    voltage = best.excitation.voltage
+    added = plain_records.driven(PLANT, voltage, name="added", state=PLANT.turned(0.0, rising=False))
+    again = dehyst.identify([major, added], elements=10, delay=0.0, shared_datum=True)
+    assert again.outcome is Outcome.IDENTIFIED
+    assert plain_records.stiffness_error(again.actuator, PLANT) < 1e-6
+    assert all(one.seconds <= 7 for one in advise(Evidence.of(fit.actuator, major), seconds=7.0))
+    assert all(
+        one.excitation.voltage_range[1] <= 120 for one in advise(Evidence.of(fit.actuator, major), limits=(0, 120))
+    )
+    assert advise(Evidence.of(again.actuator, [major, added])) == ()
+
+
+def trapped(truth, cycles):
+    drive = Sampling(sample_rate=4.0)
+    made = raised_cosine([truth.highest], cycles=cycles, drive=drive)
+    return Record(made.time, made.voltage, truth.drive(made.voltage), "major")
+
+
+@pytest.mark.parametrize("noise", [0.0, 2e-9])
+def test_the_newcomers_trap_is_caught(noise):
+    truth = PlayActuator(noise=noise)
+    record = trapped(truth, 3)
+    fit = dehyst.identify(record)
+    assert fit.outcome is Outcome.UNDETERMINED
+    assert fit.actuator.delay == 0.0  # the loop's shape is no delay
+    turns = np.array([0.9, 0.02, 0.4, 0.02, 0.6, 0.2, 0.45])
+    wanted = truth.stroke * np.interp(np.arange(0, 6.01, 0.02), np.arange(7), turns)
+    found = insight(fit.actuator, record, trajectory=wanted, repeats=20)
+    assert "directions of the stiffnesses are open" in found.warnings()[0]
+    truth.drive([0.0, truth.highest, 0.0, truth.highest], measured=False)
+    reached = truth.drive(found.band.voltage, measured=False)
+    # The sensor read zero at the record's first sample, where the truth was relaxed and not at its own zero.
+    assert np.all(found.band.lowest <= reached)
+    assert np.all(reached <= found.band.highest)
+    assert found.band.errors()["open"] > 2 * found.band.errors()["misfit"]
+    json.dumps(finite(found.as_dict()), allow_nan=False)
+
+
+def test_without_repeats_there_are_no_intervals():
+    record = plain_records.loops(PLANT, plain_records.THREE_LOOPS)
+    actuator = dehyst.identify(record, elements=10, delay=0.0).actuator
+    found = insight(actuator, record, repeats=0)
+    assert found.stiffness is None
+    assert found.trustworthy
+    assert found.warnings() == ()
+    assert found.homing.certified
+    with pytest.raises(dehyst.ModelError, match="got 0 and a trajectory"):
+        insight(actuator, record, trajectory=[1e-6, 2e-6], repeats=0)

@@ -1,0 +1,133 @@
+"""Every fault of a bench, with real processes: what is said, what is kept, and where the voltage is left.
+
+The faults are those of `benchmarks/faults.py`; each test looks at one of them.
+"""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import faults
+import pytest
+
+# The emulated controller's limits [V], and the slew rate that a rig keeps which nobody gave one [V/s].
+LIMITS, SLEW = (0.0, 200.0), 2000.0
+GOES_ON = r"what was recorded is in \S+/records; the same command goes on from there"
+SAFE = r"The voltage was brought to 0 V\."
+LOST = r"The voltage could not be brought to 0 V.*: the device holds, or plays to its end, what it has; see to it"
+
+# Exit status, and what is said, line by line.
+SAID = {
+    "nobody": (1, r"127.0.0.1:\d+: refused the connection; is the controller on, and \d+ its port"),
+    "unknown": (1, r"no-such-host.invalid:50000: host 'no-such-host.invalid' is not known; check its name"),
+    "web": (1, r"127.0.0.1:\d+: a web server answers \(.*\); PI's port is 50000"),
+    "taken": (1, r"127.0.0.1:\d+: sent '\*IDN\?', got nothing: .*; is it a GCS controller, and no other client conn"),
+    "drop": (1, r"127.0.0.1:\d+: sent '.*', got .*(closed the connection|the connection was lost)", SAFE, GOES_ON),
+    "refuse": (1, r"127.0.0.1:\d+: sent '.*', got .*(closed|lost)", LOST, GOES_ON),
+    "silence": (1, r"127.0.0.1:\d+: sent '.*', got nothing in 5 s, need an answer", LOST, GOES_ON),
+    "garble": (1, r"127.0.0.1:\d+: sent '.*', got .*need", SAFE, GOES_ON),
+    "truncate": (1, r"127.0.0.1:\d+: sent '.*', got .* in 5 s, need an answer", SAFE, GOES_ON),
+    "error": (1, r".*127.0.0.1:\d+: error 215: the cable between controller and stage may be broken", SAFE, GOES_ON),
+    "stall": (1, r".*: no new sample for [\d.]+ s, \d+ of 4291 came; check the data recorder", SAFE, GOES_ON),
+    "narrow": (1, r".*: error 302: the voltage is out of its limits; .*ask for less .*--limits", SAFE),
+    "beyond": (2, r"beyond: 0 to 250 V, but .* may have 0 to 200 V; ask for less, .*; nothing was sent"),
+    "wide": (0, r"-50 to 300 V was given, the device allows 0 to 200 V"),
+    "astray": (1, r".*: stands at 150 V, but 0 to 100 V is allowed; bring it there by hand, or widen the limits", LOST),
+    "servo": (1, r".*: its servo was on and is switched off", r".*(closed|lost)", SAFE, GOES_ON),
+    "playing": (130, r"stopped by Ctrl-C", SAFE, GOES_ON),
+    "saturate": (1, r"the sensor hangs or is saturated: it stays at \S+ um while .* V; shift its range", SAFE, GOES_ON),
+    "unplug": (1, r"the sensor hangs or is saturated: it stays at 0 um while .*, or look at its cable", SAFE, GOES_ON),
+    "dead": (1, r"the sensor does not move: it stays at 0 um while .*; is it plugged in", SAFE, GOES_ON),
+    "interrupt": (130, r"stopped by Ctrl-C", SAFE, GOES_ON),
+    "impatient": (130, r"stopped by Ctrl-C", SAFE, GOES_ON),
+    "terminate": (143, r"stopped by SIGTERM", SAFE, GOES_ON),
+    "hang-up": (129, r"stopped by SIGHUP", SAFE, GOES_ON),
+    "deaf": (0,),
+    "kill": (-signal.SIGKILL,),
+    "full": (2, r"\S+/look.h5.part.csv: cannot be written \(File too large\); make room there", SAFE, GOES_ON),
+    "file": (2, r"\S+: cannot be made a folder \(Not a directory\); give another one with -o"),
+}
+NO_ROOM = r"\S+/look.h5: cannot be written .* The first \d+ of \d+ samples are in \S+/look.h5.part.csv"
+# Nobody spoke to the controller, or nothing was sent; or it was not dehyst that left it where it is.
+SILENT = ("taken", "beyond", "file", "narrow")
+ELSEWHERE = {"astray": 150.0}
+# Those who cannot count what came: some was under way, or had no room.
+UNCOUNTED = ("kill", "full")
+
+
+@pytest.fixture(scope="module")
+def rehearsed(request):
+    """Each fault that is asked for, rehearsed while others wait for answers that do not come."""
+    asked = [
+        item.callspec.params["name"]
+        for item in request.session.items
+        if item.path == request.path and "rehearsed" in item.fixturenames
+    ]
+    cases = {case.name: case for case in faults.CASES}
+    with ThreadPoolExecutor(4) as pool:
+        yield {name: pool.submit(faults.rehearse, cases[name]) for name in asked}
+
+
+def test_the_page_tells_these_faults():
+    check = [sys.executable, str(Path(faults.__file__).with_name("safety_page.py")), "--check"]
+    assert subprocess.run(check, check=False).returncode == 0, "run faults.py, then safety_page.py, in benchmarks"
+    told = json.loads(Path(faults.__file__).with_name("faults.json").read_text())
+    assert {name: one["words"] for name, one in told.items()} == {case.name: case.words for case in faults.CASES}
+    assert {name: one["status"] for name, one in told.items()} == {name: said[0] for name, said in SAID.items()}
+
+
+def test_each_fault_is_looked_at():
+    assert {case.name for case in faults.CASES} == set(SAID)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(SAID))
+def test_a_fault(rehearsed, name):
+    found = rehearsed[name].result()
+    status, *said = SAID[name]
+    told = "\n".join(found.said)
+    if name == "full":
+        # The record itself is smaller than its journal: there may be room for all that came, or not.
+        found.said[:] = [line for line in found.said if not re.match(NO_ROOM, line)]
+    if not found.on_disk and GOES_ON in said:
+        # On a busy machine the fault may come before the first sample does: then there is nothing to go on from.
+        said.remove(GOES_ON)
+    assert "Traceback" not in told and 'File "' not in told
+    assert found.status == status, told
+    assert len(found.said) == len(said), told
+    for line, pattern in zip(found.said, said, strict=True):
+        assert re.match(pattern, line), told
+    assert found.left == []
+    if found.put_out is not None:
+        _look_at_voltages(name, found.put_out)
+        _look_at_samples(name, found)
+    if found.again is not None:
+        assert found.again.status == 0, found.again.said
+        assert found.again.on_disk > found.again.came > 20_000
+
+
+def _look_at_voltages(name, put):
+    """Within the limits, as the emulator saw them; no steeper than allowed; left at a safe voltage."""
+    assert LIMITS[0] <= put.lowest <= put.highest <= LIMITS[1]
+    assert put.now == ELSEWHERE.get(name, 0.0)
+    if name not in ELSEWHERE and name != "servo":
+        assert put.steepest <= SLEW
+    if name in SILENT:
+        assert put.highest == 0
+    assert put.refused == (name == "narrow")
+
+
+def _look_at_samples(name, found):
+    """All that the emulator told are on disk."""
+    if name in UNCOUNTED:
+        assert found.came > 500
+        assert found.on_disk >= found.came
+        return
+    # What came last was written before it was counted.
+    assert found.came is None or found.came <= found.on_disk
+    assert found.on_disk == found.put_out.told
+    assert (found.on_disk > 0) == (name not in SILENT and name not in ELSEWHERE)

@@ -1,0 +1,284 @@
+"""An emulated controller's GCS 2.0: answers, framing, errors that stay until they are asked for."""
+
+import numpy as np
+import pytest
+from hand_clock import Hand
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dehyst.virtual import PlayActuator, VirtualBench
+from dehyst.virtual.emulator import Controller
+from dehyst.virtual.emulator.gcs_controller import _WORDS
+
+
+@pytest.fixture
+def hand():
+    return Hand()
+
+
+@pytest.fixture
+def controller(hand):
+    return made(hand)
+
+
+def made(hand, **options):
+    return Controller(VirtualBench(PlayActuator(plays=20, noise=0), clock=hand, limits=(-20, 120), **options))
+
+
+def error_after(controller, *lines):
+    for line in lines:
+        assert controller.answer(line) is None
+    return int(controller.answer("ERR?"))
+
+
+def wave(controller, *values):
+    return error_after(controller, f"WAV 1 X PNT 1 {len(values)} {' '.join(map(str, values))}")
+
+
+def test_it_tells_what_it_is(controller):
+    assert controller.answer("*idn?").startswith("dehyst,emulated piezo controller,")
+    assert controller.answer("CSV?") == "2.0\n"
+    assert controller.answer("SAI?") == controller.answer("SAI? ALL") == "1\n"
+    assert controller.answer("CST? 1") == "1=DEHYST\n"
+    assert controller.answer("VMI? 1") == "1=-20\n"
+    assert controller.answer("VMA? 1") == "1=120\n"
+    assert controller.answer("TMX? 1") == "1=16.152\n"
+    assert controller.answer("TNR?") == "2\n"
+
+
+def test_all_lines_but_the_last_end_with_a_space(controller):
+    for query in ("HLP?", "HDR?", "HPA?", "VER?", "SPA?", "DRC?", "WAV?"):
+        lines = controller.answer(query).split("\n")
+        assert lines[-1] == ""
+        assert all(line.endswith(" ") for line in lines[:-2])
+        assert not lines[-2].endswith(" ")
+
+
+def test_help_lists_every_command(controller):
+    assert set(_WORDS) == set(controller._does) | set(controller._asks)
+    listed = {line.split()[0] for line in controller.answer("HLP?").splitlines()[1:-1]}
+    assert listed == {"#5", "#7", "#9", "#24", *_WORDS}
+
+
+def test_an_unknown_query_has_no_answer_and_its_error_stays_until_asked_for(controller):
+    assert controller.answer("FOO?") is None
+    assert controller.answer("VOL?") == "1=0\n"
+    assert controller.answer("ERR?") == "2\n"
+    assert controller.answer("ERR?") == "0\n"
+    assert controller.answer("") is None
+    assert controller.answer("ERR?") == "0\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "error"),
+    [
+        ("SVA 1 130", 302),
+        ("SVA 1 nan", 25),
+        ("SVA 1 inf", 25),
+        ("SVA 1 1_0", 25),
+        ("SVA 1 1,5", 25),
+        ("SVA 1", 26),
+        ("SVA 1 2 3", 24),
+        ("SVA 2 5", 15),
+        ("SVR 1 -21", 302),
+        ("MOV 1 5", 5),
+        ("WGO 1 1", 75),
+        ("WAV 9 X PNT 1 1 0", 17),
+        ("WAV 1 X PNT 1 3 0 1", 26),
+        ("WAV 1 X PNT 1 1 0 1", 24),
+        ("WAV 1 X PNT 1 1 121", 302),
+        ("WAV 1 X NOSE 1 1", 17),
+        ("WAV 1", 26),
+        ("DRC 3 1 2", 57),
+        ("DRC 1 1 99", 58),
+        ("DRC 1 B 2", 15),
+        ("RTR 0", 17),
+        ("SVO 1 2", 17),
+        ("STP", 10),
+        ("HLT 1", 10),
+        ("HLT 7", 15),
+        ("WAV 1 X SIN_P 10 5 0 10 0 0", 17),
+        ("WTR 1 0 1", 17),
+        ("WSL 1 9", 17),
+        ("x" * 70000, 3),
+    ],
+)
+def test_what_cannot_be_done_is_refused_by_number_and_nothing_put_out(controller, line, error):
+    assert error_after(controller, line) == error
+    assert controller.instrument.log.highest == controller.instrument.log.lowest == 0
+
+
+@pytest.mark.parametrize(
+    ("query", "error"), [("SPA? 1 0x99", 54), ("DRR? 1 5", 77), ("VOL? 3", 15), ("WAV? 1 2", 17), ("CSV? 1", 24)]
+)
+def test_a_query_that_cannot_be_answered_is_refused(controller, query, error):
+    assert error_after(controller, query) == error
+
+
+def test_voltages_are_set_and_read(controller, hand):
+    assert error_after(controller, "SVA 1 12.5", "SVR 1 -2.5") == 0
+    assert controller.answer("SVA?") == "1=10\n"
+    assert controller.answer("VOL? 1") == "1=10\n"
+    position = float(controller.answer("POS? 1").split("=")[1])
+    assert position == pytest.approx(1e6 * controller.instrument.displacement(), rel=1e-11)
+    hand.wait(2)
+    assert controller.answer("TIM?") == "2000\n"
+
+
+def test_an_amplifier_with_a_slew_rate_tells_it_and_moves_at_it(hand):
+    controller = made(hand, slew_rate=100.0)
+    number = next(line for line in controller.answer("HPA?").splitlines() if "Slew" in line).split("=")[0]
+    assert controller.answer(f"SPA? 1 {number}") == f"1 {number}=100\n"
+    controller.answer("SVA 1 50")
+    hand.wait(0.25)
+    assert controller.answer("SVA?") == "1=50\n"
+    assert controller.answer("VOL?") == "1=25\n"
+    assert controller.single(5) == "1\n"
+    hand.wait(0.26)
+    assert controller.single(5) == "0\n"
+
+
+def test_the_servo_moves_in_micrometres(controller, hand):
+    assert error_after(controller, "SVO 1 1", "MOV 1 4") == 0
+    assert controller.answer("ONT?") == "1=0\n"
+    hand.wait(1)
+    assert controller.answer("ONT?") == "1=1\n"
+    assert float(controller.answer("POS?").split("=")[1]) == pytest.approx(4, abs=0.02)
+    assert error_after(controller, "MVR 1 0.5") == 0
+    assert float(controller.answer("MOV?").split("=")[1]) == pytest.approx(4.5)
+    assert error_after(controller, "MOV 1 17") == 7
+    assert error_after(controller, "SVA 1 0") == 79
+    assert wave(controller, 1, 2) == 0
+    assert error_after(controller, "WSL 1 1", "WGO 1 1") == 303
+
+
+def test_a_wave_is_played_and_its_record_read_in_the_array_of_gcs(controller, hand):
+    values = np.round(30 + 20 * np.sin(np.arange(200) / 20), 6)
+    assert wave(controller, *values[:150]) == 0
+    rest = " ".join(map(str, values[150:]))
+    lines = (f"WAV 1 & PNT 1 50 {rest}", "WSL 1 1", "WGC 1 1", "WTR 1 20 0", "RTR 20", "DRC 1 1 2", "DRC 2 1 16")
+    assert error_after(controller, *lines, "DRT 0 1 0") == 0
+    assert controller.answer("WAV? 1 1") == "1 1=200\n"
+    assert error_after(controller, "WGO 1 1") == 0
+    hand.wait(0.0995)
+    assert controller.answer("WGO?") == "1=1\n"
+    assert controller.single(9) == "1\n"
+    assert controller.answer("DRL?") == "1=100 \n2=100\n"
+    assert error_after(controller, "SVA 1 3") == 73
+    assert error_after(controller, "WAV 1 X PNT 1 1 0") == 73
+    assert "# NDATA = 100 \n" in controller.answer("DRR? 1 200")
+    hand.wait(1)
+    assert controller.answer("WGO?") == "1=0\n"
+    header, rows = controller.answer("DRR? 1 200 1 2").split("# END_HEADER \n")
+    assert header.splitlines() == [
+        "# REM Recorded by an emulated controller of dehyst ",
+        "# VERSION = 1 ",
+        "# TYPE = 1 ",
+        "# SEPARATOR = 32 ",
+        "# DIM = 2 ",
+        "# SAMPLE_TIME = 0.001 ",
+        "# NDATA = 200 ",
+        "# NAME0 = Current Position of axis1 ",
+        "# NAME1 = Voltage of output chn1 ",
+    ]
+    table = np.array([line.split() for line in rows.splitlines()], dtype=float)
+    np.testing.assert_array_equal(table[:, 1], values)
+    _, _, displacement = controller.instrument.samples()
+    np.testing.assert_allclose(table[:, 0], displacement * 1e6, rtol=1e-11)
+    some = controller.answer("DRR? 11 5 2").split("# END_HEADER \n")[1]
+    np.testing.assert_array_equal(np.array(some.split(), dtype=float), values[10:15])
+
+
+def test_a_slower_recorder_takes_every_nth_sample(controller, hand):
+    wave(controller, *range(10))
+    assert error_after(controller, "WSL 1 1", "WGC 1 1", "WTR 1 2 0", "RTR 6", "WGO 1 1") == 0
+    hand.wait(1)
+    assert controller.answer("DRR? 1 9 2").split("# END_HEADER \n")[1].split() == ["0", "3", "6", "9"]
+    assert error_after(controller, "RTR 3", "WGO 1 1") == 17
+
+
+def test_a_wave_is_stopped_and_its_voltage_stays(controller, hand):
+    wave(controller, *range(100))
+    for stop in ("WGO 1 0", "STP", 24):
+        controller.answer("SVA 1 0")
+        error_after(controller, "WSL 1 1", "WGC 1 1", "WGO 1 1")
+        hand.wait(10.2 * 5e-5)
+        controller.answer(stop) if isinstance(stop, str) else controller.single(stop)
+        hand.wait(1)
+        assert controller.answer("VOL?") == "1=10\n"
+        assert controller.answer("ERR?") == ("0\n" if stop == "WGO 1 0" else "10\n")
+
+
+def test_shapes_and_cycles(controller, hand):
+    lines = ("WAV 1 X SIN_P 8 10 5 8 0 4", "WAV 2 X RAMP 9 8 1 8 0 0 4", "WAV 3 X LIN 5 8 -4 5 0 0")
+    assert error_after(controller, *lines) == 0
+    tables = controller.waves.tables
+    np.testing.assert_allclose(tables[1], 5 + 5 * (1 - np.cos(2 * np.pi * np.arange(8) / 8)))
+    np.testing.assert_allclose(tables[2], [1, 3, 5, 7, 9, 7, 5, 3, 1])
+    np.testing.assert_allclose(tables[3], [-4, -2, 0, 2, 4])
+    assert error_after(controller, "WSL 1 3", "WGC 1 3", "WGO 1 1") == 0
+    hand.wait(1)
+    np.testing.assert_allclose(controller.instrument.samples()[1], np.tile([-4, -2, 0, 2, 4], 3))
+    assert controller.answer("WGC?") == "1=3\n"
+    assert error_after(controller, "WCL 3", "WGO 1 1") == 75
+
+
+def test_a_table_too_long_for_the_generator_is_refused_and_stays_as_it_was(hand):
+    controller = made(hand, wave_points=10)
+    assert wave(controller, *range(8)) == 0
+    assert error_after(controller, "WAV 1 & PNT 1 3 1 2 3") == 67
+    assert controller.answer("WAV? 1") == "1 1=8\n"
+    assert error_after(controller, "WSL 1 1", "WGC 1 2", "WGO 1 1") == 67
+
+
+def test_a_controller_may_tell_wider_limits_than_it_has(hand):
+    bench = VirtualBench(PlayActuator(plays=20), clock=hand, limits=(0, 80))
+    controller = Controller(bench, told=(0, 100))
+    assert controller.answer("VMA?") == "1=100\n"
+    assert error_after(controller, "SVA 1 90") == 302
+    assert wave(controller, 90, 91) == 302
+
+
+COMMANDS = st.sampled_from([*sorted(_WORDS), "", "\x05", "FOO", "PNT"])
+ARGUMENTS = st.sampled_from(
+    [
+        "1",
+        "2",
+        "0",
+        "-1",
+        "1e999",
+        "nan",
+        "0x10",
+        "X",
+        "&",
+        "PNT",
+        "SIN_P",
+        "300",
+        "5.5",
+        "é",
+        "٣",
+        "LIN",
+        "RAMP",
+        "ALL",
+        "99999999999999999999",
+        "1e-300",
+    ]
+)
+LINES = st.one_of(
+    st.builds(lambda name, rest: " ".join([name, *rest]), COMMANDS, st.lists(ARGUMENTS, max_size=9)), st.text()
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(LINES, max_size=20))
+def test_no_line_breaks_it_nor_leaves_the_limits(lines):
+    hand = Hand()
+    controller = made(hand, wave_points=1000)
+    for line in lines:
+        answer = controller.answer(line)
+        assert answer is None or answer.endswith("\n")
+        hand.wait(0.01)
+    controller.answer("ERR?")
+    assert controller.answer("ERR?") == "0\n"
+    assert controller.instrument.log.lowest >= -20
+    assert controller.instrument.log.highest <= 120

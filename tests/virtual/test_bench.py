@@ -1,0 +1,287 @@
+"""The virtual bench: limits never left, samples at their times, an actuator that moves as its truth does."""
+
+import math
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hand_clock import Hand
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plain_records import plant
+
+from dehyst import Actuator, DehystError, ModelError
+from dehyst.instruments import DeviceError
+from dehyst.model import Creep, Dynamics
+from dehyst.virtual import BoucWenActuator, ModelledActuator, PlayActuator, PreisachActuator, VirtualBench
+from dehyst.virtual.amplifier import Extremes
+from dehyst.virtual.modelled import virtual_actuator
+
+PERIOD = 5e-5
+TRUTHS = {
+    "play": lambda: PlayActuator(plays=40),
+    "creep": lambda: PlayActuator(plays=40, creep=0.01),
+    "preisach": PreisachActuator,
+    "boucwen": BoucWenActuator,
+    "model": lambda: ModelledActuator(plant()),
+}
+
+
+def cosine(low=0.0, high=200.0, cycles=2, samples=400):
+    turn = np.arange(samples * cycles + 1) * 2 * np.pi / samples
+    return low + 0.5 * (high - low) * (1 - np.cos(turn))
+
+
+@pytest.fixture
+def hand():
+    return Hand()
+
+
+@pytest.mark.parametrize("kind", TRUTHS)
+def test_a_recorded_wave_is_what_the_truth_does_with_its_voltages_and_times(kind, hand):
+    wave = cosine()
+    bench = VirtualBench(TRUTHS[kind](), clock=hand, noise=0)
+    bench.start(wave, divider=7)
+    while bench.playing:
+        hand.wait(0.0131)
+    at, voltage, displacement = bench.samples()
+    truth = TRUTHS[kind]()
+    expected = truth.drive(wave, time=at, measured=False)
+    np.testing.assert_allclose(at, 7 * PERIOD * np.arange(wave.size), rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(voltage, wave)
+    # A jump takes a thousandth of a servo period, of which only what swings and creeps knows.
+    np.testing.assert_allclose(displacement, expected, atol=1e-6 * truth.stroke)
+    if kind == "play":
+        np.testing.assert_array_equal(displacement, expected)
+
+
+def test_noise_is_the_truths_own_unless_told():
+    def record(**options):
+        clock = Hand()
+        bench = VirtualBench(PlayActuator(plays=10), clock=clock, **options)
+        bench.start(cosine())
+        clock.wait(1.0)
+        return bench.samples()[2]
+
+    clean = record(noise=0.0)
+    assert np.std(record() - clean) == pytest.approx(2e-9, rel=0.1)
+    assert np.std(record(noise=1e-8, seed=2) - clean) == pytest.approx(1e-8, rel=0.1)
+    np.testing.assert_array_equal(record(seed=5), record(seed=5))
+
+
+STEPS = st.one_of(
+    st.tuples(st.just("set"), st.floats(allow_nan=True, allow_infinity=True) | st.floats(-60, 260)),
+    st.tuples(st.just("wave"), st.lists(st.floats(-60, 260), min_size=1, max_size=8)),
+    st.tuples(st.just("servo"), st.booleans()),
+    st.tuples(st.just("move"), st.floats(-1e-4, 1e-4)),
+    st.tuples(st.just("stop"), st.just(None)),
+    st.tuples(st.just("wait"), st.floats(0, 2)),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(STEPS, max_size=25), st.sampled_from(["play", "boucwen"]), st.sampled_from([None, 500.0]))
+def test_whatever_is_asked_no_voltage_leaves_the_limits(steps, kind, slew):
+    hand = Hand()
+    bench = VirtualBench(TRUTHS[kind](), clock=hand, limits=(-10, 130), slew_rate=slew)
+    for what, value in steps:
+        try:
+            if what == "set":
+                bench.set_voltage(value)
+            elif what == "wave":
+                bench.start(value, 3)
+            elif what == "servo":
+                bench.servo = value
+            elif what == "move":
+                bench.move(value)
+            elif what == "stop":
+                bench.stop()
+            else:
+                hand.wait(value)
+        except DehystError:
+            pass
+        assert -10 <= bench.voltage <= 130
+        assert math.isfinite(bench.displacement())
+    hand.wait(10)
+    bench.advance()
+    assert -10 <= bench.log.lowest <= bench.log.highest <= 130
+    if slew is not None:
+        assert bench.log.steepest <= slew * (1 + 1e-6)
+
+
+def test_what_lies_outside_is_refused_counted_and_not_put_out(hand):
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand, limits=(0, 100))
+    assert bench.set_voltage(40)
+    for outside in (-1e-9, 100.0001, math.nan, math.inf, -math.inf):
+        assert not bench.set_voltage(outside)
+    with pytest.raises(DeviceError, match=r"got 1 to 101 V, need 0 to 100 V"):
+        bench.start([1, 101])
+    assert (bench.voltage, bench.log.refused) == (40, 6)
+    assert (bench.log.lowest, bench.log.highest, bench.log.largest_step) == (0, 40, 40)
+
+
+def test_the_amplifiers_own_slew_rate_is_kept_by_steps_and_waves(hand):
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand, slew_rate=100.0)
+    bench.set_voltage(50)
+    for passed in (0.1, 0.2, 0.3):
+        hand.time = passed
+        assert bench.voltage == pytest.approx(100 * passed)
+        assert bench.moving
+    hand.time = 0.5001
+    assert (bench.voltage, bench.moving) == (50, False)
+    bench.start([50, 100, 100, 100], divider=round(0.2 / PERIOD))
+    hand.wait(1.0)
+    np.testing.assert_allclose(bench.samples()[1], [50, 70, 90, 100])
+    assert bench.log.steepest <= 100 * (1 + 1e-6)
+
+
+def test_the_recorder_fills_as_the_wave_is_played_and_says_when(hand):
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand)
+    hand.time = 3.0
+    bench.start(np.linspace(0, 100, 11), divider=200)
+    assert (bench.recorded, bench.planned, bench.playing) == (1, 11, True)
+    hand.wait(0.035)
+    assert bench.recorded == 4
+    assert bench.voltage == pytest.approx(30)
+    hand.wait(1)
+    at, voltage, _ = bench.samples(2, 3)
+    np.testing.assert_allclose(at, 3.0 + 0.01 * np.arange(2, 5))
+    np.testing.assert_allclose(voltage, [20, 30, 40])
+    assert not bench.playing
+    assert bench.samples(20)[0].size == 0
+
+
+def test_a_full_recorder_stops_and_a_long_wave_is_refused(hand):
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand, wave_points=20, record_points=7)
+    bench.start(np.ones(20))
+    hand.wait(1)
+    assert bench.recorded == 7
+    with pytest.raises(DeviceError, match="got 21 samples and divider 1, need 1 to 20"):
+        bench.start(np.ones(21))
+    with pytest.raises(DeviceError, match="got 0 samples"):
+        bench.start([])
+    with pytest.raises(ModelError, match="1 of 2 values are not finite"):
+        bench.start([1, math.nan])
+
+
+def test_a_wave_that_is_stopped_leaves_its_voltage(hand):
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand)
+    bench.start(np.linspace(0, 100, 101), divider=20)
+    hand.wait(0.0305)
+    bench.stop()
+    hand.wait(1)
+    assert (bench.playing, bench.recorded) == (False, 31)
+    assert bench.voltage == pytest.approx(30)
+
+
+def test_open_loop_and_closed_loop_do_not_mix(hand):
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand)
+    with pytest.raises(DeviceError, match=r"move: .* servo off"):
+        bench.move(1e-6)
+    bench.servo = True
+    for asked in (lambda: bench.set_voltage(1), lambda: bench.start([0, 1])):
+        with pytest.raises(DeviceError, match="the servo is on, need it off"):
+            asked()
+    bench.servo = False
+    bench.start(np.zeros(100))
+    with pytest.raises(DeviceError, match="a wave is being played"):
+        bench.set_voltage(1)
+    with pytest.raises(DeviceError, match="servo: a wave is being played"):
+        bench.servo = True
+
+
+@pytest.mark.parametrize("kind", TRUTHS)
+def test_the_servo_reaches_its_target_and_holds_it_against_creep(kind, hand):
+    bench = VirtualBench(TRUTHS[kind](), clock=hand, noise=1e-10)
+    bench.servo = True
+    for share in (0.3, 0.7, 0.45):
+        target = share * bench.stroke
+        bench.move(target)
+        assert bench.moving
+        hand.wait(1.0)
+        assert bench.displacement() == pytest.approx(target, abs=2e-3 * bench.stroke)
+        assert bench.arrived
+        hand.wait(600)
+        assert bench.displacement() == pytest.approx(target, abs=2e-3 * bench.stroke)
+
+
+def test_the_sensor_saturates_at_its_range_and_reads_one_number_unplugged(hand):
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand, sensor_range=(0.0, 4e-6))
+    bench.set_voltage(150)
+    assert bench.displacement() == 4e-6
+    bench.unplugged = True
+    assert {bench.displacement() for _ in range(5)} == {0.0}
+
+
+def test_the_actuator_creeps_in_idle_time_and_an_idle_hour_costs_little():
+    def at_the_end(looks):
+        hand = Hand()
+        bench = VirtualBench(PlayActuator(plays=40, creep=0.01, noise=0), clock=hand)
+        bench.set_voltage(100)
+        early = bench.displacement()
+        for _ in range(looks):
+            hand.wait(3600 / looks)
+            last = bench.displacement()
+        return early, last
+
+    began = time.process_time()
+    early, once = at_the_end(1)
+    assert time.process_time() - began < 1
+    assert once > early * 1.02
+    assert at_the_end(500)[1] == pytest.approx(once, rel=1e-9)
+
+
+def test_speed_makes_the_device_faster_than_the_clock(hand):
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand, speed=50.0)
+    bench.start(np.linspace(0, 100, 1001), divider=20)
+    hand.wait(0.01)
+    assert bench.now == pytest.approx(0.5)
+    assert bench.recorded == 501
+
+
+def test_a_stalled_generator_plays_no_more_and_does_not_end(hand):
+    bench = VirtualBench(PlayActuator(plays=10), clock=hand)
+    bench.start(np.linspace(0, 100, 11), divider=20)
+    hand.wait(0.0035)
+    assert bench.recorded == 4
+    bench.stalled = True
+    hand.wait(100)
+    assert (bench.recorded, bench.playing) == (4, True)
+    bench.stop()
+    assert not bench.playing
+
+
+def test_extremes_count_steps_by_the_time_between_them():
+    log = Extremes(0.0, 0.0)
+    log.see(np.array([0.0, 2.0, -1.0]), np.array([1.0, 0.5]))
+    assert log == Extremes(-1.0, 2.0, 3.0, 6.0)
+
+
+def test_a_model_of_time_is_driven_on_from_its_state():
+    actuator = plant()
+    wide = Actuator(actuator.slip, actuator.spring, creep=Creep([0.1, 10.0], [2e7, 2e7]), dynamics=Dynamics(2e3, 0.05))
+    at, voltage = 1e-3 * np.arange(1, 801), cosine(samples=400)[:800]
+    whole = ModelledActuator(wide).drive(voltage, time=at)
+    pieces = ModelledActuator(wide)
+    parts = [pieces.drive(voltage[a:b], time=at[a:b]) for a, b in pairwise([0, 2, 3, 300, 800])]
+    np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-12 * pieces.stroke)
+    direct = wide.simulate(np.r_[0.0, voltage], time=np.r_[0.0, at], state=wide.relaxed()).displacement[1:]
+    np.testing.assert_allclose(whole, direct, atol=1e-12 * pieces.stroke)
+    with pytest.raises(ModelError, match="needs the time"):
+        pieces.drive([1.0])
+
+
+def test_a_modelled_actuator_spans_its_stroke():
+    model = ModelledActuator(plant())
+    assert model.highest == pytest.approx(200)
+    loop = model.drive(cosine(cycles=3))[800:]
+    assert np.ptp(loop) == pytest.approx(model.stroke, rel=1e-3)
+
+
+def test_virtual_actuators_go_by_name_or_file(tmp_path):
+    assert virtual_actuator("creep").creep == 0.01
+    plant().save(tmp_path / "model.json")
+    assert isinstance(virtual_actuator(str(tmp_path / "model.json")), Actuator)
+    with pytest.raises(ModelError, match="got 'bowen', need one of play, creep, preisach, boucwen, or the path"):
+        virtual_actuator("bowen")
