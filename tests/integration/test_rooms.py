@@ -1,0 +1,254 @@
+"""The walls of the house: what each room offers, who imports whom, and how large a room may become."""
+
+import ast
+import importlib
+import re
+import subprocess
+import sys
+from collections import Counter
+from graphlib import CycleError, TopologicalSorter
+
+import architecture
+import places
+import pytest
+
+MODULES = architecture.files()
+TREES = {module: ast.parse(path.read_text()) for module, path in MODULES.items()}
+TABLE = re.compile(r"^\[tool\.importlinter\]\n((?:(?!\[).*\n?)*)", re.M)
+WORDS = re.compile(r"(?<![a-z0-9])(?:tells?|told|says?|said)(?![a-z0-9])", re.I)
+FACES = {
+    name: text.split()
+    for name, text in {
+        "dehyst": """
+            Actuator ClampWarning Command Compensator Creep DehystError Dynamics FileFormatError Fit GradedSlip
+            IdentifyError MaxwellSlip MissingExtraError ModelError Motion Outcome Physical Record RecordError
+            RecordErrors RigError SmoothSlip Snapshot Spring State Structure Trace Transformer VoltageLimits __version__
+            calibrate compare export export_fmu identify insight read shortest_homing wave_table write_record
+        """,
+        "baselines": """
+            BASELINES BoucWen Duhem GeneralizedPrandtlIshlinskii GoldfarbCelanovic KrasnoselskiiPokrovskii Linear
+            ModelComparison ModifiedPrandtlIshlinskii PrandtlIshlinskii Preisach compare
+        """,
+        "cli": """
+            main
+        """,
+        "control": """
+            ClampWarning Command Compensator Homing PathPlanner Snapshot StateBounds TrackedPath VoltageLimits WaveTable
+            shortest_homing wave_table
+        """,
+        "exports": """
+            Exported Footprint SourceOnlyWarning export export_fmu sizes worst_case
+        """,
+        "identification": """
+            Method Norm identify
+        """,
+        "instruments": """
+            HIGHEST_RATE AbstractRig DeviceError LinkError Listener Reading RigError Samples SensorError host_timed
+            open_rig
+        """,
+        "instruments.calibration": """
+            Calibration Plan ProgressListener calibrate
+        """,
+        "model": """
+            AbstractModel Actuator Check Creep Dynamics Fit GradedSlip MaxwellSlip Motion Outcome Physical RecordErrors
+            SmoothSlip Spring State Structure Trace Transformer Verdict simulated
+        """,
+        "records": """
+            Record Recording read read_table write_columns write_hdf5 write_record
+        """,
+        "report": """
+            render write_calibration write_comparison write_insight write_report
+        """,
+        "studies.paper": """
+            Paper
+        """,
+        "uncertainty": """
+            FirstRise Insight RestStates insight state_from_first_rise
+        """,
+        "virtual": """
+            BoucWenActuator ModelledActuator PlayActuator PreisachActuator VirtualActuator VirtualBench
+        """,
+        "virtual.emulator": """
+            Controller Fault Ioc Rehearsal Server serve_ioc
+        """,
+        "waveforms": """
+            Excitation Leg Lissajous MotionLimits Raster Sampling Scan ScanPath Spiral Steps Triangle descending_tops
+            homing minor_loop raised_cosine reversal_curves staircase
+        """,
+    }.items()
+}
+# Drivers are imported one by one: each needs a library or an instrument of its own.
+DRIVERS = {
+    "dehyst.instruments.bluesky_axis": ["CompensatedAxis", "homing"],
+    "dehyst.instruments.epics": ["EpicsRig", "PvNames"],
+    "dehyst.instruments.nidaqmx": ["NiRig"],
+    "dehyst.instruments.pi": ["PiRig"],
+}
+ROOMS = sorted(
+    {path.parent.name for path in places.SOURCES.glob("*/__init__.py") if not path.parent.name.startswith("_")}
+)
+PAGES = [places.ROOT / "README.md", *sorted(places.DOCS.rglob("*.md"))]
+
+
+def room_of(module):
+    return (*module.split("."), "", "")[1]
+
+
+def crossing():
+    """Every import of a name from another room: the importing module, what it imports, and the words for a failure."""
+    for module, tree in TREES.items():
+        for one in architecture.imports(tree):
+            room = room_of(one.module)
+            if room in ROOMS and room != room_of(module):
+                yield module, one, f"{module}:{one.line}: {one.name} from {one.module}"
+
+
+@pytest.mark.parametrize("room", FACES)
+def test_the_face_of_a_room_is_what_is_listed_here(room):
+    face = importlib.import_module(f"dehyst.{room}" if room != "dehyst" else room)
+    assert face.__all__ == FACES[room]
+    assert all(hasattr(face, name) for name in face.__all__)
+
+
+def test_every_room_has_a_face_that_is_listed_or_none():
+    """A folder without a face (`studies`, the inner folders) offers modules and no names."""
+    packages = {module for module, path in MODULES.items() if path.name == "__init__.py"}
+    faces = {module for module in packages if "__all__" in MODULES[module].read_text()}
+    assert faces - {"dehyst.rigs"} == {f"dehyst.{room}" if room != "dehyst" else room for room in FACES}
+
+
+@pytest.mark.parametrize("face", [f"dehyst.{room}" for room in FACES if room != "dehyst"])
+def test_a_face_only_imports_and_lists(face):
+    documentation, *statements = TREES[face].body
+    assert isinstance(documentation, ast.Expr)
+    assert isinstance(documentation.value, ast.Constant)
+    *imported, listed = statements
+    assert all(isinstance(node, ast.ImportFrom) for node in imported)
+    assert isinstance(listed, ast.Assign)
+    assert listed.targets[0].id == "__all__"
+    names = {alias.asname or alias.name for node in imported for alias in node.names}
+    assert names == set(ast.literal_eval(listed.value))
+
+
+def test_folders_without_a_face_hold_only_a_docstring():
+    bare = [
+        module for module, path in MODULES.items() if path.name == "__init__.py" and "__all__" not in path.read_text()
+    ]
+    assert "dehyst.identification.solvers" in bare
+    for module in bare:
+        assert [type(node) for node in TREES[module].body] == [ast.Expr], module
+
+
+def test_the_old_name_of_the_instruments_warns():
+    """Kept for one release: users' own rigs import from it."""
+    code = "import warnings; warnings.simplefilter('error', DeprecationWarning); import dehyst.rigs"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert "dehyst.rigs is now dehyst.instruments" in done.stderr
+
+
+def test_a_public_name_of_another_room_comes_from_its_face():
+    faces = {f"dehyst.{room}": names for room, names in FACES.items()}
+    passed_by = [
+        words
+        for module, one, words in crossing()
+        if room_of(module) != ""
+        if any(one.module.startswith(f"{face}.") and one.name in names for face, names in faces.items())
+    ]
+    assert passed_by == []
+
+
+def test_the_package_itself_imports_from_faces():
+    own = [one.module for one in architecture.imports(TREES["dehyst"]) if room_of(one.module) in ROOMS]
+    assert own
+    assert all(module.count(".") == 1 for module in own)
+
+
+def test_nobody_imports_a_private_module_of_another_room():
+    private = [
+        words
+        for _, one, words in crossing()
+        if any(part.startswith("_") for part in (*one.module.split(".")[2:], one.name or ""))
+    ]
+    assert private == []
+
+
+def test_no_room_is_imported_as_a_whole():
+    """`from dehyst.records import Record` shows what is used, `import dehyst.records` does not."""
+    assert [words for _, one, words in crossing() if one.name is None] == []
+
+
+def test_rooms_are_few_and_no_folder_is_a_heap():
+    sizes = Counter(path.parent for path in MODULES.values())
+    assert sizes[places.SOURCES] <= 10
+    assert 8 <= len(ROOMS) <= 16
+    assert {str(folder): size for folder, size in sizes.items() if size > 25} == {}
+
+
+def test_no_two_classes_have_one_name():
+    names = Counter(node.name for tree in TREES.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    assert {name: count for name, count in names.items() if count > 1} == {}
+
+
+def test_the_formatter_has_its_way():
+    marker = "fmt: " + "skip"
+    folders = (places.SOURCES, places.TESTS, places.BENCHMARKS, places.EXAMPLES)
+    assert [str(path) for folder in folders for path in folder.rglob("*.py") if marker in path.read_text()] == []
+
+
+def test_software_returns_and_reports_it_does_not_tell():
+    """Plain technical English: see CONTRIBUTING. Pieces of names in snake_case count too."""
+    sources = [
+        path for path in (places.ROOT / "src").rglob("*") if path.suffix in {".py", ".pyi", ".c", ".h", ".cpp", ".md"}
+    ]
+    counts = {str(path.relative_to(places.ROOT)): len(WORDS.findall(path.read_text())) for path in sources}
+    worst = {name: count for name, count in sorted(counts.items(), key=lambda item: -item[1])[:10] if count}
+    assert sum(counts.values()) <= 60, worst
+
+
+def test_no_import_goes_round_in_a_circle():
+    graph = architecture.module_graph(MODULES, deferred=False)
+    assert sum(map(len, graph.values())) > 500
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_the_import_contract_is_short():
+    contract = TABLE.search((places.ROOT / "pyproject.toml").read_text())[0].strip()
+    assert 20 <= len(contract.splitlines()) <= 30
+
+
+def test_the_picture_of_the_rooms_is_up_to_date():
+    assert architecture.PICTURE.read_text() == architecture.drawn(), "run python benchmarks/architecture.py"
+
+
+def snippets(page):
+    """The Python of a page: its fenced blocks, or an example as a whole."""
+    text = page.read_text()
+    return [text] if page.suffix == ".py" else re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    "page", [*PAGES, *sorted(places.EXAMPLES.glob("*.py"))], ids=lambda page: str(page.relative_to(places.ROOT))
+)
+def test_readme_docs_and_examples_use_only_public_names(page):
+    public = {"dehyst": FACES["dehyst"], **{f"dehyst.{room}": names for room, names in FACES.items()}, **DRIVERS}
+    hidden = []
+    for tree in map(ast.parse, snippets(page)):
+        ours = [one for one in architecture.imports(tree) if one.module.split(".")[0] == "dehyst"]
+        hidden += [
+            f"from {one.module} import {one.name}"
+            for one in ours
+            if one[:2] != ("dehyst", None) and one.name not in public.get(one.module, ())
+        ]
+        attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
+        used = {node.attr for node in attributes if ast.unparse(node.value) == "dehyst"}
+        hidden += [f"dehyst.{name}" for name in sorted(used - set(FACES["dehyst"]))]
+    assert hidden == []
+
+
+@pytest.mark.parametrize("module", DRIVERS)
+def test_a_driver_defines_its_public_names(module):
+    defined = {node.name for node in TREES[module].body if isinstance(node, (ast.ClassDef, ast.FunctionDef))}
+    assert set(DRIVERS[module]) <= defined
