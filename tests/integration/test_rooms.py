@@ -156,6 +156,29 @@ def test_the_picture_of_the_rooms_is_up_to_date():
     assert architecture.PICTURE.read_text() == architecture.drawn(), "run python benchmarks/architecture.py"
 
 
+def test_the_road_of_an_identification_is_twelve_files_that_exist():
+    page = (places.DOCS / "explanation" / "architecture.md").read_text()
+    road = re.findall(r"^\| \d+ \| `([\w/]+\.py)` \|", page, re.M)
+    assert 6 <= len(road) == len(set(road)) <= 12
+    assert [name for name in road if not (places.SOURCES / name).exists()] == []
+
+
+def test_every_room_is_on_the_page_of_the_architecture():
+    page = (places.DOCS / "explanation" / "architecture.md").read_text()
+    assert set(re.findall(r"^\| `(\w+)` \|", page, re.M)) == set(ROOMS) - architecture.NOT_DRAWN
+
+
+def test_every_decision_has_its_context_its_consequences_and_a_line_in_the_list():
+    folder = places.DOCS / "explanation" / "decisions"
+    records = sorted(folder.glob("[0-9]*.md"))
+    listed = re.findall(r"\]\((\d{4}-[\w-]+\.md)\)", (folder / "README.md").read_text())
+    assert [path.name for path in records] == listed
+    for number, path in enumerate(records, 1):
+        text = path.read_text()
+        assert text.startswith(f"# {number:04}: "), path.name
+        assert re.findall(r"^\*\*(\w+)\.\*\*", text, re.M) == ["Context", "Decision", "Consequences"], path.name
+
+
 def snippets(page):
     """The Python of a page: its fenced blocks, or an example as a whole."""
     text = page.read_text()
