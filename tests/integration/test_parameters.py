@@ -10,15 +10,21 @@ from faces import FACES
 
 HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.M)
 ENTRY = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: :.*)?$", re.M)
+IN_PROSE = re.compile(r"(?<!`)`\*{0,2}(\w+)`(?!`)")
 IMPLIED = {"self", "cls"}
 
 
-def documented(text):
+def entries(text):
     """The names in a docstring's `Parameters` and, of a dataclass, `Attributes`: in numpydoc's form."""
     _, *parts = HEADING.split(inspect.cleandoc(text or ""))
     sections = dict(zip(parts[::2], parts[1::2], strict=True))
-    entries = ENTRY.findall(sections.get("Parameters", "") + "\n" + sections.get("Attributes", ""))
-    return {name.strip("* ") for entry in entries for name in entry.split(",")}
+    lines = ENTRY.findall(sections.get("Parameters", "") + "\n" + sections.get("Attributes", ""))
+    return {name.strip("* ") for line in lines for name in line.split(",")}
+
+
+def documented(text):
+    """The names that a docstring explains: in those sections, or in backticks in the sentences above all sections."""
+    return entries(text) | set(IN_PROSE.findall(HEADING.split(inspect.cleandoc(text or ""))[0]))
 
 
 def parameters(thing):
@@ -80,17 +86,22 @@ def test_every_parameter_is_documented(name):
 @pytest.mark.parametrize("name", [name for name, (thing, _) in THINGS.items() if inspect.isfunction(thing)])
 def test_no_parameter_is_documented_that_is_not_there(name):
     thing, (text, *_) = THINGS[name]
-    assert documented(text) <= parameters(thing)
+    assert entries(text) <= parameters(thing)
 
 
 def test_the_check_would_notice():
-    def scaled(path, *records, by):
-        """Return records with other displacements.
+    def scaled(path, *records, by, unit):
+        """Return records with displacements in a `unit`.
 
         Parameters
         ----------
         path, *records : Record
             What to scale: not a name.
+
+        Raises
+        ------
+        ValueError
+            If `by` is zero.
         """
 
     assert parameters(scaled) - documented(scaled.__doc__) == {"by"}
