@@ -11,7 +11,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.identification.diagnostics.branches import Branch, families, voltage_at
 from dehyst.identification.settings import Direction
-from dehyst.identification.solvers import program
+from dehyst.identification.solvers import highs
 from dehyst.model import Actuator, MaxwellSlip, Outcome, Spring
 from dehyst.model.elements import parts_in_segments
 from dehyst.records import Record
@@ -158,7 +158,7 @@ def _solve(
     lower = np.concatenate([lower, np.zeros(2 * count)])
     upper = np.concatenate([np.full(unknowns, np.inf), np.where(np.tile(fixed, 2), 0.0, np.inf)])
     goal = target / size
-    x, objective, optimal, status, dual = program.linear_program(cost, (lower, upper), matrix, (goal, goal))
+    x, objective, optimal, status, dual = highs.linear_program(cost, (lower, upper), matrix, (goal, goal))
     gap = abs(objective - dual) / max(float(np.abs(goal).sum()), 1e-300)
     return x[:unknowns] / scale * size, objective * size, optimal, status, gap
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import Rows, collect
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers import program
+from dehyst.identification.solvers.highs import linear_program
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
 
@@ -215,7 +215,7 @@ def _sparsest(space: Array) -> list[Array]:
     for i in np.flatnonzero(np.linalg.norm(basis, axis=0) > _SMALL):
         one = np.vstack([rows, np.concatenate([basis[:, i], np.zeros(2 * size)])])
         goal = np.append(np.zeros(size), 1.0)
-        x, _, optimal, _, _ = program.linear_program(cost, (lower, upper), one, (goal, goal))
+        x, _, optimal, _, _ = linear_program(cost, (lower, upper), one, (goal, goal))
         if optimal:
             z = x[:rank] @ basis
             found.append(z / z[np.argmax(np.abs(z))])

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import Rows
-from dehyst.identification.solvers.program import Norm, Solution, solve, triangle_of
+from dehyst.identification.solvers.least_squares import triangle_of
+from dehyst.identification.solvers.program import Norm, Solution, solve
 from dehyst.model.elements import parts_in_segments, segment_of
 from dehyst.records.metrics import rms
 
