@@ -385,7 +385,10 @@ def test_a_compensator_clamps_with_them():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: SmoothSlip([1, 2], [1], [1]), "got 2 of length, 1 of closing, 1 of stiffness; need one of each for an element"),
+        (
+            lambda: SmoothSlip([1, 2], [1], [1]),
+            "got 2 of length, 1 of closing, 1 of stiffness; need one of each for an element",
+        ),
         (lambda: SmoothSlip([0], [1], [1]), "need lengths above 0 and stiffnesses of 0 or more"),
         (lambda: SmoothSlip([1], [1], [-1]), "need lengths above 0 and stiffnesses of 0 or more"),
         (lambda: SmoothSlip([1], [0.4], [1]), r"closing must be 1/2 to 1, got \[0.4\]"),

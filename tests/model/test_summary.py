@@ -79,7 +79,7 @@ def test_numbers_are_parts_too():
     said = {part.name: part.sentence for part in parts_of(actuator)}
     assert "Resonance at 95.49 Hz with a damping of 0.05, under a voltage at 91.05 Hz" in said["Inertia"]
     assert "lags the voltage by 2 ms" in said["Delay"]
-    assert "lags by 1 ms" in said["Amplifier"]
+    assert "lags the command by 1 ms" in said["Amplifier"]
     assert "1 N moves it by 0.5 um" in said["Load"]
 
 
