@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.identification.regression.regression import Regression
 from dehyst.model import Actuator, Dynamics
 
 # Inertia must reduce the RMS residual to this share, or it is left out.
@@ -64,7 +64,7 @@ def significant_delay(seconds: float, sample_time: float) -> float:
 
 
 def find_dynamics(
-    build: Callable[[SensedDynamics], WideRegression], delay: float, sample_time: float, fastest: float
+    build: Callable[[SensedDynamics], Regression], delay: float, sample_time: float, fastest: float
 ) -> SensedDynamics:
     """Minimise the RMS residual over delay, damping and mass; without mass if the gain is small.
 

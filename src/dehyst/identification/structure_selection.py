@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Progress
-from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
+from dehyst.identification.regression.regression import Regression
 from dehyst.model import Structure
 from dehyst.records.metrics import rms
 from dehyst.records.signals import turning_points
 
-Build = Callable[[Structure], WideRegression]
+Build = Callable[[Structure], Regression]
 _FOLDS = 3
 # Least number of blocks of a record, so that a staircase of two long legs can be held out in parts.
 _BLOCKS = 12
@@ -135,18 +135,18 @@ def _trial(build: Build, structure: Structure, progress: Progress) -> StructureT
     return StructureTrial(structure, held_out, training, time.perf_counter() - begin)
 
 
-def held_out_error(regression: WideRegression) -> float:
+def held_out_error(regression: Regression) -> float:
     """Return the RMS error [m] of cycles held out in turn, rows weighted by the inverse slope of a first fit."""
     return rms(held_out_errors(regression, 1 / regression.slope(regression.fit("l2"))))
 
 
-def held_out_errors(regression: WideRegression, weights: Array) -> Array:
+def held_out_errors(regression: Regression, weights: Array) -> Array:
     """Return the error of each row [m] in a fit without every third cycle, its own among them."""
     fold = blocks(regression.rows.voltage, regression.rows.epoch) % _FOLDS
     errors = np.empty(len(fold))
     for k in range(_FOLDS):
         out = fold == k
-        coefficients: WideCoefficients = regression.chosen(~out).fit("l2", weights[~out])
+        coefficients = regression.chosen(~out).fit("l2", weights[~out])
         held_out = regression.chosen(out)
         errors[out] = held_out.residual(coefficients) / held_out.slope(coefficients)
     return errors

@@ -14,6 +14,7 @@ from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import Rows, collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers.highs import linear_program
+from dehyst.model.structure import Grid
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
 
@@ -110,9 +111,7 @@ class Identifiability:
         return tuple(_spread(vector, where, self.movable.size) for vector in sorted(basis_vectors, key=_first))
 
 
-def identifiability(
-    records: list[Record], breakaway: Array, regression: Regression, *, relaxed: Collection[int] = ()
-) -> Identifiability:
+def identifiability(records: list[Record], regression: Regression, *, relaxed: Collection[int] = ()) -> Identifiability:
     """Compute the directions of the stiffnesses that the records determine.
 
     Noise makes all samples of a record differ, which would raise the numerical rank of measured rows. So the rank is
@@ -122,13 +121,12 @@ def identifiability(
     ----------
     records : list of Record
         Pieces without gaps, on a common displacement axis.
-    breakaway : (N,) array
-        rho [m].
     regression : Regression
-        Its knots and movable elements are used.
+        Its thresholds, knots and movable elements are used.
     relaxed : collection of int, optional
         Numbers of the records that start with no element strained.
     """
+    breakaway = regression.grid.breakaway
     spacing = float(np.diff(breakaway, prepend=0.0).min())
     ends = regression.knots[[0, -1]]
     turns = [_turns(record, spacing, ends) for record in records]
@@ -142,7 +140,7 @@ def identifiability(
     count = int(np.count_nonzero(movable))
     if not len(rows) or not count:
         return Identifiability(breakaway, movable, np.zeros(count), np.eye(count))
-    values, vectors = np.linalg.svd(few.projected(breakaway))[1:]
+    values, vectors = np.linalg.svd(few.projected())[1:]
     values_all = np.zeros(count)
     values_all[: values.size] = values / np.sqrt(len(rows))
     return Identifiability(breakaway, movable, values_all, vectors)
@@ -167,7 +165,7 @@ def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, 
     rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
     movable = 2 * rho < stroke * (1 - 1e-9)
     knots = np.linspace(*span, _PROBES + 1)
-    return identifiability(records, rho, Regression(rows, knots, 0.0, movable, np.zeros(len(records))))
+    return identifiability(records, Regression(rows, Grid.plain(rho, knots, movable), 0.0, np.zeros(len(records))))
 
 
 def _turns(record: Record, spacing: float, ends: Array) -> list[float]:
