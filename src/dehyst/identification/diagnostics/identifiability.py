@@ -102,13 +102,11 @@ class Identifiability:
         where, scale = np.flatnonzero(self.movable), self.breakaway[self.movable] / self.breakaway[-1]
         # Changes of breakaway voltages are changes of stiffness times rho; combinations transform inversely.
         space = basis * scale if friction else basis / scale
-        basis_vectors: list[Array] = []
+        kept: list[Array] = []
         for candidate in sorted(_sparsest(space), key=_support_size):
-            if len(basis_vectors) < len(basis) and np.linalg.matrix_rank(
-                np.array([*basis_vectors, candidate]), tol=1e-3
-            ) > len(basis_vectors):
-                basis_vectors.append(candidate)
-        return tuple(_spread(vector, where, self.movable.size) for vector in sorted(basis_vectors, key=_first))
+            if len(kept) < len(basis) and np.linalg.matrix_rank(np.array([*kept, candidate]), tol=1e-3) > len(kept):
+                kept.append(candidate)
+        return tuple(_spread(vector, where, self.movable.size) for vector in sorted(kept, key=_first))
 
 
 def identifiability(records: list[Record], regression: Regression, *, relaxed: Collection[int] = ()) -> Identifiability:
@@ -141,9 +139,9 @@ def identifiability(records: list[Record], regression: Regression, *, relaxed: C
     if not len(rows) or not count:
         return Identifiability(breakaway, movable, np.zeros(count), np.eye(count))
     values, vectors = np.linalg.svd(few.projected())[1:]
-    values_all = np.zeros(count)
-    values_all[: values.size] = values / np.sqrt(len(rows))
-    return Identifiability(breakaway, movable, values_all, vectors)
+    padded = np.zeros(count)
+    padded[: values.size] = values / np.sqrt(len(rows))
+    return Identifiability(breakaway, movable, padded, vectors)
 
 
 def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, float]) -> Identifiability:

@@ -194,24 +194,17 @@ class RowSource:
         moved: Moved = _nothing,
     ) -> RowSource:
         """Find the epochs; parameters as those of `collect`."""
-        epochs_of_pieces: list[list[Epoch]] = []
+        spans: list[list[Epoch]] = []
         rested = set(relaxed)
         for (number, piece, _), sigma in zip(pieces, noise, strict=True):
             first = float(piece.displacement[0])
-            epochs_of_pieces.append(
-                [Epoch(0, 0, len(piece), np.inf, first)] if number in rested else epochs(piece, sigma)
-            )
+            spans.append([Epoch(0, 0, len(piece), np.inf, first)] if number in rested else epochs(piece, sigma))
             rested.discard(number)
         others = [moved(number, piece) for number, piece, _ in pieces]
-        return cls(
-            pieces,
-            breakaway,
-            epochs_of_pieces,
-            [_Known(columns) if isinstance(columns, np.ndarray) else columns for columns in others],
-        )
+        return cls(pieces, breakaway, spans, [_Known(x) if isinstance(x, np.ndarray) else x for x in others])
 
     def __len__(self) -> int:
-        return sum(epoch.stop - epoch.start for of_piece in self.epochs for epoch in of_piece)
+        return sum(epoch.stop - epoch.start for spans in self.epochs for epoch in spans)
 
     @property
     def count(self) -> int:
@@ -225,13 +218,12 @@ class RowSource:
     def blocks(self, step: int = 1) -> Iterator[Rows]:
         """Yield all rows, or every step-th, some thousands at a time."""
         count = place = 0
-        for (number, piece, drift), of_piece, moved in zip(self.pieces, self.epochs, self.moved, strict=True):
-            numbered = list(enumerate(of_piece, count))
-            count += len(of_piece)
+        for (number, piece, drift), spans, moved in zip(self.pieces, self.epochs, self.moved, strict=True):
+            numbered = list(enumerate(spans, count))
+            count += len(spans)
             carts = np.full(self.breakaway.size, piece.displacement[0])
-            for begin, others in zip(
-                range(0, of_piece[-1].stop if of_piece else 0, _BLOCK), moved.blocks(_BLOCK), strict=False
-            ):
+            stop = spans[-1].stop if spans else 0
+            for begin, others in zip(range(0, stop, _BLOCK), moved.blocks(_BLOCK), strict=False):
                 y = np.ascontiguousarray(piece.displacement[begin : begin + _BLOCK])
                 elongation, carts = slip_elongations(self.breakaway, carts, y)
                 for k, epoch in numbered:

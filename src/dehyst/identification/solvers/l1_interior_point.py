@@ -85,7 +85,7 @@ class _PrimalDualPoint:
         usual = max(float(np.abs(rest).mean()), _LEAST * float(np.abs(b).mean())) or 1.0
         self.u, self.v = np.maximum(rest, 0) + usual, np.maximum(-rest, 0) + usual
         # 1 - y and 1 + y, stored instead of y so that rounding does not lose the distance of a row from its limit.
-        self.to_upper, self.to_lower = np.ones(b.size), np.ones(b.size)
+        self.up, self.down = np.ones(b.size), np.ones(b.size)
         self.s = np.maximum(c @ x - problem.lower, 0.1 * size)
         # The limits balance the pull of rows with these residuals: a smaller price would start too near the limits.
         pulled = _PULLED * float(np.abs(a.T @ (rest / (np.abs(rest) + usual)) + pull).mean())
@@ -97,7 +97,7 @@ class _PrimalDualPoint:
     @property
     def y(self) -> Array:
         """Duals of the rows."""
-        return 0.5 * (self.to_lower - self.to_upper)
+        return 0.5 * (self.down - self.up)
 
     def remaining(self) -> float:
         """Return complementarity plus the priced infeasibility of both points; 0 once they are within tolerance."""
@@ -117,7 +117,7 @@ class _PrimalDualPoint:
         return np.asarray(self._p.lower - self._p.matrix @ self.x + self.s)
 
     def _complementarity(self) -> float:
-        inner = float(self.u @ self.to_upper + self.v @ self.to_lower)
+        inner = float(self.u @ self.up + self.v @ self.down)
         return inner + float(self.s @ self.m + self.w @ self.x[self._bounded])
 
     def _dual_residual(self) -> Array:
@@ -145,8 +145,8 @@ class _PrimalDualPoint:
     def _changes_to(self, newton: _NewtonL1, aim: float, before: tuple[Array, ...] | None = None) -> tuple[Array, ...]:
         """Return changes that bring all complementarities to `aim`, of second order if the predictor's are given."""
         targets = [
-            aim - self.u * self.to_upper,
-            aim - self.v * self.to_lower,
+            aim - self.u * self.up,
+            aim - self.v * self.down,
             aim - self.s * self.m,
             aim - self.w * self.x[self._bounded],
         ]
@@ -162,17 +162,13 @@ class _PrimalDualPoint:
         primal = min(
             reach(self.u, du), reach(self.v, dv), reach(self.s, ds), reach(self.x[self._bounded], dx[self._bounded])
         )
-        return primal, min(reach(self.to_upper, -dy), reach(self.to_lower, dy), reach(self.m, dm), reach(self.w, dw))
+        return primal, min(reach(self.up, -dy), reach(self.down, dy), reach(self.m, dm), reach(self.w, dw))
 
     def _stepped(self, change: tuple[Array, ...], primal: float, dual: float) -> _PrimalDualPoint:
         du, dv, ds, dx, dy, dm, dw = change
         moved = copy(self)
         moved.u, moved.v, moved.s = self.u + primal * du, self.v + primal * dv, self.s + primal * ds
-        moved.x, moved.to_upper, moved.to_lower = (
-            self.x + primal * dx,
-            self.to_upper - dual * dy,
-            self.to_lower + dual * dy,
-        )
+        moved.x, moved.up, moved.down = self.x + primal * dx, self.up - dual * dy, self.down + dual * dy
         moved.m, moved.w = self.m + dual * dm, self.w + dual * dw
         return moved
 
@@ -182,7 +178,7 @@ class _NewtonL1:
 
     def __init__(self, at: _PrimalDualPoint) -> None:
         self._at, problem = at, at._p
-        self._weight = 1 / (at.u / at.to_upper + at.v / at.to_lower)
+        self._weight = 1 / (at.u / at.up + at.v / at.down)
         self._ratio = at.m / at.s
         normal = _gram(problem.rows, self._weight) + barrier_matrix(problem.matrix, at.m, at.s)
         self._below = at.w / at.x[problem.free :]
@@ -195,7 +191,7 @@ class _NewtonL1:
     def changes(self, ru: Array, rv: Array, rs: Array, rx: Array) -> tuple[Array, ...]:
         """Return changes of u, v, s, x, y, m, w that change the four complementarities by these amounts."""
         at, problem = self._at, self._at._p
-        goal = self._left - ru / at.to_upper + rv / at.to_lower
+        goal = self._left - ru / at.up + rv / at.down
         force = (rs + at.m * self._short) / at.s
         right = problem.rows.T @ (self._weight * goal) + problem.matrix.T @ force - self._missed
         right[problem.free :] += rx / at.x[problem.free :]
@@ -203,15 +199,7 @@ class _NewtonL1:
         dy = self._weight * (goal - problem.rows @ dx)
         ds = problem.matrix @ dx - self._short
         dw = rx / at.x[problem.free :] - self._below * dx[problem.free :]
-        return (
-            (ru + at.u * dy) / at.to_upper,
-            (rv - at.v * dy) / at.to_lower,
-            ds,
-            dx,
-            dy,
-            rs / at.s - self._ratio * ds,
-            dw,
-        )
+        return ((ru + at.u * dy) / at.up, (rv - at.v * dy) / at.down, ds, dx, dy, rs / at.s - self._ratio * ds, dw)
 
 
 def _gram(rows: Array, weight: Array) -> Array:
