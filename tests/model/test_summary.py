@@ -80,7 +80,7 @@ def test_numbers_are_parts_too():
     assert "Resonance at 95.49 Hz with a damping of 0.05, under a voltage at 91.05 Hz" in said["Inertia"]
     assert "lags the voltage by 2 ms" in said["Delay"]
     assert "lags the command by 1 ms" in said["Amplifier"]
-    assert "1 N moves it by 0.5 um" in said["Load"]
+    assert "1 N moves the actuator by 0.5 um" in said["Load"]
 
 
 def test_what_parts_hold_is_what_they_can_hold():
