@@ -113,15 +113,15 @@ def bench(kind, seed):
     if "mass" in kind:
         actuator = replace(actuator, dynamics=Dynamics(30.0, 0.3, slope))
     model = actuator.model
-    state = model.fitted(our.make_state(plain, seed, "arbitrary"))
+    state = model.complete_state(our.make_state(plain, seed, "arbitrary"))
     kinds = ("break points", "decay", "jumps", "noisy ramp", "walk")
     path = np.concatenate([our.make_path(plain, state.displacement, seed, k, 200) for k in kinds])
     time = np.arange(path.size) * 0.01
-    pace = model._pace(time, path.size)
+    pace = model._steps(time, path.size)
     # One pace for all, as a harness has it.
     return (
         model,
-        model.held(state),
+        model.core_state(state),
         StepCoefficients(np.array([0, path.size]), *(table[-1:] for table in pace[1:])),
         path,
     )

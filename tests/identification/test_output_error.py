@@ -9,7 +9,7 @@ import structured_records as wide
 
 import dehyst
 from dehyst import IdentifyError
-from dehyst.identification.output_error import _descended, _Iterate, refine
+from dehyst.identification.output_error import _after_steps, _Iterate, refine
 from dehyst.identification.structured_fit import StructuredFit
 from dehyst.model import Structure
 from dehyst.records.metrics import rms
@@ -77,13 +77,13 @@ def test_what_only_follows_noise_is_left_out():
     # The steps did lower the error of the cycles that they saw.
     point = _Iterate.of(solved)
     seen = np.ones(point.errors().size, dtype=bool)
-    assert rms(_descended(point, seen).errors()) < rms(point.errors())
+    assert rms(_after_steps(point, seen).errors()) < rms(point.errors())
 
 
 def test_thresholds_keep_their_order():
     point = _Iterate.of(made("plain")[0])
     for moves in (np.full(point.breakaway.size, 5.0), np.resize([9.0, -9.0], point.breakaway.size)):
-        rho = point.towards(point.x, moves, 1.0).breakaway
+        rho = point.step(point.x, moves, 1.0).breakaway
         assert np.all(np.diff(rho, prepend=0.0) > 0)
 
 

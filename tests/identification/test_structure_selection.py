@@ -16,9 +16,8 @@ START = Structure()
 
 def errors_by(monkeypatch, error):
     """Let trials have a held-out error that is a function of the structure; returns what was told."""
-    monkeypatch.setattr(
-        structure_selection, "_tried", lambda build, one, tell: StructureTrial(one, error(one), 0.0, 0.0)
-    )
+    trial = lambda build, structure, progress: StructureTrial(structure, error(structure), 0.0, 0.0)  # noqa: E731
+    monkeypatch.setattr(structure_selection, "_trial", trial)
 
 
 def test_parts_are_added_while_one_is_worth_it(monkeypatch):

@@ -166,7 +166,8 @@ def test_without_inner_loops_the_papers_class_is_kept():
     assert found.trials == ()
     assert not found.actuator.wide
     assert any(
-        remark.startswith("Wider structures were not tried: the turning points tell 5 of 9") for remark in found.remarks
+        remark.startswith("Wider structures were not tried: the turning points determine 5 of 9")
+        for remark in found.remarks
     )
     assert (
         found.actuator.slip.stiffness.tolist()

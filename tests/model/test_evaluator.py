@@ -233,7 +233,7 @@ def test_dissipation_of_graded_elements(actuator, seed, width):
     ).voltage[loop.size :]
     area = float(np.sum(0.5 * (v[1:] + v[:-1]) * np.diff(loop)))
     low, high = bottom + rho, np.maximum(top - rho, bottom + rho)
-    lost = float(2 * rho @ (slip.held(high) - slip.held(low)))
+    lost = float(2 * rho @ (slip.internal_voltage(high) - slip.internal_voltage(low)))
     volts, _ = scales(wider, wider.turned(bottom, extrapolate=True), loop)
     assert lost >= 0
     plain_records.assert_close(area, lost, loop.size * volts * (top - bottom))
@@ -275,7 +275,7 @@ def outer_slopes(slip, spring, y):
     h = 1e-9 * np.ptp(spring.displacement)
     for rho in (slip.breakaway, -slip.breakaway):
         v = [
-            spring(at[:, 0]) + (slip.held(at) - slip.held(at - rho)).sum(axis=-1)
+            spring(at[:, 0]) + (slip.internal_voltage(at) - slip.internal_voltage(at - rho)).sum(axis=-1)
             for at in (y[:, None] - h, y[:, None] + h)
         ]
         yield (v[1] - v[0]) / (2 * h)
@@ -309,7 +309,7 @@ def test_branches_that_fall_are_refused_and_no_others(seed, size):
         (lambda: GradedSlip([1], [0, 1], [[-1]]), "stiffness 0, 0 is -1 V/m"),
         (lambda: GradedSlip([2, 1], [0, 1], [[1], [1]]), "positive and strictly increasing"),
         (lambda: Transformer([0, 1], [0]), "2 transformer knots and 1 drives"),
-        (lambda: Transformer([0], [0]), "two at least"),
+        (lambda: Transformer([0], [0]), "at least two"),
         (lambda: Transformer([0, 0], [0, 1]), "transformer knots must strictly increase"),
         (lambda: Transformer([0, 1], [1, 0]), "transformer drives must strictly increase"),
         (lambda: Creep([1], [1, 2]), "1 creep time constants and 2 stiffnesses"),

@@ -283,13 +283,13 @@ def test_refusals():
 def test_a_linearisation_is_refused():
     block = plain_records.plant(10).to_control()
     for start in (block.start, 0):
-        with pytest.raises(ModelError, match=r"linearize: linearising, and looking for an operating point"):
+        with pytest.raises(ModelError, match=r"linearize: linearising and searching for an operating point"):
             control.linearize(block, start, [100.0], eps=1e-10)
-    with pytest.raises(ModelError, match=r"control.find_operating_point[)], are not possible, for they change one"):
+    with pytest.raises(ModelError, match=r"control.find_operating_point[)] are not possible: they change one"):
         control.find_operating_point(block, block.start, [100.0])
     # Of a loop of blocks the parts are asked, each number of their memory alone.
     loop = control.interconnect([block], inputs="voltage", outputs="displacement")
-    with pytest.raises(ModelError, match=r"a cart lies farther .* If it was given: linearising, and looking"):
+    with pytest.raises(ModelError, match=r"a cart lies farther .* If you did: linearising and searching"):
         control.linearize(loop, block.start, [100.0], eps=1e-10)
 
 

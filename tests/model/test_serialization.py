@@ -312,7 +312,7 @@ def test_not_finite_in_text(tmp_path, place, value, word):
     [
         ("slip.stiffness_V_per_m", [1.0], "got 2 breakaway elongations and 1 stiffnesses, need one of each"),
         ("slip.breakaway_m", [1e-7], "got 1 breakaway elongations and 2 stiffnesses, need one of each"),
-        ("spring.voltage_V", [0.0, 1.0], "got 3 spring knots and 2 voltages, need the same number and two at least"),
+        ("spring.voltage_V", [0.0, 1.0], "got 3 spring knots and 2 voltages, need the same number, at least two"),
         ("spring.displacement_m", [0.0], "got 1 spring knots and 3 voltages"),
         ("state.carts_m", [0.0], "state: got 1 carts, this actuator has 2 elements"),
         ("slip.stiffness_V_per_m", [2e6, -1e-9], "stiffness 1 is -1e-09 V/m; a negative one grows without bound"),

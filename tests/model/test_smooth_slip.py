@@ -334,7 +334,7 @@ def test_the_equation_holds_to_its_rounding(seed):
 
 
 def test_a_sample_that_is_not_a_number_moves_nothing():
-    core, held = ACTUATOR.model.core, ACTUATOR.model.held(ACTUATOR.state)
+    core, held = ACTUATOR.model.core, ACTUATOR.model.core_state(ACTUATOR.state)
 
     def pace(samples):
         return StepCoefficients(np.array([0, samples]), *np.empty((3, 1, 0)))
@@ -385,7 +385,10 @@ def test_a_compensator_clamps_with_them():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: SmoothSlip([1, 2], [1], [1]), "got 2 of length, 1 of closing, 1 of stiffness; need as many"),
+        (
+            lambda: SmoothSlip([1, 2], [1], [1]),
+            "got 2 of length, 1 of closing, 1 of stiffness; need one of each for an element",
+        ),
         (lambda: SmoothSlip([0], [1], [1]), "need lengths above 0 and stiffnesses of 0 or more"),
         (lambda: SmoothSlip([1], [1], [-1]), "need lengths above 0 and stiffnesses of 0 or more"),
         (lambda: SmoothSlip([1], [0.4], [1]), r"closing must be 1/2 to 1, got \[0.4\]"),

@@ -125,7 +125,7 @@ def test_words(structure, words):
         ({"grades": 0}, "grades: got 0, need a whole number from 1 to 50"),
         ({"knots": 1}, "knots: got 1, need a whole number from 2 to 500"),
         ({"transformer": -1}, "transformer: got -1, need a whole number from 0 to 200"),
-        ({"transformer": 1}, "transformer: got 1, need 0 or two segments at least: one is a straight line"),
+        ({"transformer": 1}, "transformer: got 1, need 0 or at least two segments: one segment is a straight line"),
         ({"creep": 51}, "creep: got 51, need a whole number from 0 to 50"),
         ({"spacing": 0.4}, "spacing: got 0.4, need an exponent between 0.5 and 4"),
         ({"spacing": float("nan")}, "spacing: got nan, need an exponent between 0.5 and 4"),

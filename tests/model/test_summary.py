@@ -78,9 +78,9 @@ def test_numbers_are_parts_too():
     actuator = replace(linear(None), dynamics=Dynamics(600.0, 0.05, 1e6), lag=1e-3, load_stiffness=2e6, delay=2e-3)
     said = {part.name: part.sentence for part in parts_of(actuator)}
     assert "Resonance at 95.49 Hz with a damping of 0.05, under a voltage at 91.05 Hz" in said["Inertia"]
-    assert "2 ms after the voltage" in said["Delay"]
-    assert "lags by 1 ms" in said["Amplifier"]
-    assert "1 N moves it by 0.5 um" in said["Load"]
+    assert "lags the voltage by 2 ms" in said["Delay"]
+    assert "lags the command by 1 ms" in said["Amplifier"]
+    assert "1 N moves the actuator by 0.5 um" in said["Load"]
 
 
 def test_what_parts_hold_is_what_they_can_hold():

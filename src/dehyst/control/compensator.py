@@ -278,7 +278,7 @@ class Compensator:
         )
 
     def strays(self, displacement: Array, load: ArrayLike | None = None) -> str:
-        """Why displacements (n,) [m] cannot be meant, see `Actuator.strays`; what the limits allow can be."""
+        """Why displacements (n,) [m] cannot be meant, see `Actuator.implausibility`; what the limits allow can be."""
         return _strays(self.actuator, self._limits, displacement, load)
 
     @property
@@ -339,7 +339,7 @@ class Compensator:
             raise ModelError(f"snapshot: got {type(snapshot).__name__}, need a Snapshot; Snapshot.load reads a file")
         if snapshot.key != self._key:
             raise ModelError("snapshot: it is of another actuator, period or preview; make the compensator as it was")
-        state = self.actuator.model.held(self.actuator.model.fitted(snapshot.state))
+        state = self.actuator.model.core_state(self.actuator.model.complete_state(snapshot.state))
         if snapshot.rest.size != self._loop.rest().size:
             raise ModelError(
                 f"snapshot: got {snapshot.rest.size} numbers beside the state, need {self._loop.rest().size}"
@@ -380,7 +380,7 @@ class Compensator:
             If python-control is not installed.
         """
         loop, now = self._made_loop(), self.snapshot()
-        loop.begin(*self.actuator.model.held(now.state))
+        loop.begin(*self.actuator.model.core_state(now.state))
         loop.go_on(now.rest, *now.counts)
         return compensator_block(loop, labels(self.actuator.model, self._foresight.taps.size), self.period, name)
 
@@ -396,7 +396,7 @@ class Compensator:
 
     def start(self) -> CoreState:
         """The state that it was made or last reset in, in the core's numbers."""
-        return self.actuator.model.held(self._start)
+        return self.actuator.model.core_state(self._start)
 
     @property
     def _running(self) -> bool:
@@ -420,14 +420,14 @@ class Compensator:
         if period is None and (model.needs_time or slew is not None):
             raise ModelError("creep, inertia, a lag or a slew rate need the time between steps; give period= [s]")
         seconds = 0.0 if period is None else period
-        pace = model.pace(np.array([0, 1]), np.array([seconds]))
+        pace = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
         most = float(np.finfo(np.float64).max)
         change = most if slew is None else min(slew * seconds, most)
         if change <= 0:
             raise ModelError(f"slew_rate: {slew:g} V/s allow no change in {seconds:g} s; give more, or a longer period")
         numbers = np.array([*self.limits, change, *model.amplifier(seconds)])
         listener = partial(_tell, self.actuator, self._limits)
-        return model.core.loop(pace, self._foresight.taps, numbers, listener, model.held(self._start))
+        return model.core.loop(pace, self._foresight.taps, numbers, listener, model.core_state(self._start))
 
 
 def _remade(made: tuple[Any, ...], memory: Snapshot | None) -> Compensator:
@@ -446,11 +446,11 @@ def _tell(actuator: Actuator, limits: VoltageLimits, slewed: bool, displacement:
 
 
 def _strays(actuator: Actuator, limits: VoltageLimits, displacement: Array, load: ArrayLike | None = None) -> str:
-    words = actuator.strays(displacement, load)
+    words = actuator.implausibility(displacement, load)
     if not words or (limits.low, limits.high) == actuator.limits:
         return words
     try:
-        return actuator.strays(displacement, load, reachable_range(actuator, (limits.low, limits.high)))
+        return actuator.implausibility(displacement, load, reachable_range(actuator, (limits.low, limits.high)))
     except ModelError:
         return words
 

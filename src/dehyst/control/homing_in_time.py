@@ -226,7 +226,7 @@ class Swing:
 
     def _arrived(self, still: Actuator, state: State, turns: list[float]) -> State:
         """At the present voltage from a state, by a detour; the last leg takes no time."""
-        reached = still.model.fitted(state)
+        reached = still.model.complete_state(state)
         if turns:
             seconds = np.cumsum(np.geomspace(0.01, 10, len(turns)) * self.drive.half)
             when = seconds if still.needs_time else None

@@ -86,5 +86,7 @@ class MajorLoop:
         y = np.concatenate([[y[0] - np.ptp(y)], y, [y[-1] + np.ptp(y)]])
         held = self.actuator.spring(y) + side * self.friction
         if isinstance(slip, GradedSlip):
-            held = held + (slip.held(y[:, None]) - slip.held(y[:, None] - side * slip.breakaway)).sum(axis=1)
+            held = held + (
+                slip.internal_voltage(y[:, None]) - slip.internal_voltage(y[:, None] - side * slip.breakaway)
+            ).sum(axis=1)
         return y, held

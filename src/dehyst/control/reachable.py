@@ -25,7 +25,7 @@ def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, f
     ModelError
         If it is no state of this actuator.
     """
-    start = actuator.model.fitted(state)
+    start = actuator.model.complete_state(state)
     held = actuator.voltage(start)
     nearest = min(max(held, limits[0]), limits[1])
     if abs(held - nearest) <= _ROUNDING * (limits[1] - limits[0]):
@@ -33,7 +33,7 @@ def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, f
     slow = _slow(actuator)
     time = np.zeros(1) if slow.needs_time else None
     reached = slow.simulate([nearest], time=time, state=replace(start, motion=EMPTY), extrapolate=True).state
-    return actuator.model.fitted(reached)
+    return actuator.model.complete_state(reached)
 
 
 def state_at(actuator: Actuator, state: State, displacement: float) -> State:
@@ -44,10 +44,12 @@ def state_at(actuator: Actuator, state: State, displacement: float) -> State:
     ModelError
         If it is no state of this actuator.
     """
-    slow, start = _slow(actuator), actuator.model.fitted(state)
+    slow, start = _slow(actuator), actuator.model.complete_state(state)
     time = np.zeros(1) if slow.needs_time else None
     still = replace(start, motion=EMPTY)
-    return actuator.model.fitted(slow.compensate([displacement], time=time, state=still, extrapolate=True).state)
+    return actuator.model.complete_state(
+        slow.compensate([displacement], time=time, state=still, extrapolate=True).state
+    )
 
 
 def _slow(actuator: Actuator) -> Actuator:

@@ -218,8 +218,8 @@ class _Path:
                 continue
             change = _ANY if limits.slew_rate is None else limits.slew_rate * seconds
             numbers = np.array([limits.low, limits.high, change, 0.0, 0.0, 0.0, 1.0])
-            pace = model.pace(np.array([0, 1]), np.array([seconds]))
-            loop = model.core.loop(pace, np.ones(1), numbers, lambda *_: None, model.held(state))
+            pace = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
+            loop = model.core.loop(pace, np.ones(1), numbers, lambda *_: None, model.core_state(state))
             loop.go_on(np.array([before, before, before, before, 0.0, 0.0, w[run.start - 1]]), 0, 0, 0)
             voltage[run], place[run], offers[run] = loop.trace(w[run])
             before, state = float(voltage[run.stop - 1]), model.state_of(CoreState(*loop.state()))

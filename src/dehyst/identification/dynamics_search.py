@@ -1,4 +1,4 @@
-"""Delay, damping and inertia from records: an outer search over three numbers around the convex program."""
+"""Search for delay, damping and inertia: an outer search over three numbers around the convex program."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from dehyst._types import Array
 from dehyst.identification.regression.regression import Regression
 from dehyst.model import Actuator, Dynamics
 
-# Inertia must lower the RMS residual to this part, or it is left out.
+# Inertia must reduce the RMS residual to this share, or it is left out.
 _WORTH = 0.8
 _EVALUATIONS = 90
-# Of a sample: a shorter delay or lag leaves no trace in a record.
-_FELT = 0.01
+# Least delay or lag, as a part of a sample, that has an effect in a record.
+_SIGNIFICANT = 0.01
 
 
 @dataclass(frozen=True)
 class SensedDynamics:
-    """How the displacement y follows w, that which hysteresis makes: w(t - delay) = y + damping y' + mass y''.
+    """Dynamics between w, the output of the hysteresis, and y: w(t - delay) = y + damping y' + mass y''.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class SensedDynamics:
 
     @classmethod
     def of(cls, actuator: Actuator) -> SensedDynamics:
-        """That of an actuator."""
+        """Return the dynamics of an actuator."""
         dynamics = actuator.dynamics
         if dynamics is None:
             return cls(actuator.delay, 0.0, 0.0, actuator.lag)
@@ -51,7 +51,7 @@ class SensedDynamics:
 
     @property
     def dynamics(self) -> Dynamics | None:
-        """As a part of an actuator; None without inertia."""
+        """The dynamics as a part of an actuator; None without inertia."""
         if not self.mass:
             return None
         omega = 1 / np.sqrt(self.mass)
@@ -59,35 +59,35 @@ class SensedDynamics:
 
 
 def significant_delay(seconds: float, sample_time: float) -> float:
-    """A delay or lag [s] that a search found; 0 below a hundredth of a sample, for a search rarely ends at 0 itself."""
-    return seconds if seconds >= _FELT * sample_time else 0.0
+    """Return a delay or lag [s] from a search; 0 below a hundredth of a sample, as a search rarely ends at 0."""
+    return seconds if seconds >= _SIGNIFICANT * sample_time else 0.0
 
 
 def find_dynamics(
     build: Callable[[SensedDynamics], Regression], delay: float, sample_time: float, fastest: float
 ) -> SensedDynamics:
-    """Least RMS residual over delay, damping and mass; no mass unless that is worth it.
+    """Minimise the RMS residual over delay, damping and mass; without mass if the gain is small.
 
     Parameters
     ----------
     build : callable
-        Inertia -> regression on few rows.
+        Dynamics -> regression on few rows.
     delay : float
-        As found without inertia [s]: the start of the search.
+        Delay without inertia [s]: the start of the search.
     sample_time : float
         [s].
     fastest : float
-        Least time of a cycle of the excitation [s].
+        Least duration of a cycle of the excitation [s].
     """
     from scipy.optimize import minimize
 
     none = SensedDynamics(delay, 0.0, 0.0)
     best, cost = none, build(none).rms()
-    # What is slower than a tenth of the fastest cycle would show as a resonance in it; what is faster than the
-    # sampling cannot be seen.
+    # Dynamics slower than a tenth of the fastest cycle would show as a resonance in it; dynamics faster than the
+    # sampling have no effect.
     scale = max(sample_time, 0.02 * fastest)
 
-    def of(x: Array) -> SensedDynamics:
+    def dynamics_at(x: Array) -> SensedDynamics:
         delay_, damping, root = np.abs(x) * scale
         return SensedDynamics(float(delay_), float(damping), float(root**2))
 
@@ -101,8 +101,8 @@ def find_dynamics(
     )
     options: Any = {"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0}
     least: Any = minimize
-    found = least(lambda x: build(of(x)).rms(), simplex[0], method="Nelder-Mead", options=options)
-    if found.fun >= _WORTH * cost:
+    optimum = least(lambda x: build(dynamics_at(x)).rms(), simplex[0], method="Nelder-Mead", options=options)
+    if optimum.fun >= _WORTH * cost:
         return best
-    best = of(found.x)
+    best = dynamics_at(optimum.x)
     return replace(best, delay=significant_delay(best.delay, sample_time))

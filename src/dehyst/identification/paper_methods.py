@@ -1,4 +1,4 @@
-"""The paper's identification: break points of averaged loops, a linear program (Sec. 4.1), Remark 2's closed form."""
+"""The methods of the paper: break points of averaged loops, a linear program (Sec. 4.1), Remark 2's closed form."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.identification.diagnostics.branches import Branch, families, voltage_at
 from dehyst.identification.settings import Direction
-from dehyst.identification.solvers import program
+from dehyst.identification.solvers import highs
 from dehyst.model import Actuator, MaxwellSlip, Outcome, Spring
 from dehyst.model.elements import parts_in_segments
 from dehyst.records import Record
@@ -43,7 +43,7 @@ class BreakPointLoop:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """What a paper's method found; `actuator` is None where the solver failed."""
+    """The result of one of these methods; `actuator` is None if the solver failed."""
 
     actuator: Actuator | None
     outcome: Outcome
@@ -55,30 +55,30 @@ class Identified:
 def loops_of(records: list[Record], elements: int) -> list[BreakPointLoop]:
     """Find the closed loops of the records, the widest first, with their break points for N = `elements`.
 
-    A branch counts if the motion before it was at least as wide, for then every element that slides on it starts from
-    its breakaway elongation; the others are springs with an unknown constant force (Remark 4).
+    A branch is used if the motion before it was at least as wide: then every element that slides on it starts from its
+    breakaway elongation; the others are springs with an unknown constant force (Remark 4).
 
     Raises
     ------
     IdentifyError
         If no record holds a closed loop.
     """
-    found = [family for record in records for family in families(record)]
-    if not found:
+    groups = [family for record in records for family in families(record)]
+    if not groups:
         raise IdentifyError(
-            "no closed loop found: the voltage has to go up, down and up again between the same two turning points. "
+            "no closed loop found: the voltage must go up, down and up again between the same two turning points. "
             "Record two cycles, or use method='record'"
         )
-    step = max(top - bottom for _, bottom, top, _, _ in found) / elements
+    step = max(top - bottom for _, bottom, top, _, _ in groups) / elements
     loops = [
         BreakPointLoop(name, bottom, top, _break_points(down, top, bottom, step), _break_points(up, bottom, top, step))
-        for name, bottom, top, down, up in found
+        for name, bottom, top, down, up in groups
     ]
     return sorted(loops, key=lambda loop: -loop.range)
 
 
 def _break_points(branches: list[Branch], start: float, end: float, step: float) -> Array:
-    """Mean voltages where the motion has gone 0, step, 2 step, ... and at its end."""
+    """Return mean voltages after motions of 0, step, 2 step, ... and at the end."""
     count = int(np.floor(abs(end - start) / step * (1 + 1e-9)))
     moved = np.minimum(np.arange(count + 1) * step, abs(end - start))
     if moved[-1] < abs(end - start) * (1 - 1e-6):
@@ -92,20 +92,20 @@ def linear_program(loops: list[BreakPointLoop], elements: int, slope_floor: floa
     """Minimise the sum of absolute voltage errors at the break points of all loops (Sec. 4.1, Remark 4).
 
     The turning points of the major loop are met exactly (Eq. 4 and closure, Fdown_N = 0). Unknowns: k_i >= 0, the
-    spring's slopes between its knots (the g_i), and a constant for each minor loop. If the spring comes out falling
-    somewhere the program is solved again with Assumption I imposed.
+    spring's slopes between its knots (the g_i), and a constant for each minor loop. If the spring falls
+    somewhere, the program is solved again with Assumption I imposed.
     """
     major = loops[0]
     rho: Array = np.asarray(major.range / (2 * elements) * np.arange(1, elements + 1), dtype=np.float64)
     knots = np.linspace(major.bottom, major.top, elements + 1)
     rows, target = _rows(loops, rho, knots)
     mean_slope = (major.ascending[-1, 1] - major.ascending[0, 1]) / major.range
-    free = _solve(rows, target, elements, len(loops), -np.inf, major)
-    outcome, remarks, found = Outcome.IDENTIFIED, [], free
-    if not free[2] or np.any(free[0][elements : 2 * elements] < 1e-3 * mean_slope):
+    unconstrained = _solve(rows, target, elements, len(loops), -np.inf, major)
+    outcome, remarks, solution = Outcome.IDENTIFIED, [], unconstrained
+    if not unconstrained[2] or np.any(unconstrained[0][elements : 2 * elements] < 1e-3 * mean_slope):
         outcome = Outcome.ASSUMPTION_I_IMPOSED
-        found = _solve(rows, target, elements, len(loops), slope_floor * mean_slope, major)
-    x, objective, optimal, status, gap = found
+        solution = _solve(rows, target, elements, len(loops), slope_floor * mean_slope, major)
+    x, objective, optimal, status, gap = solution
     if not optimal:
         return Identified(None, Outcome.FAILED, status, gap)
     kappa, slopes = np.maximum(x[:elements], 0.0), x[elements : 2 * elements]
@@ -124,7 +124,7 @@ def linear_program(loops: list[BreakPointLoop], elements: int, slope_floor: floa
 
 
 def _rows(loops: list[BreakPointLoop], rho: Array, knots: Array) -> tuple[Array, Array]:
-    """A row a break point: elongations, parts of the spring's segments, one constant a loop."""
+    """Return a row for each break point: elongations, parts of the spring's segments, a constant for each loop."""
     rows, target = [], []
     for number, loop in enumerate(loops):
         slides = 2 * rho <= loop.range * (1 + 1e-9)
@@ -144,7 +144,7 @@ def _rows(loops: list[BreakPointLoop], rho: Array, knots: Array) -> tuple[Array,
 def _solve(
     rows: Array, target: Array, elements: int, loops: int, floor: float, major: BreakPointLoop
 ) -> tuple[Array, float, bool, str, float]:
-    """The linear program with residuals split in two: x, objective [V], optimal, status, relative gap."""
+    """Solve the linear program with split residuals: x, objective [V], optimal, status, relative gap."""
     count, unknowns = rows.shape
     scale = np.abs(rows).max(axis=0)
     scale[scale == 0] = 1.0
@@ -158,15 +158,15 @@ def _solve(
     lower = np.concatenate([lower, np.zeros(2 * count)])
     upper = np.concatenate([np.full(unknowns, np.inf), np.where(np.tile(fixed, 2), 0.0, np.inf)])
     goal = target / size
-    x, objective, optimal, status, dual = program.linear_program(cost, (lower, upper), matrix, (goal, goal))
+    x, objective, optimal, status, dual = highs.linear_program(cost, (lower, upper), matrix, (goal, goal))
     gap = abs(objective - dual) / max(float(np.abs(goal).sum()), 1e-300)
     return x[:unknowns] / scale * size, objective * size, optimal, status, gap
 
 
 def closed_form(loops: list[BreakPointLoop], elements: int, branch: Direction) -> Identified:
-    """Remark 2: k_i from second differences of one branch's break voltages, for an anti-symmetric loop without g.
+    """Apply Remark 2: k_i from second differences of one branch's break voltages, for an anti-symmetric loop without g.
 
-    k_N cannot be told from the spring and is set to zero; so are stiffnesses that come out negative.
+    k_N acts as part of the spring and is set to zero; so are negative stiffnesses.
     """
     major = loops[0]
     points = getattr(major, branch)
@@ -184,8 +184,8 @@ def closed_form(loops: list[BreakPointLoop], elements: int, branch: Direction) -
     slope = abs(v[-1] - v[-2]) / step
     # Eq. 4, and its mirror image where the ascending branch starts.
     at_start = v[0] - sign * float(kappa @ rho)
-    start, other = (major.top, major.bottom) if branch == "descending" else (major.bottom, major.top)
-    knots, values = np.array([start, other]), np.array([at_start, at_start + slope * (other - start)])
+    start, end = (major.top, major.bottom) if branch == "descending" else (major.bottom, major.top)
+    knots, values = np.array([start, end]), np.array([at_start, at_start + slope * (end - start)])
     order = np.argsort(knots)
     actuator = Actuator(MaxwellSlip(rho, kappa), Spring(knots[order], values[order]), name=major.record)
     outcome = Outcome.STIFFNESS_CLIPPED if clipped.size else Outcome.IDENTIFIED

@@ -1,7 +1,7 @@
-"""Resonance, damping, delay and lag that simulate records best.
+"""Tuning of resonance, damping, delay and lag by the simulation error.
 
-Least squares of an equation takes too small a mass where the second derivative is noisy, for noise counts as motion; a
-simulation derives nothing.
+Least squares of an equation underestimates the mass where the second derivative is noisy, because noise acts as motion;
+a simulation needs no derivative.
 """
 
 from __future__ import annotations
@@ -17,40 +17,40 @@ from dehyst.identification.simulation_error import SimulationError
 from dehyst.model import Actuator, Dynamics
 from dehyst.records.metrics import rms
 
-# An amplifier's lag must lower the RMS error to this part, or it is left out: it looks much like a delay.
+# An amplifier's lag must reduce the RMS error to this share, or it is left out: its effect is much like a delay's.
 _WORTH_OF_LAG = 0.9
-# What the search starts the lag from [of 1/omega], and steps by.
+# Start of the search for the lag [1/omega], and its finite differences.
 _FIRST_LAG = 0.05
 _STEP = 1e-3
 
 
-def tune_resonance(actuator: Actuator, playback: SimulationError) -> Actuator:
-    """The same actuator with the dynamics, delay and lag of least RMS simulation error, by least squares.
+def tune_resonance(actuator: Actuator, simulation: SimulationError) -> Actuator:
+    """Return the actuator with the dynamics, delay and lag of least RMS simulation error, by least squares.
 
     Parameters
     ----------
     actuator : Actuator
         With dynamics.
-    playback : SimulationError
-        Of records in which it rings.
+    simulation : SimulationError
+        Of records in which the actuator rings.
     """
     if actuator.dynamics is None:
         return actuator
-    without = _felt(_nearest(actuator, playback, lagging=False), playback)
-    lagging = _felt(_nearest(without, playback, lagging=True), playback)
-    worth = rms(playback.errors(lagging)) < _WORTH_OF_LAG * rms(playback.errors(without))
+    without = _significant(_best(actuator, simulation, lagging=False), simulation)
+    lagging = _significant(_best(without, simulation, lagging=True), simulation)
+    worth = rms(simulation.errors(lagging)) < _WORTH_OF_LAG * rms(simulation.errors(without))
     return lagging if worth else without
 
 
-def _felt(actuator: Actuator, playback: SimulationError) -> Actuator:
-    """The same without a delay or lag that the records cannot show."""
-    sample = min((one.record.record.sample_time for one in playback.stretches), default=0.0)
+def _significant(actuator: Actuator, simulation: SimulationError) -> Actuator:
+    """Return the actuator without a delay or lag that has no effect in the records."""
+    sample = min((epoch.record.record.sample_time for epoch in simulation.epochs), default=0.0)
     return replace(
         actuator, delay=significant_delay(actuator.delay, sample), lag=significant_delay(actuator.lag, sample)
     )
 
 
-def _nearest(actuator: Actuator, playback: SimulationError, *, lagging: bool) -> Actuator:
+def _best(actuator: Actuator, simulation: SimulationError, *, lagging: bool) -> Actuator:
     from scipy.optimize import least_squares
 
     start = actuator.dynamics
@@ -59,7 +59,7 @@ def _nearest(actuator: Actuator, playback: SimulationError, *, lagging: bool) ->
     unit = 1 / start.frequency
 
     def with_numbers(x: Array) -> Actuator:
-        # All near 1, for steps of differences are parts of them.
+        # Numbers near 1, because finite differences are relative to them.
         frequency, damping, delay, *lag = (x - 1).tolist()
         return replace(
             actuator,
@@ -71,9 +71,9 @@ def _nearest(actuator: Actuator, playback: SimulationError, *, lagging: bool) ->
     stroke = float(np.ptp(actuator.spring.displacement))
 
     def error(x: Array) -> Array:
-        return playback.errors(with_numbers(x)) / stroke
+        return simulation.errors(with_numbers(x)) / stroke
 
-    # Nothing comes early, or is pushed on; a step of a difference inside, where there are still slopes.
+    # Delay, lag and damping are not negative; the start lies a finite difference inside, where slopes exist.
     least = 1 - np.array([np.inf, start.damping, actuator.delay / unit, *([_FIRST_LAG] if lagging else [])])
     first = np.maximum(np.ones(least.size), least + 2 * _STEP)
     steps = np.full(first.size, _STEP)

@@ -1,4 +1,4 @@
-"""What an identification is asked for, checked."""
+"""Checked options of an identification."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dehyst.identification.solvers.program import NORMS, Norm
 Method = Literal["record", "breakpoints", "antisymmetric"]
 Direction = Literal["descending", "ascending"]
 METHODS: tuple[Method, ...] = ("record", "breakpoints", "antisymmetric")
-# The default is the paper's own number for its methods; with every sample at work twice as many can be told apart.
+# Default numbers of elements: the paper's for its methods; with every sample in the fit twice as many.
 _ELEMENTS = {"record": 20, "breakpoints": 10, "antisymmetric": 10}
 
 
@@ -27,7 +27,7 @@ class Settings:
     Raises
     ------
     IdentifyError
-        If one is impossible, or two exclude one another.
+        If an option is impossible, or two exclude each other.
     """
 
     method: Method = "record"
@@ -60,7 +60,7 @@ class Settings:
     def _check_breakaway(self, breakaway: ArrayLike) -> None:
         rho = _validation.numbers(breakaway, "breakaway")
         if self.elements is not None:
-            raise IdentifyError("got both elements and breakaway, need one of them")
+            raise IdentifyError("got both elements and breakaway, need only one of them")
         if self.method != "record":
             raise IdentifyError(f"breakaway: method {self.method!r} needs the uniform grid; give elements instead")
         if not 1 <= rho.size <= 500 or rho[0] <= 0 or np.any(np.diff(rho) <= 0):
@@ -75,7 +75,7 @@ class Settings:
         return self.elements or _ELEMENTS[self.method]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values of what bears on the result."""
+        """Return the options that affect the result as JSON values."""
         return {
             "method": self.method,
             "norm": self.norm,

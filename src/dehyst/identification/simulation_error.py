@@ -1,4 +1,4 @@
-"""Records played back through a model, and what the model then misses: errors of simulation, not of an equation."""
+"""Simulation errors of a model on the last epochs of records, as opposed to equation errors."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class FinalEpoch:
     ----------
     record : Prepared
     number : int
-        Of the piece.
+        Number of the piece.
     epoch : Epoch
     state : State
         At its first sample, on the model's axis.
     offset : float
-        Of its voltages [V].
+        Offset of its voltages [V].
     datum : float
-        Of its displacements [m].
+        Datum of its displacements [m].
     """
 
     record: Prepared
@@ -40,18 +40,18 @@ class FinalEpoch:
     state: State
     offset: float
     datum: float
-    _known: dict[tuple[float, float], Record] = field(default_factory=dict, init=False, repr=False)
+    _cache: dict[tuple[float, float], Record] = field(default_factory=dict, init=False, repr=False)
 
     def piece(self, delay: float, lag: float = 0.0) -> Record:
-        """Its samples, the voltages those that act, their offset left in."""
-        if (delay, lag) not in self._known:
+        """Return its samples with acting voltages, their offset included."""
+        if (delay, lag) not in self._cache:
             _, whole, _ = self.record.delayed(0, delay, lag)[self.number]
-            self._known.clear()
-            self._known[delay, lag] = whole.slice(self.epoch.start, self.epoch.stop)
-        return self._known[delay, lag]
+            self._cache.clear()
+            self._cache[delay, lag] = whole.slice(self.epoch.start, self.epoch.stop)
+        return self._cache[delay, lag]
 
     def error(self, actuator: Actuator) -> Array:
-        """Measured less simulated (n,) [m], but for a constant."""
+        """Return measured minus simulated displacement (n,) [m], mean zero."""
         piece, rho = self.piece(actuator.delay, actuator.lag), actuator.slip.breakaway
         actuator = replace(actuator, lag=0.0)
         y = self.state.displacement
@@ -65,36 +65,36 @@ class FinalEpoch:
 
 @dataclass(frozen=True, eq=False)
 class SimulationError:
-    """The stretches of some records from whose states models like the one given are simulated.
+    """The last epochs of records, from whose start states models of the same structure are simulated.
 
     Attributes
     ----------
-    stretches : tuple of FinalEpoch
+    epochs : tuple of FinalEpoch
     """
 
-    stretches: tuple[FinalEpoch, ...]
+    epochs: tuple[FinalEpoch, ...]
 
     @classmethod
     def of(cls, actuator: Actuator, records: Sequence[Prepared], datum: Array, stroke: float) -> SimulationError:
-        """States and offsets as they are found beside an actuator; `datum` [m] of each record."""
-        found = []
+        """Find states and offsets by comparison with an actuator; `datum` [m] of each record."""
+        finals = []
         for record, shift in zip(records, datum, strict=True):
-            beside = compare(actuator, record, Protocol("training", actuator.delay, float(shift), False, stroke))
-            for number, (own, offset) in enumerate(zip(beside.epochs, beside.last_offsets(), strict=True)):
-                if own:
-                    state = beside.state_before(actuator, number, own[-1]).shifted(beside.datum)
-                    found.append(FinalEpoch(record, number, own[-1], state, offset, beside.datum))
-        return cls(tuple(found))
+            comparison = compare(actuator, record, Protocol("training", actuator.delay, float(shift), False, stroke))
+            for number, (of_piece, offset) in enumerate(zip(comparison.epochs, comparison.last_offsets(), strict=True)):
+                if of_piece:
+                    state = comparison.state_before(actuator, number, of_piece[-1]).shifted(comparison.datum)
+                    finals.append(FinalEpoch(record, number, of_piece[-1], state, offset, comparison.datum))
+        return cls(tuple(finals))
 
     def errors(self, actuator: Actuator) -> Array:
-        """Of every sample (n,) [m], each stretch but for a constant."""
-        return np.concatenate([one.error(actuator) for one in self.stretches])
+        """Return the error of every sample (n,) [m], mean zero in each epoch."""
+        return np.concatenate([epoch.error(actuator) for epoch in self.epochs])
 
     def voltage(self, delay: float = 0.0) -> Array:
-        """Of every sample (n,) [V]."""
-        return np.concatenate([one.piece(delay).voltage for one in self.stretches])
+        """Return the voltage of every sample (n,) [V]."""
+        return np.concatenate([epoch.piece(delay).voltage for epoch in self.epochs])
 
-    def stretch(self) -> NDArray[np.intp]:
-        """Number of the stretch of every sample (n,)."""
-        sizes = [one.epoch.stop - one.epoch.start for one in self.stretches]
+    def epoch_numbers(self) -> NDArray[np.intp]:
+        """Return the number of the epoch of every sample (n,)."""
+        sizes = [epoch.epoch.stop - epoch.epoch.start for epoch in self.epochs]
         return np.repeat(np.arange(len(sizes)), sizes)

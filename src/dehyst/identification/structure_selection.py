@@ -1,4 +1,4 @@
-"""How much model records support: parts are added one by one while the error on held-out cycles falls."""
+"""Selection of the structure: parts are added one by one while the error on held-out cycles falls."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._types import Array
+from dehyst._types import Array, Progress
 from dehyst.identification.regression.regression import Regression
 from dehyst.model import Structure
 from dehyst.records.metrics import rms
@@ -18,11 +18,11 @@ from dehyst.records.signals import turning_points
 
 Build = Callable[[Structure], Regression]
 _FOLDS = 3
-# Blocks that a record is cut into at least, so that a staircase of two long legs can be held out in parts.
+# Least number of blocks of a record, so that a staircase of two long legs can be held out in parts.
 _BLOCKS = 12
-# A part must make the held-out error smaller by this much; of less, noise decides.
+# A part must reduce the held-out error to this share: a smaller gain may be noise.
 _WORTH = 0.97
-# What is tried, part by part.
+# Parts, tried one by one.
 PARTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("more elements, dense where loops are small", {"elements": 40, "spacing": 2.0, "knots": 41}),
     ("a transformer", {"transformer": 20}),
@@ -30,7 +30,7 @@ PARTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("creep", {"creep": 9}),
     ("smooth elements", {"smooth": True}),
 )
-# What is tried then, on what was found.
+# Changes of the structure with these parts, tried afterwards.
 TUNING: tuple[tuple[str, dict[str, Any]], ...] = (
     ("finer grades", {"grades": 16}),
     ("more smoothing", {"smoothing": 1e-2}),
@@ -40,15 +40,15 @@ TUNING: tuple[tuple[str, dict[str, Any]], ...] = (
 
 @dataclass(frozen=True)
 class StructureTrial:
-    """A structure that was tried.
+    """A structure and its cross-validation error.
 
     Attributes
     ----------
     structure : Structure
     held_out, training : float
-        RMS error [m]: of cycles held out in turn, and of the records themselves.
+        RMS error [m] on cycles held out in turn, and on the training records.
     seconds : float
-        That it took.
+        Duration of the trial.
     """
 
     structure: Structure
@@ -57,7 +57,7 @@ class StructureTrial:
     seconds: float
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Return JSON values."""
         return {
             "structure": self.structure.as_dict(),
             "words": self.structure.words,
@@ -69,60 +69,62 @@ class StructureTrial:
 
 
 def label(structure: Structure, trials: Sequence[StructureTrial]) -> str:
-    """A structure in words, with its smoothing where that alone tells it from another that was tried."""
-    like = {one.structure.smoothing for one in trials if one.structure.words == structure.words}
-    return structure.words if len(like) < 2 else f"{structure.words}; smoothing {structure.smoothing:g}"
+    """Describe a structure in words, with its smoothing if only that differs from another trial."""
+    smoothings = {trial.structure.smoothing for trial in trials if trial.structure.words == structure.words}
+    return structure.words if len(smoothings) < 2 else f"{structure.words}; smoothing {structure.smoothing:g}"
 
 
 def select(
-    build: Build, start: Structure, tell: Callable[[str], None], *, without: Sequence[str] = ()
+    build: Build, start: Structure, progress: Progress, *, without: Sequence[str] = ()
 ) -> tuple[Structure, tuple[StructureTrial, ...]]:
-    """Add the part that helps most on held-out cycles, again and again, until none is worth it; then tune.
+    """Add the part that reduces the held-out error most, repeatedly, until no part is worth it; then tune.
 
     Parameters
     ----------
     build : callable
         Structure -> regression on the same samples, thinned.
     start : Structure
-    tell : callable
+    progress : callable
         Called with a few words at each trial.
     without : sequence of str
-        Fields of a structure that are left as they are.
+        Fields of a structure that must not change.
 
     Returns
     -------
-    Structure, tuple of Trial
-        The chosen one, and all that were tried in order.
+    Structure, tuple of StructureTrial
+        The selected structure, and all trials in order.
     """
-    trials = [_tried(build, start, tell)]
-    best = _climbed(build, trials[0], [change for _, change in PARTS if not set(change) & set(without)], trials, tell)
+    trials = [_trial(build, start, progress)]
+    best = _best_after(
+        build, trials[0], [change for _, change in PARTS if not set(change) & set(without)], trials, progress
+    )
     tuning = [change for _, change in TUNING if "grades" not in change or best.structure.grades > 1]
-    best = _climbed(build, best, tuning, trials, tell)
+    best = _best_after(build, best, tuning, trials, progress)
     return best.structure, tuple(trials)
 
 
-def _climbed(
+def _best_after(
     build: Build,
     best: StructureTrial,
     left: list[dict[str, Any]],
     trials: list[StructureTrial],
-    tell: Callable[[str], None],
+    progress: Progress,
 ) -> StructureTrial:
-    """The best after one change at a time; what is tried is added to the trials."""
+    """Return the best structure after one change at a time; append all trials to `trials`."""
     while left:
-        found = [_tried(build, replace(best.structure, **change), tell) for change in left]
-        trials += found
-        first = int(np.argmin([one.held_out for one in found]))
-        if not found[first].held_out < _WORTH * best.held_out:
+        candidates = [_trial(build, replace(best.structure, **change), progress) for change in left]
+        trials += candidates
+        first = int(np.argmin([trial.held_out for trial in candidates]))
+        if not candidates[first].held_out < _WORTH * best.held_out:
             break
-        best, taken = found[first], set(left[first])
-        # Another value of the same field was tried beside it.
+        best, taken = candidates[first], set(left[first])
+        # Other values of the same field have been tried too.
         left = [change for change in left if not taken & set(change)]
     return best
 
 
-def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> StructureTrial:
-    tell(f"trying {structure.words}")
+def _trial(build: Build, structure: Structure, progress: Progress) -> StructureTrial:
+    progress(f"trying {structure.words}")
     begin = time.perf_counter()
     regression = build(structure)
     first = regression.fit("l2")
@@ -134,24 +136,24 @@ def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> S
 
 
 def held_out_error(regression: Regression) -> float:
-    """RMS error [m] of cycles held out in turn, rows weighted by the inverse slope of a first fit."""
+    """Return the RMS error [m] of cycles held out in turn, rows weighted by the inverse slope of a first fit."""
     return rms(held_out_errors(regression, 1 / regression.slope(regression.fit("l2"))))
 
 
 def held_out_errors(regression: Regression, weights: Array) -> Array:
-    """Error of each row [m] from a fit without its cycle and every third other."""
+    """Return the error of each row [m] in a fit without every third cycle, its own among them."""
     fold = blocks(regression.rows.voltage, regression.rows.epoch) % _FOLDS
     errors = np.empty(len(fold))
     for k in range(_FOLDS):
         out = fold == k
-        found = regression.chosen(~out).fit("l2", weights[~out])
-        left = regression.chosen(out)
-        errors[out] = left.residual(found) / left.slope(found)
+        coefficients = regression.chosen(~out).fit("l2", weights[~out])
+        held_out = regression.chosen(out)
+        errors[out] = held_out.residual(coefficients) / held_out.slope(coefficients)
     return errors
 
 
 def blocks(voltage: Array, epoch: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Number of the cycle of each row (n,), from its voltage and its epoch's number; long monotone legs are cut."""
+    """Return the cycle number of each row (n,), from voltage and epoch number; long monotone legs are cut."""
     cut = np.zeros(voltage.size, dtype=bool)
     cut[1:] = np.diff(epoch) != 0
     cut[turning_points(voltage, 0.02 * float(np.ptp(voltage)))[::2]] = True

@@ -1,4 +1,4 @@
-"""The words that every model shares: its interface, a motion, a state, the result of an identification."""
+"""What every model shares: its interface, a motion and a state."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from dehyst._validation import number, vector
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What an actuator remembers.
+    """The memory of an actuator.
 
     Attributes
     ----------
     displacement : float
-        [m]; with dynamics or a load, w: where the electrical side stands.
+        [m]; with dynamics or a load, w: that of the electrical side.
     carts : (N,) array
         Position of each cart [m].
     creep : (J,) array
@@ -59,7 +59,7 @@ class State:
             raise ModelError(f"state: got a motion of {self.motion.size} numbers, need displacement and velocity")
 
     def shifted(self, by: float) -> State:
-        """The same state on a displacement axis moved by `by` [m]."""
+        """Return the same state on a displacement axis moved by `by` [m]."""
         motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
         return State(self.displacement + by, self.carts + by, self.creep, motion, self.smooth)
 
@@ -78,8 +78,8 @@ class AbstractModel(ABC):
 
     @abstractmethod
     def simulate(self, voltage: ArrayLike, *, time: ArrayLike | None = None, state: Any = None) -> Motion:
-        """Displacement that a voltage causes, from `state`; `time` (n,) [s] for models that know of it."""
+        """Return the displacement that a voltage causes from `state`; `time` (n,) [s] for models that depend on it."""
 
     @abstractmethod
     def compensate(self, displacement: ArrayLike, *, time: ArrayLike | None = None, state: Any = None) -> Motion:
-        """Voltage that makes the model follow a displacement, from `state`; `time` as in `simulate`."""
+        """Return the voltage with which the model follows a displacement from `state`; `time` as in `simulate`."""

@@ -1,4 +1,4 @@
-"""Creep: viscous branches beside the spring, and the steps of time that move them."""
+"""Creep: viscous branches in parallel with the spring, and their steps in time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Creep:
     Raises
     ------
     ModelError
-        If lengths differ, or a value is impossible or cannot be computed with (above 1e30 in magnitude).
+        If lengths differ, or a value is impossible or too large to compute with (magnitude over 1e30).
     """
 
     time_constants: Array
@@ -41,7 +41,9 @@ class Creep:
     def __init__(self, time_constants: ArrayLike, stiffness: ArrayLike) -> None:
         tau, c = vector(time_constants, "creep time constants"), vector(stiffness, "creep stiffnesses")
         if tau.size != c.size:
-            raise ModelError(f"got {tau.size} creep time constants and {c.size} stiffnesses, need one of each a branch")
+            raise ModelError(
+                f"got {tau.size} creep time constants and {c.size} stiffnesses, need one of each for a branch"
+            )
         if np.any(tau <= 0):
             raise ModelError(f"creep time constants must be positive, got {tau}")
         if np.any(c < 0):
@@ -57,13 +59,13 @@ class Creep:
         return self.time_constants.size
 
     def tables(self, durations: Array) -> tuple[Array, Array]:
-        """Decays exp(-dt/tau_j) and gains (1 - decay) tau_j/dt, each (R, J), of steps (R,) [s]; at 0 s both are 1."""
+        """Return decays exp(-dt/tau_j) and gains (1 - decay) tau_j/dt, (R, J), of steps (R,) [s]; both 1 at 0 s."""
         with np.errstate(over="ignore"):
             x = durations[:, None] / self.time_constants
         return np.exp(-x), np.divide(-np.expm1(-x), x, out=np.ones_like(x), where=x > 0)
 
     def strains(self, time: ArrayLike, displacement: ArrayLike) -> Array:
-        """Strains d_j (n, J) [m] along a displacement (n,) [m], from none at the first sample: columns of a regression.
+        """Return strains d_j (n, J) [m] along a displacement (n,) [m], 0 at the first sample: columns of a regression.
 
         Raises
         ------
@@ -81,7 +83,7 @@ def clock(time: ArrayLike, samples: int) -> tuple[NDArray[np.int64], Array]:
     Raises
     ------
     ModelError
-        If `time` [s] is not strictly increasing, a number a sample.
+        If `time` [s] has another length than the samples or does not strictly increase.
     """
     t = vector(time, "time")
     bounds, durations = steps(t)

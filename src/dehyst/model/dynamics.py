@@ -1,4 +1,4 @@
-"""Inertia and damping: the mechanical side of the actuator, its steps exact for an even push."""
+"""Inertia and damping: the mechanical side of the actuator; its steps are exact for a push linear in time."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.model.elements import Spring
 
-# Of Taylor's series at a norm of 1: 1/20! is below the last digit.
+# Terms of Taylor's series at a norm of 1: 1/20! is below the last digit.
 _TERMS = 21
-# Radians in a step: squared as often as these ask for, the exponential keeps four digits.
+# Most radians in a step: after the squarings that these need, the exponential keeps four digits.
 _LONGEST = 2.0**40
 
 
@@ -22,13 +22,13 @@ _LONGEST = 2.0**40
 class Dynamics:
     """Mass, damping and the series spring between the electrical and the mechanical side (theory section 9).
 
-    ``y'' + 2 zeta omega y' + omega^2 y = omega^2 (w + F_ext/kc)``, and the voltage holds ``beta (w - y)`` besides: the
-    slip elements and the spring act on w, which is y when all is slow and free.
+    ``y'' + 2 zeta omega y' + omega^2 y = omega^2 (w + F_ext/kc)``, and the voltage also holds ``beta (w - y)``: the
+    slip elements and the spring act on w, which equals y in slow motion without load.
 
     Parameters
     ----------
     frequency : float
-        omega [rad/s], the resonance at constant charge: sqrt((km + ke)/m). Under a voltage it is seen lower, at
+        omega [rad/s], the resonance at constant charge: sqrt((km + ke)/m). Under a voltage the resonance is lower,
         omega sqrt(K/(K + beta)), K the slope of voltage over w.
     damping : float
         zeta, 0 or more.
@@ -38,7 +38,7 @@ class Dynamics:
     Raises
     ------
     ModelError
-        If a number is impossible or cannot be computed with (above 1e30 in magnitude).
+        If a number is impossible or too large to compute with (magnitude over 1e30).
     """
 
     frequency: float
@@ -48,7 +48,7 @@ class Dynamics:
     def __post_init__(self) -> None:
         if number(self.frequency, "frequency") <= 0:
             raise ModelError(
-                f"frequency: got {self.frequency}, need a positive number of rad/s; leave Dynamics out else"
+                f"frequency: got {self.frequency}, need a positive number of rad/s; without inertia leave Dynamics out"
             )
         for name in ("damping", "series"):
             if number(getattr(self, name), name) < 0:
@@ -57,31 +57,31 @@ class Dynamics:
         demand_divisors(self.frequency, "frequency [rad/s]")
 
     def share(self, spring: Spring) -> float:
-        """Theta = beta/(K + beta), K the mean slope of the spring: what of the push of w follows y at once."""
+        """Return theta = beta/(K + beta), K the mean slope of the spring: the share of w that follows y at once."""
         mean = float(np.ptp(spring.voltage) / np.ptp(spring.displacement))
         return self.series / (mean + self.series)
 
     def lead(self, velocity: Array, acceleration: Array) -> Array:
-        """W less y (n,) [m] that moves the free mass so: 2 zeta/omega y' + y''/omega^2."""
+        """Return w - y (n,) [m] that moves the free mass so: 2 zeta/omega y' + y''/omega^2."""
         return (2 * self.damping * velocity + acceleration / self.frequency) / self.frequency
 
     def transitions(self, durations: Array, share: float) -> Array:
-        """Steps (R, 8) of durations (R,) [s] for (y, y'/omega): phi row by row, then what q before and after adds.
+        """Return steps (R, 8) of durations (R,) [s] for (y, y'/omega): phi by rows, then gains of q before and after.
 
         ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time: by
-        the exponential of the matrix that has q and its slope for states too.
+        the exponential of the matrix whose states include q and its slope.
 
         Raises
         ------
         ModelError
-            If a step is so long beside the resonance that its exponential has no digits.
+            If a step is so many periods of the resonance long that its exponential has no digits.
         """
         radians = max(1.0, 2 * self.damping) * self.frequency * float(durations.max(initial=0.0))
         if radians > _LONGEST:
             raise ModelError(
                 f"time: a step of {durations.max():.3g} s is too long for a resonance at "
-                f"{self.frequency / (2 * np.pi):.3g} Hz with a damping of {self.damping:.3g}; give shorter ones, or "
-                "leave Dynamics out"
+                f"{self.frequency / (2 * np.pi):.3g} Hz with a damping of {self.damping:.3g}; give shorter steps, "
+                "or leave Dynamics out"
             )
         distinct, row = np.unique(durations * self.frequency, return_inverse=True)
         generator = np.zeros((distinct.size, 4, 4))
@@ -98,22 +98,22 @@ class Dynamics:
 
 
 def exponential(matrices: Array) -> Array:
-    """Exponentials of many small matrices (R, n, n) at once: Taylor's series of a halved matrix, squared again.
+    """Return the exponentials of many small matrices (R, n, n): Taylor's series of a halved matrix, squared again.
 
-    As many halvings as each needs: one that is not needed costs a bit of a small matrix's digits.
+    Each matrix is halved as often as it needs: a halving too many costs one bit.
     """
     size = np.abs(matrices).sum(axis=2).max(axis=1, initial=0.0)
     halvings = np.ceil(np.log2(np.maximum(size, 1.0))).astype(np.int64)
-    found = np.empty_like(matrices)
+    result = np.empty_like(matrices)
     for count in np.unique(halvings):
-        those = halvings == count
-        part = matrices[those] / 2.0**count
-        term = np.broadcast_to(np.eye(matrices.shape[1]), part.shape)
+        same = halvings == count
+        scaled = matrices[same] / 2.0**count
+        term = np.broadcast_to(np.eye(matrices.shape[1]), scaled.shape)
         total = term.copy()
         for k in range(1, _TERMS):
-            term = term @ part / k
+            term = term @ scaled / k
             total += term
         for _ in range(count):
             total = total @ total
-        found[those] = total
-    return found
+        result[same] = total
+    return result

@@ -1,4 +1,4 @@
-"""The parts an actuator is made of: frozen, validated, in seconds, volts and metres of displacement."""
+"""The elements, spring and transformer of an actuator: frozen, validated, in volts and metres of displacement."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def frozen(array: Array) -> Array:
 
 
 def checked_breakaway(breakaway: ArrayLike) -> Array:
-    """Return breakaway elongations (N,) [m]; refuse with `ModelError` what is not positive and strictly increasing."""
+    """Return breakaway elongations (N,) [m]; raise `ModelError` if they are not positive and strictly increasing."""
     rho = vector(breakaway, "breakaway elongations")
     if np.any(rho <= 0) or np.any(np.diff(rho) <= 0):
         raise ModelError(f"breakaway elongations must be positive and strictly increasing, got {rho}")
@@ -29,12 +29,12 @@ def checked_breakaway(breakaway: ArrayLike) -> Array:
 
 
 def segment_of(knots: Array, y: ArrayLike) -> NDArray[np.intp]:
-    """Number of the segment between knots (M,) in which each y lies, the end segments being unbounded."""
+    """Return the number of the segment between knots (M,) in which each y lies; end segments are unbounded."""
     return np.clip(np.searchsorted(knots, y, side="right") - 1, 0, knots.size - 2)
 
 
 def parts_in_segments(knots: Array, y: Array) -> Array:
-    """The part of y that lies in each segment between knots, the end segments being unbounded, shape (n, M - 1).
+    """Return the part of y in each segment between knots, shape (n, M - 1); end segments are unbounded.
 
     A spring of slopes a_j between its knots holds ``eta(knots[0]) + sum_j a_j parts_j(y)``.
     """
@@ -70,7 +70,7 @@ class MaxwellSlip:
         rho, kappa = checked_breakaway(breakaway), vector(stiffness, "stiffnesses")
         if rho.size != kappa.size:
             raise ModelError(
-                f"got {rho.size} breakaway elongations and {kappa.size} stiffnesses, need one of each an element"
+                f"got {rho.size} breakaway elongations and {kappa.size} stiffnesses, need one of each for an element"
             )
         if np.any(kappa < 0):
             raise ModelError(
@@ -92,25 +92,25 @@ class MaxwellSlip:
 
 @dataclass(frozen=True, eq=False)
 class GradedSlip:
-    """N Maxwell-slip elements whose stiffness depends on where their cart sits (theory section 8).
+    """N Maxwell-slip elements whose stiffness depends on the position of their cart (theory section 8).
 
     Element i holds ``psi_i(y) - psi_i(b_i)``, b_i the position of its cart, dragged along at the distance
-    ``breakaway_i``; psi_i is piecewise linear on knots that all elements share, its end segments going on for ever.
-    With one segment it is `MaxwellSlip`.
+    ``breakaway_i``; psi_i is piecewise linear on knots that all elements share, with unbounded end segments. With one
+    segment this is `MaxwellSlip`.
 
     Parameters
     ----------
     breakaway : (N,) array_like
         Largest elongations rho_i [m], positive and strictly increasing.
     knots : (M + 1,) array_like
-        [m], strictly increasing, M >= 1. The outer two only say where the end segments begin.
+        [m], strictly increasing, M >= 1. The outer two have no effect: end segments are unbounded.
     stiffness : (N, M) array_like
         kappa_im [V/m], not negative: the slope of psi_i in each segment.
 
     Raises
     ------
     ModelError
-        If shapes do not fit, or a value is impossible or cannot be computed with (above 1e30 in magnitude).
+        If shapes do not fit, or a value is impossible or too large to compute with (magnitude over 1e30).
     """
 
     breakaway: Array
@@ -123,7 +123,7 @@ class GradedSlip:
         if ends.size < 2 or kappa.shape != (rho.size, ends.size - 1):
             raise ModelError(
                 f"got stiffnesses of shape {kappa.shape} for {rho.size} breakaway elongations and {ends.size} grade "
-                f"knots, need ({rho.size}, {max(ends.size, 2) - 1}): a row an element, a column a segment"
+                f"knots, need ({rho.size}, {max(ends.size, 2) - 1}): one row for an element, one column for a segment"
             )
         if np.any(np.diff(ends) <= 0):
             raise ModelError(f"grade knots must strictly increase, got {ends}")
@@ -143,29 +143,29 @@ class GradedSlip:
 
     @property
     def friction(self) -> Array:
-        """(N,) largest voltages [V] that the elements can hold, wherever they slide."""
+        """(N,) largest voltages [V] that the elements can hold anywhere."""
         bends = np.concatenate([self.knots[:, None] + np.zeros(len(self)), self.knots[:, None] + self.breakaway])
-        return np.asarray((self.held(bends) - self.held(bends - self.breakaway)).max(axis=0))
+        return np.asarray((self.internal_voltage(bends) - self.internal_voltage(bends - self.breakaway)).max(axis=0))
 
     def stiffest(self) -> MaxwellSlip:
-        """Plain elements that hold as much where these hold most: for a picture, not for a simulation."""
+        """Return plain elements of the same `friction`: for a picture, not for a simulation."""
         return MaxwellSlip(self.breakaway, self.friction / self.breakaway)
 
-    def held(self, positions: ArrayLike) -> Array:
-        """psi_i [V] at positions [m] of shape (..., N) or (..., 1), as shape (..., N); 0 at the first knot."""
+    def internal_voltage(self, positions: ArrayLike) -> Array:
+        """Return psi_i [V] at positions [m] of shape (..., N) or (..., 1), as shape (..., N); 0 at the first knot."""
         z = np.asarray(positions, dtype=np.float64)[..., None]
         lower, upper = np.append(-np.inf, self.knots[1:-1]), np.append(self.knots[1:-1], np.inf)
         return np.asarray(((np.clip(z, lower, upper) - self.knots[:-1]) * self.stiffness).sum(axis=-1))
 
     def slopes_at(self, positions: ArrayLike) -> Array:
-        """kappa_i [V/m] at positions [m] of shape (..., N) or (..., 1), as shape (..., N)."""
+        """Return kappa_i [V/m] at positions [m] of shape (..., N) or (..., 1), as shape (..., N)."""
         z = np.broadcast_to(positions, (*np.shape(positions)[:-1], len(self)))
         return np.asarray(self.stiffness[np.arange(len(self)), np.searchsorted(self.knots[1:-1], z, side="right")])
 
 
 @dataclass(frozen=True, eq=False)
 class Spring:
-    """The parallel spring h seen at the terminals: voltage eta(y), piecewise linear, continued linearly.
+    """The parallel spring h in terminal coordinates: voltage eta(y), piecewise linear, continued linearly.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class Spring:
     Raises
     ------
     ModelError
-        If lengths differ, a curve does not strictly increase, or cannot be computed with (above 1e30 in magnitude).
+        If lengths differ, a curve does not strictly increase, or a number is too large to compute with (over 1e30).
     """
 
     displacement: Array
@@ -186,7 +186,7 @@ class Spring:
     def __init__(self, displacement: ArrayLike, voltage: ArrayLike) -> None:
         y, v = vector(displacement, "spring knots"), vector(voltage, "spring voltages")
         if y.size != v.size or y.size < 2:
-            raise ModelError(f"got {y.size} spring knots and {v.size} voltages, need the same number and two at least")
+            raise ModelError(f"got {y.size} spring knots and {v.size} voltages, need the same number, at least two")
         if np.any(np.diff(y) <= 0):
             raise ModelError(f"spring knots must strictly increase, got {y}")
         falls = np.flatnonzero(np.diff(v) <= 0)
@@ -210,15 +210,15 @@ class Spring:
         return np.diff(self.voltage) / np.diff(self.displacement)
 
     def __call__(self, displacement: ArrayLike) -> Array:
-        """Voltage [V] at displacements [m] of any shape."""
+        """Return the voltage [V] at displacements [m] of any shape."""
         return on_curve(self.displacement, self.voltage, displacement)
 
 
 @dataclass(frozen=True, eq=False)
 class Transformer:
-    """A nonlinear transformer: tau(v) drives the elements in place of v (theory section 8).
+    """A nonlinear transformer: tau(v) drives the elements instead of v (theory section 8).
 
-    Piecewise linear, strictly increasing, continued linearly. It is a fitted map: with it the charge no longer balances
+    Piecewise linear, strictly increasing, continued linearly. This is a fitted map: with it charge does not balance
     power.
 
     Parameters
@@ -231,7 +231,7 @@ class Transformer:
     Raises
     ------
     ModelError
-        If lengths differ, a curve does not strictly increase, or cannot be computed with (above 1e30 in magnitude).
+        If lengths differ, a curve does not strictly increase, or a number is too large to compute with (over 1e30).
     """
 
     voltage: Array
@@ -241,26 +241,28 @@ class Transformer:
         v, tau = vector(voltage, "transformer knots"), vector(drive, "transformer drives")
         if v.size != tau.size or v.size < 2:
             raise ModelError(
-                f"got {v.size} transformer knots and {tau.size} drives, need the same number and two at least"
+                f"got {v.size} transformer knots and {tau.size} drives, need the same number, at least two"
             )
         for values, what in ((v, "knots"), (tau, "drives")):
             if np.any(np.diff(values) <= 0):
-                raise ModelError(f"transformer {what} must strictly increase, got {values}; else no voltage is the one")
+                raise ModelError(
+                    f"transformer {what} must strictly increase, got {values}: each drive needs one voltage"
+                )
         demand_curve(v, tau, "transformer")
         object.__setattr__(self, "voltage", frozen(v))
         object.__setattr__(self, "drive", frozen(tau))
 
     def __call__(self, voltage: ArrayLike) -> Array:
-        """The drive tau(v) [V] at voltages [V] of any shape."""
+        """Return the drive tau(v) [V] at voltages [V] of any shape."""
         return on_curve(self.voltage, self.drive, voltage)
 
     def inverse(self, drive: ArrayLike) -> Array:
-        """Voltages [V] at which tau takes these values [V], of any shape."""
+        """Return the voltages [V] at which tau takes these values [V], of any shape."""
         return on_curve(self.drive, self.voltage, drive)
 
 
 def on_curve(knots: Array, values: Array, at: ArrayLike) -> Array:
-    """A piecewise-linear curve through knots and values (M,), continued linearly, at places of any shape."""
+    """Evaluate a piecewise-linear curve through knots and values (M,), continued linearly, at places of any shape."""
     x = np.asarray(at, dtype=np.float64)
     j = segment_of(knots, x)
     slopes = np.diff(values) / np.diff(knots)

@@ -1,4 +1,4 @@
-"""What an identification returns: the actuator, errors, checks and outcome."""
+"""The result of an identification: the actuator, errors, checks and outcome."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from dehyst._types import Array
 
-# Of the range a decade; and what of a decade must have been seen.
+# Largest creep [% of the range a decade]; least part of a decade from which a rate is reported.
 MOST_CREEP, FEWEST_DECADES = 20.0, 0.5
 
 
@@ -19,24 +19,24 @@ class Outcome(Enum):
 
     IDENTIFIED = "Identified: the program was solved to optimality, and the records determine every stiffness."
     WIDER = (
-        "Identified: the program was solved to optimality, in a wider class than the paper's. How far to trust it, "
-        "dehyst insight tells."
+        "Identified: the program was solved to optimality, with more parts than plain Maxwell-slip has. Run dehyst "
+        "insight to assess the model."
     )
     UNDETERMINED = (
-        "Identified, but the records leave directions of the stiffnesses open: other motions than the recorded ones "
-        "may be predicted wrongly. Add minor loops with other turning points."
+        "Identified, but the records leave combinations of the stiffnesses open: predictions of motions other than the "
+        "recorded ones may be wrong. Add minor loops with other turning points."
     )
     FLOOR_ACTIVE = (
-        "Identified, but the spring's slope lies on its floor in places: the records do not tell it there, or the "
-        "model class does not fit."
+        "Identified, but the spring's slope lies on its floor in places: the records do not determine it there, or "
+        "the structure does not fit."
     )
     ASSUMPTION_I_IMPOSED = (
-        "Identified, but only with Assumption I imposed: without it the spring would fall somewhere, and no voltage "
-        "would have one displacement."
+        "Identified, but only with Assumption I imposed: without it the spring would fall somewhere, and one voltage "
+        "would have several displacements."
     )
     STIFFNESS_CLIPPED = (
-        "Identified, but the closed form gave negative stiffnesses, which were set to zero: the loop is not that of "
-        "Maxwell-slip elements with a linear spring."
+        "Identified, but the closed form gave negative stiffnesses, which were set to zero: the loop is not "
+        "that of Maxwell-slip elements with a linear spring."
     )
     INACCURATE = "Identified, but the model misses the records by more than 5 % of the range: do not use it."
     VALIDATION_MISSED = (
@@ -58,15 +58,15 @@ class RecordErrors:
     Attributes
     ----------
     largest, rms : float
-        [m], after the reported drift of the record was set aside.
+        [m], with the reported drift of the record removed.
     rms_with_drift : float
-        [m], with the drift left in.
+        [m], with the drift included.
     stroke : float
         The range of the widest training loop [m], to which the percentages refer.
     drift : float
-        That was set aside [m a decade of time since the record's start].
+        Removed drift [m a decade of time since the record's start].
     decades : float
-        Of that time, which the samples that count cover.
+        Decades of that time that the used samples cover.
     """
 
     record: str
@@ -85,12 +85,12 @@ class RecordErrors:
 
     @property
     def drifted_percent(self) -> float:
-        """How far the drift moved the samples that count, in % of the stroke."""
+        """Displacement by drift over the used samples, in % of the stroke."""
         return 100 * self.drift * self.decades / self.stroke
 
     @property
     def creeps(self) -> bool:
-        """Whether the drift may be called a creep, and its rate be told."""
+        """Whether the drift can be creep, so that its rate is reported."""
         return may_creep(100 * self.drift / self.stroke, self.decades)
 
     @property
@@ -104,7 +104,7 @@ class RecordErrors:
         return 100 * self.rms / self.stroke
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values, lengths in metres."""
+        """Return JSON values, lengths in metres."""
         return {
             "record": self.record,
             "role": self.role,
@@ -124,17 +124,17 @@ class RecordErrors:
 
 
 def may_creep(rate: float, decades: float) -> bool:
-    """Whether a drift may be called a creep, by its rate [% of the range a decade] and the decades seen.
+    """Return whether a drift can be creep, by its rate [% of the range a decade] and the decades covered.
 
-    Piezoelectric actuators creep by some percent a decade; what drifts by more is something else. A rate that is told
-    from a small part of a decade is an extrapolation.
+    Piezoelectric actuators creep by a few percent a decade; a larger drift has another cause. A rate from a small part
+    of a decade is an extrapolation.
     """
     return abs(rate) <= MOST_CREEP and decades >= FEWEST_DECADES
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One record beside its simulation: time [s], voltage as it acted [V], displacements [m] on the model's axis."""
+    """A record and its simulation: time [s], acting voltage [V], displacements [m] on the model's axis."""
 
     record: str
     role: str
@@ -150,7 +150,7 @@ class Trace:
 
 
 class Verdict(Enum):
-    """Whether something that a model takes for granted holds; the value is the word to show."""
+    """Whether an assumption of a model holds; the value is the word to show."""
 
     HOLDS = "holds"
     FAILS = "does not hold"
@@ -159,20 +159,20 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that a model takes for granted, looked for in the records.
+    """An assumption of a model, tested on the records.
 
     Attributes
     ----------
     name : str
-        What is taken for granted: "Assumption I", "Anti-symmetry", ...
+        The assumption: "Assumption I", "Anti-symmetry", ...
     verdict : Verdict
     value, floor : float or None
-        What was found, and what noise alone would give (the least that was allowed, for Assumption I); None where there
-        is no such number.
+        The measured value, and the value that noise alone would give (for Assumption I the least allowed); None where
+        there is no such number.
     unit : str
-        Of both.
+        Unit of both.
     sentence : str
-        What was found and what it means.
+        The finding and its meaning.
     """
 
     name: str
@@ -183,7 +183,7 @@ class Check:
     sentence: str
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Return JSON values."""
         return {
             "name": self.name,
             "verdict": self.verdict.name,
@@ -196,7 +196,7 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What an identification found.
+    """The result of an identification.
 
     Attributes
     ----------
@@ -204,23 +204,23 @@ class Fit:
         None only when the outcome is `Outcome.FAILED`.
     outcome : Outcome
     errors : tuple of RecordErrors
-        One a record, training first, then validation.
+        One for each record, training first, then validation.
     repairs : tuple of str
-        Sentences: what was left out, shifted or set aside before or during the fit.
+        Sentences: what was left out, shifted or removed before or during the fit.
     remarks : tuple of str
-        Sentences: what else the user should know.
+        Sentences: limits of the result.
     traces : tuple of Trace
-        Measured and simulated, record by record.
+        Measured and simulated displacement of each record.
     status : str
-        The solver's word.
+        Status text of the solver.
     gap : float
         Duality gap, relative to the sum of the absolute weighted voltages.
     options : Mapping
-        What was asked for and what it became.
+        Options as requested and as used.
     checks : tuple of Check
-        What the model takes for granted, and whether the records bear it out.
-    trials : tuple of dehyst.identification.structure_selection.Trial
-        Structures that were tried, if one was looked for.
+        Assumptions of the model, tested on the records.
+    trials : tuple of dehyst.identification.structure_selection.StructureTrial
+        Structures that were tried, if one was selected.
     """
 
     actuator: Any
@@ -236,7 +236,7 @@ class Fit:
     trials: tuple[Any, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values without the traces."""
+        """Return JSON values without the traces."""
         return {
             "outcome": self.outcome.name,
             "sentence": self.outcome.value,

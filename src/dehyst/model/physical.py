@@ -1,15 +1,19 @@
-"""The paper's symbols from the terminals' numbers."""
+"""Conversion of the terminals' numbers to the paper's symbols."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number
-from dehyst.model.elements import MaxwellSlip, Spring
+from dehyst.model.elements import MaxwellSlip
+
+if TYPE_CHECKING:
+    from dehyst.model.actuator import Actuator
 
 
 @dataclass(frozen=True)
@@ -41,15 +45,17 @@ class Physical:
 
 
 def physical(
-    slip: MaxwellSlip,
-    spring: Spring,
+    actuator: Actuator,
     *,
-    at_rest: float,
     transformer_ratio: float,
     mechanical_stiffness: float,
     electrical_stiffness: float,
 ) -> Physical:
-    """Convert; `at_rest` [m] is where the spring alone holds 0 V. See `Actuator.physical`."""
+    """Convert to the paper's symbols, see `Actuator.physical`."""
+    slip, spring = actuator.slip, actuator.spring
+    if not isinstance(slip, MaxwellSlip):
+        raise ModelError("no physical units: graded elements have no single stiffness k_i")
+    at_rest = _rest_displacement(actuator)
     given = {
         "transformer_ratio": transformer_ratio,
         "mechanical_stiffness": mechanical_stiffness,
@@ -73,19 +79,35 @@ def physical(
 
 
 def charge(
-    displacement: Array, *, at_rest: float, transformer_ratio: float, mechanical: float, electrical: float
+    actuator: Actuator,
+    displacement: Array,
+    *,
+    transformer_ratio: float,
+    mechanical_stiffness: float,
+    electrical_stiffness: float,
 ) -> Array:
-    """Return q = T x [C], x = (y - at_rest) km / keq."""
-    ratio, km = _positive(transformer_ratio, "transformer_ratio"), _positive(mechanical, "mechanical_stiffness")
-    ke = _positive(electrical, "electrical_stiffness")
+    """Return q = T x [C], with x = (y - y0) km / keq and y0 [m] where the spring alone holds 0 V."""
+    at_rest = _rest_displacement(actuator)
+    ratio = _positive(transformer_ratio, "transformer_ratio")
+    km, ke = (
+        _positive(mechanical_stiffness, "mechanical_stiffness"),
+        _positive(electrical_stiffness, "electrical_stiffness"),
+    )
     return np.asarray(ratio * (displacement - at_rest) * km / _in_series(ke, km))
 
 
+def _rest_displacement(actuator: Actuator) -> float:
+    """Return where the spring alone holds 0 V [m]; raise `ModelError` with a transformer curve."""
+    if actuator.transformer is not None:
+        raise ModelError("no physical units: with a transformer curve T v is no force, and T x no charge")
+    return actuator.core.spring_inverse(0.0)
+
+
 def _positive(value: float, name: str) -> float:
-    found = number(value, name)
-    if found <= 0:
+    checked = number(value, name)
+    if checked <= 0:
         raise ModelError(f"{name}: got {value}, need a positive number")
-    return found
+    return checked
 
 
 def _in_series(a: float, b: float) -> float:

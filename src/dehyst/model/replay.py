@@ -1,4 +1,4 @@
-"""A model's answer to a voltage from the state in which it begins."""
+"""Simulation of a record's voltage by any model, from a suitable start state."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from dehyst.model.base import AbstractModel, Motion
 
 
 def timed(model: AbstractModel, time: Array) -> dict[str, Any]:
-    """The keywords `time` and `extrapolate` for a model that has them: records may go farther than those of its fit."""
+    """Return the keywords `time` and `extrapolate` if a model has them: records may exceed those of its fit."""
     given = {"time": time, "extrapolate": True}
     return {name: value for name, value in given.items() if name in inspect.signature(model.simulate).parameters}
 
 
 def beginning(model: AbstractModel, voltage: Array) -> Any:
-    """Where a model starts before a voltage (n,): its own default, or of an actuator the end of its loop nearest by.
+    """Return the start of a model before a voltage (n,): None for its default, of an actuator the nearest loop end.
 
-    A start far away would set a mass swinging. What creeps has stood relaxed, as before the records: what it does long
-    after depends on where it stood.
+    A distant start would set a mass swinging. An actuator that creeps starts relaxed, as before the records, because
+    its later motion depends on where it stood.
     """
     if not isinstance(model, Actuator) or not voltage.size:
         return None
@@ -32,5 +32,5 @@ def beginning(model: AbstractModel, voltage: Array) -> Any:
 
 
 def simulated(model: AbstractModel, voltage: Array, time: Array) -> Motion:
-    """The motion that a voltage causes from its `beginning`."""
+    """Return the motion that a voltage causes from its `beginning`."""
     return model.simulate(voltage, state=beginning(model, voltage), **timed(model, time))

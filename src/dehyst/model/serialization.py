@@ -1,4 +1,4 @@
-"""What a model file holds: JSON values to an actuator's parts and back, strictly and without loss."""
+"""Model files: an actuator's parts to JSON values and back, strictly and without loss."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _KEYS = _PLAIN | {"transformer", "creep", "smooth", "dynamics", "load_stiffness_
 
 
 def as_dict(actuator: Actuator) -> dict[str, Any]:
-    """JSON values of an actuator in SI units; parts that it lacks are null."""
+    """Return the JSON values of an actuator in SI units; missing parts are null."""
     slip, spring, transformer, creep = actuator.slip, actuator.spring, actuator.transformer, actuator.creep
     smooth, dynamics = actuator.smooth, actuator.dynamics
     elements: dict[str, Any] = {"breakaway_m": slip.breakaway.tolist()}
@@ -69,7 +69,7 @@ def as_dict(actuator: Actuator) -> dict[str, Any]:
 
 
 def state_dict(state: State) -> dict[str, Any]:
-    """JSON values of a state."""
+    """Return the JSON values of a state."""
     return {
         "displacement_m": state.displacement,
         "carts_m": state.carts.tolist(),
@@ -82,12 +82,12 @@ def state_dict(state: State) -> dict[str, Any]:
 
 
 def parts(data: Mapping[str, Any]) -> dict[str, Any]:
-    """What `Actuator` is made from, by name. Version 1 has plain elements and a spring only.
+    """Read the arguments of `Actuator`, by name. Version 1 has plain elements and a spring only.
 
     Raises
     ------
     ModelError
-        If the format or version is another one, a key is unknown or missing, or a number is impossible.
+        If the format or version differs, a key is unknown or missing, or a number is impossible.
     """
     version = data.get("version")
     if data.get("format") != FORMAT or type(version) is not int or version not in (1, VERSION):
@@ -107,30 +107,30 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
         "name": data["name"],
         "provenance": data["provenance"],
     }
-    return {**plain, "state": _state(data, set())} if version == 1 else {**plain, **_wider(data)}
+    return {**plain, "state": _state(data, set())} if version == 1 else {**plain, **_further_parts(data)}
 
 
-def _wider(data: Mapping[str, Any]) -> dict[str, Any]:
+def _further_parts(data: Mapping[str, Any]) -> dict[str, Any]:
     stiffness = data["load_stiffness_N_per_m"]
-    found: dict[str, Any] = {
+    parts: dict[str, Any] = {
         "state": state(data),
         "lag": number(data["lag_s"], "lag_s"),
         "load_stiffness": None if stiffness is None else number(stiffness, "load_stiffness_N_per_m"),
     }
     if data["transformer"] is not None:
         part = _part(data, "transformer", {"voltage_V", "drive_V"})
-        found["transformer"] = Transformer(*_columns(part, "transformer", "voltage_V", "drive_V"))
+        parts["transformer"] = Transformer(*_columns(part, "transformer", "voltage_V", "drive_V"))
     if data["creep"] is not None:
         part = _part(data, "creep", {"time_constants_s", "stiffness_V_per_m"})
-        found["creep"] = Creep(*_columns(part, "creep", "time_constants_s", "stiffness_V_per_m"))
+        parts["creep"] = Creep(*_columns(part, "creep", "time_constants_s", "stiffness_V_per_m"))
     if data["smooth"] is not None:
         part = _part(data, "smooth", {"length_m", "closing", "stiffness_V_per_m"})
-        found["smooth"] = SmoothSlip(*_columns(part, "smooth", "length_m", "closing", "stiffness_V_per_m"))
+        parts["smooth"] = SmoothSlip(*_columns(part, "smooth", "length_m", "closing", "stiffness_V_per_m"))
     if data["dynamics"] is not None:
         keys = ("frequency_rad_per_s", "damping", "series_V_per_m")
         part = _part(data, "dynamics", set(keys))
-        found["dynamics"] = Dynamics(*(number(part[key], f"dynamics.{key}") for key in keys))
-    return found
+        parts["dynamics"] = Dynamics(*(number(part[key], f"dynamics.{key}") for key in keys))
+    return parts
 
 
 def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
@@ -141,7 +141,7 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
     rho, knots = _columns(slip, "slip", "breakaway_m", "knots_m")
     rows, where = slip["stiffness_V_per_m"], "slip.stiffness_V_per_m"
     if not isinstance(rows, list) or len(rows) != rho.size:
-        raise ModelError(f"{where}: need a list of {rho.size} lists of numbers, one an element")
+        raise ModelError(f"{where}: need a list of {rho.size} lists of numbers, one for an element")
     table = [numbers(row, f"{where}[{i}]") for i, row in enumerate(rows)]
     if any(row.size != knots.size - 1 for row in table):
         raise ModelError(f"{where}: got rows of {[row.size for row in table]} numbers, need {knots.size - 1} in each")
@@ -149,7 +149,7 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
 
 
 def state(data: Mapping[str, Any]) -> State:
-    """What the entry "state" holds, strictly.
+    """Read the entry "state", strictly.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def _state(data: Mapping[str, Any], more: set[str]) -> State:
 
 
 def demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
-    """Refuse unknown and missing keys by a `ModelError`."""
+    """Raise `ModelError` at unknown and missing keys."""
     missing, unknown = sorted(needed - set(data)), sorted(set(data) - needed)
     if missing or unknown:
         raise ModelError(f"{where}: missing keys {missing}, unknown keys {unknown}; need exactly {sorted(needed)}")
@@ -192,7 +192,7 @@ def _columns(part: Mapping[str, Any], where: str, *keys: str) -> list[Array]:
 
 
 def numbers(values: Any, where: str) -> Array:
-    """A list of finite numbers; else a `ModelError`."""
+    """Return a list of finite numbers as an array; raise `ModelError` otherwise."""
     if not isinstance(values, list):
         raise ModelError(f"{where}: got {type(values).__name__}, need a list of numbers")
     return np.array([number(value, f"{where}[{i}]") for i, value in enumerate(values)], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Smooth elements: friction that lets go gradually, after Dahl, and after Bouc and Wen."""
+"""Smooth elements: friction that yields gradually, after Dahl, and after Bouc and Wen."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class SmoothSlip:
     Element l holds ``k_l q_l``; its elongation q follows the displacement y as
     ``dq = dy (1 - |q / length| (closing sgn(q dy) + 1 - closing))`` and tends to the length on a long motion. With
     closing 1 it is P. R. Dahl's element ("A solid friction model", Aerospace Corp. TOR-0158(3107-18)-1, 1968); with 1/2
-    it comes back on a straight line. Y.-K. Wen's model (J. Eng. Mech. Div. ASCE 102(2), 1976, 249-263) has both. Unlike
-    Maxwell-slip elements they do not come back to where an inner loop began.
+    it returns on a straight line. Y.-K. Wen's model (J. Eng. Mech. Div. ASCE 102(2), 1976, 249-263) has both. Unlike
+    Maxwell-slip elements they do not return to the point at which an inner loop began.
 
     Parameters
     ----------
@@ -32,12 +32,12 @@ class SmoothSlip:
     closing : (L,) array_like
         1/2 to 1.
     stiffness : (L,) array_like
-        k_l [V/m] at no elongation, not negative.
+        k_l [V/m] at elongation 0, not negative.
 
     Raises
     ------
     ModelError
-        If lengths differ, or a value is impossible or cannot be computed with (above 1e30 in magnitude).
+        If lengths differ, or a value is impossible or too large to compute with (magnitude over 1e30).
     """
 
     length: Array
@@ -45,13 +45,13 @@ class SmoothSlip:
     stiffness: Array
 
     def __init__(self, length: ArrayLike, closing: ArrayLike, stiffness: ArrayLike) -> None:
-        found = {}
+        columns = {}
         for name, values in (("length", length), ("closing", closing), ("stiffness", stiffness)):
-            found[name] = vector(values, f"smooth elements: {name}")
-            object.__setattr__(self, name, frozen(found[name]))
-        if len({one.size for one in found.values()}) > 1:
-            sizes = ", ".join(f"{one.size} of {name}" for name, one in found.items())
-            raise ModelError(f"smooth elements: got {sizes}; need as many, one an element")
+            columns[name] = vector(values, f"smooth elements: {name}")
+            object.__setattr__(self, name, frozen(columns[name]))
+        if len({column.size for column in columns.values()}) > 1:
+            sizes = ", ".join(f"{column.size} of {name}" for name, column in columns.items())
+            raise ModelError(f"smooth elements: got {sizes}; need one of each for an element")
         if np.any(self.length <= 0) or np.any(self.stiffness < 0):
             raise ModelError("smooth elements: need lengths above 0 and stiffnesses of 0 or more")
         demand_divisors(self.length, "smooth elements: length [m]")
@@ -63,5 +63,5 @@ class SmoothSlip:
         return self.length.size
 
     def elongations(self, displacement: ArrayLike) -> Array:
-        """q_l (n, L) [m] along a displacement (n,) [m], from none at the first sample; exact for any steps."""
+        """Return q_l (n, L) [m] along a displacement (n,) [m], 0 at the first sample; exact for any steps."""
         return smooth_elongations(self.length, self.closing, vector(displacement, "displacement"))

@@ -1,4 +1,4 @@
-"""How much model: which parts an actuator gets, and the grids on which they lie."""
+"""The structure of a model: which parts an actuator has, and the grids on which they lie."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ from dehyst.model.elements import GradedSlip, segment_of
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
 
-# Lengths of smooth elements as parts of the stroke, each with both closings: they forget over a few lengths, so that
-# longer ones would still remember how a record began.
+# Lengths of smooth elements as parts of the stroke, each with both closings. An element forgets its start over a few
+# lengths: longer ones would still depend on how a record began.
 _LENGTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5])
 _CLOSINGS = np.array([0.5, 1.0])
-# The fastest creep branch is this many samples long: faster ones are all but elastic.
+# Time constant of the fastest creep branch in samples: faster ones are almost elastic.
 _FASTEST = 3.0
 
 
 @dataclass(frozen=True)
 class Structure:
-    """What an actuator is made of.
+    """The parts of an actuator and their numbers.
 
     Parameters
     ----------
     elements : int
-        N thresholds, rho_i = stroke / 2 (i / N)^spacing; the last lets go over the whole stroke only, and is one with
+        N thresholds, rho_i = stroke / 2 (i / N)^spacing; the last slides over the whole stroke only and acts as part of
         the spring.
     spacing : float
-        1: the paper's uniform grid; 2: denser where loops are small.
+        1: uniform grid, as in the paper; 2: denser for small loops.
     grades : int
-        Segments of the stroke, on each of which an element has a stiffness of its own; 1: plain elements.
+        Segments of the stroke, each with its own stiffnesses of the elements; 1: plain elements.
     knots : int
-        Of the spring.
+        Knots of the spring.
     transformer : int
-        Segments of tau(v); 0: none.
+        Segments of tau(v); 0: no transformer.
     creep : int
-        Branches, their time constants log-spaced from a few samples to the longest record; 0: none.
+        Creep branches, time constants log-spaced from a few samples to the longest record; 0: no creep.
     smooth : bool
-        Whether there are elements that let go gradually, on five lengths.
+        Whether there are elements that yield gradually, of five lengths.
     smoothing : float
-        How much alike neighbouring stiffnesses and slopes are held; 0: not at all. See `regularization`.
+        Weight of the differences of neighbouring stiffnesses and slopes; 0: none. See `regularization`.
 
     Raises
     ------
@@ -76,22 +76,22 @@ class Structure:
         _validation.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
         _validation.between(self.smoothing, "smoothing", 0, 1, "a number")
         if self.transformer == 1:
-            raise IdentifyError("transformer: got 1, need 0 or two segments at least: one is a straight line")
+            raise IdentifyError("transformer: got 1, need 0 or at least two segments: one segment is a straight line")
 
     @property
     def plain(self) -> bool:
-        """Whether it is the paper's class: elements of constant stiffness and a spring."""
+        """Whether it is Maxwell-slip, plain: elements of constant stiffness and a spring."""
         return self.grades == 1 and not (self.transformer or self.creep or self.smooth)
 
     @property
     def parameters(self) -> int:
-        """Coefficients of the convex program, constants of records left out."""
+        """Number of coefficients of the convex program, without the constants of records."""
         smooth = _LENGTHS.size * _CLOSINGS.size if self.smooth else 0
         return (self.elements - 1) * self.grades + self.knots - 1 + max(self.transformer - 1, 0) + self.creep + smooth
 
     @property
     def words(self) -> str:
-        """What it is, in words."""
+        """Description in words."""
         parts = [f"{self.elements} elements" + ("" if self.spacing == 1 else ", dense where loops are small")]
         if self.grades > 1:
             parts.append(f"graded in {self.grades} segments")
@@ -117,7 +117,7 @@ class Structure:
         }
 
     def grid(self, span: tuple[float, float], voltages: tuple[float, float], times: tuple[float, float]) -> Grid:
-        """Thresholds and knots for loops over these displacements [m], voltages [V] and times [s], low and high."""
+        """Return thresholds and knots for loops over displacements [m], voltages [V] and times [s], (low, high)."""
         low, high = span
         stroke = high - low
         breakaway = 0.5 * stroke * (np.arange(1, self.elements + 1) / self.elements) ** self.spacing
@@ -136,24 +136,24 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Where the parts of an actuator lie.
+    """Thresholds and knots of the parts of an actuator.
 
     Attributes
     ----------
     breakaway : (N,) array
         rho [m].
     grades : (M + 1,) array
-        Knots [m] of the elements' stiffnesses; M = 1: plain.
+        Knots [m] of the elements' stiffnesses; M = 1: plain elements.
     knots : (K,) array
-        Of the spring [m].
+        Knots of the spring [m].
     drive : (T + 1,) or (0,) array
         Knots of tau [V].
     time_constants : (J,) array
-        Of creep [s].
+        Time constants of creep [s].
     lengths, closings : (L,) array
-        Of smooth elements [m], and their closings.
+        Lengths of smooth elements [m], and their closings.
     graded : bool
-        Whether the elements are graded ones; with M = 1 they may be either.
+        Whether the elements are graded; with M = 1 both are possible.
     sliding : (N,) bool array, optional
         Elements that get a stiffness; default: those that can slide both ways within the knots of the spring.
     """
@@ -176,7 +176,7 @@ class Grid:
 
     @classmethod
     def of_actuator(cls, actuator: Actuator, sliding: Mask | None = None) -> Grid:
-        """Return the grids on which an actuator's parts lie."""
+        """Return the grid of the parts of an actuator."""
         slip, knots, none = actuator.slip, actuator.spring.displacement, np.zeros(0)
         tau, creep, smooth = actuator.transformer, actuator.creep, actuator.smooth
         graded = isinstance(slip, GradedSlip)
@@ -199,14 +199,14 @@ class Grid:
 
     @cached_property
     def movable(self) -> Mask:
-        """(N,) elements that get a stiffness: `sliding`, or those that slide both ways within the spring's knots."""
+        """(N,) whether elements get a stiffness: `sliding`, or those that can slide both ways within the knots."""
         if self.sliding is not None:
             return self.sliding
         return np.asarray(2 * self.breakaway < np.ptp(self.knots) * (1 - 1e-9))
 
     @cached_property
     def outermost(self) -> Array:
-        """Slopes of the outermost branches (p, q), a row a straight piece: sums of stiffnesses and of the spring's."""
+        """Slopes of the outermost branches (p, q), a row a straight piece: sums of stiffnesses and spring slopes."""
         rho = self.breakaway[self.movable]
         elements = rho.size * self.segments
         rows = []
@@ -223,10 +223,10 @@ class Grid:
 
     @property
     def segments(self) -> int:
-        """M."""
+        """Number M of segments."""
         return self.grades.size - 1
 
     @property
     def moved(self) -> int:
-        """Parts that are driven along the path besides the slip elements: J + L."""
+        """Number of internal states besides the carts: J + L."""
         return self.time_constants.size + self.lengths.size

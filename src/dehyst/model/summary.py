@@ -1,4 +1,4 @@
-"""What an actuator is made of, part by part, in numbers and sentences."""
+"""Summary of an actuator, part by part, in numbers and sentences."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from dehyst.model.dynamics import Dynamics
 from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer, segment_of
 from dehyst.model.smooth_slip import SmoothSlip
 
-# A step is watched for so many times the longest time constant, at so many times.
-_WATCHED, _TIMES = 3.0, 160
+# Duration of a step response in longest time constants, and its number of times.
+_DURATION, _TIMES = 3.0, 160
 _PLACES = 400
 
 
@@ -27,9 +27,9 @@ class Part:
     ----------
     name : str
     sentence : str
-        What it does here.
+        Its effect in this actuator.
     holds : float or None
-        The largest voltage that it holds within the range of the spring's knots [V]; None if it holds none.
+        The largest voltage that it holds within the range of the spring's knots [V]; None if it holds no voltage.
     """
 
     name: str
@@ -38,29 +38,29 @@ class Part:
 
 
 def parts_of(actuator: Actuator) -> tuple[Part, ...]:
-    """Every part of an actuator, in the order of its equation."""
-    found = [_slip(actuator.slip, actuator.spring), _spring(actuator.spring)]
+    """Return every part of an actuator, in the order of its equation."""
+    parts = [_slip(actuator.slip, actuator.spring), _spring(actuator.spring)]
     if actuator.transformer is not None:
-        found.append(_transformer(actuator.transformer))
+        parts.append(_transformer(actuator.transformer))
     if actuator.creep is not None:
-        found.append(_creep(actuator, actuator.creep))
+        parts.append(_creep(actuator, actuator.creep))
     if actuator.smooth is not None:
-        found.append(_smooth(actuator.smooth))
+        parts.append(_smooth(actuator.smooth))
     if actuator.dynamics is not None:
-        found.append(_dynamics(actuator.dynamics, actuator.spring))
-    return (*found, *_numbers(actuator))
+        parts.append(_dynamics(actuator.dynamics, actuator.spring))
+    return (*parts, *_numbers(actuator))
 
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """How steep a slow motion is at each place: voltage (that of tau) over displacement.
+    """Slopes of slow motion at each place: voltage (that of tau) over displacement.
 
     Attributes
     ----------
     displacement : (n,) array
         [m], over the knots of the spring.
     turned, rising, falling : (n,) array
-        Just after a turn, when every element holds; on the outermost rising and falling branch, when all slide [V/m].
+        Just after a turn, when no element slides; on the outermost rising and falling branch, when all slide [V/m].
     """
 
     displacement: Array
@@ -70,32 +70,32 @@ class Slopes:
 
     @classmethod
     def of(cls, slip: GradedSlip | MaxwellSlip, spring: Spring) -> Slopes:
-        """Of slip elements and a spring."""
+        """Compute the slopes of slip elements and a spring."""
         ends = spring.displacement[[0, -1]]
         y = np.linspace(ends[0], ends[1], _PLACES)
-        own = spring.slopes[segment_of(spring.displacement, y)]
+        spring_slopes = spring.slopes[segment_of(spring.displacement, y)]
         if isinstance(slip, MaxwellSlip):
-            return cls(y, own + slip.stiffness.sum(), own, own)
-        turned = own + slip.slopes_at(y[:, None]).sum(axis=1)
-        lost = [slip.slopes_at(y[:, None] - side * slip.breakaway).sum(axis=1) for side in (1, -1)]
-        return cls(y, turned, turned - lost[0], turned - lost[1])
+            return cls(y, spring_slopes + slip.stiffness.sum(), spring_slopes, spring_slopes)
+        turned = spring_slopes + slip.slopes_at(y[:, None]).sum(axis=1)
+        losses = [slip.slopes_at(y[:, None] - side * slip.breakaway).sum(axis=1) for side in (1, -1)]
+        return cls(y, turned, turned - losses[0], turned - losses[1])
 
 
 def bend(transformer: Transformer) -> Array:
-    """Tau at its knots less the straight line between its ends (K,) [V]."""
+    """Return tau at its knots minus the straight line between its ends (K,) [V]."""
     v, tau = transformer.voltage, transformer.drive
     return np.asarray(tau - tau[0] - (v - v[0]) * np.ptp(tau) / np.ptp(v))
 
 
 def step_response(actuator: Actuator) -> tuple[Array, Array]:
-    """Creep after the fastest rise through the limits.
+    """Compute creep after the fastest rise through the limits, without inertia and lag.
 
-    Without inertia and lag. The rise begins at rest at the lower limit, after a long motion downward.
+    The rise begins at rest at the lower limit, after a long motion downward.
 
     Returns
     -------
     time, displacement : (n,) array
-        Since the end of the rise [s], and less that at its end, over the way of the rise (parts of 1).
+        Since the end of the rise [s]; and further displacement over that of the rise (parts of 1).
     """
     creep = actuator.creep
     if creep is None or not len(creep):
@@ -104,8 +104,8 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
     begin = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
     slow = replace(actuator, dynamics=None, lag=0.0, state=begin)
     shortest, longest = float(creep.time_constants.min()), float(creep.time_constants.max())
-    since = np.geomspace(0.1 * shortest, _WATCHED * longest, _TIMES)
-    # To rest at the lower limit takes as long as creep lasts.
+    since = np.geomspace(0.1 * shortest, _DURATION * longest, _TIMES)
+    # Rest at the lower limit takes as long as creep lasts.
     rest = np.array([0.0, 20 * longest])
     time = np.concatenate([rest, rest[-1] + 0.1 * shortest + np.concatenate([[0.0], since])])
     voltage = np.concatenate([[low, low], np.full(_TIMES + 1, high)])
@@ -114,13 +114,13 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
 
 
 def resonance(dynamics: Dynamics, spring: Spring) -> tuple[float, float]:
-    """Resonance at constant charge, and under a voltage at the mean slope of the spring [Hz]."""
+    """Return the resonance at constant charge, and under a voltage at the mean slope of the spring [Hz]."""
     free = dynamics.frequency / (2 * pi)
     return free, free * float(np.sqrt(1 - dynamics.share(spring)))
 
 
 def _limits(actuator: Actuator) -> tuple[float, float]:
-    """The voltages that it may be given; without limits those of the spring's ends."""
+    """Return the limits [V]; without limits the voltages of the spring's ends."""
     if actuator.limits is not None:
         return actuator.limits
     ends = [actuator.voltage(actuator.turned(float(y), rising=y > 0)) for y in actuator.spring.displacement[[0, -1]]]
@@ -128,85 +128,85 @@ def _limits(actuator: Actuator) -> tuple[float, float]:
 
 
 def _slip(slip: GradedSlip | MaxwellSlip, spring: Spring) -> Part:
-    held = float(slip.friction.sum())
+    holds = float(slip.friction.sum())
     stiff = int(np.count_nonzero(slip.friction > 0))
-    said = f"{len(slip)} elements, {stiff} of them with stiffness"
+    sentence = f"{len(slip)} elements, {stiff} of them with stiffness"
     if isinstance(slip, MaxwellSlip):
-        return Part("Slip elements", f"{said}.", held)
+        return Part("Slip elements", f"{sentence}.", holds)
     slopes = Slopes.of(slip, spring)
     least, most = int(np.argmin(slopes.turned)), int(np.argmax(slopes.turned))
     y, k = slopes.displacement * 1e6, slopes.turned * 1e-6
-    said += (
+    sentence += (
         f", graded in {slip.knots.size - 1} segments: just after a turn the slope is {k[least]:.3g} V/um at "
         f"{y[least]:.3g} um and {k[most]:.3g} V/um at {y[most]:.3g} um."
     )
-    return Part("Slip elements", said, held)
+    return Part("Slip elements", sentence, holds)
 
 
 def _spring(spring: Spring) -> Part:
     slopes = spring.slopes * 1e-6
-    said = f"{spring.voltage.size} knots, slopes from {slopes.min():.3g} to {slopes.max():.3g} V/um."
-    return Part("Parallel spring", said, float(np.ptp(spring.voltage)))
+    sentence = f"{spring.voltage.size} knots, slopes from {slopes.min():.3g} to {slopes.max():.3g} V/um."
+    return Part("Parallel spring", sentence, float(np.ptp(spring.voltage)))
 
 
 def _transformer(transformer: Transformer) -> Part:
-    off = bend(transformer)
-    most, v = int(np.argmax(np.abs(off))), transformer.voltage
+    deviation = bend(transformer)
+    most, v = int(np.argmax(np.abs(deviation))), transformer.voltage
     gains = np.diff(transformer.drive) / np.diff(v) / (np.ptp(transformer.drive) / np.ptp(v))
-    said = (
-        f"tau(v) lies up to {abs(off[most]):.3g} V ({100 * abs(off[most]) / np.ptp(v):.2g} % of the voltages) "
-        f"{'above' if off[most] > 0 else 'below'} a straight line, most at {v[most]:.4g} V; a volt counts for "
-        f"{gains.min():.2g} to {gains.max():.2g} of the mean one."
+    sentence = (
+        f"tau(v) lies up to {abs(deviation[most]):.3g} V ({100 * abs(deviation[most]) / np.ptp(v):.2g} % of the "
+        f"voltages) {'above' if deviation[most] > 0 else 'below'} a straight line, most at {v[most]:.4g} V; a volt "
+        f"counts for {gains.min():.2g} to {gains.max():.2g} of the mean one."
     )
-    return Part("Transformer", said, None)
+    return Part("Transformer", sentence, None)
 
 
 def _creep(actuator: Actuator, creep: Creep) -> Part:
     time, share = step_response(actuator)
     half = float(np.interp(0.5 * share[-1], share, time)) if share[-1] > 0 else 0.0
-    said = (
+    sentence = (
         f"{_count(len(creep), 'branch', 'branches')}, {_seconds(creep.time_constants.min())} to "
-        f"{_seconds(creep.time_constants.max())}: after a sudden rise through all voltages the displacement goes on by "
-        f"{100 * share[-1]:.2g} % of the way in {_seconds(time[-1])}, half of it within {_seconds(half)}."
+        f"{_seconds(creep.time_constants.max())}: after a sudden rise through all voltages the displacement "
+        f"continues by {100 * share[-1]:.2g} % of the rise in {_seconds(time[-1])}, half of it within {_seconds(half)}."
     )
-    return Part("Creep", said, float(creep.stiffness.sum() * np.ptp(actuator.spring.displacement)))
+    return Part("Creep", sentence, float(creep.stiffness.sum() * np.ptp(actuator.spring.displacement)))
 
 
 def _smooth(smooth: SmoothSlip) -> Part:
-    held = smooth.stiffness * smooth.length
+    holds = smooth.stiffness * smooth.length
     lengths = np.unique(smooth.length) * 1e6
-    said = (
-        f"{_count(len(smooth), 'element', 'elements')} that let go gradually over {lengths[0]:.3g} to "
+    sentence = (
+        f"{_count(len(smooth), 'element', 'elements')} that yield gradually over {lengths[0]:.3g} to "
         f"{lengths[-1]:.3g} um: inner loops do not quite close."
         if len(smooth) > 1
-        else f"One element that lets go gradually over {lengths[0]:.3g} um: inner loops do not quite close."
+        else f"One element that yields gradually over {lengths[0]:.3g} um: inner loops do not quite close."
     )
-    return Part("Smooth elements", said, float(held.sum()))
+    return Part("Smooth elements", sentence, float(holds.sum()))
 
 
 def _dynamics(dynamics: Dynamics, spring: Spring) -> Part:
     free, driven = resonance(dynamics, spring)
-    said = f"Resonance at {free:.4g} Hz with a damping of {dynamics.damping:.3g}"
+    sentence = f"Resonance at {free:.4g} Hz with a damping of {dynamics.damping:.3g}"
     if dynamics.series:
-        said += f", under a voltage at {driven:.4g} Hz about the mean slope"
+        sentence += f", under a voltage at {driven:.4g} Hz about the mean slope"
     slow = 0.1 * driven
-    off = 100 * abs(1 / (1 - 0.1**2 + 0.2j * dynamics.damping) - 1)
-    return Part("Inertia", f"{said}. A cycle at {slow:.3g} Hz misses by {off:.2g} % without it.", None)
+    error = 100 * abs(1 / (1 - 0.1**2 + 0.2j * dynamics.damping) - 1)
+    return Part("Inertia", f"{sentence}. Without inertia a cycle at {slow:.3g} Hz is off by {error:.2g} %.", None)
 
 
 def _numbers(actuator: Actuator) -> list[Part]:
-    found = []
+    parts = []
     if actuator.delay:
-        said = (
-            f"The measured displacement comes {_seconds(actuator.delay)} after the voltage; the model leaves that out."
+        sentence = (
+            f"The measured displacement lags the voltage by {_seconds(actuator.delay)}; the model leaves this out."
         )
-        found.append(Part("Delay", said, None))
+        parts.append(Part("Delay", sentence, None))
     if actuator.lag:
-        found.append(Part("Amplifier", f"The voltage that acts lags by {_seconds(actuator.lag)}.", None))
+        parts.append(Part("Amplifier", f"The acting voltage lags the command by {_seconds(actuator.lag)}.", None))
     if actuator.load_stiffness is not None:
-        said = f"A force of 1 N moves it by {1e6 / actuator.load_stiffness:.3g} um."
-        found.append(Part("Load", said, None))
-    return found
+        sentence = f"A force of 1 N moves the actuator by {1e6 / actuator.load_stiffness:.3g} um."
+        parts.append(Part("Load", sentence, None))
+    return parts
 
 
 def _seconds(time: float) -> str:
@@ -215,5 +215,5 @@ def _seconds(time: float) -> str:
     return f"{time:.3g} s" if time < 1000 else f"{time:.0f} s"
 
 
-def _count(count: int, one: str, many: str) -> str:
-    return f"One {one}" if count == 1 else f"{count} {many}"
+def _count(count: int, singular: str, plural: str) -> str:
+    return f"One {singular}" if count == 1 else f"{count} {plural}"

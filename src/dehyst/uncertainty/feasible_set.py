@@ -20,7 +20,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers import program
+from dehyst.identification.solvers.highs import linear_programs
 from dehyst.model import Actuator, State
 from dehyst.records.signals import turning_points
 from dehyst.uncertainty.evidence import Evidence
@@ -169,7 +169,7 @@ class _Polytope:
         each = np.hstack([costs / scale, np.zeros((len(costs), 2 * n))])
         each /= np.abs(each).max(axis=1, keepdims=True)
         # All minima, then all maxima: neighbours in a row have optima that lie close to one another.
-        answers = program.linear_programs(np.concatenate([each, -each]), bounds, matrix, limits)
+        answers = linear_programs(np.concatenate([each, -each]), bounds, matrix, limits)
         found = [answer.value[:unknowns] / scale * size if answer.optimal else None for answer in answers]
         return list(zip(found[: len(costs)], found[len(costs) :], strict=True))
 

@@ -12,7 +12,7 @@ from dehyst._errors import ModelError, RecordError
 from dehyst._threads import one_thread
 from dehyst._types import Array, Mask
 from dehyst.identification.preprocessing.cleaning import remove_glitches
-from dehyst.identification.solvers import program
+from dehyst.identification.solvers.least_squares import triangle_of
 from dehyst.model import Actuator, State
 from dehyst.model.elements import segment_of
 from dehyst.records import Record
@@ -298,7 +298,7 @@ def _descend(residual: Callable[[Array], Array], start: Array) -> tuple[Array, A
 
     x, error, damping = start, residual(start), 1e-3
     for _ in range(_MOST_STEPS):
-        triangle = program.triangle_of(np.column_stack([_slopes(residual, x, error), error]))
+        triangle = triangle_of(np.column_stack([_slopes(residual, x, error), error]))
         rows, goal = triangle[:, :-1], -triangle[:, -1]
         size, before = float(np.linalg.norm(rows, axis=0).max()), float(error @ error)
         for _ in range(8):

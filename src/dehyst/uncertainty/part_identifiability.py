@@ -16,7 +16,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers.program import triangle_of
+from dehyst.identification.solvers.least_squares import triangle_of
 from dehyst.records import Record
 from dehyst.records.metrics import rms
 from dehyst.records.signals import turning_points

@@ -21,7 +21,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number, vector
 from dehyst.control.major_loop import MajorLoop
-from dehyst.identification.solvers import program
+from dehyst.identification.solvers.highs import linear_program
 from dehyst.model import Actuator, GradedSlip, State
 
 Indices = NDArray[np.intp]
@@ -176,7 +176,7 @@ class RestStates:
         if self.reachable:
             rows = (np.eye(n) - np.diag(rho[:-1] / rho[1:], -1))[1:]
             room = 1 - rho[:-1] / rho[1:]
-        found, _, optimal, status, _ = program.linear_program(cost, (-np.ones(n), np.ones(n)), rows, (-room, room))
+        found, _, optimal, status, _ = linear_program(cost, (-np.ones(n), np.ones(n)), rows, (-room, room))
         if not optimal:
             raise ModelError(f"equilibria: the linear program was not solved ({status}); check the breakaways {rho}")
         return np.asarray(np.clip(found, -1, 1) * rho)

@@ -90,14 +90,14 @@ def loop_of(seed, n, knots, odd, samples):
 @given(SEEDS, st.integers(1, 30), st.integers(2, 12), st.sampled_from([25, 60, 300]))
 def test_with_a_spring_that_is_linear_or_odd_a_loop_is_its_own_mirror_image(seed, n, knots, samples):
     loop = mirrored(loop_of(seed, n, knots, True, samples))
-    assert largest(loop.from_mirror(), loop) < 1e-9
-    assert np.abs(loop.of_middle()).max() < 1e-9 * loop.range
+    assert largest(loop.asymmetry(), loop) < 1e-9
+    assert np.abs(loop.middle_asymmetry()).max() < 1e-9 * loop.range
 
 
 @given(SEEDS, st.integers(1, 30), st.integers(2, 12), st.booleans(), st.sampled_from([25, 60, 300]))
 def test_with_any_spring_a_loop_is_as_wide_as_at_its_mirror_image(seed, n, knots, odd, samples):
     loop = mirrored(loop_of(seed, n, knots, odd, samples))
-    assert largest(loop.of_width(), loop) < 1e-9
+    assert largest(loop.width_asymmetry(), loop) < 1e-9
 
 
 @given(SEEDS, st.integers(1, 30), st.integers(3, 12))
@@ -106,7 +106,7 @@ def test_the_distance_from_the_mirror_is_the_springs(seed, n, knots):
     record = loop_of(seed, n, knots, False, 300)
     loop = mirrored(record)
     rising, falling = (np.gradient(branch.mean(axis=0), loop.place) for branch in (loop.rising, loop.falling))
-    volts = loop.from_mirror()[0] * np.sqrt(0.5 * (rising**2 + falling[::-1] ** 2))
+    volts = loop.asymmetry()[0] * np.sqrt(0.5 * (rising**2 + falling[::-1] ** 2))
     even = (loop.rising + loop.falling + (loop.rising + loop.falling)[:, ::-1]).mean(axis=0) / 2
     np.testing.assert_allclose(volts, even, atol=1e-9 * np.ptp(record.voltage))
 
@@ -130,9 +130,9 @@ def test_a_play_truths_width_by_a_second_way():
     width, squares = up(u) - down(u), rise**2 + fall**2
     dense = np.abs(width - width[::-1]) / np.sqrt(0.25 * (squares + squares[::-1]))
     loop = mirrored(driven(PlayActuator(noise=0), [1, 1, 1]))
-    assert largest(loop.of_width(), loop) == pytest.approx(dense.max() / (2 * half), rel=0.02)
+    assert largest(loop.width_asymmetry(), loop) == pytest.approx(dense.max() / (2 * half), rel=0.02)
     mirror = np.abs(up(u) + down(-u) - v[20_000] - v[30_000]) / np.sqrt(0.5 * (rise**2 + fall[::-1] ** 2))
-    assert largest(loop.from_mirror(), loop) == pytest.approx(mirror.max() / (2 * half), rel=0.02)
+    assert largest(loop.asymmetry(), loop) == pytest.approx(mirror.max() / (2 * half), rel=0.02)
 
 
 # Readings of branches.
@@ -171,7 +171,7 @@ def test_noise_alone_stays_below_the_floor(turns, kind):
     ratios = []
     for seed in range(REPEATS):
         loop = mirrored(noisy(clean, seed))
-        distance, floor = loop.from_mirror() if kind == "mirror" else loop.of_width()
+        distance, floor = loop.asymmetry() if kind == "mirror" else loop.width_asymmetry()
         ratios.append(np.abs(distance).max() / floor)
     assert np.mean(np.array(ratios) <= 1) >= 0.95
     # A floor that is far above what noise does would hide what is there.
@@ -195,7 +195,7 @@ def test_slow_wander_of_the_sensor_counts_as_noise():
         rng = np.random.default_rng(seed)
         wander = np.interp(clean.time, np.linspace(0, clean.time[-1], 80), rng.normal(scale=1e-8, size=80))
         loop = mirrored(shifted(clean, wander + rng.normal(scale=1e-9, size=len(clean))))
-        distance, floor = loop.from_mirror()
+        distance, floor = loop.asymmetry()
         above += np.abs(distance).max() > floor
     assert above <= 0.05 * REPEATS
 
@@ -281,7 +281,7 @@ def test_assumption_i_says_where_the_slope_is_least_and_where_nothing_was_seen()
         in check.sentence
     )
     assert f"at {knots[least]:.4g} to {knots[least + 1]:.4g} um" in check.sentence
-    assert "Below 0 um and above 16 um the spring goes on at its end slopes" in check.sentence
+    assert "Below 0 um and above 16 um the spring continues at its end slopes" in check.sentence
 
 
 def test_assumption_i_is_not_known_where_the_slope_lies_on_its_floor():
@@ -309,7 +309,7 @@ def test_assumption_ii_tells_what_stands_still_in_minor_records():
     assert (check.verdict, check.value) == (HOLDS, 100)
     # Nine elements have stiffness; 2 rho_i = i / 10 of the stroke.
     assert "major: 9 of the 9 elements" in check.sentence
-    assert "Fewer slid in 2 other records, 3 in minor 0.3" in check.sentence
+    assert "Fewer slide in 2 other records, 3 in minor 0.3" in check.sentence
     alone = looked_at(CURVED, *minors)["Assumption II"]
     assert (alone.verdict, alone.value) == (FAILS, pytest.approx(500 / 9))
     assert "The widest needs 14.4 um, the widest motion is 8 um" in alone.sentence

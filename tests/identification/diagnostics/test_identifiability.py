@@ -267,7 +267,7 @@ def test_elements_that_do_not_move_are_left_out():
         assert not vector[~movable].any()
     nothing = told_of(MAJOR, movable=movable & False)
     assert (nothing.determined, nothing.of, nothing.known, nothing.open) == (0, 0, (), ())
-    assert nothing.sentences() == ("No element slides in these records: they tell nothing of the stiffnesses.",)
+    assert nothing.sentences() == ("No element slides in these records: they determine no stiffness.",)
 
 
 def test_records_without_loops_tell_nothing():

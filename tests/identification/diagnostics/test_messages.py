@@ -31,7 +31,7 @@ def drifting(turns, share):
 @pytest.mark.parametrize(
     ("turns", "why"),
     [
-        ((*plain_records.MAJOR, 1, 0), "too short a time to tell a rate of creep"),
+        ((*plain_records.MAJOR, 1, 0), "too short a time to determine a rate of creep"),
         (plain_records.DESCENDING_TOPS, "which is more than creep"),
     ],
 )

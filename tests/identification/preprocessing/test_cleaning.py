@@ -163,7 +163,7 @@ def test_a_shifted_sensor_zero_is_found(norm):
     fit = dehyst.identify([TOPS, three], elements=10, norm=norm)
     assert fit.errors[1].datum == pytest.approx(0.1 * plain_records.STROKE, abs=1e-8 * plain_records.STROKE)
     assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-6
-    assert fit.repairs == ("three: fits best with its sensor's zero moved by 1.6 um; moved so.",)
+    assert fit.repairs == ("three: fits best with its sensor's zero moved by 1.6 um; it was moved.",)
 
 
 def test_a_shifted_sensor_zero_that_is_denied_makes_the_stiffnesses_wrong():

@@ -14,7 +14,7 @@ from dehyst._threads import one_thread
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers import highs, least_absolute_blocks
-from dehyst.identification.solvers.highs import Program
+from dehyst.identification.solvers.highs import LinearSolution
 from dehyst.identification.solvers.l1_interior_point import interior
 from dehyst.identification.solvers.problem import Problem
 from dehyst.identification.solvers.program import solve
@@ -156,8 +156,8 @@ def test_an_epoch_that_is_missed_by_far_keeps_its_share_of_the_rows(seed):
     rows, frame = np.hstack([free, a]), Problem(np.zeros((0, 14)), b[:0], 2, np.zeros((0, 14)), np.zeros(0))
     sample, unit = least_absolute_blocks._sample(least_absolute_blocks.Whole(rows, b), frame, 6)
     x = least_absolute_blocks.least_absolute(least_absolute_blocks.Whole(sample.rows, sample.goal), frame).x
-    divided, _ = least_absolute_blocks._divide(
-        least_absolute_blocks.Whole(rows, b), frame, x, least_absolute_blocks._Doubt.of(sample), 2000
+    divided, _ = least_absolute_blocks._divide_rows(
+        least_absolute_blocks.Whole(rows, b), frame, x, least_absolute_blocks._SignDoubt.of(sample), 2000
     )
     assert (divided.places >= 9000 - 700).sum() > 0.15 * 700
     found = least_absolute_blocks.least_absolute_deviations(divided.problem, divided.pull, unit)
@@ -195,7 +195,9 @@ def test_a_gap_that_is_too_wide_is_no_optimum(monkeypatch):
 
     a, b, _ = table("random", 1, 150, 5)
     monkeypatch.setattr(least_absolute, "interior", lambda p, pull: replace(interior(p, pull), y=np.zeros(p.goal.size)))
-    monkeypatch.setattr(least_absolute.highs, "minimum", lambda *_, **__: Program(b, b, 0.0, False, "HiGHS: asleep"))
+    monkeypatch.setattr(
+        least_absolute.highs, "minimum", lambda *_, **__: LinearSolution(b, b, 0.0, False, "HiGHS: asleep")
+    )
     found = solve(a[:, :0], a, b, norm="l1")
     assert not found.optimal
     assert "asleep" in found.status

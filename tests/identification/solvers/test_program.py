@@ -7,7 +7,8 @@ import pytest
 from scipy.optimize import linprog, lsq_linear
 
 from dehyst import IdentifyError
-from dehyst.identification.solvers.program import NORMS, linear_program, solve
+from dehyst.identification.solvers.highs import linear_program
+from dehyst.identification.solvers.program import NORMS, solve
 
 CASES = [(seed, free, positive) for seed in range(4) for free, positive in ((1, 5), (3, 8), (0, 6), (4, 0))]
 

@@ -1,1 +1,1 @@
-"""diagnostics."""
+"""Diagnostics of an identification: assumptions, residuals, identifiability, and their messages."""

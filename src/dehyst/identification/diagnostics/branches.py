@@ -1,4 +1,4 @@
-"""Branches of closed loops: which legs of a record lie between the same turning points, and their voltages."""
+"""Branches of closed loops: legs of a record between the same turning points, and their voltages."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.records import Record
 
-# Turning points nearer to one another than this part of the stroke are the same.
+# Turning points closer to each other than this part of the stroke are the same.
 _SAME = 0.02
-# A line through fewer samples than this says less than its two neighbours do.
+# Least samples of a line: with fewer, linear interpolation is better.
 _FEWEST = 4
 
 Branch: TypeAlias = "tuple[Array, Array]"
@@ -48,22 +48,22 @@ class Family(NamedTuple):
 
 
 def families(record: Record) -> list[Family]:
-    """Put together the branches of a record between the same turning points.
+    """Group the branches of a record by their turning points.
 
-    A branch counts if the motion before it was at least as wide, for then every element that slides on it starts from
-    its breakaway elongation. Only families with both a descending and an ascending branch, closed loops, are returned.
+    A branch is used if the motion before it was at least as wide: then every element that slides on it starts from its
+    breakaway elongation. Only closed loops are returned: families with a descending and an ascending branch.
     """
     turns = [0, *record.reversals().tolist(), len(record) - 1]
     y, v = record.displacement, record.voltage
     same = _SAME * record.stroke
-    found: list[tuple[float, float, list[Branch], list[Branch]]] = []
+    groups: list[tuple[float, float, list[Branch], list[Branch]]] = []
 
     def family_of(low: float, high: float) -> tuple[list[Branch], list[Branch]]:
-        for bottom, top, down, up in found:
+        for bottom, top, down, up in groups:
             if abs(bottom - low) < same and abs(top - high) < same:
                 return down, up
-        found.append((low, high, [], []))
-        return found[-1][2:]
+        groups.append((low, high, [], []))
+        return groups[-1][2:]
 
     for before, start, end in zip(turns[:-2], turns[1:-1], turns[2:], strict=True):
         if abs(y[start] - y[before]) < abs(y[end] - y[start]) - same:
@@ -71,14 +71,14 @@ def families(record: Record) -> list[Family]:
         low, high = sorted((float(y[start]), float(y[end])))
         down, up = family_of(low, high)
         (up if y[end] > y[start] else down).append((y[start : end + 1], v[start : end + 1]))
-    return [Family(record.name, *_mean_turns(down, up), down, up) for _, _, down, up in found if down and up]
+    return [Family(record.name, *_mean_turns(down, up), down, up) for _, _, down, up in groups if down and up]
 
 
 def voltage_at(branch: Branch, places: Array) -> Array:
-    """Voltage [V] of one branch at displacements `places` (m,) [m], shape (m,).
+    """Interpolate the voltage [V] of one branch at displacements `places` (m,) [m], shape (m,).
 
-    Noise makes the displacement of a branch go back and forth; the mean of both its envelopes is taken. Beyond the
-    branch's ends the voltage stays.
+    Noise moves the displacement of a branch back and forth; the mean of both its envelopes is used. Beyond the
+    branch's ends the voltage is constant.
     """
     y, v = branch if branch[0][-1] > branch[0][0] else (branch[0][::-1], branch[1][::-1])
     upper, lower = np.maximum.accumulate(y), np.minimum.accumulate(y[::-1])[::-1]
@@ -88,13 +88,13 @@ def voltage_at(branch: Branch, places: Array) -> Array:
 
 
 def averaged_at(branch: Branch, places: Array, half: float) -> tuple[Array, Array]:
-    """Voltage of one branch at displacements `places` (m,) [m], by lines through the samples within `half` [m] of each.
+    """Read the voltage of one branch at `places` (m,) [m] off lines through the samples within `half` [m] of each.
 
     Returns
     -------
     voltage, gain : (m,) array
-        The gain is the variance that a line keeps of the samples' noise; 1 where too few samples lie for a line and
-        `voltage_at` is taken.
+        The gain is the part of the noise variance that a line keeps; 1 where too few samples make a line and
+        `voltage_at` is used.
     """
     order = np.argsort(branch[0], kind="stable")
     y, v = branch[0][order], branch[1][order]
@@ -102,7 +102,7 @@ def averaged_at(branch: Branch, places: Array, half: float) -> tuple[Array, Arra
     x, at = (y - y0) / half, (places - y0) / half
     columns = np.column_stack([np.ones_like(x), x, x * x, v - v0, x * (v - v0)])
     sums = np.vstack([np.zeros(5), np.cumsum(columns, axis=0)])
-    # A sample on the edge of a window is inside it, on either side, whatever the last bit says.
+    # A sample on either edge of a window is inside it, whatever its last bit.
     edge = 1 + 1e-9
     inside = sums[np.searchsorted(x, at + edge)] - sums[np.searchsorted(x, at - edge)]
     count = np.maximum(inside[:, 0], 1.0)

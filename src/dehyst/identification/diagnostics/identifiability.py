@@ -1,4 +1,4 @@
-"""What records can tell about the stiffnesses, whatever their noise: a matter of where the motion turned."""
+"""Identifiability of the stiffnesses from turning points, independent of noise."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from numpy.typing import NDArray
 from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import Rows, collect
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers import program
+from dehyst.identification.solvers.highs import linear_program
 from dehyst.model.structure import Grid
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
 
 _MOST_ROWS = 20_000
-# Singular values below this share of the largest, over N squared, count as nothing known: those of directions that an
-# excitation tells fall with the square of N (0.013 at N = 10, 0.0007 at 40, tops descending in N steps).
-_TOLD = 0.1
-# Plain elements with which turning points are probed.
+# Least singular value of a determined direction as a share of the largest, times N squared: determined ones fall with
+# the square of N (0.013 at N = 10, 0.0007 at 40, tops descending in N steps).
+_DETERMINED = 0.1
+# Number of plain elements with which turning points are probed.
 _PROBES = 10
-# Less than this [V/V] is rounding: a record that tells nothing must not be measured by it.
+# Smaller singular values [V/V] are rounding, also if all are.
 _ROUNDING = 1e-9
-# A coefficient of a combination that is smaller than this is left out of its sentence.
+# Smaller coefficients of a combination are left out of its sentence.
 _SMALL = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Which combinations of the stiffnesses records determine, the spring and each record's constant being free.
+    """Combinations of the stiffnesses that records determine, with the spring and each record's constant free.
 
     Attributes
     ----------
     breakaway : (N,) array
         rho [m].
     movable : (N,) bool array
-        Elements that slide in some record; the others cannot be told from the spring.
+        Elements that slide in some record; the others act as part of the spring.
     values : (m,) array
         Singular values of the movable elements' columns, all else projected out, largest first [V/V]: the RMS voltage
-        by which a change of 1 V of breakaway voltages in this direction shows, whatever the spring does.
+        of a change of 1 V of breakaway voltages in this direction, for any spring.
     vectors : (m, m) array
-        Unit vectors of those changes, one a row.
+        Unit vectors of those changes, one in each row.
     """
 
     breakaway: Array
@@ -54,73 +54,73 @@ class Identifiability:
 
     @property
     def of(self) -> int:
-        """Number of directions there are."""
+        """Number of directions in all."""
         return int(np.count_nonzero(self.movable))
 
     @property
     def determined(self) -> int:
-        """Number of directions that the records tell."""
-        least = max(_TOLD / max(self.of, 1) ** 2 * self.values.max(initial=0.0), _ROUNDING)
+        """Number of directions that the records determine."""
+        least = max(_DETERMINED / max(self.of, 1) ** 2 * self.values.max(initial=0.0), _ROUNDING)
         return int(np.count_nonzero(self.values > least))
 
     @cached_property
     def known(self) -> tuple[Array, ...]:
-        """Combinations ``c @ stiffness`` that the records tell, each (N,), as few elements in each as can be."""
+        """Determined combinations ``c @ stiffness``, each (N,), of as few elements as possible."""
         return self._sparse(self.vectors[: self.determined], friction=True)
 
     @cached_property
     def open(self) -> tuple[Array, ...]:
-        """Changes of the stiffnesses, each (N,), that the records do not notice, of as few elements as can be."""
+        """Changes of the stiffnesses, each (N,), without effect on the records, of as few elements as possible."""
         return self._sparse(self.vectors[self.determined :], friction=False)
 
     @property
     def alone(self) -> NDArray[np.bool_]:
-        """(N,) elements whose stiffness the records tell by itself, no open change touching it."""
+        """(N,) whether an element's stiffness is determined by itself: no open change contains it."""
         touched = np.zeros(self.movable.size, dtype=bool)
         touched[self.movable] = np.linalg.norm(self.vectors[self.determined :], axis=0) > _SMALL
         return self.movable & ~touched
 
     def sentences(self) -> tuple[str, ...]:
-        """What is known and what is not, in words: ``k_3 + k_7 is known, k_3 - k_7 is not``."""
+        """Return sentences about what is known and what is not: ``k_3 + k_7 is known, k_3 - k_7 is not``."""
         if not self.of:
-            return ("No element slides in these records: they tell nothing of the stiffnesses.",)
+            return ("No element slides in these records: they determine no stiffness.",)
         if self.determined == self.of:
             every = f"All {self.of} stiffnesses of elements that slide are known."
             return (every if self.of > 1 else "The stiffness of the one element that slides is known.",)
         known = [_signature(c) for c in self.known]
-        said = []
+        sentences = []
         for change in self.open:
             total = _signature(np.abs(change))
             pair = np.count_nonzero(np.abs(change) > _SMALL) > 1 and total in known
             partner = f"{_words(np.abs(change))} is known, " if pair else ""
-            said.append(f"{partner}{_words(change)} is not{'' if partner else ' known'}.")
+            sentences.append(f"{partner}{_words(change)} is not{'' if partner else ' known'}.")
         single = [f"k_{signature[0][0]}" for signature in known if len(signature) == 1]
-        return (*said, f"Known by themselves: {', '.join(single)}.") if single else tuple(said)
+        return (*sentences, f"Known by themselves: {', '.join(single)}.") if single else tuple(sentences)
 
     def _sparse(self, basis: Array, *, friction: bool) -> tuple[Array, ...]:
-        """A basis of the same space of few elements each, its largest coefficient 1, by linear programs (least L1)."""
+        """Return a basis of the same space, few elements in each vector, by linear programs (least L1); maximum 1."""
         where, scale = np.flatnonzero(self.movable), self.breakaway[self.movable] / self.breakaway[-1]
-        # A change of breakaway voltages is a change of stiffness times rho; what is told of them is told the other way.
+        # Changes of breakaway voltages are changes of stiffness times rho; combinations transform inversely.
         space = basis * scale if friction else basis / scale
-        found: list[Array] = []
+        kept: list[Array] = []
         for candidate in sorted(_sparsest(space), key=_support_size):
-            if len(found) < len(basis) and np.linalg.matrix_rank(np.array([*found, candidate]), tol=1e-3) > len(found):
-                found.append(candidate)
-        return tuple(_spread(vector, where, self.movable.size) for vector in sorted(found, key=_first))
+            if len(kept) < len(basis) and np.linalg.matrix_rank(np.array([*kept, candidate]), tol=1e-3) > len(kept):
+                kept.append(candidate)
+        return tuple(_spread(vector, where, self.movable.size) for vector in sorted(kept, key=_first))
 
 
 def identifiability(records: list[Record], regression: Regression, *, relaxed: Collection[int] = ()) -> Identifiability:
-    """Directions of the stiffnesses that the records determine, and how many there are.
+    """Compute the directions of the stiffnesses that the records determine.
 
-    Noise makes every sample of a record a little different from every other, and a numerical rank of measured rows
-    takes that for knowledge. So the rank is that of the paths' outlines.
+    Noise makes all samples of a record differ, which would raise the numerical rank of measured rows. So the rank is
+    that of the outlines of the paths.
 
     Parameters
     ----------
     records : list of Record
-        Pieces without gaps, on one displacement axis.
+        Pieces without gaps, on a common displacement axis.
     regression : Regression
-        Whose thresholds, knots and movable elements count.
+        Its thresholds, knots and movable elements are used.
     relaxed : collection of int, optional
         Numbers of the records that start with no element strained.
     """
@@ -139,23 +139,23 @@ def identifiability(records: list[Record], regression: Regression, *, relaxed: C
     if not len(rows) or not count:
         return Identifiability(breakaway, movable, np.zeros(count), np.eye(count))
     values, vectors = np.linalg.svd(few.projected())[1:]
-    found = np.zeros(count)
-    found[: values.size] = values / np.sqrt(len(rows))
-    return Identifiability(breakaway, movable, found, vectors)
+    padded = np.zeros(count)
+    padded[: values.size] = values / np.sqrt(len(rows))
+    return Identifiability(breakaway, movable, padded, vectors)
 
 
 def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, float]) -> Identifiability:
-    """What the turning points of records tell of ten plain elements over a stroke: whether inner loops are there.
+    """Compute how much the turning points of records determine of ten plain elements over a stroke.
 
-    A wider class has more coefficients than any records tell, which smoothing settles; but where ten plain elements are
-    left open no smoothing knows what loops that turn elsewhere do.
+    A wider structure has more coefficients than records determine; smoothing settles the rest. But if ten plain
+    elements stay open, smoothing cannot predict loops that turn elsewhere.
 
     Parameters
     ----------
     records : list of Record
-        Pieces without gaps, on one displacement axis.
+        Pieces without gaps, on a common displacement axis.
     rows : Rows
-        Theirs; of which nothing counts.
+        Rows of these records; their values have no effect.
     span : (float, float)
         Ends of the stroke [m].
     """
@@ -167,18 +167,18 @@ def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, 
 
 
 def _turns(record: Record, spacing: float, ends: Array) -> list[float]:
-    """Turning points of the displacement [m], those closer than `spacing` made one; a cycle is told thrice at most.
+    """Return the turning points of the displacement [m], closer ones than `spacing` merged, at most three equal cycles.
 
-    Those near an end of the spring's knots are put there: the grid of elements is laid over that range.
+    Those near an end of the spring's knots are moved there: the grid of elements covers that range.
     """
     y = record.displacement
-    found = y[[0, *turning_points(y, max(spacing, 8 * record.noise)).tolist(), len(y) - 1]]
-    order = np.argsort(found)
-    place = found.copy()
+    points = y[[0, *turning_points(y, max(spacing, 8 * record.noise)).tolist(), len(y) - 1]]
+    order = np.argsort(points)
+    place = points.copy()
     start = 0
     for i in range(1, order.size + 1):
-        if i == order.size or found[order[i]] - found[order[start]] > spacing:
-            mean = found[order[start:i]].mean()
+        if i == order.size or points[order[i]] - points[order[start]] > spacing:
+            mean = points[order[start:i]].mean()
             near = np.abs(ends - mean)
             place[order[start:i]] = ends[near.argmin()] if near.min() < spacing else mean
             start = i
@@ -192,18 +192,18 @@ def _turns(record: Record, spacing: float, ends: Array) -> list[float]:
 
 
 def _outline(turns: list[float], points: int) -> Record:
-    """Straight legs between turning points; the voltage rises and falls with the displacement."""
+    """Return straight legs between turning points, the voltage equal to the displacement."""
     legs = [np.linspace(a, b, points + 1)[1:] for a, b in pairwise(turns)]
     path = np.concatenate([[turns[0]], *legs])
     return Record(np.arange(path.size, dtype=float), path, path, "outline")
 
 
 def _sparsest(space: Array) -> list[Array]:
-    """For each element the vector of the space (rows) with coefficient 1 there and the least sum of absolute values."""
+    """Return for each element the vector of the space (rows) of least L1 norm with coefficient 1 there."""
     rank, size = space.shape
-    found: list[Array] = []
+    vectors: list[Array] = []
     if not rank:
-        return found
+        return vectors
     basis = np.linalg.qr(space.T)[0].T
     # z = basis' w, split z = p - n with p, n >= 0 and the sum of both least.
     rows = np.hstack([basis.T, -np.eye(size), np.eye(size)])
@@ -211,13 +211,13 @@ def _sparsest(space: Array) -> list[Array]:
     lower = np.concatenate([np.full(rank, -np.inf), np.zeros(2 * size)])
     upper = np.full(rank + 2 * size, np.inf)
     for i in np.flatnonzero(np.linalg.norm(basis, axis=0) > _SMALL):
-        one = np.vstack([rows, np.concatenate([basis[:, i], np.zeros(2 * size)])])
+        equations = np.vstack([rows, np.concatenate([basis[:, i], np.zeros(2 * size)])])
         goal = np.append(np.zeros(size), 1.0)
-        x, _, optimal, _, _ = program.linear_program(cost, (lower, upper), one, (goal, goal))
+        x, _, optimal, _, _ = linear_program(cost, (lower, upper), equations, (goal, goal))
         if optimal:
             z = x[:rank] @ basis
-            found.append(z / z[np.argmax(np.abs(z))])
-    return found
+            vectors.append(z / z[np.argmax(np.abs(z))])
+    return vectors
 
 
 def _support_size(vector: Array) -> int:
@@ -229,14 +229,14 @@ def _first(vector: Array) -> int:
 
 
 def _spread(vector: Array, where: NDArray[np.intp], size: int) -> Array:
-    """The same with zeros for the elements that do not move, the first coefficient positive."""
+    """Return the vector with zeros for elements that do not move, its first coefficient positive."""
     whole = np.zeros(size)
     whole[where] = vector * np.sign(vector[_first(vector)])
     return whole
 
 
 def _signature(coefficients: Array) -> tuple[tuple[int, float], ...]:
-    """Element numbers and coefficients to a tenth, those that count."""
+    """Return the numbers and coefficients, to a tenth, of the elements that are not small."""
     return tuple((int(i) + 1, round(float(coefficients[i]), 1)) for i in np.flatnonzero(np.abs(coefficients) > _SMALL))
 
 

@@ -1,4 +1,4 @@
-"""What is to be said of an identification: what the records do not tell, and what was repaired, in sentences."""
+"""Messages of an identification: what the records leave open, and what was repaired, in sentences."""
 
 from __future__ import annotations
 
@@ -16,83 +16,85 @@ from dehyst.identification.regression.regression import Regression
 from dehyst.model import Outcome, RecordErrors
 from dehyst.model.fit import FEWEST_DECADES
 
-# Below this many times the noise an element's stiffness comes out too small.
+# Below this many times the noise the stiffness of an element is estimated too small.
 _LOUD = 30
-# Less creep a decade than this part of the stroke is not worth a sentence.
+# Least creep a decade, as a part of the stroke, that is reported.
 _SMALLEST_DRIFT = 2e-4
-# The outer part of the limits' range at each end, and the part of one passage of it, as a triangle's, that is enough.
+# The outer part of the limits' range at each end, and the part of one passage through it that is enough.
 _END, _PASSAGE = 0.1, 0.25
-# Voltages may leave those of training by this part of their range, and errors be so many times those of training.
+# Voltages may leave those of training by this part of their range; errors may be this many times those of training.
 _MARGIN, _USUAL = 0.02, 2
 
 
 def of_noise(first: float, noise: float) -> list[str]:
-    """A remark where jitter, which only wider structures are spared, drags the first element, at `first` [m]."""
+    """Return a remark if jitter, which only wider structures remove, drags the first element, at `first` [m]."""
     if first >= _LOUD * noise:
         return []
     return [
-        f"The first element lets go at {first * 1e6:.4g} um, {first / noise:.3g} times the sensor's noise; "
-        f"below {_LOUD} times its stiffness comes out too small."
+        f"The first element slides at {first * 1e6:.4g} um, {first / noise:.3g} times the sensor's noise; "
+        f"below {_LOUD} times its stiffness is estimated too small."
     ]
 
 
-def of_turns(told: Identifiability) -> list[str]:
-    """A remark where turning points leave some of a few plain elements open."""
-    if told.determined == told.of:
+def of_turns(probe: Identifiability) -> list[str]:
+    """Return a remark if the turning points leave some of a few plain elements open."""
+    if probe.determined == probe.of:
         return []
     return [
-        f"Wider structures were not tried: the turning points tell {told.determined} of {told.of} directions of "
-        "ten plain elements. They need loops within loops; add minor loops with other turning points."
+        f"Wider structures were not tried: the turning points determine {probe.determined} of {probe.of} directions of "
+        "ten plain elements. Wider structures need loops within loops: add minor loops with other turning points."
     ]
 
 
-def of_plain(told: Identifiability, regression: Regression, found: Coefficients) -> tuple[Outcome, list[str]]:
-    """How the identification of plain elements ended, and remarks about what stays open or lies on its floor."""
-    said = []
-    if told.determined < told.of:
-        said.append(
-            f"The records determine {told.determined} of {told.of} directions of the stiffnesses; minor loops with "
-            "other turning points determine more (dehyst insight says which)."
+def of_plain(
+    identifiability: Identifiability, regression: Regression, coefficients: Coefficients
+) -> tuple[Outcome, list[str]]:
+    """Return the outcome with plain elements, and remarks about what stays open or lies on its floor."""
+    remarks = []
+    if identifiability.determined < identifiability.of:
+        remarks.append(
+            f"The records determine {identifiability.determined} of {identifiability.of} directions of the "
+            "stiffnesses; minor loops with other turning points determine more (run dehyst insight for proposals)."
         )
     still = int(np.count_nonzero(~regression.movable))
     if still > 1 or not regression.movable.any():
-        said.append(
-            f"{still} of {regression.movable.size} elements let go at half of the range or more: they never slide "
-            "over all of it, are one with the spring, and got no stiffness."
+        remarks.append(
+            f"{still} of {regression.movable.size} elements slide at half of the range or more: they never slide over "
+            "all of it, act as part of the spring, and got no stiffness."
         )
-    low = np.flatnonzero(found.slopes <= regression.floor * (1 + 1e-6))
+    low = np.flatnonzero(coefficients.slopes <= regression.floor * (1 + 1e-6))
     if low.size:
         ends = regression.knots * 1e6
         places = ", ".join(f"{ends[j]:.4g} to {ends[j + 1]:.4g} um" for j in low[:4])
-        said.append(f"The spring's slope lies on its floor at {places}{' and elsewhere' if low.size > 4 else ''}.")
-    if told.determined < told.of:
-        return Outcome.UNDETERMINED, said
-    return (Outcome.FLOOR_ACTIVE if low.size else Outcome.IDENTIFIED), said
+        remarks.append(f"The spring's slope lies on its floor at {places}{' and elsewhere' if low.size > 4 else ''}.")
+    if identifiability.determined < identifiability.of:
+        return Outcome.UNDETERMINED, remarks
+    return (Outcome.FLOOR_ACTIVE if low.size else Outcome.IDENTIFIED), remarks
 
 
 def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -> list[str]:
-    """Remarks about an end of the limits [V] that the samples that count reach for less than a part of one cycle.
+    """Return remarks about ends of the limits [V] that the used samples reach for less than a part of one cycle.
 
-    Tops that descend pass the end in one cycle only, and in all of it: that is enough.
+    Descending tops pass the end in one cycle only, but in all of it: that is enough.
     """
     low, high = limits
     width = _END * (high - low)
     counted = [(_counted(item), _samples_a_cycle(item)) for item in records]
-    total, said = sum(v.size for v, _ in counted), []
+    total, remarks = sum(v.size for v, _ in counted), []
     for end, inward, words in ((high, -1, ("above", "highest")), (low, 1, ("below", "lowest"))):
         edge = end + inward * width
-        found = [(np.count_nonzero(inward * (edge - v) > 0), cycle) for v, cycle in counted]
-        if sum(count / cycle for count, cycle in found) < _PASSAGE * _END:
-            count = sum(count for count, _ in found)
-            said.append(
+        counts = [(np.count_nonzero(inward * (edge - v) > 0), cycle) for v, cycle in counted]
+        if sum(count / cycle for count, cycle in counts) < _PASSAGE * _END:
+            count = sum(count for count, _ in counts)
+            remarks.append(
                 f"Only {count} of {total} samples that count lie {words[0]} {edge:.4g} V, the {words[1]} voltage is "
                 f"{end:.4g} V: the model is little better than extrapolated there. Record loops that go there slowly."
             )
-    return said
+    return remarks
 
 
 def _counted(item: Prepared) -> Array:
-    """Voltages of the samples that count, and of the turns before them."""
+    """Return the voltages of the used samples, and of the turns before them."""
     parts = [
         np.append(piece.voltage[epoch.start : epoch.stop], piece.voltage[epoch.turn])
         for piece in item.pieces
@@ -102,52 +104,52 @@ def _counted(item: Prepared) -> Array:
 
 
 def _samples_a_cycle(item: Prepared) -> float:
-    cycles = [one.stop - one.start - 1 for one in item.record.cycles()]
+    cycles = [cycle.stop - cycle.start - 1 for cycle in item.record.cycles()]
     return float(np.median(cycles)) if cycles else float(len(item.record))
 
 
 def of_held_out(records: Sequence[Prepared], limits: tuple[float, float], errors: Sequence[RecordErrors]) -> list[str]:
-    """Remarks about held-out records that the model should not, or cannot, be expected to meet."""
+    """Return remarks about held-out records that the model cannot be expected to predict."""
     low, high = limits
-    margin, said = _MARGIN * (high - low), []
+    margin, remarks = _MARGIN * (high - low), []
     for item in records:
         lowest, highest = item.record.voltage_range
         if lowest < low - margin or highest > high + margin:
-            said.append(
+            remarks.append(
                 f"{item.name}: its voltages, {lowest:.4g} to {highest:.4g} V, leave those of the training records, "
                 f"{low:.4g} to {high:.4g} V: the model is extrapolated there."
             )
     usual = max(error.rms for error in errors if error.role == "training")
-    return said + [
+    return remarks + [
         f"{error.record}: held out, its RMS error is {error.rms / usual:.2g} times that of training: the training "
-        "records lack motions like it, or it is of another stage."
+        "records lack motions like it, or it is from another stage."
         for error in errors
         if error.role == "validation" and error.rms > _USUAL * usual
     ]
 
 
 def repaired(errors: Sequence[RecordErrors], delay: float, sample: float, *, given: bool) -> list[str]:
-    """Sentences about the delay [s], of samples `sample` [s] apart, and about each record's datum and drift."""
-    said = []
+    """Return sentences about the delay [s], for samples `sample` [s] apart, and each record's datum and drift."""
+    sentences = []
     if significant_delay(delay, sample):
-        said.append(
+        sentences.append(
             f"The displacement lags the voltage by {delay * 1e3:.4g} ms ({delay / sample:.3g} samples, "
             f"{'given' if given else 'estimated'}); voltages were delayed by it."
         )
     for error in errors:
         if error.datum:
-            said.append(
-                f"{error.record}: fits best with its sensor's zero moved by {error.datum * 1e6:.4g} um; moved so."
+            sentences.append(
+                f"{error.record}: fits best with its sensor's zero moved by {error.datum * 1e6:.4g} um; it was moved."
             )
         if abs(error.drift) > _SMALLEST_DRIFT * error.stroke:
-            said.append(f"{error.record}: {_drift(error)}; set aside.")
-    return said
+            sentences.append(f"{error.record}: {_drift(error)}; set aside.")
+    return sentences
 
 
 def _drift(error: RecordErrors) -> str:
-    """A drift in words; it is a rate only where it can be creep."""
+    """Describe a drift; as a rate only if it can be creep."""
     if error.creeps:
         return f"creeps by {100 * error.drift / error.stroke:.3g} % of the range a decade of time since its start"
     few = error.decades < FEWEST_DECADES
-    why = "too short a time to tell a rate of creep" if few else "which is more than creep"
+    why = "too short a time to determine a rate of creep" if few else "which is more than creep"
     return f"drifts by {error.drifted_percent:.3g} % of the range over the samples that count, {why}"

@@ -1,12 +1,12 @@
-"""A closed loop held against its mirror image: Lemma 2's anti-symmetry, and the symmetry of the loop's width.
+"""A closed loop compared with its mirror image: Lemma 2's anti-symmetry, and the symmetry of the loop's width.
 
-V_up and V_down are the voltages of its branches at u, the displacement from its centre, less the centre's voltage:
+V_up and V_down are the voltages of its branches at u, the displacement from its centre, minus the centre's voltage:
 
     V_up(u) + V_down(-u) = 0                               with a linear spring (Lemma 2)
     V_up(u) - V_down(u) = V_up(-u) - V_down(-u)            with any spring and any slip elements
 
-The first sum has an even part, the middle line's bend, which a nonlinear spring takes up, and an odd part, half of what
-the second equation is missed by, which no spring can.
+The first sum has an even part, the bend of the middle line, which a nonlinear spring follows, and an odd part, half of
+the residual of the second equation, which no spring follows.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.identification.diagnostics.branches import Branch, Family, averaged_at
 
-# Noise alone surpasses a floor with this probability.
+# Probability that noise alone exceeds a floor.
 RISK = 0.05
 _PLACES = 40
 
@@ -34,16 +34,15 @@ class Mirrored:
     range, middle : float
         Width and centre [m].
     place : (K,) array
-        u [m], from each cycle's own centre, so that a slow wander of the sensor does not count.
+        u [m], from the centre of each cycle, which removes a slow drift of the sensor.
     rising, falling : (M, K) array
-        V_up and V_down [V] of each cycle, less the mean voltage of its turning points.
+        V_up and V_down [V] of each cycle, minus the mean voltage of its turning points.
     noise : float
         Standard deviation of a sample [m].
     gain : float
         Largest part of its variance that a reading keeps.
     opening : float
-        How far apart the ends of a descending and an ascending branch are in the mean [m]: of an open loop nothing is
-        told better.
+        Mean distance of the ends of descending and ascending branches [m]: it limits what an open loop shows.
     """
 
     record: str
@@ -61,7 +60,7 @@ class Mirrored:
         """Read the branches of a family; `noise` is the standard deviation of a sample [m]."""
         half = min(max(0.01 * family.range, 4 * noise), 0.1 * family.range)
         place = np.linspace(half - 0.5 * family.range, 0.5 * family.range - half, _PLACES)
-        # To the last bit, so that a symmetric loop is told as one.
+        # Symmetric to the last bit, so that a symmetric loop gives exactly 0.
         place = 0.5 * (place - place[::-1])
         rising: list[Array] = []
         falling: list[Array] = []
@@ -92,32 +91,32 @@ class Mirrored:
         """Number of cycles M."""
         return len(self.rising)
 
-    def from_mirror(self) -> tuple[Array, float]:
-        """How far the loop lies from its mirror image (K,) [m], and the floor of its largest value [m]."""
+    def asymmetry(self) -> tuple[Array, float]:
+        """Return the distance of the loop from its mirror image (K,) [m], and the floor of its largest value [m]."""
         rising, falling = self._slopes()
         slope = np.sqrt(0.5 * (rising**2 + falling[::-1] ** 2))
         centre = (rising + falling[::-1]) / slope
         return self._distance(self.rising + self.falling[:, ::-1], slope, 2, centre)
 
-    def of_width(self) -> tuple[Array, float]:
-        """Width at u less width at -u (K,) [m], and the floor of its largest value [m]."""
+    def width_asymmetry(self) -> tuple[Array, float]:
+        """Return the width at u minus the width at -u (K,) [m], and the floor of its largest value [m]."""
         rising, falling = self._slopes()
         slope = self._mean_slope()
         narrowing = rising - falling
         width = self.rising - self.falling
         return self._distance(width - width[:, ::-1], slope, 4, (narrowing - narrowing[::-1]) / slope)
 
-    def of_middle(self) -> Array:
-        """How far the middle line lies from its mirror image (K,) [m]."""
+    def middle_asymmetry(self) -> Array:
+        """Return the distance of the middle line from its mirror image (K,) [m]."""
         middle = (self.rising + self.falling).mean(axis=0)
         return np.asarray(0.5 * (middle + middle[::-1]) / self._mean_slope())
 
     def _distance(self, voltage: Array, slope: Array, readings: int, centre: Array) -> tuple[Array, float]:
-        """Mean over cycles of voltages (M, K), in metres, and the floor of its largest absolute value.
+        """Return the mean over cycles of voltages (M, K), in metres, and the floor of its largest absolute value.
 
-        Noise alone stays below the floor with 95 % probability: from the sensor's white noise, of which each of the
-        `readings` keeps its gain and the centre, the mean of four samples at turning points, enters with the factor
-        `centre` (K,); or from the scatter between cycles where that is larger. The loop's opening comes on top.
+        Noise alone stays below the floor with 95 % probability. Its variance is that of the sensor's white noise, of
+        which each of the `readings` keeps its gain, and which enters the centre, the mean of four samples at turning
+        points, with the factor `centre` (K,); or that of the scatter between cycles if larger. The opening is added.
         """
         from scipy.special import ndtri
 
@@ -129,12 +128,12 @@ class Mirrored:
         return distance.mean(axis=0), floor
 
     def _slopes(self) -> tuple[Array, Array]:
-        """Slopes of the rising and of the falling branch (K,) [V/m]."""
+        """Return the slopes of the rising and of the falling branch (K,) [V/m]."""
         rising, falling = (np.gradient(branch.mean(axis=0), self.place) for branch in (self.rising, self.falling))
         return np.asarray(rising), np.asarray(falling)
 
     def _mean_slope(self) -> Array:
-        """Root mean square of the slopes of both branches at u and -u (K,) [V/m]."""
+        """Return the root mean square of the slopes of both branches at u and -u (K,) [V/m]."""
         rising, falling = self._slopes()
         squares = rising**2 + falling**2
         return np.asarray(np.sqrt(0.25 * (squares + squares[::-1])))

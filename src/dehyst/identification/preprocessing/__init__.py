@@ -1,1 +1,1 @@
-"""preprocessing."""
+"""Preprocessing: from a record to cleaned pieces, regressors and internal states."""

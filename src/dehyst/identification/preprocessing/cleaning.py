@@ -1,4 +1,4 @@
-"""What is put right before a fit, and said: a start-up transient, gaps, the delay, datums and drifts of records."""
+"""Cleaning of records before a fit: voltage glitches, start-up transients, gaps and drift."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dehyst.records import Record
 from dehyst.records.glitches import Glitch, glitch_sentences, glitches
 
 _BINS = 64
-# Displacements in a hole that lie beyond those beside it by this part of the stroke show a reversal.
+# Displacements in a hole that exceed those beside it by this part of the stroke show a reversal.
 _TURN = 0.02
 
 
@@ -27,21 +27,21 @@ def remove_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tuple
     Mapping
         Time [s] of the sample before each hole -> whether a reversal may lie in it, by the displacements left out.
     tuple of str
-        A sentence for each glitch, of many glitches for some.
+        A sentence for each glitch; of many glitches for some.
     """
-    found = glitches(record.time, record.voltage, record.displacement)
-    if not found:
+    removed = glitches(record.time, record.voltage, record.displacement)
+    if not removed:
         return record, {}, ()
     keep = np.ones(len(record), dtype=bool)
-    for one in found:
-        keep[one.start : one.stop] = False
+    for glitch in removed:
+        keep[glitch.start : glitch.stop] = False
     kept = replace(record, time=record.time[keep], voltage=record.voltage[keep], displacement=record.displacement[keep])
-    holes = dict(_hole(record, one) for one in found if len(one.neighbours) == 2)
-    return kept, holes, tuple(f"{record.name}: {said}" for said in glitch_sentences(found))
+    holes = dict(_hole(record, glitch) for glitch in removed if len(glitch.neighbours) == 2)
+    return kept, holes, tuple(f"{record.name}: {sentence}" for sentence in glitch_sentences(removed))
 
 
 def _hole(record: Record, glitch: Glitch) -> tuple[float, bool]:
-    """Time of the sample before, and whether the displacement turns back within a glitch."""
+    """Return the time of the sample before a glitch, and whether the displacement may reverse in it."""
     before, after = glitch.start - 1, glitch.stop
     ends = sorted(record.displacement[[before, after]].tolist())
     inside = record.displacement[glitch.start : glitch.stop]
@@ -52,12 +52,12 @@ def _hole(record: Record, glitch: Glitch) -> tuple[float, bool]:
 
 
 def transient(record: Record) -> int:
-    """Samples at the start of a record that lie outside the loops that follow, 0 if none.
+    """Count the samples at the start of a record that lie outside the loops that follow.
 
     The first cycle (at most) is compared with the band of displacements that later cycles cover at the same voltage,
-    widened by 1.5 % of the stroke or 4 standard deviations of the noise; later cycles must go as far. The transient
-    begins with the record and ends where a twentieth of a cycle lies inside. A first rise from an unknown state is left
-    out with it: no state is known there.
+    widened by 1.5 % of the stroke or 4 standard deviations of the noise; later cycles must be as wide. The transient
+    begins with the record and ends where a twentieth of a cycle lies inside. It includes a first rise from an unknown
+    state.
     """
     cycles = record.cycles()
     if len(cycles) < 3:
@@ -81,43 +81,48 @@ def transient(record: Record) -> int:
 
 
 def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> tuple[list[Record], list[str]]:
-    """Cut a record where a gap may hide a reversal; shorter gaps stay, for the model has no time. With sentences.
+    """Cut a record where a gap may hide a reversal; other gaps stay, because plain models do not depend on time.
 
     Parameters
     ----------
     record : Record
     holes : Mapping, optional
-        Of glitches that were left out, see `remove_glitches`: what lies in them was measured.
+        Holes of removed glitches, see `remove_glitches`: displacements in them are known.
+
+    Returns
+    -------
+    list of Record, list of str
+        The pieces, and a sentence for each gap.
     """
-    cuts, said = [0], []
-    cycle, known = cycle_time(record), holes or {}
+    cuts, sentences = [0], []
+    cycle, known_holes = cycle_time(record), holes or {}
     for i, length in record.gaps():
         jump = abs(float(record.voltage[i + 1] - record.voltage[i]))
-        hidden = known.get(float(record.time[i]))
+        hidden = known_holes.get(float(record.time[i]))
         if hidden is False:
             continue
         hidden = hidden or length > 0.2 * cycle or jump > 0.05 * float(np.ptp(record.voltage))
         where = f"{record.name}: a gap of {length:.4g} s after {record.time[i]:.4g} s"
         if hidden:
             cuts.append(i + 1)
-            said.append(f"{where} may hide a reversal; the record was cut there.")
+            sentences.append(f"{where} may hide a reversal; the record was cut there.")
         else:
-            said.append(f"{where} was bridged.")
-    if len(said) > 5:
-        said = [*said[:4], f"{record.name}: {len(said) - 4} more gaps, {len(cuts) - 1} cuts in all."]
+            sentences.append(f"{where} was bridged.")
+    if len(sentences) > 5:
+        sentences = [*sentences[:4], f"{record.name}: {len(sentences) - 4} more gaps, {len(cuts) - 1} cuts in all."]
     cuts.append(len(record))
-    return [record.slice(a, b) for a, b in pairwise(cuts) if b - a >= 20], said
+    return [record.slice(a, b) for a, b in pairwise(cuts) if b - a >= 20], sentences
 
 
 def cycle_time(record: Record) -> float:
-    """Median time of a cycle of the excitation [s]; the record's length if it has none."""
+    """Return the median duration of a cycle of the excitation [s]; the record's duration if it has none."""
     cycles = record.cycles()
     ends = [float(record.time[min(c.stop, len(record) - 1)] - record.time[c.start]) for c in cycles]
     return float(np.median(ends)) if ends else float(record.time[-1] - record.time[0])
 
 
 def drift_curve(record: Record, start: float) -> Array:
-    """Creep since the record's start: log10 of time, mean zero (n,)."""
+    """Return the creep curve since the record's start: log10 of time, mean zero (n,)."""
     scale = 0.1 * cycle_time(record)
     curve = np.log10(1 + (record.time - start) / scale)
     return np.asarray(curve - curve.mean())

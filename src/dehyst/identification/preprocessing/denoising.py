@@ -1,4 +1,4 @@
-"""A measured path without the sensor's jitter, which would drag elements to and fro."""
+"""Removal of the sensor's jitter from a measured path: jitter would drag elements back and forth."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.records import Record
 from dehyst.records.signals import turning_points, white_noise
 
-# Turns of the voltage below this part of its range, or below its noise, are none; a hold moves less than a tenth of it
-# in this many samples.
+# Least turn of the voltage as a part of its range, if above its noise; a hold moves less than a tenth of it in this
+# many samples.
 _TURN = 2e-3
 _HOLD = 8
-# Noise below this part of the range drags no element that counts; a parabola fits this part of a cycle.
+# Noise below this part of the range has no effect on elements; parts of a cycle in a parabola's window, most samples.
 _QUIET = 3e-4
 _PART_OF_CYCLE, _WIDEST = 16, 12
-# Samples gone through at a time.
+# Samples processed at a time.
 _BLOCK = 1 << 19
 
 
 def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
-    """A piece whose displacement moves as an actuator's does.
+    """Return a piece whose displacement moves as an actuator does.
 
     Parameters
     ----------
     piece : Record
         Its delay removed.
     noise, stroke : float
-        Of the sensor, standard deviation [m], and the range of the widest loop [m]: where noise counts, parabolas
-        through neighbours come first, over a part of a cycle.
+        Standard deviation of the sensor [m], and range of the widest loop [m]: if the noise is significant, parabolas
+        through neighbours, over a part of a cycle, come first.
     """
     from scipy.signal import savgol_filter
 
@@ -45,9 +45,9 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
 
 
 def monotone(piece: Record) -> Record:
-    """A piece whose displacement rises where the voltage rises and falls where it falls, by least squares.
+    """Return a piece whose displacement rises where the voltage rises and falls where it falls, by least squares.
 
-    Where the voltage is held, it goes on in one direction, as creep does. Its delay must have been removed.
+    Where the voltage is held, the displacement moves in one direction, as creep does. The delay must be removed first.
     """
     from scipy.optimize import isotonic_regression
 
@@ -65,22 +65,22 @@ def _drifts_up(y: Array) -> bool:
 
 
 def _legs(piece: Record) -> list[tuple[int, int, bool | None]]:
-    """First and last sample of each leg, and whether it rises; None for holds."""
+    """Return the first and last sample of each leg, and whether it rises; None for holds."""
     v = piece.voltage
     least = max(_TURN * float(np.ptp(v)), 6 * white_noise(v))
     cuts = np.unique(np.concatenate([[0, v.size], turning_points(v, least), _holds(v, least)]))
-    found: list[tuple[int, int, bool | None]] = []
+    legs: list[tuple[int, int, bool | None]] = []
     for a, b in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
         change = float(v[min(b, v.size - 1)] - v[a])
-        found.append((a, b, None if abs(change) < least else change > 0))
-    return found
+        legs.append((a, b, None if abs(change) < least else change > 0))
+    return legs
 
 
 def _holds(v: Array, least: float) -> NDArray[np.intp]:
-    """Where the voltage comes to rest and leaves it."""
+    """Return the samples where the voltage comes to rest and leaves it."""
     if v.size <= _HOLD:
         return np.zeros(0, dtype=np.intp)
-    # The range, for at a turn the ends of a window are equal; within noise nothing moves.
+    # The range of a window, because its ends are equal at a turn; within noise nothing moves.
     still_range = max(0.1 * least, 6 * white_noise(v))
     windows = np.lib.stride_tricks.sliding_window_view(v, _HOLD + 1)
     parts = [np.ptp(windows[start : start + _BLOCK], axis=1) < still_range for start in range(0, len(windows), _BLOCK)]

@@ -1,4 +1,4 @@
-"""Records without the motion of the mass."""
+"""Removal of the motion of the mass from records."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dehyst._types import Array
 from dehyst.model import Dynamics
 from dehyst.records import Record
 
-# Derivatives are those of the fourth-order polynomial through this many neighbours.
+# Derivatives are those of a polynomial of fourth order through this many neighbours.
 _WINDOW, _ORDER = 9, 4
 
 
 def remove_dynamics(piece: Record, dynamics: Dynamics | None) -> Record:
-    """A piece whose displacement is w, what the resonance had to follow: y + 2 zeta / omega y' + y'' / omega^2."""
+    """Return a piece whose displacement is w, the input of the resonance: y + 2 zeta / omega y' + y'' / omega^2."""
     if dynamics is None:
         return piece
     velocity, acceleration = derivatives(piece)
@@ -22,7 +22,7 @@ def remove_dynamics(piece: Record, dynamics: Dynamics | None) -> Record:
 
 
 def derivatives(piece: Record) -> tuple[Array, Array]:
-    """Velocity [m/s] and acceleration [m/s2] (n,) of the measured displacement."""
+    """Return velocity [m/s] and acceleration [m/s2] (n,) of the measured displacement."""
     from scipy.signal import savgol_filter
 
     first, second = (

@@ -1,4 +1,4 @@
-"""A record made ready for identification: checked, its start-up transient left out, cut at gaps."""
+"""Preparation of a record for identification: checks, removal of its start-up transient, cuts at gaps."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ _SHORTEST = 20
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """One record, ready; voltages not yet delayed.
+    """A prepared record; its voltages are not yet delayed.
 
     Attributes
     ----------
     record : Record
         Without voltage glitches and its start-up transient.
     lead : Record or None
-        The transient: creep remembers it.
+        The transient: it sets the state of creep.
     pieces : tuple of Record
-        The same between gaps.
+        The parts of `record` between gaps.
     name : str
     samples : int
-        Of the record as it was given.
+        Number of samples of the original record.
     start : float
-        Time of the first sample [s], from which creep counts.
+        Time of the first sample [s], the origin of creep.
     noise : float
-        Of the sensor [m].
+        Standard deviation of the sensor [m].
     can_drift : bool
-        Whether it has cycles enough to tell a drift from hysteresis.
+        Whether it has enough cycles to separate drift from hysteresis.
     sentences : tuple of str
-        What was repaired.
+        Sentences: what was repaired.
     """
 
     record: Record
@@ -54,7 +54,7 @@ class Prepared:
     sentences: tuple[str, ...]
 
     def span(self) -> tuple[float, float]:
-        """Lowest and highest displacement [m] of the loops: of samples that count and of the turn before them."""
+        """Return the lowest and highest displacement [m] of the samples that count and of the turns before them."""
         counted = [
             np.append(piece.displacement[epoch.start : epoch.stop], piece.displacement[epoch.turn])
             for piece in self.pieces
@@ -62,55 +62,55 @@ class Prepared:
         ]
         if not counted:
             raise IdentifyError(
-                f"{self.record.name}: no sample counts, for the voltage never comes back into the range it has been "
-                "in. Record one full cycle at least, better two"
+                f"{self.record.name}: no sample counts, because the voltage never returns into its earlier range. "
+                "Record at least one full cycle, better two"
             )
         return min(float(y.min()) for y in counted), max(float(y.max()) for y in counted)
 
     def acting(self, delay: float, lag: float = 0.0) -> Iterator[Record]:
-        """The pieces, their voltages as they act: `delay` [s] late, through an amplifier of time constant `lag` [s]."""
+        """Yield the pieces with acting voltages: `delay` [s] late, through an amplifier of time constant `lag` [s]."""
         for piece in self.pieces:
             late = piece.delayed(delay) if delay else piece
             yield _amplified(late, lag) if lag else late
 
     def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[tuple[int, Record, Array]]:
-        """(record number, piece as it acts, drift curve) of each piece, for `rows.collect`."""
+        """Return (record number, piece with acting voltage, drift curve) of each piece, for `regressors.collect`."""
         whole = cleaning.drift_curve(self.record, self.start)
         return [(number, piece, np.interp(piece.time, self.record.time, whole)) for piece in self.acting(delay, lag)]
 
     def coarser(self, cycle: int, most: int) -> Prepared:
-        """The same in fewer samples, for searches.
+        """Return the record in fewer samples, for searches.
 
-        Every k-th of them, no cycle in fewer than `cycle`, and none beyond `most`, or beyond the first three cycles if
-        these are longer.
+        Every k-th sample, with at least `cycle` samples a cycle, up to `most` of them, or up to the end of the first
+        three cycles if these are longer.
         """
         cycles = self.record.cycles()
-        step = max(1, min((one.stop - one.start for one in cycles), default=0) // cycle)
+        step = max(1, min((c.stop - c.start for c in cycles), default=0) // cycle)
         stop = max(most * step, cycles[min(3, len(cycles)) - 1].stop if cycles else len(self.record))
         if step == 1 and stop >= len(self.record):
             return self
         ends = np.cumsum([len(piece) for piece in self.pieces])
-        left = [stop - int(end) + len(piece) for piece, end in zip(self.pieces, ends, strict=True)]
+        remaining = [stop - int(end) + len(piece) for piece, end in zip(self.pieces, ends, strict=True)]
         pieces = tuple(
             _every(piece, step, n)
-            for piece, n in zip(self.pieces, left, strict=True)
+            for piece, n in zip(self.pieces, remaining, strict=True)
             if min(n, len(piece)) >= _SHORTEST * step
         )
         return replace(self, record=_every(self.record, step, stop), pieces=pieces)
 
     def source(self) -> dict[str, Any]:
-        """Where the record came from: name, file and hash."""
+        """Return the source of the record: name, file and hash."""
         meta = self.record.meta
         return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256") if key in meta}}
 
 
 def _amplified(piece: Record, lag: float) -> Record:
-    behind = Creep([lag], [0.0]).strains(piece.time, piece.voltage)[:, 0]
-    return replace(piece, voltage=piece.voltage - behind)
+    difference = Creep([lag], [0.0]).strains(piece.time, piece.voltage)[:, 0]
+    return replace(piece, voltage=piece.voltage - difference)
 
 
 def _every(record: Record, step: int, stop: int) -> Record:
-    """Every step-th sample of a record's first `stop`."""
+    """Return every step-th sample of a record's first `stop`."""
     return replace(
         record,
         time=record.time[:stop:step],
@@ -120,7 +120,7 @@ def _every(record: Record, step: int, stop: int) -> Record:
 
 
 def prepare(record: Record) -> Prepared:
-    """Check a record and leave out what cannot be used.
+    """Check a record and remove what cannot be used.
 
     Raises
     ------
@@ -160,12 +160,12 @@ def prepare(record: Record) -> Prepared:
 
 
 def as_list(records: Record | Sequence[Record]) -> list[Record]:
-    """One record or several, as a list.
+    """Return one or several records as a list.
 
     Raises
     ------
     IdentifyError
-        If something else was given.
+        If they are no records.
     """
     given = [records] if not isinstance(records, Sequence) or isinstance(records, str) else list(records)
     for item in given:

@@ -1,7 +1,7 @@
-"""Which samples of a record count, and what each says about the slip elements (theory: the running range).
+"""Regressors: the samples of a record that count, and the elongations of elements at them (theory: running range).
 
-While a record's range does not grow, an element whose 2 rho fits into the range seen so far is in a known state, and
-every other cart stands still: it adds kappa y and a constant. Such a stretch is an epoch; each has one constant.
+While a record's range does not grow, an element whose 2 rho fits into the range so far is in a known state, and every
+other cart stands still: it adds kappa y and a constant. Such an interval is an epoch; each has one constant.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _AT_A_TIME = 1 << 19
 
 
 class Moving(Protocol):
-    """What other parts than carts do along a piece, made when it is asked for."""
+    """Columns of the internal states besides carts along a piece, computed on demand."""
 
     @property
     def width(self) -> int:
@@ -34,7 +34,7 @@ class Moving(Protocol):
         ...
 
     def blocks(self, size: int) -> Iterator[Array]:
-        """Rows of all samples in order, (size, width) at a time but for the last."""
+        """Yield rows of all samples in order, (size, width) at a time except the last."""
         ...
 
 
@@ -65,9 +65,9 @@ class Epoch:
     turn : int
         The sample before `start` at which the range grew last.
     reach : float
-        Range of displacement [m] seen up to here: elements with 2 rho <= reach are known.
+        Range of displacement [m] so far: elements with 2 rho <= reach are in a known state.
     middle : float
-        The place [m] to which the constant of the carts that stand still refers.
+        Displacement [m] to which the constant of the carts that stand still refers.
     """
 
     turn: int
@@ -84,14 +84,14 @@ class Rows:
     Attributes
     ----------
     elongation : (n, N) array
-        s_i [m], or for a cart that stands still y less the middle of its epoch.
+        s_i [m], or for a cart that stands still y minus the middle of its epoch.
     stuck : (n, N) bool array
         Whether cart i stands still at this sample.
     displacement, voltage, drift : (n,) array
         y [m], v [V] and the record's creep curve (log of time since its start, mean zero).
     record, epoch : (n,) int array
     moved : (n, E) array
-        What other parts do along the path, creep strains and the like [m]; E is 0 if none were asked for.
+        Internal states besides carts, such as creep strains [m]; E is 0 without such parts.
     """
 
     elongation: Array
@@ -107,11 +107,11 @@ class Rows:
         return len(self.voltage)
 
     def thinned(self, most: int) -> Rows:
-        """About `most` of the rows, evenly."""
+        """Return about `most` of the rows, evenly."""
         return self._taken(slice(None, None, max(1, len(self) // most)))
 
     def chosen(self, which: NDArray[np.bool_]) -> Rows:
-        """Some of the rows."""
+        """Return some of the rows."""
         return self._taken(which)
 
     def _taken(self, which: Any) -> Rows:
@@ -119,33 +119,33 @@ class Rows:
 
 
 def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
-    """Stretches of constant range, told by the voltage, whose extremes are clean where the displacement drifts.
+    """Find the epochs by the voltage, whose extremes are exact where the displacement drifts.
 
-    A growth below 0.2 % of the voltage's range, or below its noise, is not seen.
+    A growth below 0.2 % of the voltage's range, or below its noise, is ignored.
 
     Parameters
     ----------
     record : Record
-        In one piece, its delay removed.
+        Without gaps, its delay removed.
     noise : float, optional
-        Standard deviation of the sensor [m]: the reach is cut by what noise adds to a range.
+        Standard deviation of the sensor [m]: the reach is reduced by the part of a range that is noise.
     """
     v, y = record.voltage, record.displacement
     tolerance = max(2e-3 * float(np.ptp(v)), 6 * white_noise(v))
     growing = np.flatnonzero(_grows(v, tolerance) | _grows(-v, tolerance))
     edges = np.append(growing, len(v))
-    found: list[Epoch] = []
+    intervals: list[Epoch] = []
     for start, stop in zip(edges[:-1] + 1, edges[1:], strict=True):
         if stop - start >= _SHORTEST_EPOCH:
-            seen, since = y[:start], found[-1].stop if found else 0
+            seen, since = y[:start], intervals[-1].stop if intervals else 0
             low, high = float(seen.min()), float(seen.max())
             turn = since + max(int(np.argmax(v[since:start])), int(np.argmin(v[since:start])))
-            found.append(Epoch(turn, int(start), int(stop), high - low - 4 * noise, 0.5 * (low + high)))
-    return found
+            intervals.append(Epoch(turn, int(start), int(stop), high - low - 4 * noise, 0.5 * (low + high)))
+    return intervals
 
 
 def _grows(v: Array, tolerance: float) -> NDArray[np.bool_]:
-    """Samples of the runs near the running maximum that raise it by more than the tolerance."""
+    """Return the samples of runs near the running maximum that raise it by more than the tolerance."""
     highest = np.maximum.accumulate(v)
     near = np.zeros(len(v) + 2, dtype=bool)
     for begin in range(0, len(v), _AT_A_TIME):
@@ -165,7 +165,7 @@ def _nothing(_: int, record: Record) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RowSource:
-    """The samples that count, seen in blocks: all of them need never exist at once.
+    """The samples that count, in blocks: they need not be in memory all at once.
 
     Attributes
     ----------
@@ -173,9 +173,9 @@ class RowSource:
     breakaway : (N,) array
         rho [m].
     epochs : list of list of Epoch
-        Of each piece.
+        Epochs of each piece.
     moved : list of Moving
-        What other parts do along each piece, at all its samples.
+        Internal states besides carts along each piece, at all its samples.
     """
 
     pieces: list[tuple[int, Record, Array]]
@@ -194,35 +194,36 @@ class RowSource:
         moved: Moved = _nothing,
     ) -> RowSource:
         """Find the epochs; parameters as those of `collect`."""
-        found: list[list[Epoch]] = []
+        spans: list[list[Epoch]] = []
         rested = set(relaxed)
         for (number, piece, _), sigma in zip(pieces, noise, strict=True):
             first = float(piece.displacement[0])
-            found.append([Epoch(0, 0, len(piece), np.inf, first)] if number in rested else epochs(piece, sigma))
+            spans.append([Epoch(0, 0, len(piece), np.inf, first)] if number in rested else epochs(piece, sigma))
             rested.discard(number)
         others = [moved(number, piece) for number, piece, _ in pieces]
-        return cls(pieces, breakaway, found, [_Known(one) if isinstance(one, np.ndarray) else one for one in others])
+        return cls(pieces, breakaway, spans, [_Known(x) if isinstance(x, np.ndarray) else x for x in others])
 
     def __len__(self) -> int:
-        return sum(epoch.stop - epoch.start for own in self.epochs for epoch in own)
+        return sum(epoch.stop - epoch.start for spans in self.epochs for epoch in spans)
 
     @property
     def count(self) -> int:
-        """Number of epochs, which are numbered from 0 through all pieces."""
+        """Number of epochs; they are numbered from 0 through all pieces."""
         return sum(map(len, self.epochs))
 
     def thinned(self, most: int) -> Rows:
-        """About `most` of the rows, evenly, in memory."""
+        """Return about `most` of the rows, evenly, in memory."""
         return self._stacked(max(1, len(self) // most))
 
     def blocks(self, step: int = 1) -> Iterator[Rows]:
-        """All rows, or every step-th, some thousands at a time."""
+        """Yield all rows, or every step-th, some thousands at a time."""
         count = place = 0
-        for (number, piece, drift), own, moved in zip(self.pieces, self.epochs, self.moved, strict=True):
-            numbered = list(enumerate(own, count))
-            count += len(own)
+        for (number, piece, drift), spans, moved in zip(self.pieces, self.epochs, self.moved, strict=True):
+            numbered = list(enumerate(spans, count))
+            count += len(spans)
             carts = np.full(self.breakaway.size, piece.displacement[0])
-            for begin, others in zip(range(0, own[-1].stop if own else 0, _BLOCK), moved.blocks(_BLOCK), strict=False):
+            stop = spans[-1].stop if spans else 0
+            for begin, others in zip(range(0, stop, _BLOCK), moved.blocks(_BLOCK), strict=False):
                 y = np.ascontiguousarray(piece.displacement[begin : begin + _BLOCK])
                 elongation, carts = slip_elongations(self.breakaway, carts, y)
                 for k, epoch in numbered:
@@ -236,7 +237,7 @@ class RowSource:
                         yield self._rows(piece, drift[at], elongation[local], others[local], at, epoch, number, k)
 
     def moved_at(self, number: int, sample: int) -> Array:
-        """What other parts do at a sample of a piece (E,)."""
+        """Return the internal states besides carts at a sample of a piece (E,)."""
         for first, block in zip(range(0, sample + 1, _BLOCK), self.moved[number].blocks(_BLOCK), strict=False):
             if sample < first + len(block):
                 return np.asarray(block[sample - first])
@@ -286,9 +287,9 @@ def collect(
     noise : list of float
         Sensor noise [m] of each piece.
     relaxed : collection of int, optional
-        Records that start with no element strained: all their samples count, up to the first gap.
+        Records that start with no element strained: all their samples count up to the first gap.
     moved : callable, optional
-        Record number and piece -> (n, E) array or Moving: what else moves along its path.
+        Record number and piece -> (n, E) array or Moving: internal states along its path.
 
     Returns
     -------

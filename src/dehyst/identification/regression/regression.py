@@ -30,7 +30,8 @@ from dehyst.identification.preprocessing.regressors import Rows
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.inequalities import bounds, violated
 from dehyst.identification.regression.regularization import regularization_rows
-from dehyst.identification.solvers.program import Norm, Solution, solve, triangle_of
+from dehyst.identification.solvers.least_squares import triangle_of
+from dehyst.identification.solvers.program import Norm, Solution, solve
 from dehyst.model.elements import parts_in_segments, segment_of
 from dehyst.model.structure import Grid
 from dehyst.records.metrics import rms

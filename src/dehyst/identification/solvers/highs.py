@@ -12,8 +12,8 @@ from dehyst._types import Array
 
 
 @dataclass(frozen=True)
-class Program:
-    """HiGHS's answer to a linear program."""
+class LinearSolution:
+    """HiGHS's solution of a linear program."""
 
     value: Array
     row_dual: Array
@@ -24,12 +24,14 @@ class Program:
 
 def minimum(
     cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], *, solver: str
-) -> Program:
-    """Minimise cost'x with bounds on x and limits on rows x (dense), on one thread; solver "simplex" or "ipm"."""
-    return _run(_passed(cost, bounds, rows, limits, solver), solver)
+) -> LinearSolution:
+    """Minimise cost'x with bounds on x and limits on rows x (dense); solver "simplex" or "ipm"."""
+    return _run(_highs_model(cost, bounds, rows, limits, solver), solver)
 
 
-def _passed(cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], solver: str) -> Any:
+def _highs_model(
+    cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], solver: str
+) -> Any:
     import highspy
 
     m, n = rows.shape
@@ -56,13 +58,13 @@ def _passed(cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple
     return highs
 
 
-def _run(highs: Any, solver: str) -> Program:
+def _run(highs: Any, solver: str) -> LinearSolution:
     import highspy
 
     highs.run()
     status = highs.getModelStatus()
     solution = highs.getSolution()
-    return Program(
+    return LinearSolution(
         np.array(solution.col_value),
         np.array(solution.row_dual),
         float(highs.getInfo().objective_function_value),
@@ -73,11 +75,11 @@ def _run(highs: Any, solver: str) -> Program:
 
 def linear_programs(
     costs: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
-) -> Iterator[Program]:
-    """Minimise each of many costs (p, n) over one polytope, each from the optimum of the one before; see below."""
-    highs = _passed(costs[0], bounds, rows, limits, "simplex")
+) -> Iterator[LinearSolution]:
+    """Minimise each of many costs (p, n) as `linear_program` does, each from the optimum of the previous one."""
+    highs = _highs_model(costs[0], bounds, rows, limits, "simplex")
     every = np.arange(rows.shape[1], dtype=np.int32)
-    # From one optimum to the next the point stays feasible: the primal simplex goes on where the dual would start anew.
+    # The previous optimum is feasible: the primal simplex continues from it, the dual simplex would start anew.
     for k, cost in enumerate(costs):
         highs.changeColsCost(every.size, every, cost)
         highs.setOptionValue("simplex_strategy", 4 if k else 1)
@@ -89,16 +91,16 @@ def linear_program(
 ) -> tuple[Array, float, bool, str, float]:
     """Minimise cost'x, bounds[0] <= x <= bounds[1], limits[0] <= rows x <= limits[1].
 
-    Returns the optimum, its value, whether it is one, the solver's word and the dual's value.
+    Returns the solution, its value, whether it is optimal, the solver's status and the dual's value.
     """
-    answer = minimum(cost, bounds, rows, limits, solver="simplex")
-    reduced = cost - rows.T @ answer.row_dual
-    dual = _support(answer.row_dual, *limits) + _support(reduced, *bounds)
-    return answer.value, answer.objective, answer.optimal, answer.status, dual
+    solution = minimum(cost, bounds, rows, limits, solver="simplex")
+    reduced = cost - rows.T @ solution.row_dual
+    dual = _support(solution.row_dual, *limits) + _support(reduced, *bounds)
+    return solution.value, solution.objective, solution.optimal, solution.status, dual
 
 
 def _support(multipliers: Array, lower: Array, upper: Array) -> float:
-    """Least value of multipliers'z over lower <= z <= upper, rounding at infinite bounds left out."""
+    """Return the least value of multipliers'z over lower <= z <= upper, without rounding at infinite bounds."""
     bound = np.where(multipliers > 0, lower, upper)
     finite = np.isfinite(bound)
     return float(multipliers[finite] @ bound[finite])

@@ -1,4 +1,4 @@
-"""What interior points share: how far a step may go, and positive definite equations that are nearly dependent."""
+"""Algebra of interior points: step lengths, the corrector's target, nearly singular equations."""
 
 from __future__ import annotations
 
@@ -14,16 +14,26 @@ _REFINEMENTS = 2
 
 
 def reach(values: Array, step: Array) -> float:
-    """Largest part of a step, at most all of it, that leaves the values above zero."""
+    """Return the largest part of a step, at most 1, that leaves the values above zero."""
     down = step < 0
     return float(min(1.0, np.min(-values[down] / step[down], initial=1.0)))
 
 
-def regularised(normal: Array) -> Callable[[Array], Array]:
-    """A function that solves normal x = right for a symmetric, positive semidefinite matrix.
+def corrector_target(mean: float, predicted: float) -> float:
+    """Return Mehrotra's complementarity for the corrector, from the present mean and the predictor's."""
+    return (predicted / mean) ** 3 * mean
+
+
+def barrier_matrix(limits: Array, dual: Array, slack: Array) -> Array:
+    """Return limits' diag(dual / slack) limits (q, q): what the inequalities add to the normal matrix."""
+    return np.asarray((limits.T * (dual / slack)) @ limits)
+
+
+def regularised_solver(normal: Array) -> Callable[[Array], Array]:
+    """Return a function that solves normal x = right for a symmetric, positive semidefinite matrix.
 
     The matrix is scaled to a unit diagonal and gets the smallest ridge with which its Cholesky factor exists; two
-    refinements take the ridge's effect off again.
+    refinements remove the effect of the ridge.
     """
     from scipy.linalg import LinAlgError, cho_factor, cho_solve
 

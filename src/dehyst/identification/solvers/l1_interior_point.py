@@ -3,9 +3,9 @@
     minimise sum |b - A x| - t'x,   x[free:] >= 0,   C x >= l
     maximise b'y + l'm,   A'y + C'm + w + t = 0,   -1 <= y <= 1,   m, w >= 0,   w[:free] = 0
 
-t stands for rows whose residual's sign is known: it is the sum of these rows, each times its sign (Portnoy and Koenker
+t represents rows with a residual of known sign: it is the sum of these rows, each times its sign (Portnoy and Koenker
 1997, Stat. Sci. 12, 279). Each iteration solves q equations twice (Mehrotra's predictor and corrector); the matrix is
-scaled to a unit diagonal, given a ridge that grows until its factor exists, and the answer is refined.
+scaled to a unit diagonal and gets a ridge that grows until its factor exists, and the solution is refined.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.solvers.interior_point import reach, regularised
+from dehyst.identification.solvers.interior_point import barrier_matrix, corrector_target, reach, regularised_solver
 from dehyst.identification.solvers.problem import TINY, Problem
 
 _STEPS = 80
@@ -24,15 +24,15 @@ _STEPS = 80
 _CLOSE = 1e-11
 _EXACT = 1e-14
 _FARTHEST = 0.9995
-# Residuals at the start are no smaller than this part of the targets: the start needs room.
+# Least residuals at the start as a part of the targets: the start needs a distance from the limits.
 _LEAST = 1e-3
-# Of what pulls at the coefficients, the part that their limits are taken to hold at the start.
+# Part of the gradient that the limits of the coefficients hold at the start.
 _PULLED = 0.3
 _BLOCKED = 0.2
 _CENTRING = 0.5
-# Steps without progress before the best point so far is taken, rounding letting no better one be found: while products
-# are left, and once there are none.
-_PATIENCE, _SPENT = 15, 2
+# Steps without progress after which rounding prevents a better point: while complementarity is above its tolerance,
+# and below it.
+_PATIENCE, _LAST = 15, 2
 _PIECE = 4096
 
 
@@ -43,7 +43,7 @@ class Pair:
     Attributes
     ----------
     x, y, multipliers : (q,), (n,) and (m,) array
-        Coefficients, duals of the rows in [-1, 1], and of the inequalities, not negative.
+        Coefficients, duals of the rows in [-1, 1], and duals of the inequalities, not negative.
     iterations : int
     """
 
@@ -54,15 +54,15 @@ class Pair:
 
 
 def interior(problem: Problem, pull: Array | None = None, start: Array | None = None) -> Pair:
-    """Minimise the sum of absolute residuals less `pull` (q,) times x, from `start` (q,) or the least squares."""
+    """Minimise the sum of absolute residuals less `pull` (q,) times x, from `start` (q,) or least squares."""
     point = _PrimalDualPoint(problem, np.zeros(problem.unknowns) if pull is None else pull, start)
-    best, least, since, steps = copy(point), point.left(), 0, 0
-    # Weights of rows that are met overflow at the very end; such steps are not taken.
+    best, least, since, steps = copy(point), point.remaining(), 0, 0
+    # Weights of rows without residual overflow at the very end; such steps are not taken.
     with np.errstate(all="ignore"):
-        while least > 0 and since <= (_SPENT if point.spent() else _PATIENCE) and steps < _STEPS:
+        while least > 0 and since <= (_LAST if point.is_complementary() else _PATIENCE) and steps < _STEPS:
             point.step()
             steps += 1
-            left, since = point.left(), since + 1
+            left, since = point.remaining(), since + 1
             if left < least:
                 best, least, since = copy(point), left, 0
     x = best.x.copy()
@@ -77,76 +77,76 @@ class _PrimalDualPoint:
         self._p, self._pull = problem, pull
         a, b, c = problem.rows, problem.goal, problem.matrix
         self._bounded = slice(problem.free, None)
-        x = regularised(a.T @ a)(a.T @ b) if start is None else start.copy()
+        x = regularised_solver(a.T @ a)(a.T @ b) if start is None else start.copy()
         size = float(np.abs(x).max(initial=0.0)) or 1.0
         x[self._bounded] = np.maximum(x[self._bounded], 1e-2 * size)
         self.x, self.rest = x, b - a @ x
         rest = self.rest
         usual = max(float(np.abs(rest).mean()), _LEAST * float(np.abs(b).mean())) or 1.0
         self.u, self.v = np.maximum(rest, 0) + usual, np.maximum(-rest, 0) + usual
-        # Apart from y, lest a row's distance from its limit be lost in rounding.
-        self.one, self.other = np.ones(b.size), np.ones(b.size)
+        # 1 - y and 1 + y, stored instead of y so that rounding does not lose the distance of a row from its limit.
+        self.up, self.down = np.ones(b.size), np.ones(b.size)
         self.s = np.maximum(c @ x - problem.lower, 0.1 * size)
-        # Limits hold against what rows with these residuals pull: a smaller price would start too near them.
+        # The limits balance the pull of rows with these residuals: a smaller price would start too near the limits.
         pulled = _PULLED * float(np.abs(a.T @ (rest / (np.abs(rest) + usual)) + pull).mean())
         self._price = max(usual / size * b.size / x.size, 1e-2 * b.size / x.size, pulled)
         self.m, self.w = np.full(c.shape[0], self._price), np.full(x.size - problem.free, self._price)
         self._floor = _EXACT * max(float(np.abs(b).sum()), TINY)
-        self.missed = self._dual_missed()
+        self.missed = self._dual_residual()
 
     @property
     def y(self) -> Array:
         """Duals of the rows."""
-        return 0.5 * (self.other - self.one)
+        return 0.5 * (self.down - self.up)
 
-    def left(self) -> float:
-        """Complementarity and what the points' feasibility lacks, priced; 0 once they are within tolerance."""
+    def remaining(self) -> float:
+        """Return complementarity plus the priced infeasibility of both points; 0 once they are within tolerance."""
         left = self._complementarity() + float(np.abs(self.missed) @ np.abs(self.x))
         left += float(np.abs(self._short()) @ np.maximum(self.m, self._price))
         return left if left > self._tolerance() else 0.0
 
-    def spent(self) -> bool:
-        """Whether complementarity is within tolerance: what is left is rounding."""
+    def is_complementary(self) -> bool:
+        """Return whether complementarity is within tolerance, so that only rounding is left."""
         return self._complementarity() <= self._tolerance()
 
     def _tolerance(self) -> float:
         return max(_CLOSE * float(np.abs(self.rest).sum()), self._floor)
 
     def _short(self) -> Array:
-        """What the inequalities lack."""
+        """Return the residual of the inequalities."""
         return np.asarray(self._p.lower - self._p.matrix @ self.x + self.s)
 
     def _complementarity(self) -> float:
-        inner = float(self.u @ self.one + self.v @ self.other)
+        inner = float(self.u @ self.up + self.v @ self.down)
         return inner + float(self.s @ self.m + self.w @ self.x[self._bounded])
 
-    def _dual_missed(self) -> Array:
+    def _dual_residual(self) -> Array:
         left = self._p.rows.T @ self.y + self._p.matrix.T @ self.m + self._pull
         left[self._bounded] += self.w
         return np.asarray(-left)
 
     def step(self) -> None:
-        """Go one step, if there is any."""
+        """Take one step, if there is a finite one."""
         places = 2 * self.u.size + self.s.size + self.w.size
         mean = self._complementarity() / places
         newton = _NewtonL1(self)
-        change = self._aimed(newton, 0.0)
-        after = self._moved(change, *self._reach(change))._complementarity() / places
-        change = self._aimed(newton, (after / mean) ** 3 * mean, change)
+        change = self._changes_to(newton, 0.0)
+        after = self._stepped(change, *self._reach(change))._complementarity() / places
+        change = self._changes_to(newton, corrector_target(mean, after), change)
         lengths = self._reach(change)
         if min(lengths) < _BLOCKED:
-            # Some product is far below the mean and blocks the way: go back to the middle first.
-            change = self._aimed(newton, _CENTRING * mean)
+            # Some product is far below the mean and blocks the step: return to the central path first.
+            change = self._changes_to(newton, _CENTRING * mean)
             lengths = self._reach(change)
         if all(np.isfinite(part).all() for part in change):
-            self.__dict__.update(self._moved(change, *(_FARTHEST * length for length in lengths)).__dict__)
-            self.rest, self.missed = self._p.goal - self._p.rows @ self.x, self._dual_missed()
+            self.__dict__.update(self._stepped(change, *(_FARTHEST * length for length in lengths)).__dict__)
+            self.rest, self.missed = self._p.goal - self._p.rows @ self.x, self._dual_residual()
 
-    def _aimed(self, newton: _NewtonL1, aim: float, before: tuple[Array, ...] | None = None) -> tuple[Array, ...]:
-        """Changes that bring all complementarities to `aim`, of second order if the predictor's changes are given."""
+    def _changes_to(self, newton: _NewtonL1, aim: float, before: tuple[Array, ...] | None = None) -> tuple[Array, ...]:
+        """Return changes that bring all complementarities to `aim`, of second order if the predictor's are given."""
         targets = [
-            aim - self.u * self.one,
-            aim - self.v * self.other,
+            aim - self.u * self.up,
+            aim - self.v * self.down,
             aim - self.s * self.m,
             aim - self.w * self.x[self._bounded],
         ]
@@ -154,21 +154,21 @@ class _PrimalDualPoint:
             du, dv, ds, dx, dy, dm, dw = before
             second = du * dy, -dv * dy, -ds * dm, -dw * dx[self._bounded]
             targets = [first + more for first, more in zip(targets, second, strict=True)]
-        return newton.towards(*targets)
+        return newton.changes(*targets)
 
     def _reach(self, change: tuple[Array, ...]) -> tuple[float, float]:
-        """How far the primal and the dual variables may go."""
+        """Return the step lengths of the primal and of the dual variables."""
         du, dv, ds, dx, dy, dm, dw = change
         primal = min(
             reach(self.u, du), reach(self.v, dv), reach(self.s, ds), reach(self.x[self._bounded], dx[self._bounded])
         )
-        return primal, min(reach(self.one, -dy), reach(self.other, dy), reach(self.m, dm), reach(self.w, dw))
+        return primal, min(reach(self.up, -dy), reach(self.down, dy), reach(self.m, dm), reach(self.w, dw))
 
-    def _moved(self, change: tuple[Array, ...], primal: float, dual: float) -> _PrimalDualPoint:
+    def _stepped(self, change: tuple[Array, ...], primal: float, dual: float) -> _PrimalDualPoint:
         du, dv, ds, dx, dy, dm, dw = change
         moved = copy(self)
         moved.u, moved.v, moved.s = self.u + primal * du, self.v + primal * dv, self.s + primal * ds
-        moved.x, moved.one, moved.other = self.x + primal * dx, self.one - dual * dy, self.other + dual * dy
+        moved.x, moved.up, moved.down = self.x + primal * dx, self.up - dual * dy, self.down + dual * dy
         moved.m, moved.w = self.m + dual * dm, self.w + dual * dw
         return moved
 
@@ -178,32 +178,32 @@ class _NewtonL1:
 
     def __init__(self, at: _PrimalDualPoint) -> None:
         self._at, problem = at, at._p
-        self._weight = 1 / (at.u / at.one + at.v / at.other)
+        self._weight = 1 / (at.u / at.up + at.v / at.down)
         self._ratio = at.m / at.s
-        normal = _gram(problem.rows, self._weight) + (problem.matrix.T * self._ratio) @ problem.matrix
+        normal = _gram(problem.rows, self._weight) + barrier_matrix(problem.matrix, at.m, at.s)
         self._below = at.w / at.x[problem.free :]
         places = np.arange(problem.free, problem.unknowns)
         normal[places, places] += self._below
-        self._solve = regularised(normal)
+        self._solve = regularised_solver(normal)
         self._missed, self._short = at.missed, at._short()
         self._left = at.rest - at.u + at.v
 
-    def towards(self, ru: Array, rv: Array, rs: Array, rx: Array) -> tuple[Array, ...]:
-        """Changes of u, v, s, x, y, m, w that change the four complementarities by these amounts."""
+    def changes(self, ru: Array, rv: Array, rs: Array, rx: Array) -> tuple[Array, ...]:
+        """Return changes of u, v, s, x, y, m, w that change the four complementarities by these amounts."""
         at, problem = self._at, self._at._p
-        goal = self._left - ru / at.one + rv / at.other
-        held = (rs + at.m * self._short) / at.s
-        right = problem.rows.T @ (self._weight * goal) + problem.matrix.T @ held - self._missed
+        goal = self._left - ru / at.up + rv / at.down
+        force = (rs + at.m * self._short) / at.s
+        right = problem.rows.T @ (self._weight * goal) + problem.matrix.T @ force - self._missed
         right[problem.free :] += rx / at.x[problem.free :]
         dx = self._solve(right)
         dy = self._weight * (goal - problem.rows @ dx)
         ds = problem.matrix @ dx - self._short
         dw = rx / at.x[problem.free :] - self._below * dx[problem.free :]
-        return ((ru + at.u * dy) / at.one, (rv - at.v * dy) / at.other, ds, dx, dy, rs / at.s - self._ratio * ds, dw)
+        return ((ru + at.u * dy) / at.up, (rv - at.v * dy) / at.down, ds, dx, dy, rs / at.s - self._ratio * ds, dw)
 
 
 def _gram(rows: Array, weight: Array) -> Array:
-    """Sum of weighted squares of rows (n, q), piece by piece: a copy of all would take as much room as they."""
+    """Return the weighted Gram matrix of rows (n, q), by pieces, without a second copy of all rows."""
     total, root = np.zeros((rows.shape[1], rows.shape[1])), np.sqrt(weight)
     for first in range(0, len(rows), _PIECE):
         piece = rows[first : first + _PIECE] * root[first : first + _PIECE, None]

@@ -2,10 +2,11 @@
 
     minimise || A x - b ||_2,   x[free:] >= 0,   C x >= l
 
-All is done on a triangle of A: of its Gram matrix where that is well conditioned and large (half the work of a QR
-factorisation, at the square of the condition number, which two corrections by the true gradient make good: corrected
-semi-normal equations), of a QR factorisation by chunks of rows otherwise. Bounds alone: Lawson and Hanson's
-non-negative least squares. Inequalities: an interior point tells which are active, then equations give the numbers.
+The program is solved on a triangle of A. Large, well-conditioned problems use the Cholesky factor of the Gram matrix:
+half the work of a QR factorisation, at the square of the condition number, which two corrections by the true gradient
+compensate (corrected semi-normal equations). Others use a QR factorisation by chunks of rows. With bounds alone: Lawson
+and Hanson's non-negative least squares. With inequalities: an interior point finds the active ones, then equations
+give the numbers.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ from dehyst.identification.solvers.problem import OPTIMAL, TINY, Answer, Problem
 from dehyst.identification.solvers.quadratic import Quadratic
 
 _CHUNK = 8192
-# Below this many multiplications a QR factorisation costs nothing.
+# Below this many multiplications the cost of a QR factorisation does not matter.
 _CHEAP = 2e8
-# Largest condition number of a triangle from a Gram matrix that corrections make good.
+# Largest condition number of a triangle from a Gram matrix that the corrections compensate.
 _GRAM_CONDITION = 1e6
 _CORRECTIONS = 2
 
 
 def triangle_of(matrix: Array) -> Array:
-    """Triangle R of the QR factorisation, (min(n, q), q), by chunks of rows."""
+    """Return the triangle R of the QR factorisation, (min(n, q), q), by chunks of rows."""
     triangle = np.zeros((0, matrix.shape[1]))
     for start in range(0, max(len(matrix), 1), _CHUNK):
         below = np.vstack([triangle, matrix[start : start + _CHUNK]])
@@ -47,7 +48,7 @@ def least_squares(problem: Problem) -> Answer:
 
 
 def _by_gram(problem: Problem) -> Answer | None:
-    """The answer from the Cholesky factor of the Gram matrix; None where that is ill conditioned."""
+    """Solve by the Cholesky factor of the Gram matrix; None if that is ill conditioned."""
     from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
     rows, goal = problem.rows, problem.goal
@@ -62,15 +63,15 @@ def _by_gram(problem: Problem) -> Answer | None:
         return None
     image = solve_triangular(triangle, rows.T @ goal, trans="T")
     quadratic = Quadratic(triangle, image, problem.free, problem.matrix, problem.lower)
-    found = quadratic.minimum()
+    minimum = quadratic.minimum()
     for _ in range(_CORRECTIONS):
-        misfit = solve_triangular(triangle, rows.T @ (goal - rows @ found.x), trans="T")
-        found = quadratic.corrected(found, misfit)
-    return _judged(problem, found.x, found.multipliers, found.status)
+        misfit = solve_triangular(triangle, rows.T @ (goal - rows @ minimum.x), trans="T")
+        minimum = quadratic.corrected(minimum, misfit)
+    return _certified(problem, minimum.x, minimum.multipliers, minimum.status)
 
 
 def _condition(triangle: Array) -> float:
-    """Condition number in the 1-norm."""
+    """Return the condition number in the 1-norm."""
     from scipy.linalg.lapack import dtrcon
 
     inverse, _ = dtrcon(triangle)
@@ -88,31 +89,33 @@ def of_triangle(whole: Array, frame: Problem) -> Answer:
     head, image = whole[:q, :-1], whole[:q, -1]
     independent = _independent(head[:, :p])
     if independent.size < p:
-        # A dependent free column would swallow a direction of the residual: it stays at zero.
+        # A dependent free column would absorb a direction of the residual: its coefficient stays zero.
         kept = np.concatenate([independent, np.arange(p, q)])
         fewer = triangle_of(whole[:, np.append(kept, q)])
         return spread(of_triangle(fewer, frame.of_columns(kept, independent.size)), kept, q)
-    found = Quadratic(head, image, p, frame.matrix, frame.lower).minimum()
-    if not np.all(np.isfinite(found.x)):
-        return failed(frame, found.status)
-    # A triangle has all that its rows say of squares.
-    return _judged(replace(frame, rows=whole[:, :-1], goal=whole[:, -1]), found.x, found.multipliers, found.status)
+    minimum = Quadratic(head, image, p, frame.matrix, frame.lower).minimum()
+    if not np.all(np.isfinite(minimum.x)):
+        return failed(frame, minimum.status)
+    # For squares the triangle is equivalent to its rows.
+    return _certified(
+        replace(frame, rows=whole[:, :-1], goal=whole[:, -1]), minimum.x, minimum.multipliers, minimum.status
+    )
 
 
-def _judged(problem: Problem, x: Array, multipliers: Array, status: str) -> Answer:
-    """What is left of stationarity: x'g and the slacks must vanish, and g may not be negative where x has no limit."""
+def _certified(problem: Problem, x: Array, multipliers: Array, status: str) -> Answer:
+    """Certify stationarity: x'g and the slacks must vanish, and g may not be negative where x is bounded."""
     p, goal = problem.free, problem.goal
     residual = problem.rows @ x - goal
     gradient = problem.rows.T @ residual - problem.matrix.T @ multipliers
     slack = problem.matrix @ x - problem.lower
-    left = abs(gradient @ x) + np.maximum(-gradient[p:], 0).sum() + abs(multipliers @ slack)
-    gap = float(left) / max(float(goal @ goal), float(residual @ residual), TINY)
+    defect = abs(gradient @ x) + np.maximum(-gradient[p:], 0).sum() + abs(multipliers @ slack)
+    gap = float(defect) / max(float(goal @ goal), float(residual @ residual), TINY)
     optimal = gap < OPTIMAL and problem.meets(x)
     return Answer(x, f"{'optimal' if optimal else 'no optimum'} ({status})", optimal, gap)
 
 
 def _independent(columns: Array) -> NDArray[np.intp]:
-    """Columns that are independent of one another, in order."""
+    """Return the columns that are independent of one another, in order."""
     from scipy.linalg import qr
 
     if not columns.shape[1]:

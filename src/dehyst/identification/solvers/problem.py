@@ -1,4 +1,4 @@
-"""What every norm's solver is given and gives back, scaled so that all numbers are of the order of one."""
+"""The scaled problem that the solver of every norm gets, all numbers of the order of one, and its answer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dehyst._types import Array
 
 # Largest relative duality gap of an optimum.
 OPTIMAL = 1e-6
-# By how much, relative to its largest coefficient times the largest unknown, an inequality may be missed.
+# Tolerance of an inequality, relative to its largest coefficient times the largest unknown.
 MET = 1e-9
 TINY = float(np.finfo(np.float64).tiny)
 
@@ -25,7 +25,7 @@ class Problem:
     ----------
     rows, goal : (n, q) and (n,) array
     free : int
-        Number of coefficients, the first ones, that may be negative.
+        Number of coefficients that may be negative; they come first.
     matrix, lower : (m, q) and (m,) array
         Linear inequalities, m = 0 for none.
     """
@@ -42,18 +42,18 @@ class Problem:
         return int(self.rows.shape[1])
 
     def of_columns(self, kept: NDArray[np.intp], free: int) -> Problem:
-        """The problem with some coefficients held at zero."""
+        """Return the problem with all other coefficients at zero."""
         return replace(self, rows=self.rows[:, kept], matrix=self.matrix[:, kept], free=free)
 
     def meets(self, x: Array) -> bool:
-        """Whether x keeps the inequalities but for rounding; x[free:] >= 0 is taken for granted."""
+        """Return whether x meets the inequalities up to rounding; x[free:] >= 0 is assumed."""
         size = max(1.0, float(np.abs(x).max(initial=0.0)))
         return bool(np.all(self.matrix @ x >= self.lower - MET * size))
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Coefficients (q,), the solver's word, whether they are an optimum, and the relative duality gap."""
+    """Coefficients (q,), the solver's status, whether they are optimal, and the relative duality gap."""
 
     x: Array
     status: str
@@ -62,19 +62,19 @@ class Answer:
 
 
 def failed(problem: Problem, status: str) -> Answer:
-    """No optimum."""
+    """Return an answer without an optimum."""
     return Answer(np.zeros(problem.unknowns), status, False, float("nan"))
 
 
 def spread(answer: Answer, places: NDArray[np.intp], size: int) -> Answer:
-    """The answer with zeros at all places but these."""
+    """Return the answer for all `size` coefficients, zero at all places but these."""
     whole = np.zeros(size)
     whole[places] = answer.x
     return replace(answer, x=whole)
 
 
 def inequalities(constraints: tuple[Array, Array] | None, free: int, scale: Array) -> tuple[Array, Array]:
-    """Checked (matrix, lower) on all coefficients divided by `scale`, each row's largest coefficient being one.
+    """Check and return (matrix, lower) on all coefficients divided by `scale`, rows scaled to a largest number of one.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The one convex program: fit rows in L1, L2 or L-infinity with some coefficients not negative.
+"""The convex program: fit rows in L1, L2 or L-infinity with some coefficients not negative.
 
     minimise || W (F a + P x - b) ||,   a free, x >= 0, C x >= l
 
@@ -18,23 +18,9 @@ from numpy.typing import NDArray
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.solvers import highs
-from dehyst.identification.solvers.highs import Program, linear_program, linear_programs
 from dehyst.identification.solvers.least_absolute_blocks import Blocks, Whole, least_absolute
 from dehyst.identification.solvers.least_squares import least_squares, of_triangle, triangle_of
 from dehyst.identification.solvers.problem import TINY, Answer, Problem, failed, inequalities
-
-__all__ = [
-    "NORMS",
-    "Norm",
-    "Program",
-    "Solution",
-    "Table",
-    "linear_program",
-    "linear_programs",
-    "solve",
-    "solve_blocks",
-    "triangle_of",
-]
 
 Norm = Literal["l1", "l2", "linf"]
 NORMS: tuple[Norm, ...] = ("l1", "l2", "linf")
@@ -45,17 +31,17 @@ _NO_POINT = "no coefficients that are not negative keep the inequalities"
 
 @dataclass(frozen=True)
 class Solution:
-    """The optimum.
+    """The solution of the program.
 
     Attributes
     ----------
     free, nonnegative : array
         a and x.
     residual : (n,) array
-        F a + P x - b, not weighted; none where rows were seen in blocks only.
+        F a + P x - b, not weighted; empty where rows were read in blocks.
     gap : float
-        Primal minus dual objective over that of a = x = 0, or over the primal one if that is larger; never negative
-        but for rounding.
+        Primal minus dual objective, relative to the larger of the primal one and that of a = x = 0; not negative
+        except by rounding.
     """
 
     free: Array
@@ -114,7 +100,7 @@ def solve(
 
 
 class Table(Protocol):
-    """Rows of a program in blocks, again and again: free columns, those not negative, target and weights."""
+    """Rows of a program in blocks, iterated any number of times: free columns, those not negative, target, weights."""
 
     def __len__(self) -> int: ...
 
@@ -128,13 +114,13 @@ def solve_blocks(
     norm: Norm = "l1",
     constraints: tuple[Array, Array] | None = None,
 ) -> Solution:
-    """Solve the program of rows that need never be in memory all at once.
+    """Solve the program of rows of which only a block is in memory at a time.
 
     Parameters
     ----------
     table : Table
     like : (m, p), (m, q) and (m,) array
-        Some of the rows, from which scales are taken: free columns, those not negative, target.
+        Some of the rows, which define the scales: free columns, those not negative, target.
     norm : {"l1", "l2", "linf"}
     constraints : (c, q) and (c,) array, optional
         As for `solve`.
@@ -142,7 +128,7 @@ def solve_blocks(
     Returns
     -------
     Solution
-        Without residuals; the gap is that of all rows.
+        Without residuals; the gap covers all rows.
     """
     p, columns = like[0].shape[1], np.hstack(like[:2])
     scale, scale_b = _scales(columns, like[2])
@@ -155,7 +141,7 @@ def solve_blocks(
 
 
 def _scales(columns: Array, target: Array) -> tuple[Array, float]:
-    """Largest sizes of the columns (q,) and of the target, 1 for those that are zero."""
+    """Return the largest sizes of the columns (q,) and of the target, 1 for those that are zero."""
     scale = np.abs(columns).max(axis=0, initial=0.0)
     scale[scale == 0] = 1.0
     return scale, float(np.abs(target).max()) or 1.0
@@ -180,7 +166,7 @@ class _Scaled:
 
 
 def _impossible(problem: Problem) -> bool:
-    """Whether nothing keeps the inequalities."""
+    """Return whether no coefficients meet the inequalities."""
     q, p = problem.unknowns, problem.free
     if not problem.lower.size:
         return False
@@ -201,78 +187,78 @@ def _linf(blocks: Blocks, frame: Problem) -> Answer:
     cost = np.append(np.zeros(q), 1.0)
     bounds = np.append(np.where(np.arange(q) < p, -np.inf, 0.0), 0.0), np.full(q + 1, np.inf)
     kept = np.hstack([frame.matrix, np.zeros((frame.lower.size, 1))])
-    chosen = _Chosen.evenly(blocks)
+    selection = _Selection.evenly(blocks)
     for _ in range(_ROUNDS):
-        some, goal, ones = chosen.rows, chosen.goal, np.ones((chosen.goal.size, 1))
-        both = np.vstack([np.hstack([some, -ones]), np.hstack([-some, -ones]), -kept])
+        rows, goal, ones = selection.rows, selection.goal, np.ones((selection.goal.size, 1))
+        both = np.vstack([np.hstack([rows, -ones]), np.hstack([-rows, -ones]), -kept])
         upper = np.concatenate([goal, -goal, -frame.lower])
-        answer = highs.minimum(cost, bounds, both, (np.full(upper.size, -np.inf), upper), solver="simplex")
-        if not answer.optimal:
-            return failed(frame, answer.status)
-        x = answer.value[:q]
-        worst, largest = _Chosen.worst(blocks, x, answer.objective + 1e-9)
-        more = chosen.with_those_of(worst)
-        if more is chosen:
-            gap = (largest - answer.objective) / max(_largest(blocks), largest, TINY)
-            return Answer(x, f"optimal ({answer.status})", True, gap)
-        chosen = more
+        solution = highs.minimum(cost, bounds, both, (np.full(upper.size, -np.inf), upper), solver="simplex")
+        if not solution.optimal:
+            return failed(frame, solution.status)
+        x = solution.value[:q]
+        worst, largest = _Selection.worst(blocks, x, solution.objective + 1e-9)
+        more = selection.joined(worst)
+        if more is selection:
+            gap = (largest - solution.objective) / max(_largest(blocks), largest, TINY)
+            return Answer(x, f"optimal ({solution.status})", True, gap)
+        selection = more
     return failed(frame, "row generation did not end")
 
 
 def _largest(blocks: Blocks) -> float:
-    """Largest size of a target."""
+    """Return the largest size of a target."""
     return max(float(np.abs(goal).max()) for _, goal in blocks)
 
 
 @dataclass(frozen=True, eq=False)
-class _Chosen:
-    """Some rows, their targets and their places among all."""
+class _Selection:
+    """Selected rows, their targets and their places among all."""
 
     rows: Array
     goal: Array
     places: NDArray[np.intp]
 
     @classmethod
-    def evenly(cls, blocks: Blocks) -> _Chosen:
+    def evenly(cls, blocks: Blocks) -> _Selection:
         n = len(blocks)
         places = np.unique(np.linspace(0, n - 1, min(n, _ROWS_AT_A_TIME)).astype(int))
         parts, place = [], 0
         for rows, goal in blocks:
-            own = places[(places >= place) & (places < place + goal.size)] - place
-            parts.append((rows[own], goal[own]))
+            local = places[(places >= place) & (places < place + goal.size)] - place
+            parts.append((rows[local], goal[local]))
             place += goal.size
         some, goals = (np.concatenate(column) for column in zip(*parts, strict=True))
         return cls(some, goals, places)
 
     @classmethod
-    def worst(cls, blocks: Blocks, x: Array, limit: float) -> tuple[_Chosen, float]:
-        """The rows with the largest residuals above a limit, and the largest of all."""
-        found = cls(np.zeros((0, x.size)), np.zeros(0), np.zeros(0, dtype=np.intp))
+    def worst(cls, blocks: Blocks, x: Array, limit: float) -> tuple[_Selection, float]:
+        """Select the rows with the largest residuals above a limit; also return the largest residual of all."""
+        selection = cls(np.zeros((0, x.size)), np.zeros(0), np.zeros(0, dtype=np.intp))
         sizes, largest, place = np.zeros(0), 0.0, 0
         for rows, goal in blocks:
             residual = np.abs(rows @ x - goal)
             largest = max(largest, float(residual.max(initial=0.0)))
-            own = np.flatnonzero(residual > limit)
-            own = own[np.argsort(residual[own], kind="stable")[::-1][:_ROWS_AT_A_TIME]]
-            sizes = np.append(sizes, residual[own])
+            local = np.flatnonzero(residual > limit)
+            local = local[np.argsort(residual[local], kind="stable")[::-1][:_ROWS_AT_A_TIME]]
+            sizes = np.append(sizes, residual[local])
             order = np.argsort(sizes, kind="stable")[::-1][:_ROWS_AT_A_TIME]
-            found = cls(
-                np.concatenate([found.rows, rows[own]])[order],
-                np.append(found.goal, goal[own])[order],
-                np.append(found.places, own + place)[order],
+            selection = cls(
+                np.concatenate([selection.rows, rows[local]])[order],
+                np.append(selection.goal, goal[local])[order],
+                np.append(selection.places, local + place)[order],
             )
             sizes, place = sizes[order], place + goal.size
-        return found, largest
+        return selection, largest
 
-    def with_those_of(self, other: _Chosen) -> _Chosen:
-        """These rows and those of the other that are not among them; itself if there are none."""
-        new = np.flatnonzero(~np.isin(other.places, self.places))
+    def joined(self, worst: _Selection) -> _Selection:
+        """Return these rows and the new ones of another selection; itself if there are none."""
+        new = np.flatnonzero(~np.isin(worst.places, self.places))
         if not new.size:
             return self
-        return _Chosen(
-            np.concatenate([self.rows, other.rows[new]]),
-            np.append(self.goal, other.goal[new]),
-            np.append(self.places, other.places[new]),
+        return _Selection(
+            np.concatenate([self.rows, worst.rows[new]]),
+            np.append(self.goal, worst.goal[new]),
+            np.append(self.places, worst.places[new]),
         )
 
 

@@ -1,4 +1,4 @@
-"""Small quadratic programs on a triangle: which limits are active, then the numbers by equations.
+"""Small quadratic programs on a triangle: first the active limits, then the numbers by equations.
 
 minimise 1/2 || R x - d ||^2,   x[free:] >= 0,   C x >= l
 """
@@ -8,23 +8,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dehyst._types import Array
-from dehyst.identification.solvers.interior_point import reach, regularised
+from dehyst._types import Array, Mask
+from dehyst.identification.solvers.interior_point import barrier_matrix, corrector_target, reach, regularised_solver
 from dehyst.identification.solvers.problem import TINY
 
-Chosen = NDArray[np.bool_]
-
 _STEPS = 100
-# Interior points end when the mean complementarity is this part of the objective at zero.
+# The interior point ends when the mean complementarity is this part of the objective at zero.
 _CLOSE = 1e-13
 _ROUNDS = 50
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Coefficients, multipliers of the inequalities (m,), which coefficients and inequalities are not at their limits.
+    """Coefficients, multipliers of the inequalities, free coefficients and active inequalities.
 
     Attributes
     ----------
@@ -32,17 +29,17 @@ class Minimum:
     multipliers : (m,) array
         Not negative.
     moving : (q,) bool array
-        Coefficients that are free or above zero.
+        Coefficients that are unbounded or above zero.
     active : (m,) bool array
         Inequalities met with equality.
     status : str
-        How it was found.
+        The method that found it.
     """
 
     x: Array
     multipliers: Array
-    moving: Chosen
-    active: Chosen
+    moving: Mask
+    active: Mask
     status: str
 
 
@@ -57,31 +54,31 @@ class Quadratic:
     lower: Array
 
     def minimum(self) -> Minimum:
-        """Solve it."""
+        """Solve the program."""
         if not self.lower.size:
-            found = self._by_nnls()
-            if found is not None:
-                return found
+            solution = self._by_nnls()
+            if solution is not None:
+                return solution
         x, z, multipliers = self._interior()
         slack = self.matrix @ x - self.lower
         moving = x > z
         moving[: self.free] = True
-        return self._settled(Minimum(x, multipliers, moving, slack < multipliers, "interior point"))
+        return self._exchange_limits(Minimum(x, multipliers, moving, slack < multipliers, "interior point"))
 
-    def corrected(self, found: Minimum, misfit: Array) -> Minimum:
-        """The minimum improved, given R^-T times the true negative gradient at it; limits stay active as they are."""
-        step, change = self._on_face(found.moving, found.active, misfit, self.lower - self.matrix @ found.x)
-        x = found.x + step
+    def corrected(self, minimum: Minimum, misfit: Array) -> Minimum:
+        """Return a corrected minimum, given R^-T times the true negative gradient at it; active limits stay active."""
+        step, change = self._on_face(minimum.moving, minimum.active, misfit, self.lower - self.matrix @ minimum.x)
+        x = minimum.x + step
         x[self.free :] = np.maximum(x[self.free :], 0.0)
         multipliers = np.maximum(change, 0.0)
-        return Minimum(x, multipliers, found.moving, found.active, found.status)
+        return Minimum(x, multipliers, minimum.moving, minimum.active, minimum.status)
 
     def gradient(self, x: Array) -> Array:
-        """Of the objective, (q,)."""
+        """Return the gradient of the objective (q,)."""
         return np.asarray(self.triangle.T @ (self.triangle @ x - self.image))
 
     def _by_nnls(self) -> Minimum | None:
-        """Lawson and Hanson's method, the free coefficients eliminated; None if it does not end."""
+        """Solve by Lawson and Hanson's method, free coefficients eliminated; None if it does not end."""
         from scipy.linalg import solve_triangular
         from scipy.optimize import nnls
 
@@ -97,9 +94,9 @@ class Quadratic:
         moving = (x > 0) | (np.arange(q) < p)
         return Minimum(x, np.zeros(0), moving, np.zeros(0, dtype=bool), "non-negative least squares")
 
-    def _settled(self, found: Minimum) -> Minimum:
-        """Exchange limits until the equations on the active ones keep all others; the interior point if they do not."""
-        moving, active = found.moving.copy(), found.active.copy()
+    def _exchange_limits(self, first: Minimum) -> Minimum:
+        """Exchange limits until the equations on the active ones meet all others; `first` if that does not end."""
+        moving, active = first.moving.copy(), first.active.copy()
         for _ in range(_ROUNDS):
             x, multipliers = self._on_face(moving, active, self.image, self.lower)
             size = np.abs(x).max(initial=1.0)
@@ -114,10 +111,10 @@ class Quadratic:
                 x[self.free :] = np.maximum(x[self.free :], 0.0)
                 return Minimum(x, np.maximum(multipliers, 0.0), moving, active, "interior point and active set")
             moving, active = (moving & ~below) | pulled, (active & ~loose) | missed
-        return found
+        return first
 
-    def _on_face(self, moving: Chosen, active: Chosen, image: Array, lower: Array) -> tuple[Array, Array]:
-        """Least squares over the moving coefficients with the active inequalities as equations; multipliers (m,)."""
+    def _on_face(self, moving: Mask, active: Mask, image: Array, lower: Array) -> tuple[Array, Array]:
+        """Solve least squares over the moving coefficients, active inequalities as equations; also multipliers (m,)."""
         from scipy.linalg import lstsq, qr, solve_triangular
 
         x, multipliers = np.zeros(moving.size), np.zeros(active.size)
@@ -135,7 +132,7 @@ class Quadratic:
         return x, multipliers
 
     def _interior(self) -> tuple[Array, Array, Array]:
-        """Mehrotra's predictor and corrector: x, the bounds' multipliers (0 for free ones), the inequalities'."""
+        """Return x, multipliers of the bounds (0 for free ones) and of the inequalities, by Mehrotra's method."""
         q, m, p = self.triangle.shape[1], self.lower.size, self.free
         limits = np.vstack([np.eye(q)[p:], self.matrix])
         lower = np.concatenate([np.zeros(q - p), self.lower])
@@ -152,7 +149,7 @@ class Quadratic:
             _, ds, dz = newton.step(np.zeros(dual.size))
             length = min(reach(slack, ds), reach(dual, dz))
             after = float((slack + length * ds) @ (dual + length * dz)) / dual.size
-            dx, ds, dz = newton.step((after / mean) ** 3 * mean - ds * dz)
+            dx, ds, dz = newton.step(corrector_target(mean, after) - ds * dz)
             length = 0.995 * min(reach(slack, ds), reach(dual, dz))
             x, slack, dual = x + length * dx, slack + length * ds, dual + length * dz
         x[p:] = np.maximum(x[p:], 0.0)
@@ -160,16 +157,16 @@ class Quadratic:
 
 
 class _NewtonQuadratic:
-    """Newton's equations of an interior point, `pull` and `missed` being what dual and primal limits are missed by."""
+    """Newton's equations of an interior point; `pull` and `missed` are the dual and the primal residual."""
 
     def __init__(self, gram: Array, limits: Array, pull: Array, missed: Array, slack: Array, dual: Array) -> None:
         self.pull, self.missed = pull, missed
         self._limits, self._slack, self._dual = limits, slack, dual
-        self._solve = regularised(gram + (limits.T * (dual / slack)) @ limits)
+        self._solve = regularised_solver(gram + barrier_matrix(limits, dual, slack))
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
-        """Changes of x, slack and dual that bring slack times dual to the target (m,)."""
+        """Return changes of x, slack and dual that bring slack times dual to the target (m,)."""
         ratio = self._dual / self._slack
-        held = target / self._slack - self._dual - ratio * self.missed
-        dx = self._solve(self._limits.T @ held - self.pull)
-        return dx, self._limits @ dx + self.missed, held - ratio * (self._limits @ dx)
+        force = target / self._slack - self._dual - ratio * self.missed
+        dx = self._solve(self._limits.T @ force - self.pull)
+        return dx, self._limits @ dx + self.missed, force - ratio * (self._limits @ dx)
