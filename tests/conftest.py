@@ -16,7 +16,6 @@ from dehyst._threads import one_thread
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-CORE = places.CORE
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
 
 # Shared machines stall: a time limit on one example would fail tests that are right.
@@ -27,7 +26,7 @@ settings.load_profile("dehyst")
 # by the carts.
 HARNESS = r"""
 #include <stdio.h>
-#include "dehyst.h"
+#include "dehyst_records.h"
 #define MOST 2100
 static dehyst_real rho[MOST], kappa[MOST], knot[MOST], value[MOST], slope[MOST], edge[MOST], intercept[MOST];
 static dehyst_real stiffness[MOST], start[MOST], cart[MOST], path[MOST], out[4][MOST];
@@ -90,7 +89,7 @@ class CompiledCore:
 
     def __init__(self, folder):
         self.folder = folder
-        for source in CORE.iterdir():
+        for source in places.CORE_FILES:
             shutil.copy(source, folder)
         (folder / "main.c").write_text(HARNESS)
 

@@ -27,7 +27,7 @@ class _Rebuilt:
 
 
 class Core(_Rebuilt):
-    """An actuator's tables in C. Equations and names: `core/dehyst.h`.
+    """An actuator's tables in C. Equations and names: `core/include/dehyst.h`.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Core(_Rebuilt):
 
 
 class WideCore(_Rebuilt):
-    """A wider actuator's tables in C: graded and smooth elements, transformer, creep, inertia. Names: `core/dehyst.h`.
+    """A wider actuator's tables in C: graded and smooth elements, transformer, creep, inertia. Names: `core/include/dehyst.h`.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ class WideCore(_Rebuilt):
         tell: Callable[[bool, float, float], None],
         start: CoreState,
     ) -> _core.Loop:
-        """A loop of steps of a pace with one row, from a state; see `dehyst_compensator` in `core/dehyst.h`.
+        """A loop of steps of a pace with one row, from a state; see `dehyst_compensator` in `core/include/dehyst.h`.
 
         Parameters
         ----------

@@ -17,7 +17,7 @@ SOURCES = plain_records.CORE_SOURCES
 # the stack, then on the carts.
 HARNESS = r"""
 #include <stdio.h>
-#include "dehyst.h"
+#include "dehyst_records.h"
 #define MOST 1100
 static dehyst_real rho[MOST], kappa[MOST], knot[MOST], value[MOST], slope[MOST], edge[MOST], intercept[MOST];
 static dehyst_real stiffness[MOST], grade_knot[MOST], grade_value[MOST], grade_slope[MOST], volt[MOST], drive[MOST];

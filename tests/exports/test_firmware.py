@@ -16,6 +16,7 @@ from pathlib import Path
 
 import compiled_exports
 import numpy as np
+import places
 import plain_records
 import pytest
 import structured_records
@@ -167,7 +168,7 @@ def test_an_export_leaves_the_compensator_alone_and_begins_at_its_start(tmp_path
 def test_the_core_is_copied_byte_for_byte_but_for_the_number_type():
     compensator = compiled_exports.plain()
     double, single = code(compensator), code(compensator, "float")
-    core = {path.name: path.read_text() for path in plain_records.CORE.iterdir()}
+    core = {path.name: path.read_text() for path in places.CORE_FILES}
     for name in double:
         if name in core:
             assert double[name] == core[name], name

@@ -1,9 +1,9 @@
 /* Random models and lives on the C core, hostile numbers among them, to be compiled with the core's own sources under
  * sanitizers: core SEED FIRST COUNT prints the first case that fails and ends with 1. Every array has its exact size.
  */
-#include "dehyst.h"
-#include "rivals_fields.h"
-#include "rivals_plays.h"
+#include "dehyst_records.h"
+#include "fields.h"
+#include "plays.h"
 
 #include <math.h>
 #include <stdint.h>

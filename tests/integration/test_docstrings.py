@@ -15,9 +15,7 @@ DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 TREES = {path: ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
 C_NAMES = {
     name
-    for folder in (ROOT / "core", ROOT / "src", PACKAGE / "exports" / "templates")
-    for path in folder.glob("*")
-    if path.is_file()
+    for path in (*places.CORE_FILES, *(ROOT / "bindings").iterdir(), *(PACKAGE / "exports" / "templates").iterdir())
     for name in re.findall(r"[A-Za-z_]\w+", path.read_text(errors="ignore"))
 }
 

@@ -32,8 +32,8 @@ from dehyst.exports.start import ExportedStart
 
 __all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "sizes", "worst_case"]
 
-SOURCES = ("piezo.c", "dehyst.c", "dehyst_grades.c", "dehyst_smooth.c", "dehyst_wide.c", "dehyst_compensator.c")
-_HEADERS = ("piezo.h", "dehyst.h", "dehyst_parts.h", "dehyst_balance.h", "dehyst_config.h")
+SOURCES = ("piezo.c", "slip.c", "graded.c", "smooth.c", "step.c", "compensator.c")
+_HEADERS = ("piezo.h", "dehyst.h", "internal.h", "dehyst_config.h")
 _GENERATED = ("model.h", "model_size.h", "trace.h", "README.md")
 _FILES = {*SOURCES, *_HEADERS, *_GENERATED, "check.c", "Makefile", "LICENSE"}
 _BUILT = re.compile(r".*\.(o|ci|su)|check_program")

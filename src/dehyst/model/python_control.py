@@ -48,7 +48,7 @@ def compensator_block(loop: Loop, states: list[str], period: float | None, name:
 
 
 def labels(model: Evaluator, taps: int) -> list[str]:
-    """Names of a loop's states, in the order of `row` in `src/loop.cpp`.
+    """Names of a loop's states, in the order of `row` in `bindings/loop.cpp`.
 
     w and carts, creep's strains, smooth elements' elongations [m]; with dynamics y, y'/omega and the mass's push [m];
     the voltage last sent; with a lag what acts and the two that were to act before [V]; with preview what was fed [m].

@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "actuators.h"
+#include "tables.h"
 
 namespace {
 

@@ -1,6 +1,4 @@
-#include "dehyst_parts.h"
-
-#include <stddef.h>
+#include "internal.h"
 
 static int is_increasing(const dehyst_real *a, int n)
 {

@@ -1,6 +1,4 @@
-#include "dehyst_balance.h"
-
-#include <stddef.h>
+#include "internal.h"
 
 dehyst_status dehyst_wide_check(const dehyst_wide *wide, const dehyst_wide_state *state)
 {

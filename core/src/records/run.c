@@ -1,6 +1,4 @@
-#include "dehyst_balance.h"
-
-#include <stddef.h>
+#include "reversals.h"
 
 /* Samples that are worked on together: few enough to stay in the nearest cache and on a small processor's stack. */
 #define BLOCK 64

@@ -9,11 +9,7 @@
  *                                                                        linear, continued so beyond its knots
  *
  * y -> v (compensate) is explicit; v -> y (simulate) has exactly one solution and is solved segment by segment, with
- * neither tolerance nor time step. Two evaluators give the same answer:
- *
- *   carts    N clips a sample, constant memory, any state                           dehyst_state
- *   stack    the reversals that are still remembered, amortised O(1) in N           dehyst_stack
- *            (Masing: F(y) = F_R + sgn 2 phi(|y - y_R| / 2), phi(a) = sum_i kappa_i min(a, rho_i))
+ * neither tolerance nor time step: N clips a sample, constant memory, any state.
  *
  * No heap, no input or output, no globals. Every array belongs to the caller; parameters are const and may live in
  * flash. Checks may fail, steps cannot; a step takes bounded time. A sample that is not a number moves nothing.
@@ -125,24 +121,6 @@ typedef struct dehyst_wide_state {
     dehyst_real input;       /* q [m], made by the first step if that is one without duration */
 } dehyst_wide_state;
 
-typedef struct dehyst_reversal {
-    dehyst_real y;     /* where the motion turned */
-    dehyst_real stops; /* sum_i kappa_i s_i there */
-    dehyst_real v;     /* voltage there */
-} dehyst_reversal;
-
-#define DEHYST_STACK_CAPACITY(n) (2 * (n) + 8)
-
-/* The memory of a history: its nested reversals, outermost first. */
-typedef struct dehyst_stack {
-    int capacity;
-    int depth;
-    dehyst_real direction; /* +1 or -1: the present branch runs from the last reversal in this direction */
-    dehyst_real y;
-    dehyst_real v;
-    dehyst_reversal *reversal; /* [capacity] */
-} dehyst_stack;
-
 /* slope [size - 1] from knots and values. */
 dehyst_status dehyst_curve_tabulate(int size, const dehyst_real *knot, const dehyst_real *value, dehyst_real *slope);
 /* edge, intercept and stiffness [n + 1]; inverse_step [1]. */
@@ -163,30 +141,6 @@ dehyst_real dehyst_voltage(const dehyst_actuator *actuator, const dehyst_state *
 dehyst_real dehyst_compensate_step(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real y);
 dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real v);
 
-/* Carts <-> reversals; the same memory in two forms. */
-dehyst_status dehyst_stack_encode(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_stack *stack);
-void dehyst_stack_decode(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_state *state);
-/* n samples on the stack. Input and output may be the same array. */
-void dehyst_stack_compensate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *y, dehyst_real *v,
-                             long n);
-void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y,
-                           long n);
-
-/* n samples from the carts and back to them: on the stack as soon as the state has one. */
-void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work,
-                           const dehyst_real *y, dehyst_real *v, long n);
-void dehyst_simulate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work,
-                         const dehyst_real *v, dehyst_real *y, long n);
-
-/* Room that a run of a wide actuator works in. Without reversals it stays on the carts. */
-typedef struct dehyst_room {
-    dehyst_stack stack;
-    dehyst_real *value; /* [spring knots] the spring stiffened by what moves in time */
-    dehyst_real *slope; /* [spring knots - 1] */
-    dehyst_real *held;  /* [N] with graded elements */
-    int *segment;       /* [N] with graded elements */
-} dehyst_room;
-
 /* The last row of slope, and value, from knots and the first n rows of slope; the sums may be zero in places. */
 dehyst_status dehyst_grades_tabulate(int n, int m, const dehyst_real *knot, dehyst_real *slope, dehyst_real *value);
 /* back [n] from lengths and closings. */
@@ -196,19 +150,8 @@ void dehyst_smooth_move(const dehyst_smooth *smooth, dehyst_real *elongation, de
 void dehyst_smooth_elongations(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
                                const dehyst_real *path, dehyst_real *out, long n);
 dehyst_status dehyst_wide_check(const dehyst_wide *wide, const dehyst_wide_state *state);
-/* Samples first to its result - 1, first >= 1, lie equal steps of time apart, but for what writing a time down leaves
- * of them. A step that is not positive stands alone. */
-long dehyst_equal_steps(const dehyst_real *time, long first, long n);
 /* Voltage at the present state. */
 dehyst_real dehyst_wide_voltage(const dehyst_wide *wide, const dehyst_wide_state *state);
-/* n samples, all the same time after the one before. Input and output are different arrays. `more` [n] is added to
- * tau(v); NULL: nothing. */
-void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
-                            dehyst_room *room, const dehyst_real *w, const dehyst_real *more, dehyst_real *v, long n);
-/* Displacements y; those of w without inertia, when `load` is left alone: F_ext/kc [m], [n] or NULL. What w holds and
- * what is left of eta's slopes and moves with it must together rise. */
-void dehyst_wide_simulate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state, dehyst_room *room,
-                          const dehyst_real *v, const dehyst_real *load, dehyst_real *y, long n);
 /* What a step would lead to: w, its voltage, and the carts there, which are exchanged with the state's when it is
  * fulfilled. The hint is the spring's segment, 0 at first. */
 typedef struct dehyst_wish {
@@ -227,10 +170,6 @@ dehyst_real dehyst_wide_fulfil(const dehyst_wide *wide, const dehyst_pace *pace,
                                dehyst_wish *wish);
 dehyst_real dehyst_wide_simulate_step(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
                                       dehyst_real stiffness, dehyst_real v);
-/* Strains [n J], a row a sample, along a path of w that starts from `before`. */
-void dehyst_strains(int branches, const dehyst_pace *pace, dehyst_real *strain, dehyst_real before,
-                    const dehyst_real *w, dehyst_real *out, long n);
-
 /* A compensator in a loop: a wanted displacement in, a voltage within limits out, equal times apart. w is asked to be
  * sum_m tap_m u_(t-m), u the displacements fed, newest first: with what a delay and a mass ask for, u runs ahead.
  * An amplifier that lags by `lag` periods acts with a_t = keep a_(t-1) + from_old v_(t-1) + from_new v_t. `stiffness` is made by

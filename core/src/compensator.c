@@ -1,6 +1,4 @@
-#include "dehyst_balance.h"
-
-#include <stddef.h>
+#include "internal.h"
 
 dehyst_status dehyst_compensator_tabulate(dehyst_compensator *compensator)
 {

@@ -1,6 +1,6 @@
 // An actuator's tables and memory, owned by C++ for the length of a call or of a loop.
-#ifndef DEHYST_ACTUATORS_H
-#define DEHYST_ACTUATORS_H
+#ifndef DEHYST_TABLES_H
+#define DEHYST_TABLES_H
 
 #include <memory>
 #include <stdexcept>
@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "arrays.h"
-#include "dehyst.h"
+#include "dehyst_records.h"
 
 using Grid = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Bounds = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;

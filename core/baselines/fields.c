@@ -1,4 +1,4 @@
-#include "rivals_fields.h"
+#include "fields.h"
 
 #include <math.h>
 

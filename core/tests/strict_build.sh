@@ -1,10 +1,11 @@
 #!/bin/sh
 # The core as firmware would build it: strict warnings, link-time optimisation, no library but the compiler's own.
 set -eu
-cd "$(dirname "$0")"
+cd "$(dirname "$0")/.."
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 flags="-std=c99 -O3 -Wall -Wextra -Werror -pedantic -Wconversion -Wno-sign-conversion -flto -ffp-contract=off"
+sources="src/*.c src/records/*.c"
 cat >"$work/main.c" <<'C'
 #include "dehyst.h"
 int main(void)
@@ -15,22 +16,21 @@ int main(void)
 }
 C
 # shellcheck disable=SC2086
-${CC:-gcc} $flags -I. dehyst*.c "$work/main.c" -o "$work/check"
-# Rivals are never exported: strict, but free to use the mathematical library.
-# shellcheck disable=SC2086
-${CC:-gcc} $flags -I. -c rivals_plays.c -o "$work/rivals_plays.o"
+${CC:-gcc} $flags -Iinclude -Isrc $sources "$work/main.c" -o "$work/check"
 "$work/check"
-${CC:-gcc} -std=c99 -O2 -ffreestanding -ffp-contract=off -I. -fno-pic -nostdlib -r dehyst*.c -o "$work/core.o"
+# shellcheck disable=SC2086
+${CC:-gcc} -std=c99 -O2 -ffreestanding -ffp-contract=off -Iinclude -Isrc -fno-pic -nostdlib -r $sources -o "$work/core.o"
 needed=$(nm -u "$work/core.o" | grep -vE ' (memcpy|memset|memmove)$' || true)
 [ -z "$needed" ] || { echo "the core needs from outside: $needed"; exit 1; }
-for rival in rivals_*.c; do
+# Baseline models are never exported: strict, but free to use the mathematical library.
+for baseline in baselines/*.c; do
     # shellcheck disable=SC2086
-    ${CC:-gcc} $flags -I. -c "$rival" -o "$work/rival.o"
+    ${CC:-gcc} $flags -Ibaselines -c "$baseline" -o "$work/baseline.o"
 done
 # The strict build must really be strict: a core with an unused variable has to fail.
-{ cat dehyst.c; echo 'int dehyst_probe(void) { int unused; return 0; }'; } >"$work/probe.c"
+{ cat src/slip.c; echo 'int dehyst_probe(void) { int unused; return 0; }'; } >"$work/probe.c"
 # shellcheck disable=SC2086
-if ${CC:-gcc} $flags -I. -c "$work/probe.c" -o "$work/probe.o" 2>/dev/null; then
+if ${CC:-gcc} $flags -Iinclude -Isrc -c "$work/probe.c" -o "$work/probe.o" 2>/dev/null; then
     echo "the warning flags no longer take effect"
     exit 1
 fi

@@ -1,4 +1,4 @@
-#include "dehyst_parts.h"
+#include "reversals.h"
 
 /* Voltage to displacement on the stack: along straight pieces of the present branch, one after another. */
 

@@ -1,5 +1,5 @@
 // Arrays in, arrays out, the interpreter lock released, a status back. No algorithm.
-#include "actuators.h"
+#include "tables.h"
 #include "loop.h"
 
 namespace {

@@ -1,4 +1,4 @@
-#include "dehyst_parts.h"
+#include "reversals.h"
 
 /* Samples on the carts between two attempts to encode a state that has no stack yet. */
 #define BLOCK 256

@@ -1,6 +1,6 @@
-/* What the evaluators share: private to the core. */
-#ifndef DEHYST_PARTS_H
-#define DEHYST_PARTS_H
+/* What the sources of the core share: private to them. */
+#ifndef DEHYST_INTERNAL_H
+#define DEHYST_INTERNAL_H
 
 #include "dehyst.h"
 
@@ -47,31 +47,6 @@ static inline dehyst_real on_segment(const dehyst_curve *curve, int j, dehyst_re
 {
     return curve->value[j] + curve->slope[j] * (x - curve->knot[j]);
 }
-
-/* The index of the cell of 2 phi(u / 2) that holds u >= 0. Rounding of huge displacements may leave any u, also one that
- * is not a number: a conversion to int is defined only where it fits. */
-static inline int cell_of(const dehyst_slip *slip, dehyst_real u, int hint)
-{
-    if (slip->inverse_step > 0) {
-        const dehyst_real guess = u * slip->inverse_step;
-        hint = !(guess < slip->size) ? slip->size : guess > 0 ? (int)guess : 0;
-    }
-    return count_below(slip->edge, slip->size, u, hint);
-}
-
-static inline dehyst_real masing(const dehyst_slip *slip, int cell, dehyst_real u)
-{
-    return slip->intercept[cell] + slip->stiffness[cell] * u;
-}
-
-/* The reversal at which the present branch joins the outer one again, or NULL on an outermost branch. */
-static inline const dehyst_reversal *joint(const dehyst_stack *stack)
-{
-    return stack->depth >= 3 ? stack->reversal + stack->depth - 2 : NULL;
-}
-
-/* Turn round at the stack's place, where the elements hold `stops`. */
-void dehyst_stack_turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real stops);
 
 /* What a motion in one direction meets at y: voltage, slope, and the place of the next change of slope. */
 typedef struct outlook {
@@ -145,27 +120,51 @@ void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongati
 dehyst_real dehyst_smooth_solve(const dehyst_wide *wide, dehyst_wide_state *state, dehyst_real drive,
                                 dehyst_real stiffness, dehyst_real *likely);
 
-/* A straight piece of the present branch: y = start + (v - v_start) / slope until v reaches v_end; and the way back from
- * any of its points while no cart moves, down to `bottom`, which is a place times the direction. */
-typedef struct piece {
-    dehyst_real start, v_start, inverse_slope, v_end, inverse_elastic, bottom;
-    int cell, j;
-    int ends_at_knot; /* the next piece lies in the next segment of the spring; else in the next cell */
-} piece;
+/* What creep would hold at the end of so many steps without motion, one or two. */
+static inline dehyst_real held_over(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_real *strain,
+                                    int steps)
+{
+    dehyst_real sum[4];
+    int j, i;
+    sum[0] = sum[1] = sum[2] = sum[3] = 0;
+    for (j = 0; j + 4 <= wide->branches; j += 4)
+        for (i = 0; i < 4; i++) {
+            const dehyst_real once = pace->decay[j + i] * strain[j + i];
+            sum[i] += wide->stiffness[j + i] * (steps > 1 ? pace->decay[j + i] * once : once);
+        }
+    for (i = 0; j < wide->branches; j++, i++) {
+        const dehyst_real once = pace->decay[j] * strain[j];
+        sum[i] += wide->stiffness[j] * (steps > 1 ? pace->decay[j] * once : once);
+    }
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+}
 
-/* A simulation on the stack whose voltages are not known ahead. Until it ends, the stack holds the farthest point of its
- * branch. */
-typedef struct dehyst_walk {
-    const dehyst_actuator *actuator;
-    dehyst_stack *stack;
-    dehyst_real y, v;
-    piece *now, *ahead;
-    int on_piece;
-    piece pieces[2];
-} dehyst_walk;
+static inline void creep_on(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_real *strain, dehyst_real by)
+{
+    int j;
+    for (j = 0; j < wide->branches; j++) strain[j] = pace->decay[j] * strain[j] + pace->gain[j] * by;
+}
 
-void dehyst_walk_begin(dehyst_walk *walk, const dehyst_actuator *actuator, dehyst_stack *stack);
-dehyst_real dehyst_walk_to(dehyst_walk *walk, dehyst_real v);
-void dehyst_walk_end(dehyst_walk *walk);
+/* Of y = free + lever w at the end of a step: the lever, and what is free of w. */
+static inline dehyst_real lever_of(const dehyst_wide *wide, const dehyst_transition *to)
+{
+    return to->after[0] / (1 + wide->share * to->after[0]);
+}
+
+static inline dehyst_real free_of(const dehyst_wide *wide, const dehyst_transition *to, const dehyst_wide_state *state,
+                                  dehyst_real load)
+{
+    return (to->phi[0] * state->y + to->phi[1] * state->rate + to->before[0] * state->input + to->after[0] * load) /
+           (1 + wide->share * to->after[0]);
+}
+
+static inline void swing_on(const dehyst_wide *wide, const dehyst_transition *to, dehyst_wide_state *state,
+                            dehyst_real w, dehyst_real y, dehyst_real load)
+{
+    const dehyst_real input = w - wide->share * y + load;
+    state->rate = to->phi[2] * state->y + to->phi[3] * state->rate + to->before[1] * state->input + to->after[1] * input;
+    state->input = input;
+    state->y = y;
+}
 
 #endif

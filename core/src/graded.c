@@ -1,6 +1,4 @@
-#include "dehyst_parts.h"
-
-#include <stddef.h>
+#include "internal.h"
 
 dehyst_status dehyst_grades_tabulate(int n, int m, const dehyst_real *knot, dehyst_real *slope, dehyst_real *value)
 {

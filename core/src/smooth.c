@@ -1,6 +1,4 @@
-#include "dehyst_parts.h"
-
-#include <stddef.h>
+#include "internal.h"
 
 /* What is left to move must be this much shorter than the shortest element before its curvature is below rounding. */
 #define SHARE ((dehyst_real)(1.0 / 16))

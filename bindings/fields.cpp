@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "arrays.h"
-#include "rivals_fields.h"
+#include "fields.h"
 
 namespace {
 
