@@ -24,7 +24,7 @@ from dehyst.exports.footprint import (
     sizes,
 )
 from dehyst.exports.golden_trace import GoldenTrace, golden_trace, trace_header
-from dehyst.exports.model_header import Number, demand_compensator, model_header, size_header
+from dehyst.exports.model_header import NUMBERS, SIZES, Number, demand_compensator, numbers, size_macros, title
 from dehyst.exports.naming import DEFAULT, demand_name, file_of, name_in, printable, text_of
 from dehyst.exports.operation_count import Operations, worst_case
 from dehyst.exports.shipped import shipped
@@ -32,10 +32,9 @@ from dehyst.exports.start import ExportedStart
 
 __all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "sizes", "worst_case"]
 
-SOURCES = ("piezo.c", "slip.c", "graded.c", "smooth.c", "step.c", "compensator.c")
-_HEADERS = ("piezo.h", "dehyst.h", "internal.h", "dehyst_config.h")
-_GENERATED = ("model.h", "model_size.h", "trace.h", "README.md")
-_FILES = {*SOURCES, *_HEADERS, *_GENERATED, "check.c", "Makefile", "LICENSE"}
+SOURCES = ("piezo.c", "dehyst.c")
+_HEADERS = ("piezo.h", "dehyst.h")
+_FILES = {*SOURCES, *_HEADERS, "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
 _BUILT = re.compile(r".*\.(o|ci|su)|check_program")
 # A float's error, as a share of the range: above the first, or the number type was not rewritten everywhere.
 _LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
@@ -96,12 +95,11 @@ def code(compensator: Compensator, number: Number = "double", name: str = DEFAUL
     demand_name(name)
     files = {file: shipped(file) for file in (*SOURCES, *_HEADERS)}
     if number == "float":
-        files["dehyst_config.h"] = _single(files["dehyst_config.h"])
-    files |= {file: text_of(files[file], name) for file in ("piezo.c", "piezo.h")}
-    for file, header in (("model.h", model_header), ("model_size.h", size_header)):
-        # The first line has the actuator's name.
-        title, body = header(compensator, number).split("\n", 1)
-        files[file] = f"{title}\n{text_of(body, name)}"
+        files["dehyst.h"] = _single(files["dehyst.h"])
+    for file, place, generated in (("piezo.c", NUMBERS, numbers), ("piezo.h", SIZES, size_macros)):
+        text = text_of(files[file].replace(place, generated(compensator, number)), name)
+        # The actuator's name is not to be renamed.
+        files[file] = f"{title(compensator)}\n{text}"
     return {file_of(file, name): text for file, text in files.items()}
 
 
@@ -205,11 +203,11 @@ def _reason(failure: FileFormatError) -> str:
     return f"the C compiler failed ({failure})"
 
 
-def _single(config: str) -> str:
-    """`dehyst_config.h` for floats."""
-    if config.count("typedef double dehyst_real;") != 1 or config.count("DBL_") != 2:
-        raise FileFormatError("firmware/dehyst_config.h: not the file of this version; install dehyst again")
-    return config.replace("typedef double dehyst_real;", "typedef float dehyst_real;").replace("DBL_", "FLT_")
+def _single(header: str) -> str:
+    """`dehyst.h` for floats."""
+    if header.count("typedef double dehyst_real;") != 1 or header.count("DBL_") != 2:
+        raise FileFormatError("exports/templates/dehyst.h: not the file of this version; install dehyst again")
+    return header.replace("typedef double dehyst_real;", "typedef float dehyst_real;").replace("DBL_", "FLT_")
 
 
 def _demand_free(folder: Path, force: bool) -> None:
@@ -298,7 +296,7 @@ def _readme(compensator: Compensator, number: Number, trace: GoldenTrace, made: 
         comparisons=made.operations.comparisons,
         rows=len(trace.rows),
         error=_error_words(number, made),
-        config="" if number == "double" else ", its numbers made floats in `dehyst_config.h`",
+        config="" if number == "double" else ", its numbers made floats in `dehyst.h`",
     )
 
 

@@ -1,4 +1,4 @@
-"""The numbers of a compensator as C: `model.h` and `model_size.h`."""
+"""The numbers of a compensator as C: what `piezo.c` and `piezo.h` hold of a model."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from dehyst.exports.start import ExportedStart
 Number: TypeAlias = Literal["double", "float"]
 Tables: TypeAlias = Mapping[str, Array]
 
+# Lines of the templates in whose place the generated text comes.
+SIZES, NUMBERS = "/* sizes */\n", "/* numbers */\n"
 _A_LINE = 4
 _LARGEST = float(np.finfo(np.float64).max)
 # Of each: what must strictly increase, and of what it is, so that a refusal can say it.
@@ -71,15 +73,18 @@ class Sizes(NamedTuple):
         return cls(tables["rho"].size, tables["knot"].size, grades, *(tables[name].size for name in names))
 
 
-def size_header(compensator: Compensator, number: Number) -> str:
-    """Text of `model_size.h`: macros that others than `piezo.c` need too."""
+def title(compensator: Compensator) -> str:
+    """Return the first line of `piezo.c` and `piezo.h`: the name of the actuator, as a comment."""
+    name = in_comment(compensator.actuator.name)
+    return f"/* The actuator '{name}', made by dehyst {__version__}. Units: V, m, s. Do not edit. */"
+
+
+def size_macros(compensator: Compensator, number: Number) -> str:
+    """Return the macros that `piezo.h` begins with."""
     tables = _tables(compensator, number)
     sizes, (low, high) = Sizes.of(tables), tables["loop"][:2].tolist()
     spell = _Spelling(number).plain
     lines = [
-        "#ifndef MODEL_SIZE_H",
-        "#define MODEL_SIZE_H",
-        "",
         f"#define MODEL_ELEMENTS {sizes.elements}",
         f"#define MODEL_BRANCHES {sizes.branches}",
         f"#define MODEL_SMOOTH {sizes.smooth}",
@@ -93,13 +98,12 @@ def size_header(compensator: Compensator, number: Number) -> str:
         f"#define MODEL_LOW {spell(low)} /* V */",
         f"#define MODEL_HIGH {spell(high)} /* V */",
         "",
-        "#endif",
     ]
-    return "\n".join([*_title(compensator), *lines, ""])
+    return "\n".join(lines)
 
 
-def model_header(compensator: Compensator, number: Number) -> str:
-    """Text of `model.h`: every number that a step reads, and the state that it starts from.
+def numbers(compensator: Compensator, number: Number) -> str:
+    """Return the constants of `piezo.c`: every number that a step reads, and the state that it starts from.
 
     Raises
     ------
@@ -122,19 +126,10 @@ def model_header(compensator: Compensator, number: Number) -> str:
     arrays = [spell.array(name, values) for name, values in used.items() if values.size]
     return "\n".join(
         [
-            *_title(compensator),
-            "#ifndef MODEL_H",
-            "#define MODEL_H",
-            "",
-            '#include "dehyst.h"',
-            '#include "model_size.h"',
-            "",
             *arrays,
             *_begins(compensator),
             *(spell.array(name, values if values.size else np.zeros(1)) for name, values in begin.items()),
             _compensator(tables, used, spell),
-            "",
-            "#endif",
             "",
         ]
     )
@@ -258,8 +253,3 @@ def _demand_float(tables: Tables) -> None:
             "float: creep is so slow beside the period that it would never relax: what a step leaves of a strain, "
             f"{float(kept.max())!r}, is 1 when rounded; export double, or give a longer period"
         )
-
-
-def _title(compensator: Compensator) -> list[str]:
-    name = in_comment(compensator.actuator.name)
-    return [f"/* Numbers of the actuator '{name}', made by dehyst {__version__}: V, m, s. Do not edit. */"]

@@ -13,6 +13,7 @@ DEFAULT = "piezo"
 _OWN = ("piezo.c", "piezo.h", "check.c")
 _CODE_WORD = re.compile(r"(?<![\w.])(?<!->)[A-Za-z_]\w*")
 _NOT_CODE = re.compile(r'/\*.*?\*/|"(?:\\.|[^"\\])*"', re.DOTALL)
+_TITLE = re.compile(r"/\* The actuator '.*', made by dehyst ")
 _NAME, _MOST = re.compile(r"[A-Za-z]\w*", re.ASCII), 40
 _KEYWORDS = (
     "alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl concept const consteval "
@@ -26,7 +27,7 @@ _KEYWORDS = (
 # Names of files that a compiler would take for another.
 _HEADERS = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdarg stdbool stddef "
-    "stdint stdio stdlib string tgmath time wchar wctype check trace model model_size license makefile readme"
+    "stdint stdio stdlib string tgmath time wchar wctype check trace license makefile readme"
 )
 
 
@@ -49,10 +50,8 @@ def demand_name(name: object) -> None:
 
 
 def file_of(file: str, name: str) -> str:
-    """The name of a file of an export: piezo.c, model.h and the like by default."""
-    if name == DEFAULT:
-        return file
-    return re.sub(r"^piezo\.", f"{name}.", re.sub(r"^model(_size)?\.h$", rf"{name}_model\1.h", file))
+    """The name of a file of an export: by default piezo.c and piezo.h."""
+    return re.sub(r"^piezo\.", f"{name}.", file)
 
 
 def text_of(text: str, name: str) -> str:
@@ -60,7 +59,6 @@ def text_of(text: str, name: str) -> str:
     if name == DEFAULT:
         return text
     text = re.sub(r"\bpiezo(?=\b(?! actuator)|_)", name, text)
-    text = re.sub(r"\bmodel(_size)?\.h\b", rf"{name}_model\1.h", text)
     return re.sub(r"\bMODEL_", f"{name.upper()}_MODEL_", text.replace("PIEZO_H", f"{name.upper()}_H"))
 
 
@@ -76,11 +74,13 @@ def in_comment(name: str) -> str:
 
 def name_in(folder: Path) -> str | None:
     """The name of the export that a folder holds; None if it holds none."""
-    if (folder / "model.h").is_file():
-        return DEFAULT
-    ends = "_model_size.h"
-    found = sorted(path.name.removesuffix(ends) for path in folder.glob(f"*{ends}"))
-    return found[0] if len(found) == 1 else None
+    names = [path.stem for path in sorted(folder.glob("*.h")) if _TITLE.match(_first_line(path))]
+    return names[0] if len(names) == 1 else None
+
+
+def _first_line(path: Path) -> str:
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        return stream.readline()
 
 
 def _words() -> frozenset[str]:

@@ -1,6 +1,6 @@
 #include "piezo.h"
 
-#include "model.h"
+/* numbers */
 
 void piezo_point(piezo *p)
 {

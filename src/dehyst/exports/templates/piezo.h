@@ -6,7 +6,8 @@
 #define PIEZO_H
 
 #include "dehyst.h"
-#include "model_size.h"
+
+/* sizes */
 
 #ifdef __cplusplus
 extern "C" {
