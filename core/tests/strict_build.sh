@@ -22,6 +22,14 @@ ${CC:-gcc} $flags -Iinclude -Isrc $sources "$work/main.c" -o "$work/check"
 ${CC:-gcc} -std=c99 -O2 -ffreestanding -ffp-contract=off -Iinclude -Isrc -fno-pic -nostdlib -r $sources -o "$work/core.o"
 needed=$(nm -u "$work/core.o" | grep -vE ' (memcpy|memset|memmove)$' || true)
 [ -z "$needed" ] || { echo "the core needs from outside: $needed"; exit 1; }
+# Its laws hold, under sanitizers where the compiler has them.
+sanitize="-fsanitize=address,undefined -fno-sanitize-recover=all"
+echo 'int main(void) { return 0; }' >"$work/empty.c"
+# shellcheck disable=SC2086
+${CC:-gcc} $sanitize "$work/empty.c" -o "$work/empty" 2>/dev/null || sanitize=
+# shellcheck disable=SC2086
+${CC:-gcc} -std=c99 -O1 -g -ffp-contract=off $sanitize -Iinclude -Isrc $sources tests/laws.c -lm -o "$work/laws"
+"$work/laws" >/dev/null
 # Baseline models are never exported: strict, but free to use the mathematical library.
 for baseline in baselines/*.c; do
     # shellcheck disable=SC2086
@@ -34,4 +42,4 @@ if ${CC:-gcc} $flags -Iinclude -Isrc -c "$work/probe.c" -o "$work/probe.o" 2>/de
     echo "the warning flags no longer take effect"
     exit 1
 fi
-echo "core: strict build, no outside symbols"
+echo "core: strict build, no outside symbols, laws hold"
