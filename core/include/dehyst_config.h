@@ -1,5 +1,5 @@
-/* The number type of the core. An export of floats changes these lines and nothing else. Every translation unit includes
- * them: a type chosen by macro in one unit only compiles clean and returns garbage. */
+/* The number type of the core. An export of floats changes these lines and nothing else. Every translation unit
+ * includes them: a type chosen by macro in one unit only would compile without a warning and return garbage. */
 #ifndef DEHYST_CONFIG_H
 #define DEHYST_CONFIG_H
 

@@ -32,10 +32,10 @@ typedef struct bench {
     dehyst_real edge[ELEMENTS + 1], intercept[ELEMENTS + 1], stiffness[ELEMENTS + 1], cart[ELEMENTS], spare[ELEMENTS];
     dehyst_real creep[BRANCHES], decay[BRANCHES], gain[BRANCHES], strain[BRANCHES];
     dehyst_real length[SMOOTH], back[SMOOTH], smooth[SMOOTH], elongation[SMOOTH];
-    dehyst_real tap, fed;
-    dehyst_wide actuator;
-    dehyst_wide_state state;
-    dehyst_pace pace;
+    dehyst_real tap, inputs;
+    dehyst_actuator actuator;
+    dehyst_state state;
+    dehyst_step step;
 } bench;
 
 static void demand(int holds, const char *what, double got, double wanted)
@@ -62,7 +62,7 @@ static void point(bench *b)
 static void make(bench *b, int moving)
 {
     const dehyst_real closing[SMOOTH] = {1, (dehyst_real)0.6};
-    dehyst_wide *a = &b->actuator;
+    dehyst_actuator *a = &b->actuator;
     int i;
     memset(b, 0, sizeof *b);
     for (i = 0; i < ELEMENTS; i++) {
@@ -89,8 +89,8 @@ static void make(bench *b, int moving)
     demand(dehyst_curve_tabulate(KNOTS, b->knot, b->value, b->slope) == DEHYST_OK, "spring", 0, 0);
     b->state.memory.y = (dehyst_real)0.5;
     point(b);
-    b->pace.decay = b->decay;
-    b->pace.gain = b->gain;
+    b->step.decay = b->decay;
+    b->step.gain = b->gain;
     if (!moving) return;
     for (i = 0; i < BRANCHES; i++) {
         b->creep[i] = (dehyst_real)between(0, 2);
@@ -98,7 +98,7 @@ static void make(bench *b, int moving)
         b->gain[i] = (1 - b->decay[i]) / (dehyst_real)-log((double)b->decay[i]);
     }
     a->branches = BRANCHES;
-    a->stiffness = b->creep;
+    a->creep_stiffness = b->creep;
     for (i = 0; i < SMOOTH; i++) {
         b->length[i] = (dehyst_real)between(0.05, 0.5);
         b->smooth[i] = (dehyst_real)between(0, 2);
@@ -119,26 +119,26 @@ static void clone(bench *to, const bench *from)
 
 static void demand_sound(const bench *b)
 {
-    demand(dehyst_wide_check(&b->actuator, &b->state) == DEHYST_OK, "the state is one of the actuator", 0, 1);
+    demand(dehyst_check(&b->actuator, &b->state) == DEHYST_OK, "the state is one of the actuator", 0, 1);
 }
 
 /* Where a displacement leads by its own voltage: back to itself. */
 static void simulate_undoes_compensate(int moving)
 {
     bench there, back;
-    dehyst_wish wish = {0, 0, NULL, 0};
+    dehyst_candidate candidate = {0, 0, NULL, 0};
     int t;
     make(&there, moving);
     clone(&back, &there);
-    wish.cart = there.spare;
+    candidate.cart = there.spare;
     {
-        const dehyst_real stiffness = dehyst_wide_stiffness(&there.actuator, &there.pace);
+        const dehyst_real stiffness = dehyst_step_stiffness(&there.actuator, &there.step);
         for (t = 0; t < SAMPLES; t++) {
-            wish.w = (dehyst_real)between(-0.2, 1.2);
-            dehyst_wide_wish(&there.actuator, &there.pace, &there.state, stiffness, &wish);
-            dehyst_wide_fulfil(&there.actuator, &there.pace, &there.state, &wish);
-            demand_close((double)dehyst_wide_simulate_step(&back.actuator, &back.pace, &back.state, stiffness, wish.v),
-                         (double)wish.w, 1e-12, "simulate(compensate(y))");
+            candidate.w = (dehyst_real)between(-0.2, 1.2);
+            dehyst_evaluate(&there.actuator, &there.step, &there.state, stiffness, &candidate);
+            dehyst_commit(&there.actuator, &there.step, &there.state, &candidate);
+            demand_close((double)dehyst_simulate_step(&back.actuator, &back.step, &back.state, stiffness, candidate.v),
+                         (double)candidate.w, 1e-12, "simulate(compensate(y))");
         }
     }
     demand_sound(&there);
@@ -155,16 +155,17 @@ static void wiping_out(void)
     int t;
     make(&with, 0);
     for (t = 0; t < 20; t++)
-        dehyst_compensate_step(&with.actuator.plain, &with.state.memory, (dehyst_real)between(0, 1));
+        dehyst_plain_compensate(&with.actuator.plain, &with.state.memory, (dehyst_real)between(0, 1));
     clone(&without, &with);
     {
         const dehyst_real high = with.state.memory.y + 1, low = high - (dehyst_real)between(0, 1);
-        dehyst_compensate_step(&with.actuator.plain, &with.state.memory, high);
-        dehyst_compensate_step(&without.actuator.plain, &without.state.memory, high);
+        dehyst_plain_compensate(&with.actuator.plain, &with.state.memory, high);
+        dehyst_plain_compensate(&without.actuator.plain, &without.state.memory, high);
         for (t = 0; t < 10; t++)
-            dehyst_compensate_step(&with.actuator.plain, &with.state.memory, (dehyst_real)between((double)low, (double)high));
-        dehyst_compensate_step(&with.actuator.plain, &with.state.memory, low);
-        dehyst_compensate_step(&with.actuator.plain, &with.state.memory, high);
+            dehyst_plain_compensate(&with.actuator.plain, &with.state.memory,
+                                    (dehyst_real)between((double)low, (double)high));
+        dehyst_plain_compensate(&with.actuator.plain, &with.state.memory, low);
+        dehyst_plain_compensate(&with.actuator.plain, &with.state.memory, high);
     }
     for (t = 0; t < ELEMENTS; t++) demand_close((double)with.cart[t], (double)without.cart[t], 1e-14, "carts");
 }
@@ -182,8 +183,9 @@ static void rate_independence(void)
         const dehyst_real goal = (dehyst_real)between(-0.2, 1.2);
         dehyst_real v = 0;
         for (k = 1; k <= 10; k++)
-            v = dehyst_compensate_step(&slow.actuator.plain, &slow.state.memory, k < 10 ? y + (goal - y) * k / 10 : goal);
-        demand_close((double)dehyst_compensate_step(&fast.actuator.plain, &fast.state.memory, goal), (double)v, 1e-12,
+            v = dehyst_plain_compensate(&slow.actuator.plain, &slow.state.memory,
+                                        k < 10 ? y + (goal - y) * k / 10 : goal);
+        demand_close((double)dehyst_plain_compensate(&fast.actuator.plain, &fast.state.memory, goal), (double)v, 1e-12,
                      "voltage");
         y = goal;
     }
@@ -201,7 +203,7 @@ static void dissipation(void)
         work = 0;
         for (t = 0; t <= SAMPLES; t++) {
             const dehyst_real y = (dehyst_real)(0.5 + 0.4 * sin(6.283185307179586 * t / SAMPLES));
-            const dehyst_real next = dehyst_compensate_step(&b.actuator.plain, &b.state.memory, y);
+            const dehyst_real next = dehyst_plain_compensate(&b.actuator.plain, &b.state.memory, y);
             if (t > 0) work += (next + v) / 2 * (y - before);
             v = next;
             before = y;
@@ -223,11 +225,11 @@ static void stack_and_carts(void)
     clone(&third, &carts);
     stack.reversal = reversal;
     for (t = 0; t < SAMPLES; t++) y[t] = (dehyst_real)between(-0.2, 1.2);
-    dehyst_compensate_run(&other.actuator.plain, &other.state.memory, &stack, y, v, SAMPLES);
+    dehyst_plain_compensate_run(&other.actuator.plain, &other.state.memory, &stack, y, v, SAMPLES);
     for (t = 0; t < SAMPLES; t++)
-        demand_close((double)v[t], (double)dehyst_compensate_step(&carts.actuator.plain, &carts.state.memory, y[t]), 1e-11,
-                     "voltage on the stack");
-    dehyst_simulate_run(&third.actuator.plain, &third.state.memory, &stack, v, back, SAMPLES);
+        demand_close((double)v[t], (double)dehyst_plain_compensate(&carts.actuator.plain, &carts.state.memory, y[t]),
+                     1e-11, "voltage on the stack");
+    dehyst_plain_simulate_run(&third.actuator.plain, &third.state.memory, &stack, v, back, SAMPLES);
     for (t = 0; t < SAMPLES; t++) demand_close((double)back[t], (double)y[t], 1e-12, "displacement on the stack");
     demand_sound(&other);
     demand_sound(&third);
@@ -239,8 +241,8 @@ static void make_loop(bench *b, dehyst_compensator *c, dehyst_loop *loop, int mo
     memset(c, 0, sizeof *c);
     memset(loop, 0, sizeof *loop);
     b->tap = 1;
-    c->wide = b->actuator;
-    c->pace = b->pace;
+    c->actuator = b->actuator;
+    c->step = b->step;
     c->low = 2;
     c->high = 7;
     c->change = 2;
@@ -248,8 +250,8 @@ static void make_loop(bench *b, dehyst_compensator *c, dehyst_loop *loop, int mo
     c->tap = &b->tap;
     demand(dehyst_compensator_tabulate(c) == DEHYST_OK, "compensator", 0, 0);
     loop->state = b->state;
-    loop->fed = &b->fed;
-    loop->wish.cart = b->spare;
+    loop->inputs = &b->inputs;
+    loop->candidate.cart = b->spare;
     demand(dehyst_loop_begin(c, loop) == DEHYST_OK, "loop", 0, 0);
 }
 
@@ -273,7 +275,7 @@ static void limits_and_slew(void)
     }
     demand(loop.limited > 0 && loop.slewed > 0, "samples clamped", (double)(loop.limited + loop.slewed), 1);
     demand(loop.refused >= refused, "samples refused", (double)loop.refused, (double)refused);
-    demand(dehyst_wide_check(&c.wide, &loop.state) == DEHYST_OK, "the state is one of the actuator", 0, 1);
+    demand(dehyst_check(&c.actuator, &loop.state) == DEHYST_OK, "the state is one of the actuator", 0, 1);
 }
 
 /* A clamped voltage moves the memory as the actuator alone moves: the loop knows where it is. */
@@ -287,8 +289,8 @@ static void memory_follows_what_is_sent(void)
     clone(&alone, &b);
     free_of_limits = c;
     actuator = loop;
-    actuator.fed = &alone.fed;
-    actuator.wish.cart = alone.spare;
+    actuator.inputs = &alone.inputs;
+    actuator.candidate.cart = alone.spare;
     actuator.state = alone.state;
     for (t = 0; t < SAMPLES; t++) {
         const dehyst_real v = dehyst_loop_step(&c, &loop, (dehyst_real)between(-0.5, 1.5));

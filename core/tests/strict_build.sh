@@ -11,7 +11,7 @@ cat >"$work/main.c" <<'C'
 int main(void)
 {
     dehyst_real cart = 0;
-    dehyst_state state = {0, &cart};
+    dehyst_plain_state state = {0, &cart};
     return state.y != 0;
 }
 C

@@ -261,7 +261,7 @@ def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
     assert (made.footprints, made.error, made.unmeasured) == ({}, None, "no C compiler (cc) was found")
     text = (tmp_path / "c" / "README.md").read_text()
     assert "Not measured on this computer: no C compiler (cc) was found." in text
-    assert "it is taken to be below 1e-03 of the range" in text
+    assert "it must be below 1e-03 of the range" in text
     assert "TRACE_MOST 0.001" in (tmp_path / "c" / "trace.h").read_text()
     with pytest.raises(FileFormatError, match="cc: cannot be run"):
         sizes(tmp_path / "c")
@@ -292,8 +292,8 @@ def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
     monkeypatch.setattr("dehyst.exports.firmware.sizes", fail)
     for number in ("double", "float"):
         made = export(compiled_exports.plain(), tmp_path / number, number, measure=False)
-        assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not asked for")
-        assert "Not measured on this computer: not asked for." in (tmp_path / number / "README.md").read_text()
+        assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not requested")
+        assert "Not measured on this computer: not requested." in (tmp_path / number / "README.md").read_text()
     assert "TRACE_MOST 0.001" in (tmp_path / "float" / "trace.h").read_text()
 
 
@@ -602,7 +602,7 @@ def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
         f"{{\n        /* Give each displacement {ahead} samples before its time, MODEL_AHEAD. */\n        dac_write("
         in text
     )
-    assert "Wishes must be smooth" in text
+    assert "Wanted displacements must be smooth" in text
     assert f"#define MODEL_AHEAD {ahead}" in (tmp_path / "c" / "piezo.h").read_text()
     assert f"every {1 / structured_records.RATE:.9g} s" in text
     assert str(made.operations.arithmetic) in text
@@ -611,7 +611,7 @@ def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
 def test_a_model_that_is_not_ahead_says_nothing_of_it(tmp_path):
     export(compiled_exports.plain(), tmp_path / "c", measure=False)
     text = (tmp_path / "c" / "README.md").read_text()
-    assert "Wishes must be smooth" not in text and "before its time" not in text
+    assert "Wanted displacements must be smooth" not in text and "before its time" not in text
 
 
 def test_steps_warn_once_as_ever():

@@ -1,6 +1,6 @@
 #include "reversals.h"
 
-/* Samples that are worked on together: few enough to stay in the nearest cache and on a small processor's stack. */
+/* Samples of one block: few enough to stay in the nearest cache and on a small processor's stack. */
 #define BLOCK 64
 /* Branches of creep that are moved together: constant, so that a compiler keeps them in its vector registers. */
 #define LANES 8
@@ -27,11 +27,11 @@ static void map(const dehyst_curve *curve, dehyst_real *a, long n)
     }
 }
 
-/* Move LANES branches through n steps of w and add what they hold. */
+/* Move LANES branches through n steps of w and add their voltages. */
 static void creep_together(const dehyst_real *stiffness, const dehyst_real *decay, const dehyst_real *gain,
                            dehyst_real *strain, const dehyst_real *move, dehyst_real *drive, int n)
 {
-    dehyst_real c[LANES], a[LANES], g[LANES], d[LANES], held[LANES];
+    dehyst_real c[LANES], a[LANES], g[LANES], d[LANES], voltage[LANES];
     int j, t;
     for (j = 0; j < LANES; j++) {
         c[j] = stiffness[j];
@@ -42,20 +42,21 @@ static void creep_together(const dehyst_real *stiffness, const dehyst_real *deca
     for (t = 0; t < n; t++) {
         const dehyst_real by = move[t];
         for (j = 0; j < LANES; j++) d[j] = a[j] * d[j] + g[j] * by;
-        for (j = 0; j < LANES; j++) held[j] = c[j] * d[j];
-        drive[t] += ((held[0] + held[4]) + (held[2] + held[6])) + ((held[1] + held[5]) + (held[3] + held[7]));
+        for (j = 0; j < LANES; j++) voltage[j] = c[j] * d[j];
+        drive[t] += ((voltage[0] + voltage[4]) + (voltage[2] + voltage[6])) +
+                    ((voltage[1] + voltage[5]) + (voltage[3] + voltage[7]));
     }
     for (j = 0; j < LANES; j++) strain[j] = d[j];
 }
 
-static void creep(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_real *strain, const dehyst_real *move,
-                  dehyst_real *drive, int n)
+static void creep(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_real *strain,
+                  const dehyst_real *move, dehyst_real *drive, int n)
 {
     int j = 0, t;
-    for (; j + LANES <= wide->branches; j += LANES)
-        creep_together(wide->stiffness + j, pace->decay + j, pace->gain + j, strain + j, move, drive, n);
-    for (; j < wide->branches; j++) {
-        const dehyst_real c = wide->stiffness[j], a = pace->decay[j], g = pace->gain[j];
+    for (; j + LANES <= actuator->branches; j += LANES)
+        creep_together(actuator->creep_stiffness + j, step->decay + j, step->gain + j, strain + j, move, drive, n);
+    for (; j < actuator->branches; j++) {
+        const dehyst_real c = actuator->creep_stiffness[j], a = step->decay[j], g = step->gain[j];
         dehyst_real d = strain[j];
         for (t = 0; t < n; t++) {
             d = a * d + g * move[t];
@@ -65,153 +66,156 @@ static void creep(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_real 
     }
 }
 
-/* What the elements and the spring hold, over the path w. */
-static void hold(const dehyst_wide *wide, dehyst_state *memory, dehyst_room *room, const dehyst_real *w,
-                 dehyst_real *drive, long n)
+/* Compute the voltages of the elements and the spring along the path w. */
+static void slip_and_spring(const dehyst_actuator *actuator, dehyst_plain_state *memory, dehyst_workspace *workspace,
+                            const dehyst_real *w, dehyst_real *drive, long n)
 {
     long t;
-    if (wide->grades.size > 0)
-        dehyst_grades_compensate(wide, memory, room->held, room->segment, w, drive, n);
-    else if (room->stack.reversal != NULL && n >= SHORT)
-        dehyst_compensate_run(&wide->plain, memory, &room->stack, w, drive, n);
+    if (actuator->grades.size > 0)
+        dehyst_grades_compensate(actuator, memory, workspace->at_cart, workspace->segment, w, drive, n);
+    else if (workspace->stack.reversal != NULL && n >= SHORT)
+        dehyst_plain_compensate_run(&actuator->plain, memory, &workspace->stack, w, drive, n);
     else
-        for (t = 0; t < n; t++) drive[t] = dehyst_compensate_step(&wide->plain, memory, w[t]);
+        for (t = 0; t < n; t++) drive[t] = dehyst_plain_compensate(&actuator->plain, memory, w[t]);
 }
 
-void dehyst_wide_compensate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
-                            dehyst_room *room, const dehyst_real *w, const dehyst_real *more, dehyst_real *v, long n)
+void dehyst_compensate_run(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+                           dehyst_workspace *workspace, const dehyst_real *w, const dehyst_real *extra_voltage,
+                           dehyst_real *v, long n)
 {
     dehyst_real move[BLOCK], present = state->memory.y;
     long first, t;
-    hold(wide, &state->memory, room, w, v, n);
-    if (wide->smooth.size > 0) dehyst_smooth_compensate(&wide->smooth, state->elongation, present, w, v, n);
+    slip_and_spring(actuator, &state->memory, workspace, w, v, n);
+    if (actuator->smooth.size > 0) dehyst_smooth_compensate(&actuator->smooth, state->elongation, present, w, v, n);
     for (first = 0; first < n; first += BLOCK) {
         const int count = n - first < BLOCK ? (int)(n - first) : BLOCK;
-        if (wide->branches > 0) {
+        if (actuator->branches > 0) {
             for (t = 0; t < count; t++) {
                 const dehyst_real goal = is_finite(w[first + t]) ? w[first + t] : present;
                 move[t] = goal - present;
                 present = goal;
             }
-            creep(wide, pace, state->strain, move, v + first, count);
+            creep(actuator, step, state->strain, move, v + first, count);
         }
-        if (more != NULL)
-            for (t = first; t < first + count; t++) v[t] += more[t];
-        if (wide->voltage.size > 0) map(&wide->voltage, v + first, count);
+        if (extra_voltage != NULL)
+            for (t = first; t < first + count; t++) v[t] += extra_voltage[t];
+        if (actuator->inverse_transformer.size > 0) map(&actuator->inverse_transformer, v + first, count);
     }
 }
 
-/* What a step does, seen from its end: R(w) + known + stiffness (w - w_old) = tau(v), R what the elements and the spring
- * hold, and y = free + lever w. What creep will hold after the next step without motion is `after` + carry (w - w_old):
- * worked out before w is, it need not wait for it. */
-typedef struct balance {
-    dehyst_real stiffness, lever, carry, creep, after, known, free;
-} balance;
+/* The equations at the end of a step: R(w) + known + stiffness (w - w_old) = tau(v), R the voltage of the elements and
+ * the spring, and y = offset + gain w. The voltage of creep after the next step without motion is
+ * `after` + carry (w - w_old): computed before w is known, it does not wait for it. */
+typedef struct step_terms {
+    dehyst_real stiffness, gain, carry, creep, after, known, offset;
+} step_terms;
 
-static balance balance_of(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_wide_state *state)
+static step_terms step_terms_of(const dehyst_actuator *actuator, const dehyst_step *step, const dehyst_state *state)
 {
-    balance found = {0, 0, 0, 0, 0, 0, 0};
+    step_terms terms = {0, 0, 0, 0, 0, 0, 0};
     int j;
-    for (j = 0; j < wide->branches; j++) {
-        found.stiffness += wide->stiffness[j] * pace->gain[j];
-        found.carry += wide->stiffness[j] * (pace->decay[j] * pace->gain[j]);
+    for (j = 0; j < actuator->branches; j++) {
+        terms.stiffness += actuator->creep_stiffness[j] * step->gain[j];
+        terms.carry += actuator->creep_stiffness[j] * (step->decay[j] * step->gain[j]);
     }
-    found.creep = held_over(wide, pace, state->strain, 1);
-    if (wide->inertia) {
-        found.lever = lever_of(wide, &pace->transition);
-        found.stiffness += wide->series * (1 - found.lever);
+    terms.creep = creep_after(actuator, step, state->strain, 1);
+    if (actuator->inertia) {
+        terms.gain = gain_of(actuator, &step->transition);
+        terms.stiffness += actuator->series * (1 - terms.gain);
     }
-    return found;
+    return terms;
 }
 
-static void begin_step(const dehyst_wide *wide, const dehyst_pace *pace, const dehyst_wide_state *state, dehyst_real w,
-                       dehyst_real load, balance *step)
+static void begin_step(const dehyst_actuator *actuator, const dehyst_step *step, const dehyst_state *state,
+                       dehyst_real w, dehyst_real load, step_terms *terms)
 {
-    step->known = step->creep;
-    step->after = held_over(wide, pace, state->strain, 2);
-    if (wide->inertia) {
-        step->free = free_of(wide, &pace->transition, state, load);
-        step->known += wide->series * ((1 - step->lever) * w - step->free);
+    terms->known = terms->creep;
+    terms->after = creep_after(actuator, step, state->strain, 2);
+    if (actuator->inertia) {
+        terms->offset = offset_of(actuator, &step->transition, state, load);
+        terms->known += actuator->series * ((1 - terms->gain) * w - terms->offset);
     }
 }
 
-/* Returns the displacement that is seen. */
-static dehyst_real end_step(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
-                            dehyst_real before, dehyst_real w, dehyst_real load, balance *step)
+/* Move creep and a mass to the end of a step, and return the displacement y. */
+static dehyst_real end_step(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+                            dehyst_real before, dehyst_real w, dehyst_real load, step_terms *terms)
 {
-    step->creep = step->after + step->carry * (w - before);
-    creep_on(wide, pace, state->strain, w - before);
-    if (!wide->inertia) return w;
-    swing_on(wide, &pace->transition, state, w, step->free + step->lever * w, load);
+    terms->creep = terms->after + terms->carry * (w - before);
+    move_creep(actuator, step, state->strain, w - before);
+    if (!actuator->inertia) return w;
+    move_mass(actuator, &step->transition, state, w, terms->offset + terms->gain * w, load);
     return state->y;
 }
 
-/* On the stack, what moves in time is a spring beside eta: R(w) + stiffness (w - knot_0) has reversals and branches like
- * R. y holds tau(v) on entry. */
-static int simulate_on_stack(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
-                             dehyst_room *room, const dehyst_real *load, dehyst_real *y, long n)
+/* On the stack, creep and a mass are a spring beside eta: R(w) + stiffness (w - knot_0) has reversals and branches like
+ * R. On entry y holds tau(v). Return 0, with nothing done, if the carts have no stack. */
+static int simulate_on_stack(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+                             dehyst_workspace *workspace, const dehyst_real *load, dehyst_real *y, long n)
 {
-    const dehyst_curve *spring = &wide->plain.spring;
+    const dehyst_curve *spring = &actuator->plain.spring;
     const dehyst_real base = spring->knot[0];
-    balance step = balance_of(wide, pace, state);
-    dehyst_actuator stiff = wide->plain;
+    step_terms terms = step_terms_of(actuator, step, state);
+    dehyst_plain stiff = actuator->plain;
     dehyst_walk walk;
     int j;
     long t;
-    for (j = 0; j < spring->size; j++) room->value[j] = spring->value[j] + step.stiffness * (spring->knot[j] - base);
-    for (j = 0; j + 1 < spring->size; j++) room->slope[j] = spring->slope[j] + step.stiffness;
-    stiff.spring.value = room->value;
-    stiff.spring.slope = room->slope;
-    if (dehyst_stack_encode(&stiff, &state->memory, &room->stack) != DEHYST_OK) return 0;
-    dehyst_walk_begin(&walk, &stiff, &room->stack);
+    for (j = 0; j < spring->size; j++)
+        workspace->value[j] = spring->value[j] + terms.stiffness * (spring->knot[j] - base);
+    for (j = 0; j + 1 < spring->size; j++) workspace->slope[j] = spring->slope[j] + terms.stiffness;
+    stiff.spring.value = workspace->value;
+    stiff.spring.slope = workspace->slope;
+    if (dehyst_stack_encode(&stiff, &state->memory, &workspace->stack) != DEHYST_OK) return 0;
+    dehyst_walk_begin(&walk, &stiff, &workspace->stack);
     for (t = 0; t < n; t++) {
         const dehyst_real before = walk.y, force = load != NULL ? load[t] : 0;
         dehyst_real w;
-        begin_step(wide, pace, state, before, force, &step);
-        w = dehyst_walk_to(&walk, y[t] - step.known + step.stiffness * (before - base));
-        y[t] = end_step(wide, pace, state, before, w, force, &step);
+        begin_step(actuator, step, state, before, force, &terms);
+        w = dehyst_walk_to(&walk, y[t] - terms.known + terms.stiffness * (before - base));
+        y[t] = end_step(actuator, step, state, before, w, force, &terms);
     }
     dehyst_walk_end(&walk);
-    dehyst_stack_decode(&stiff, &room->stack, &state->memory);
+    dehyst_stack_decode(&stiff, &workspace->stack, &state->memory);
     return 1;
 }
 
-/* y holds tau(v) on entry. */
-static void simulate_in_time(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state,
-                             dehyst_room *room, const dehyst_real *load, dehyst_real *y, long n)
+/* On entry y holds tau(v). */
+static void simulate_in_time(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+                             dehyst_workspace *workspace, const dehyst_real *load, dehyst_real *y, long n)
 {
-    balance step = balance_of(wide, pace, state);
-    const int stack = room->stack.reversal != NULL && wide->grades.size == 0 && wide->smooth.size == 0;
+    step_terms terms = step_terms_of(actuator, step, state);
+    const int stack = workspace->stack.reversal != NULL && actuator->grades.size == 0 && actuator->smooth.size == 0;
     dehyst_real likely = 1;
     long t;
     for (t = 0; t < n; t++) {
         const dehyst_real before = state->memory.y, force = load != NULL ? load[t] : 0;
         dehyst_real w;
         if (stack && n - t >= SHORT && t % BLOCK == 0 &&
-            simulate_on_stack(wide, pace, state, room, load != NULL ? load + t : NULL, y + t, n - t))
+            simulate_on_stack(actuator, step, state, workspace, load != NULL ? load + t : NULL, y + t, n - t))
             return;
-        begin_step(wide, pace, state, before, force, &step);
-        w = dehyst_wide_solve(wide, state, y[t] - step.known, step.stiffness, &likely);
-        y[t] = end_step(wide, pace, state, before, w, force, &step);
+        begin_step(actuator, step, state, before, force, &terms);
+        w = dehyst_solve(actuator, state, y[t] - terms.known, terms.stiffness, &likely);
+        y[t] = end_step(actuator, step, state, before, w, force, &terms);
     }
 }
 
-void dehyst_wide_simulate(const dehyst_wide *wide, const dehyst_pace *pace, dehyst_wide_state *state, dehyst_room *room,
-                          const dehyst_real *v, const dehyst_real *load, dehyst_real *y, long n)
+void dehyst_simulate_run(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+                         dehyst_workspace *workspace, const dehyst_real *v, const dehyst_real *load, dehyst_real *y,
+                         long n)
 {
     dehyst_real likely = 1;
     long t;
     for (t = 0; t < n; t++) y[t] = v[t];
-    if (wide->drive.size > 0) map(&wide->drive, y, n);
-    if (wide->branches > 0 || wide->inertia)
-        simulate_in_time(wide, pace, state, room, load, y, n);
-    else if (wide->grades.size == 0 && wide->smooth.size == 0 && room->stack.reversal != NULL)
-        dehyst_simulate_run(&wide->plain, &state->memory, &room->stack, y, y, n);
+    if (actuator->transformer.size > 0) map(&actuator->transformer, y, n);
+    if (actuator->branches > 0 || actuator->inertia)
+        simulate_in_time(actuator, step, state, workspace, load, y, n);
+    else if (actuator->grades.size == 0 && actuator->smooth.size == 0 && workspace->stack.reversal != NULL)
+        dehyst_plain_simulate_run(&actuator->plain, &state->memory, &workspace->stack, y, y, n);
     else
-        for (t = 0; t < n; t++) y[t] = dehyst_wide_solve(wide, state, y[t], 0, &likely);
+        for (t = 0; t < n; t++) y[t] = dehyst_solve(actuator, state, y[t], 0, &likely);
 }
 
-void dehyst_strains(int branches, const dehyst_pace *pace, dehyst_real *strain, dehyst_real before,
+void dehyst_strains(int branches, const dehyst_step *step, dehyst_real *strain, dehyst_real before,
                     const dehyst_real *w, dehyst_real *out, long n)
 {
     long t;
@@ -220,7 +224,7 @@ void dehyst_strains(int branches, const dehyst_pace *pace, dehyst_real *strain, 
         const dehyst_real move = is_finite(w[t]) ? w[t] - before : 0;
         before += move;
         for (j = 0; j < branches; j++) {
-            strain[j] = pace->decay[j] * strain[j] + pace->gain[j] * move;
+            strain[j] = step->decay[j] * strain[j] + step->gain[j] * move;
             *out++ = strain[j];
         }
     }
