@@ -80,7 +80,8 @@ int main(void)
     {
         const dehyst_real y = state.memory.y;
         for (column = 0; column < 4; column++) {
-            dehyst_workspace room = {{DEHYST_STACK_CAPACITY(MOST), 0, 1, 0, 0, 0}, room_value, room_slope, held, segment};
+            dehyst_stack stack = {DEHYST_STACK_CAPACITY(MOST), 0, 1, 0, 0, 0};
+            dehyst_workspace room = {stack, room_value, room_slope, held, segment};
             if (column < 2) room.stack.reversal = reversal;
             state.memory.y = y, state.memory.cart = cart, state.strain = strain;
             state.elongation = elongation;
