@@ -50,4 +50,4 @@ def test_other_states_are_reached_by_other_ways():
         for state in (actuator.relaxed(80), odd)
     ]
     assert ways[0].startswith("swing the voltage about 80 V, each swing smaller")
-    assert ways[1].startswith("play the voltages after which the actuator was in this state")
+    assert ways[1].startswith("play the voltages that lead to this state")
