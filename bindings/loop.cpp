@@ -13,14 +13,15 @@ struct Loop {
     std::unique_ptr<Wide::Memory> memory;
     dehyst_compensator compensator{};
     dehyst_loop loop{};
-    nb::object tell;
-    bool told[2] = {false, false};
+    nb::object on_clamp;
+    bool reported[2] = {false, false};
     bool busy = false;
 
     // numbers: low, high, change, lag, keep, from_old, from_new.
-    Loop(const Wide &wide_, Input decay_, Input gain_, Input transition, Input tap_, Input numbers, nb::object tell_)
+    Loop(const Wide &wide_, Input decay_, Input gain_, Input transition, Input tap_, Input numbers,
+         nb::object on_clamp_)
         : wide(wide_), decay(copy(decay_)), gain(copy(gain_)), tap(copy(tap_)), inputs(tap.size()),
-          spare(wide.base.rho.size()), tell(tell_) {
+          spare(wide.base.rho.size()), on_clamp(on_clamp_) {
         const bool inertia = wide.tables.inertia;
         if (decay.size() != wide.stiffness.size() || gain.size() != decay.size() || numbers.size() != 7 ||
             transition.size() != (inertia ? 8 : 0))
@@ -45,18 +46,18 @@ struct Loop {
         memory = std::move(begun);
     }
 
-    // A clamp is said before the voltage counts as sent, once of each kind: whoever listens may still refuse.
+    // A clamp is reported before the voltage counts as sent, once of each kind: the listener may still raise.
     void check_offer(double u) {
         if (loop.offer == DEHYST_REFUSED) {
             loop.offer = DEHYST_NOTHING;
             throw CoreError("the wanted displacement is not a finite number");
         }
-        if (loop.offer == DEHYST_LIMITED || loop.offer == DEHYST_SLEWED) say(loop.offer == DEHYST_SLEWED, u);
+        if (loop.offer == DEHYST_LIMITED || loop.offer == DEHYST_SLEWED) report(loop.offer == DEHYST_SLEWED, u);
     }
-    void say(bool slewed, double u) {
-        if (told[slewed]) return;
-        tell(slewed, u, loop.voltage);
-        told[slewed] = true;
+    void report(bool slewed, double u) {
+        if (reported[slewed]) return;
+        on_clamp(slewed, u, loop.voltage);
+        reported[slewed] = true;
     }
 
     double offer(double u) {
@@ -75,7 +76,7 @@ struct Loop {
         dehyst_loop_commit(&compensator, &loop, v);
         return v;
     }
-    // Another thread may ask for a step while the interpreter is free: it is told.
+    // Another thread may request a step while the interpreter lock is released: that raises.
     struct Busy {
         bool &flag;
         explicit Busy(bool &flag_) : flag(flag_) { flag = true; }
