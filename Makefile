@@ -7,7 +7,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/* src/*.cpp src/*.h src/dehyst/* src/dehyst/*/*)
+SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.txt core/*/*.[ch] core/*/*/*.[ch] bindings/* src/dehyst/* src/dehyst/*/*)
 
 .PHONY: demo test check wheel bench clean
 
@@ -22,7 +22,7 @@ check: $(VENV)/.check
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	sh core/check.sh
+	sh core/tests/strict_build.sh
 
 wheel: $(VENV)/.release
 	.ci/wheel $(BIN)/python

@@ -16,7 +16,6 @@ from dehyst._threads import one_thread
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-CORE = places.CORE
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
 
 # Shared machines stall: a time limit on one example would fail tests that are right.
@@ -27,7 +26,7 @@ settings.load_profile("dehyst")
 # by the carts.
 HARNESS = r"""
 #include <stdio.h>
-#include "dehyst.h"
+#include "dehyst_records.h"
 #define MOST 2100
 static dehyst_real rho[MOST], kappa[MOST], knot[MOST], value[MOST], slope[MOST], edge[MOST], intercept[MOST];
 static dehyst_real stiffness[MOST], start[MOST], cart[MOST], path[MOST], out[4][MOST];
@@ -46,8 +45,8 @@ static int read(dehyst_real *to, int n)
 
 int main(void)
 {
-    dehyst_actuator a;
-    dehyst_state state;
+    dehyst_plain a;
+    dehyst_plain_state state;
     dehyst_stack work = {0, 0, 1, 0, 0, reversal};
     dehyst_real y;
     int n, m, samples, i, t, column;
@@ -65,11 +64,11 @@ int main(void)
         const dehyst_real *in = column % 2 ? out[column - 1] : path;
         state.y = y;
         for (i = 0; i < n; i++) cart[i] = start[i];
-        if (dehyst_state_check(&a, &state) != DEHYST_OK) return 6;
-        if (column == 0) dehyst_compensate_run(&a, &state, &work, in, out[0], samples);
-        if (column == 1) dehyst_simulate_run(&a, &state, &work, in, out[1], samples);
-        for (t = 0; column == 2 && t < samples; t++) out[2][t] = dehyst_compensate_step(&a, &state, in[t]);
-        for (t = 0; column == 3 && t < samples; t++) out[3][t] = dehyst_simulate_step(&a, &state, in[t]);
+        if (dehyst_plain_check(&a, &state) != DEHYST_OK) return 6;
+        if (column == 0) dehyst_plain_compensate_run(&a, &state, &work, in, out[0], samples);
+        if (column == 1) dehyst_plain_simulate_run(&a, &state, &work, in, out[1], samples);
+        for (t = 0; column == 2 && t < samples; t++) out[2][t] = dehyst_plain_compensate(&a, &state, in[t]);
+        for (t = 0; column == 3 && t < samples; t++) out[3][t] = dehyst_plain_simulate(&a, &state, in[t]);
     }
     for (t = 0; t < samples; t++)
         printf("%a %a %a %a\n", (double)out[0][t], (double)out[1][t], (double)out[2][t], (double)out[3][t]);
@@ -90,7 +89,7 @@ class CompiledCore:
 
     def __init__(self, folder):
         self.folder = folder
-        for source in CORE.iterdir():
+        for source in places.CORE_FILES:
             shutil.copy(source, folder)
         (folder / "main.c").write_text(HARNESS)
 

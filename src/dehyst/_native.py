@@ -1,4 +1,4 @@
-"""The only door to the C core: arrays are made contiguous here, and its refusals become `ModelError`."""
+"""The only interface to the C core. Its refusals become `ModelError`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EMPTY.flags.writeable = False
 
 
 class _Rebuilt:
-    """Tables that are pickled and copied as the numbers they were made from."""
+    """Tables that are pickled and copied as the numbers from which they were computed."""
 
     __slots__ = ("_core", "_made_from")
     _made_from: tuple[Array, ...]
@@ -27,7 +27,7 @@ class _Rebuilt:
 
 
 class Core(_Rebuilt):
-    """An actuator's tables in C. Equations and names: `core/dehyst.h`.
+    """Tables of a plain actuator in C. Equations and names: `core/include/dehyst.h`.
 
     Parameters
     ----------
@@ -52,27 +52,27 @@ class Core(_Rebuilt):
             raise ModelError(f"impossible actuator: {error}") from error
 
     def compensate(self, y: Array, start: float, carts: Array, *, stack: bool = True) -> tuple[Array, float, Array]:
-        """Displacements [m] to voltages [V] from the state (start, carts); returns the state reached too."""
+        """Convert displacements [m] to voltages [V] from the state (start, carts); return the last state too."""
         return self._run(self._core.compensate, y, start, carts, stack)
 
     def simulate(self, v: Array, start: float, carts: Array, *, stack: bool = True) -> tuple[Array, float, Array]:
-        """Voltages [V] to displacements [m] from the state (start, carts); returns the state reached too."""
+        """Convert voltages [V] to displacements [m] from the state (start, carts); return the last state too."""
         return self._run(self._core.simulate, v, start, carts, stack)
 
     def depth(self, y: Array, start: float, carts: Array) -> int:
-        """Entries on the stack of reversals after the displacements y."""
+        """Count the entries on the stack of reversals after the displacements y."""
         return int(checked(self._core.depth, y, start, carts))
 
     def voltage(self, y: float, carts: Array) -> float:
-        """Voltage [V] in the state (y, carts)."""
+        """Return the voltage [V] in the state (y, carts)."""
         return float(checked(self._core.voltage, y, carts))
 
     def spring_at(self, y: float) -> float:
-        """Voltage [V] of the parallel spring at y."""
+        """Return the voltage [V] of the parallel spring at y."""
         return float(self._core.spring_at(y))
 
     def spring_inverse(self, v: float) -> float:
-        """Displacement [m] at which the parallel spring alone holds v."""
+        """Return the displacement [m] at which the parallel spring alone has the voltage v."""
         return float(self._core.spring_inverse(v))
 
     def _run(
@@ -83,7 +83,9 @@ class Core(_Rebuilt):
 
 
 class WideCore(_Rebuilt):
-    """A wider actuator's tables in C: graded and smooth elements, transformer, creep, inertia. Names: `core/dehyst.h`.
+    """Tables of an actuator in C with graded and smooth elements, transformer, creep and inertia.
+
+    Names as in `core/include/dehyst.h`.
 
     Parameters
     ----------
@@ -151,17 +153,17 @@ class WideCore(_Rebuilt):
     def compensate(
         self, w: Array, pace: StepCoefficients, start: CoreState, *, more: Array = EMPTY, stack: bool = True
     ) -> tuple[Array, CoreState]:
-        """Displacements [m] to voltages [V], `more` [V] added to tau(v); returns the state reached too."""
+        """Convert displacements [m] to voltages [V], `more` [V] added to tau(v); return the last state too."""
         return self._run(self._core.compensate, w, more, pace, start, stack)
 
     def simulate(
         self, v: Array, pace: StepCoefficients, start: CoreState, *, load: Array = EMPTY, stack: bool = True
     ) -> tuple[Array, CoreState]:
-        """Voltages [V] to displacements [m], under a load F_ext/kc [m]; returns the state reached too."""
+        """Convert voltages [V] to displacements [m] under a load F_ext/kc [m]; return the last state too."""
         return self._run(self._core.simulate, v, load, pace, start, stack)
 
     def voltage(self, start: CoreState) -> float:
-        """Voltage [V] in a state."""
+        """Return the voltage [V] in a state."""
         return float(checked(self._core.voltage, *start))
 
     def loop(
@@ -169,10 +171,10 @@ class WideCore(_Rebuilt):
         pace: StepCoefficients,
         tap: Array,
         numbers: Array,
-        tell: Callable[[bool, float, float], None],
+        on_clamp: Callable[[bool, float, float], None],
         start: CoreState,
     ) -> _core.Loop:
-        """A loop of steps of a pace with one row, from a state; see `dehyst_compensator` in `core/dehyst.h`.
+        """Return a loop with the coefficients of one step, from a state; see `dehyst_compensator`.
 
         Parameters
         ----------
@@ -180,15 +182,15 @@ class WideCore(_Rebuilt):
         tap : (M,) array
         numbers : (7,) array
             Lowest and highest voltage, largest change, lag in periods, and the amplifier's three.
-        tell : callable
-            Of a clamp, once of each kind, before its voltage is committed: whether by the slew rate, what was wanted
-            [m], and the voltage [V].
+        on_clamp : callable
+            Called at the first clamp of each kind, before its voltage is committed, with: whether it is the slew rate,
+            the wanted displacement [m], and the voltage [V].
         start : CoreState
         """
         decay, gain, transition = (table[0] for table in pace[1:])
-        made: _core.Loop = checked(_core.Loop, self._core, decay, gain, transition, tap, numbers, tell)
-        checked(made.begin, *start)
-        return made
+        loop: _core.Loop = checked(_core.Loop, self._core, decay, gain, transition, tap, numbers, on_clamp)
+        checked(loop.begin, *start)
+        return loop
 
     def _run(
         self, function: Callable[..., Any], x: Array, more: Array, pace: StepCoefficients, start: CoreState, stack: bool
@@ -198,7 +200,7 @@ class WideCore(_Rebuilt):
 
 
 class CoreState(NamedTuple):
-    """A state in numbers: w [m], carts (N,), what moves (J + L,) and, with inertia, y and y'/omega (2,) [m]."""
+    """A state as numbers [m]: w, carts (N,), strains and elongations (J + L,), with inertia y and y'/omega (2,)."""
 
     w: float
     carts: Array
@@ -207,15 +209,15 @@ class CoreState(NamedTuple):
 
 
 class StepCoefficients(NamedTuple):
-    """Samples bounds[r] to bounds[r + 1] are equal steps of time; row r tells what such a step does.
+    """Coefficients of steps of time: samples bounds[r] to bounds[r + 1] are equal steps, with those of row r.
 
     Attributes
     ----------
     bounds : (R + 1,) int64 array
     decay, gain : (R, J) array
-        To creep.
+        Coefficients of creep.
     transition : (R, 8) or (R, 0) array
-        To a mass: phi, before and after of `dehyst_transition`.
+        Coefficients of a mass: phi, before and after of `dehyst_transition`.
     """
 
     bounds: NDArray[np.int64]
@@ -237,28 +239,28 @@ def checked(function: Callable[..., Any], *arguments: object) -> Any:
 
 
 def slip_elongations(rho: Array, carts: Array | Sequence[float], y: Array) -> tuple[Array, Array]:
-    """Elongations (n, N) of elements of breakaway `rho` driven by y (n,), from and to the cart positions."""
-    matrix, moved = checked(_core.stops, rho, np.array(carts, dtype=np.float64), y)
+    """Return the elongations (n, N) of elements with breakaway `rho` along y (n,), and the carts at its end."""
+    matrix, moved = checked(_core.slip_elongations, rho, np.array(carts, dtype=np.float64), y)
     return matrix, moved
 
 
 def smooth_elongations(length: Array, closing: Array, y: Array, start: Array | None = None) -> Array:
-    """Elongations (n, L) of smooth elements driven by y (n,), at its first sample `start` (L,), by default none."""
+    """Return the elongations (n, L) of smooth elements along y (n,); at its first sample they are `start` (L,) or 0."""
     begin = np.zeros(length.size) if start is None else start
     matrix: Array = checked(_core.smooth_elongations, length, closing, y, begin)
     return matrix
 
 
 def steps(time: Array) -> tuple[NDArray[np.int64], Array]:
-    """Cut samples into runs of equal steps of time: bounds (R + 1,) and the duration (R,) [s] of a step in each.
+    """Divide samples into runs of equal steps of time: bounds (R + 1,) and the duration (R,) [s] of a step in each.
 
-    The first sample has no step before it: a run of its own, of no duration. A step that is not positive stands alone.
+    The first sample, which has no step before it, is a run without duration. A step that is not positive is a run.
     """
     bounds, durations = _core.steps(time)
     return bounds, durations
 
 
 def strains(path: Array, bounds: NDArray[np.int64], decay: Array, gain: Array, start: Array) -> Array:
-    """Strains (n, J) of creep branches along a path (n,) that begins where they are strained by `start` (J,)."""
+    """Return the strains (n, J) of creep branches along a path (n,) that begins with the strains `start` (J,)."""
     matrix, _ = checked(_core.strains, path, bounds, decay, gain, float(path[0]) if path.size else 0.0, start)
     return np.asarray(matrix)

@@ -17,7 +17,7 @@ SOURCES = plain_records.CORE_SOURCES
 # the stack, then on the carts.
 HARNESS = r"""
 #include <stdio.h>
-#include "dehyst.h"
+#include "dehyst_records.h"
 #define MOST 1100
 static dehyst_real rho[MOST], kappa[MOST], knot[MOST], value[MOST], slope[MOST], edge[MOST], intercept[MOST];
 static dehyst_real stiffness[MOST], grade_knot[MOST], grade_value[MOST], grade_slope[MOST], volt[MOST], drive[MOST];
@@ -41,9 +41,9 @@ static int read(dehyst_real *a, int n)
 
 int main(void)
 {
-    dehyst_wide a = {0};
-    dehyst_pace pace;
-    dehyst_wide_state state;
+    dehyst_actuator a = {0};
+    dehyst_step pace;
+    dehyst_state state;
     int n, m, k, l, j, q, inertia, samples, i, t, column;
     if (scanf("%d %d %d %d %d %d %d %d", &n, &m, &k, &l, &j, &q, &inertia, &samples) != 8) return 1;
     if (!read(rho, n) || !read(kappa, n) || !read(knot, k) || !read(value, k)) return 2;
@@ -66,19 +66,22 @@ int main(void)
     if (l > 0) {
         if (dehyst_curve_tabulate(l, volt, drive, tau_slope) != DEHYST_OK) return 6;
         if (dehyst_curve_tabulate(l, drive, volt, tau_inverse) != DEHYST_OK) return 6;
-        a.drive.size = l, a.drive.knot = volt, a.drive.value = drive, a.drive.slope = tau_slope;
-        a.voltage.size = l, a.voltage.knot = drive, a.voltage.value = volt, a.voltage.slope = tau_inverse;
+        a.transformer.size = l, a.transformer.knot = volt;
+        a.transformer.value = drive, a.transformer.slope = tau_slope;
+        a.inverse_transformer.size = l, a.inverse_transformer.knot = drive;
+        a.inverse_transformer.value = volt, a.inverse_transformer.slope = tau_inverse;
     }
     if (dehyst_smooth_tabulate(q, length, closing, back) != DEHYST_OK) return 8;
     a.smooth.size = q, a.smooth.length = length, a.smooth.back = back, a.smooth.stiffness = smooth;
-    a.branches = j, a.stiffness = creep, a.inertia = inertia, a.series = mass[0], a.share = mass[1];
+    a.branches = j, a.creep_stiffness = creep, a.inertia = inertia, a.series = mass[0], a.share = mass[1];
     pace.decay = decay, pace.gain = gain;
     for (i = 0; i < 4; i++) pace.transition.phi[i] = to[i];
     for (i = 0; i < 2; i++) pace.transition.before[i] = to[4 + i], pace.transition.after[i] = to[6 + i];
     {
         const dehyst_real y = state.memory.y;
         for (column = 0; column < 4; column++) {
-            dehyst_room room = {{DEHYST_STACK_CAPACITY(MOST), 0, 1, 0, 0, 0}, room_value, room_slope, held, segment};
+            dehyst_stack stack = {DEHYST_STACK_CAPACITY(MOST), 0, 1, 0, 0, 0};
+            dehyst_workspace room = {stack, room_value, room_slope, held, segment};
             if (column < 2) room.stack.reversal = reversal;
             state.memory.y = y, state.memory.cart = cart, state.strain = strain;
             state.elongation = elongation;
@@ -86,11 +89,11 @@ int main(void)
             for (i = 0; i < n; i++) cart[i] = start[i];
             for (i = 0; i < j; i++) strain[i] = first[i];
             for (i = 0; i < q; i++) elongation[i] = before[i];
-            if (dehyst_wide_check(&a, &state) != DEHYST_OK) return 7;
+            if (dehyst_check(&a, &state) != DEHYST_OK) return 7;
             if (column % 2 == 0)
-                dehyst_wide_compensate(&a, &pace, &state, &room, path, NULL, out[column], samples);
+                dehyst_compensate_run(&a, &pace, &state, &room, path, NULL, out[column], samples);
             else
-                dehyst_wide_simulate(&a, &pace, &state, &room, out[column - 1], NULL, out[column], samples);
+                dehyst_simulate_run(&a, &pace, &state, &room, out[column - 1], NULL, out[column], samples);
         }
     }
     for (t = 0; t < samples; t++)

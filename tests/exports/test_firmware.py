@@ -16,6 +16,7 @@ from pathlib import Path
 
 import compiled_exports
 import numpy as np
+import places
 import plain_records
 import pytest
 import structured_records
@@ -110,19 +111,19 @@ def test_a_wrong_number_or_a_wrong_number_type_is_found(tmp_path, unmeasured):
     need("gcc", "make")
     compensator = compiled_exports.plain()
     double = export(compensator, tmp_path / "double").folder
-    header = double / "model.h"
-    text = header.read_text()
+    numbers = double / "piezo.c"
+    text = numbers.read_text()
     first = re.search(r"model_kappa\[10\] = \{\n    (0x[^,]+),", text)
-    header.write_text(text.replace(first[1], (float.fromhex(first[1]) * (1 + 2**-52)).hex()))
+    numbers.write_text(text.replace(first[1], (float.fromhex(first[1]) * (1 + 2**-52)).hex()))
     status, said = make(double, "check")
     assert status != 0
     assert re.search(r"double: \d\d+ of", said)
-    # A config that was not rewritten: the numbers are floats', the arithmetic double's; a float's error is missed.
+    # A number type that was not rewritten: the numbers are floats', the arithmetic double's; a float's error is missed.
     single = export(compensator, tmp_path / "float", "float").folder
-    (single / "dehyst_config.h").write_text(code(compensator)["dehyst_config.h"])
+    (single / "dehyst.h").write_text(code(compensator)["dehyst.h"])
     assert make(single, "check")[0] != 0
     text = (single / "trace.h").read_text()
-    (single / "dehyst_config.h").write_text(code(compensator, "float")["dehyst_config.h"])
+    (single / "dehyst.h").write_text(code(compensator, "float")["dehyst.h"])
     for bound, worse in (("MOST", "1e-9"), ("LEAST", "1e-3")):
         (single / "trace.h").write_text(re.sub(rf"TRACE_{bound} \S+", f"TRACE_{bound} {worse}", text))
         assert make(single, "check")[0] != 0, bound
@@ -164,21 +165,25 @@ def test_an_export_leaves_the_compensator_alone_and_begins_at_its_start(tmp_path
     np.testing.assert_array_equal(compensator.snapshot().rest, before.rest)
 
 
-def test_the_core_is_copied_byte_for_byte_but_for_the_number_type():
+def test_the_core_is_the_text_of_its_sources_but_for_the_number_type():
     compensator = compiled_exports.plain()
     double, single = code(compensator), code(compensator, "float")
-    core = {path.name: path.read_text() for path in plain_records.CORE.iterdir()}
-    for name in double:
-        if name in core:
-            assert double[name] == core[name], name
-    changed = {name for name in double if name in core and single[name] != core[name]}
-    assert changed == {"dehyst_config.h"}
-    assert "typedef float dehyst_real;" in single["dehyst_config.h"]
-    assert "DBL_" not in single["dehyst_config.h"]
-    # Only piezo.c sees the numbers.
-    assert [name for name, text in double.items() if '"model.h"' in text] == ["piezo.c"]
-    for unused in ("edge", "intercept"):
-        assert unused not in double["model.h"]
+    assert set(double) == set(single) == {"piezo.c", "piezo.h", "dehyst.c", "dehyst.h"}
+    core = {path.name: path.read_text() for path in places.CORE_FILES}
+    assert double["dehyst.h"] == core["dehyst.h"].replace('#include "dehyst_config.h"\n', core["dehyst_config.h"])
+    rest = double["dehyst.c"]
+    for name in ("internal.h", "slip.c", "graded.c", "smooth.c", "step.c", "compensator.c"):
+        text = core[name].replace('#include "internal.h"\n\n', "")
+        assert rest.count(text) == 1, name
+        rest = rest.replace(text, "")
+    assert re.sub(r"/\*.*?\*/|\s", "", rest) == ""
+    assert single["dehyst.c"] == double["dehyst.c"]
+    as_float = double["dehyst.h"].replace("typedef double dehyst_real;", "typedef float dehyst_real;")
+    assert single["dehyst.h"] == as_float.replace("DBL_", "FLT_") != double["dehyst.h"]
+    # Only piezo.c has the numbers.
+    assert [name for name, text in double.items() if "model_rho" in text] == ["piezo.c"]
+    for unused in ("model_edge", "model_intercept"):
+        assert unused not in double["piezo.c"]
 
 
 @pytest.mark.parametrize("number", ["double", "float"])
@@ -214,7 +219,7 @@ def test_folders_that_hold_something_else_are_left_alone(tmp_path, unmeasured):
     with pytest.raises(FileFormatError, match="holds an earlier export; give another name, or --force to replace it"):
         export(compensator, folder)
     export(compensator, folder, "float", force=True)
-    assert "typedef float" in (folder / "dehyst_config.h").read_text()
+    assert "typedef float" in (folder / "dehyst.h").read_text()
     assert not (folder / "piezo.o").exists()
     (folder / "notes.txt").write_text("mine")
     before = sorted(folder.iterdir())
@@ -256,7 +261,7 @@ def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
     assert (made.footprints, made.error, made.unmeasured) == ({}, None, "no C compiler (cc) was found")
     text = (tmp_path / "c" / "README.md").read_text()
     assert "Not measured on this computer: no C compiler (cc) was found." in text
-    assert "it is taken to be below 1e-03 of the range" in text
+    assert "it must be below 1e-03 of the range" in text
     assert "TRACE_MOST 0.001" in (tmp_path / "c" / "trace.h").read_text()
     with pytest.raises(FileFormatError, match="cc: cannot be run"):
         sizes(tmp_path / "c")
@@ -287,8 +292,8 @@ def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
     monkeypatch.setattr("dehyst.exports.firmware.sizes", fail)
     for number in ("double", "float"):
         made = export(compiled_exports.plain(), tmp_path / number, number, measure=False)
-        assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not asked for")
-        assert "Not measured on this computer: not asked for." in (tmp_path / number / "README.md").read_text()
+        assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not requested")
+        assert "Not measured on this computer: not requested." in (tmp_path / number / "README.md").read_text()
     assert "TRACE_MOST 0.001" in (tmp_path / "float" / "trace.h").read_text()
 
 
@@ -326,9 +331,8 @@ def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path, unmeas
     models = {"x_axis": KINDS["plain"](), "y_axis": KINDS["moving"]()}
     for name, compensator in models.items():
         folder = export(compensator, tmp_path / name, name=name).folder
-        assert {f"{name}.c", f"{name}.h", f"{name}_model.h", f"{name}_model_size.h"} < {
-            p.name for p in folder.iterdir()
-        }
+        others = {"dehyst.c", "dehyst.h", "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
+        assert {path.name for path in folder.iterdir()} == {f"{name}.c", f"{name}.h", *others}
         for path in folder.iterdir():
             text = path.read_text()
             assert "piezo_" not in text and not re.search(r"\b(MODEL_|PIEZO_H)", text), path
@@ -338,9 +342,8 @@ def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path, unmeas
         assert sizes(folder, "gcc").stack == sizes(tmp_path / f"{name}_piezo", "gcc").stack
         export(compensator, folder, force=True, name=name)
     (tmp_path / "main.c").write_text(TWO_AXES)
-    core = [f"x_axis/{name}" for name in SOURCES if name != "piezo.c"]
-    both = ["x_axis/x_axis.c", "y_axis/y_axis.c", "-Ix_axis", "-Iy_axis"]
-    compiled_exports.must_run(["gcc", *STRICT, "-O2", "main.c", *core, *both, "-o", "both"], tmp_path)
+    both = ["x_axis/dehyst.c", "x_axis/x_axis.c", "y_axis/y_axis.c", "-Ix_axis", "-Iy_axis"]
+    compiled_exports.must_run(["gcc", *STRICT, "-O2", "main.c", *both, "-o", "both"], tmp_path)
     wished = [compiled_exports.wishes(compensator, 500) for compensator in models.values()]
     given = "".join(f"{a.hex()} {b.hex()}\n" for a, b in zip(*(w.tolist() for w in wished), strict=True))
     lines = compiled_exports.must_run(["./both"], tmp_path, input=given).split()
@@ -447,7 +450,7 @@ def test_models_that_floats_cannot_hold_are_refused():
     with pytest.raises(ModelError, match="number: got 'half', need 'double' or 'float'"):
         code(creeping, "half")
     for compensator in (narrow([1e-6, 1e-6 * apart], [0, 1e-5]), creeping):
-        assert "model.h" in code(compensator)
+        assert "model_rho" in code(compensator)["piezo.c"]
     with pytest.raises(ModelError, match="give period="):
         code(Compensator(replace(plain_records.plant(3), creep=slow), (0, 100)))
 
@@ -456,11 +459,11 @@ def test_models_that_floats_cannot_hold_are_refused():
 def test_floats_stay_within_the_limits(limits):
     compensator = Compensator(plain_records.plant(3), limits, 1234.567, period=1e-3)
     files = code(compensator, "float")
-    found = [float(np.float32(number)) for number in re.findall(r"(?:LOW|HIGH) (\S+)f", files["model_size.h"])]
+    found = [float(np.float32(number)) for number in re.findall(r"(?:LOW|HIGH) (\S+)f", files["piezo.h"])]
     steps = [float(abs(np.spacing(np.float32(limit)))) for limit in limits]
     assert limits[0] <= found[0] < limits[0] + steps[0]
     assert limits[1] - steps[1] < found[1] <= limits[1]
-    low, high, change = re.findall(r"^ (\S+)f, (\S+)f, (\S+)f,$", files["model.h"], re.MULTILINE)[0]
+    low, high, change = re.findall(r"^ (\S+)f, (\S+)f, (\S+)f,$", files["piezo.c"], re.MULTILINE)[0]
     assert [float.fromhex(low), float.fromhex(high)] == found
     assert 1.234567 - 1e-6 < float.fromhex(change) <= 1234.567 * 1e-3
     with pytest.raises(ModelError, match="float: no number lies within the limits"):
@@ -548,7 +551,7 @@ def test_for_another_processor_as_the_makefile_says(tmp_path):
 def test_the_name_of_a_model_is_kept_in_comments(tmp_path, name, kept):
     compensator = Compensator(replace(compiled_exports.plain().actuator, name=name), LIMITS)
     folder = export(compensator, tmp_path / "c", measure=False, name="stage").folder
-    for file in ("stage_model.h", "stage_model_size.h"):
+    for file in ("stage.c", "stage.h"):
         assert f"actuator '{kept or name}', made by" in (folder / file).read_text(encoding="utf-8")
     readme = (folder / "README.md").read_text(encoding="utf-8")
     assert readme.startswith("# " + (name if kept is None else "a*/b c") + ": a compensator in C")
@@ -576,7 +579,7 @@ def test_on_the_command_line(tmp_path):
     assert again.returncode == 2
     assert again.stderr.startswith("dehyst: c: holds an earlier export")
     done = dehyst_export("--force", "--number", "float", "--start", "bottom", "--name", "stage")
-    assert (tmp_path / "c" / "stage_model.h").exists()
+    assert (tmp_path / "c" / "stage.h").exists()
     assert done.returncode == 0
     assert "a step: at most" in done.stdout
     late = dehyst_export("--force", "--slew", "2e4")
@@ -599,8 +602,8 @@ def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
         f"{{\n        /* Give each displacement {ahead} samples before its time, MODEL_AHEAD. */\n        dac_write("
         in text
     )
-    assert "Wishes must be smooth" in text
-    assert f"#define MODEL_AHEAD {ahead}" in (tmp_path / "c" / "model_size.h").read_text()
+    assert "Wanted displacements must be smooth" in text
+    assert f"#define MODEL_AHEAD {ahead}" in (tmp_path / "c" / "piezo.h").read_text()
     assert f"every {1 / structured_records.RATE:.9g} s" in text
     assert str(made.operations.arithmetic) in text
 
@@ -608,7 +611,7 @@ def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
 def test_a_model_that_is_not_ahead_says_nothing_of_it(tmp_path):
     export(compiled_exports.plain(), tmp_path / "c", measure=False)
     text = (tmp_path / "c" / "README.md").read_text()
-    assert "Wishes must be smooth" not in text and "before its time" not in text
+    assert "Wanted displacements must be smooth" not in text and "before its time" not in text
 
 
 def test_steps_warn_once_as_ever():

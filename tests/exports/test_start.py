@@ -18,7 +18,7 @@ def test_the_files_say_where_memory_begins(tmp_path, kind):
     outset = ExportedStart.of(compensator)
     held = compensator.actuator.voltage(compensator.afresh().state)
     assert outset.voltage == pytest.approx(np.clip(held, *compensator.limits), rel=1e-12)
-    for file in ("README.md", "model.h"):
+    for file in ("README.md", "piezo.c"):
         text = (tmp_path / "c" / file).read_text()
         assert f"{outset.displacement * 1e6:.6g} um, {outset.voltage:.6g} V" in text
         assert outset.way in text
@@ -50,4 +50,4 @@ def test_other_states_are_reached_by_other_ways():
         for state in (actuator.relaxed(80), odd)
     ]
     assert ways[0].startswith("swing the voltage about 80 V, each swing smaller")
-    assert ways[1].startswith("play the voltages after which the actuator was in this state")
+    assert ways[1].startswith("play the voltages that lead to this state")

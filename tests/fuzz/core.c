@@ -1,9 +1,9 @@
 /* Random models and lives on the C core, hostile numbers among them, to be compiled with the core's own sources under
  * sanitizers: core SEED FIRST COUNT prints the first case that fails and ends with 1. Every array has its exact size.
  */
-#include "dehyst.h"
-#include "rivals_fields.h"
-#include "rivals_plays.h"
+#include "dehyst_records.h"
+#include "fields.h"
+#include "plays.h"
 
 #include <math.h>
 #include <stdint.h>
@@ -81,15 +81,15 @@ static dehyst_real *rising(int n, double first, double span, int hostile)
 typedef struct model {
     int hostile;
     double span, volts;
-    dehyst_wide wide;
-    dehyst_pace pace;
+    dehyst_actuator actuator;
+    dehyst_step step;
 } model;
 
 static int make_plain(model *m)
 {
     const int n = below(12), k = 2 + below(10), uniform = chance(0.6);
-    dehyst_slip *slip = &m->wide.plain.slip;
-    dehyst_curve *spring = &m->wide.plain.spring;
+    dehyst_slip *slip = &m->actuator.plain.slip;
+    dehyst_curve *spring = &m->actuator.plain.spring;
     dehyst_real *rho = rising(n > 0 ? n : 1, m->span * between(0.01, 0.2), m->span, m->hostile), *kappa = numbers(n);
     dehyst_real *edge = numbers(n + 1), *intercept = numbers(n + 1), *stiffness = numbers(n + 1);
     dehyst_real *slope = numbers(k - 1);
@@ -110,16 +110,16 @@ static int make_plain(model *m)
 
 static int make_grades(model *m)
 {
-    const int n = m->wide.plain.slip.size, parts = 1 + below(6);
+    const int n = m->actuator.plain.slip.size, parts = 1 + below(6);
     dehyst_real *knot = rising(parts + 1, -m->span * share(), m->span, m->hostile);
     dehyst_real *slope = numbers((n + 1) * parts), *value = numbers((n + 1) * (parts + 1));
-    double least = m->wide.plain.spring.slope[0];
+    double least = m->actuator.plain.spring.slope[0];
     int i;
-    for (i = 1; i + 1 < m->wide.plain.spring.size; i++)
-        if (m->wide.plain.spring.slope[i] < least) least = m->wide.plain.spring.slope[i];
+    for (i = 1; i + 1 < m->actuator.plain.spring.size; i++)
+        if (m->actuator.plain.spring.slope[i] < least) least = m->actuator.plain.spring.slope[i];
     for (i = 0; i < n * parts; i++) slope[i] = (dehyst_real)(0.8 * least / n * share());
-    m->wide.grades.size = parts, m->wide.grades.knot = knot;
-    m->wide.grades.slope = slope, m->wide.grades.value = value;
+    m->actuator.grades.size = parts, m->actuator.grades.knot = knot;
+    m->actuator.grades.slope = slope, m->actuator.grades.value = value;
     return dehyst_grades_tabulate(n, parts, knot, slope, value) == DEHYST_OK;
 }
 
@@ -129,10 +129,10 @@ static int make_transformer(model *m)
     dehyst_real *v = rising(n, -m->volts * share(), m->volts, m->hostile);
     dehyst_real *drive = rising(n, -m->volts * share(), m->volts, m->hostile);
     dehyst_real *slope = numbers(n - 1), *inverse = numbers(n - 1);
-    m->wide.drive.size = m->wide.voltage.size = n;
-    m->wide.drive.knot = m->wide.voltage.value = v;
-    m->wide.drive.value = m->wide.voltage.knot = drive;
-    m->wide.drive.slope = slope, m->wide.voltage.slope = inverse;
+    m->actuator.transformer.size = m->actuator.inverse_transformer.size = n;
+    m->actuator.transformer.knot = m->actuator.inverse_transformer.value = v;
+    m->actuator.transformer.value = m->actuator.inverse_transformer.knot = drive;
+    m->actuator.transformer.slope = slope, m->actuator.inverse_transformer.slope = inverse;
     return dehyst_curve_tabulate(n, v, drive, slope) == DEHYST_OK &&
            dehyst_curve_tabulate(n, drive, v, inverse) == DEHYST_OK;
 }
@@ -147,8 +147,8 @@ static void make_creep(model *m)
         stiffness[j] = (dehyst_real)(m->volts / m->span / n * share());
         decay[j] = (dehyst_real)exp(-steps), gain[j] = (dehyst_real)(-expm1(-steps) / steps);
     }
-    m->wide.branches = n, m->wide.stiffness = stiffness;
-    m->pace.decay = decay, m->pace.gain = gain;
+    m->actuator.branches = n, m->actuator.creep_stiffness = stiffness;
+    m->step.decay = decay, m->step.gain = gain;
 }
 
 /* One step of a mass, by many small ones. */
@@ -165,12 +165,12 @@ static void make_inertia(model *m)
             x[1] += by * (q - (1 - theta) * x[0] - 2 * zeta * x[1]);
             x[0] += by * x[1];
         }
-    m->wide.inertia = 1, m->wide.series = (dehyst_real)beta, m->wide.share = (dehyst_real)theta;
+    m->actuator.inertia = 1, m->actuator.series = (dehyst_real)beta, m->actuator.share = (dehyst_real)theta;
     for (c = 0; c < 2; c++) {
-        m->pace.transition.phi[2 * c] = (dehyst_real)column[0][c];
-        m->pace.transition.phi[2 * c + 1] = (dehyst_real)column[1][c];
-        m->pace.transition.before[c] = (dehyst_real)column[2][c];
-        m->pace.transition.after[c] = (dehyst_real)column[3][c];
+        m->step.transition.phi[2 * c] = (dehyst_real)column[0][c];
+        m->step.transition.phi[2 * c + 1] = (dehyst_real)column[1][c];
+        m->step.transition.before[c] = (dehyst_real)column[2][c];
+        m->step.transition.after[c] = (dehyst_real)column[3][c];
     }
 }
 
@@ -185,8 +185,8 @@ static int make_smooth(model *m)
         closing[l] = (dehyst_real)(chance(0.3) ? 0.5 : between(0.5, 1));
         stiffness[l] = (dehyst_real)(m->volts / m->span * between(0, 0.4));
     }
-    m->wide.smooth.size = n, m->wide.smooth.length = length;
-    m->wide.smooth.back = back, m->wide.smooth.stiffness = stiffness;
+    m->actuator.smooth.size = n, m->actuator.smooth.length = length;
+    m->actuator.smooth.back = back, m->actuator.smooth.stiffness = stiffness;
     return dehyst_smooth_tabulate(n, length, closing, back) == DEHYST_OK;
 }
 
@@ -197,7 +197,7 @@ static int make_model(model *m)
     *m = nothing;
     m->hostile = chance(0.3);
     m->span = pow(10, between(-7, -3)), m->volts = pow(10, between(0, 3));
-    m->pace.transition.phi[0] = m->pace.transition.phi[3] = 1;
+    m->step.transition.phi[0] = m->step.transition.phi[3] = 1;
     if (!make_plain(m)) return 0;
     if (chance(0.3) && !make_grades(m)) return 0;
     if (chance(0.4) && !make_transformer(m)) return 0;
@@ -206,23 +206,23 @@ static int make_model(model *m)
     return chance(0.3) ? make_smooth(m) : 1;
 }
 
-static void make_state(const model *m, dehyst_wide_state *state)
+static void make_state(const model *m, dehyst_state *state)
 {
-    const dehyst_slip *slip = &m->wide.plain.slip;
+    const dehyst_slip *slip = &m->actuator.plain.slip;
     const double y = m->span * between(-1.5, 1.5);
     const int extreme = chance(0.3);
     int i;
     state->memory.cart = numbers(slip->size);
-    state->strain = numbers(m->wide.branches), state->elongation = numbers(m->wide.smooth.size);
+    state->strain = numbers(m->actuator.branches), state->elongation = numbers(m->actuator.smooth.size);
     state->memory.y = state->y = (dehyst_real)y;
     state->rate = state->input = 0;
     for (i = 0; i < slip->size; i++) {
         const double s = extreme ? (chance(0.5) ? 1 : -1) : between(-1, 1);
         state->memory.cart[i] = (dehyst_real)(y - s * slip->rho[i]);
     }
-    for (i = 0; i < m->wide.branches; i++) state->strain[i] = (dehyst_real)(m->span * between(-0.1, 0.1));
-    for (i = 0; i < m->wide.smooth.size; i++)
-        state->elongation[i] = (dehyst_real)(m->wide.smooth.length[i] * between(-1, 1));
+    for (i = 0; i < m->actuator.branches; i++) state->strain[i] = (dehyst_real)(m->span * between(-0.1, 0.1));
+    for (i = 0; i < m->actuator.smooth.size; i++)
+        state->elongation[i] = (dehyst_real)(m->actuator.smooth.length[i] * between(-1, 1));
 }
 
 static int all_numbers(const dehyst_real *a, int n)
@@ -232,11 +232,11 @@ static int all_numbers(const dehyst_real *a, int n)
     return 1;
 }
 
-static int is_sound(const model *m, const dehyst_wide_state *s)
+static int is_sound(const model *m, const dehyst_state *s)
 {
-    return all_numbers(&s->memory.y, 1) && all_numbers(s->memory.cart, m->wide.plain.slip.size) &&
-           all_numbers(s->strain, m->wide.branches) && all_numbers(s->elongation, m->wide.smooth.size) &&
-           (!m->wide.inertia || (all_numbers(&s->y, 1) && all_numbers(&s->rate, 1) && all_numbers(&s->input, 1)));
+    return all_numbers(&s->memory.y, 1) && all_numbers(s->memory.cart, m->actuator.plain.slip.size) &&
+           all_numbers(s->strain, m->actuator.branches) && all_numbers(s->elongation, m->actuator.smooth.size) &&
+           (!m->actuator.inertia || (all_numbers(&s->y, 1) && all_numbers(&s->rate, 1) && all_numbers(&s->input, 1)));
 }
 
 /* A path or a voltage: near, far, and nonsense. */
@@ -254,25 +254,25 @@ static dehyst_real *make_input(double size, int n, double strange)
 
 static void play_records(const model *m)
 {
-    const int n = below(150), size = m->wide.plain.slip.size, knots = m->wide.plain.spring.size;
+    const int n = below(150), size = m->actuator.plain.slip.size, knots = m->actuator.plain.spring.size;
     const double strange = chance(0.5) ? 0 : share();
-    dehyst_wide_state s;
-    dehyst_room work;
+    dehyst_state s;
+    dehyst_workspace work;
     dehyst_real *y = make_input(m->span, n, strange), *v = make_input(m->volts, n, strange), *out = numbers(n);
     dehyst_reversal *reversals = room(DEHYST_STACK_CAPACITY(size), sizeof *reversals);
     int *segment = room((size_t)size, sizeof *segment);
     const int stack = chance(0.7);
     work.stack.capacity = DEHYST_STACK_CAPACITY(size), work.stack.reversal = stack ? reversals : NULL;
-    work.value = numbers(knots), work.slope = numbers(knots - 1), work.held = numbers(size), work.segment = segment;
+    work.value = numbers(knots), work.slope = numbers(knots - 1), work.at_cart = numbers(size), work.segment = segment;
     make_state(m, &s);
-    if (dehyst_wide_check(&m->wide, &s) == DEHYST_OK) {
-        dehyst_wide_compensate(&m->wide, &m->pace, &s, &work, y, chance(0.2) ? v : NULL, out, n);
-        dehyst_wide_simulate(&m->wide, &m->pace, &s, &work, v, chance(0.2) ? y : NULL, out, n);
+    if (dehyst_check(&m->actuator, &s) == DEHYST_OK) {
+        dehyst_compensate_run(&m->actuator, &m->step, &s, &work, y, chance(0.2) ? v : NULL, out, n);
+        dehyst_simulate_run(&m->actuator, &m->step, &s, &work, v, chance(0.2) ? y : NULL, out, n);
     }
     make_state(m, &s);
-    if (stack && dehyst_state_check(&m->wide.plain, &s.memory) == DEHYST_OK) {
-        dehyst_compensate_run(&m->wide.plain, &s.memory, &work.stack, y, out, n);
-        dehyst_simulate_run(&m->wide.plain, &s.memory, &work.stack, v, out, n);
+    if (stack && dehyst_plain_check(&m->actuator.plain, &s.memory) == DEHYST_OK) {
+        dehyst_plain_compensate_run(&m->actuator.plain, &s.memory, &work.stack, y, out, n);
+        dehyst_plain_simulate_run(&m->actuator.plain, &s.memory, &work.stack, v, out, n);
         if (work.stack.depth > work.stack.capacity) fail("stack too deep", work.stack.depth, work.stack.capacity);
     }
     free(reversals);
@@ -299,7 +299,7 @@ static void was_sent(const model *m, life *l, dehyst_real v)
     l->free = 0;
 }
 
-static dehyst_real wish(const model *m)
+static dehyst_real wanted(const model *m)
 {
     if (chance(0.1)) return nonsense();
     return (dehyst_real)(m->span * between(-1.5, 1.5) * (chance(0.1) ? pow(10, between(0, 300)) : 1));
@@ -313,18 +313,18 @@ static void commit_other(const model *m, life *l)
     if (!m->hostile && !is_sound(m, &l->loop.state)) fail("a state that is no number after a commit", v, 0);
     l->before = l->loop.sent;
     l->free = !(l->before >= c->low && l->before <= c->high);
-    if (!dehyst_loop_believes(c, l->before)) fail("a voltage is believed that is none", l->before, v);
+    if (!dehyst_loop_accepts(c, l->before)) fail("a voltage is accepted that is none", l->before, v);
 }
 
 /* A state that comes from outside is checked, and begins anew. */
 static void damage(const model *m, life *l)
 {
-    dehyst_wide_state *s = &l->loop.state;
+    dehyst_state *s = &l->loop.state;
     dehyst_real *const one[] = {&s->memory.y, &s->y, &s->rate};
     *one[below(3)] = nonsense();
-    if (m->wide.plain.slip.size > 0 && chance(0.3)) s->memory.cart[below(m->wide.plain.slip.size)] = nonsense();
-    if (m->wide.branches > 0 && chance(0.3)) s->strain[below(m->wide.branches)] = nonsense();
-    if (m->wide.smooth.size > 0 && chance(0.3)) s->elongation[below(m->wide.smooth.size)] = nonsense();
+    if (m->actuator.plain.slip.size > 0 && chance(0.3)) s->memory.cart[below(m->actuator.plain.slip.size)] = nonsense();
+    if (m->actuator.branches > 0 && chance(0.3)) s->strain[below(m->actuator.branches)] = nonsense();
+    if (m->actuator.smooth.size > 0 && chance(0.3)) s->elongation[below(m->actuator.smooth.size)] = nonsense();
     if (dehyst_loop_begin(&l->c, &l->loop) != DEHYST_OK) {
         make_state(m, s);
         if (dehyst_loop_begin(&l->c, &l->loop) != DEHYST_OK) fail("a sound state is refused", s->memory.y, 0);
@@ -337,9 +337,9 @@ static void act(const model *m, life *l)
 {
     const int what = below(20);
     if (what < 9) {
-        was_sent(m, l, dehyst_loop_step(&l->c, &l->loop, wish(m)));
+        was_sent(m, l, dehyst_loop_step(&l->c, &l->loop, wanted(m)));
     } else if (what < 12) {
-        const dehyst_real v = dehyst_loop_offer(&l->c, &l->loop, wish(m));
+        const dehyst_real v = dehyst_loop_offer(&l->c, &l->loop, wanted(m));
         if (chance(0.3)) return;
         dehyst_loop_commit(&l->c, &l->loop, v);
         was_sent(m, l, v);
@@ -366,7 +366,7 @@ static void play_life(const model *m)
     const double low = m->volts * between(-1, 1), width = m->volts * pow(10, between(-2, 0.3));
     int t, calls = 10 + below(80);
     for (t = 0; t < taps; t++) tap[t] = (dehyst_real)(taps == 1 ? 1 : between(-2, 2));
-    l.c.wide = m->wide, l.c.pace = m->pace;
+    l.c.actuator = m->actuator, l.c.step = m->step;
     l.c.low = (dehyst_real)low, l.c.high = (dehyst_real)(low + width);
     l.c.change = chance(0.3) ? DEHYST_LARGEST : (dehyst_real)(width * pow(10, between(-3, 0.5)));
     l.c.taps = taps, l.c.tap = tap;
@@ -377,7 +377,7 @@ static void play_life(const model *m)
     }
     if (dehyst_compensator_tabulate(&l.c) != DEHYST_OK) return;
     make_state(m, &l.loop.state);
-    l.loop.fed = numbers(taps), l.loop.wish.cart = numbers(m->wide.plain.slip.size);
+    l.loop.inputs = numbers(taps), l.loop.candidate.cart = numbers(m->actuator.plain.slip.size);
     if (dehyst_loop_begin(&l.c, &l.loop) != DEHYST_OK) return;
     l.before = l.loop.sent;
     was_sent(m, &l, l.loop.sent);

@@ -2,8 +2,6 @@
  * if a voltage lies outside the limits or changes by more than CHANGE, or where the actuator is becomes no number. */
 #include "piezo.h"
 
-#include "model_size.h"
-
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>

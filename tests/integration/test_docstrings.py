@@ -9,15 +9,13 @@ ROOT = places.ROOT
 PACKAGE = ROOT / "src" / "dehyst"
 NAME = re.compile(r"(?<!`)`([A-Za-z_][\w.]*)(?:\(.*?\))?`(?!`)")
 # Names of other programs: of pipython, and files that FMI prescribes or an export is given.
-FOREIGN = {"ReadGCSCommand", "GcsCommandset", "modelDescription.xml", "NAME.h", "model.h"}
+FOREIGN = {"ReadGCSCommand", "GcsCommandset", "modelDescription.xml", "NAME.h"}
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 TREES = {path: ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
 C_NAMES = {
     name
-    for folder in (ROOT / "core", ROOT / "src", PACKAGE / "exports" / "templates")
-    for path in folder.glob("*")
-    if path.is_file()
+    for path in (*places.CORE_FILES, *(ROOT / "bindings").iterdir(), *(PACKAGE / "exports" / "templates").iterdir())
     for name in re.findall(r"[A-Za-z_]\w+", path.read_text(errors="ignore"))
 }
 

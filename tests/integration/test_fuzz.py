@@ -10,7 +10,6 @@ import pytest
 import sanitized
 
 FUZZ = places.FUZZ
-CORE = places.CORE
 
 
 def attacked(*command, env=None):
@@ -34,7 +33,7 @@ def native(tmp_path_factory):
     def program(number):
         if number not in programs:
             folder = tmp_path_factory.mktemp(number)
-            for source in CORE.glob("*.[ch]"):
+            for source in places.CORE_FILES:
                 shutil.copy(source, folder)
             config = folder / "dehyst_config.h"
             if number == "float":

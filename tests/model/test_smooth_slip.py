@@ -62,7 +62,7 @@ def scales(actuator, state, path):
 
 MATHEMATICS = r"""
 #include <stdio.h>
-#include "dehyst_parts.h"
+#include "internal.h"
 int main(void)
 {
     double x;

@@ -1,5 +1,6 @@
 """Exported folders compiled by others: for this computer, for an emulated Cortex-M4, and with operations counted."""
 
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -88,10 +89,8 @@ SECTIONS {
 """
 QEMU = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting", "-kernel"]
 
-# The door by which an export makes floats lets in a number that counts what is done to it.
+# In place of the number type, where an export makes floats: a number that counts what is done to it.
 COUNTING = r"""
-#ifndef DEHYST_CONFIG_H
-#define DEHYST_CONFIG_H
 #include <float.h>
 struct Counted { long arithmetic, divisions, comparisons; };
 inline Counted counted;
@@ -117,8 +116,8 @@ inline bool operator==(dehyst_real a, dehyst_real b) { counted.comparisons++; re
 inline bool operator!=(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x != b.x; }
 #define DEHYST_EPSILON DBL_EPSILON
 #define DEHYST_LARGEST DBL_MAX
-#endif
 """
+CONFIG = re.compile(r"#ifndef DEHYST_CONFIG_H\n.*?#endif\n", re.DOTALL)
 COUNTER = r"""
 #include <cstdio>
 #include <cmath>
@@ -221,7 +220,10 @@ def counted(folder, given):
     """Most operations of a step over such wishes (arithmetic, divisions, comparisons), and the voltages."""
     work = folder.parent / f"{folder.name}_counted"
     shutil.copytree(folder, work, dirs_exist_ok=True)
-    (work / "dehyst_config.h").write_text(COUNTING)
+    header = work / "dehyst.h"
+    text, places = CONFIG.subn(lambda _: COUNTING, header.read_text())
+    assert places == 1
+    header.write_text(text)
     (work / "counter.cc").write_text(COUNTER)
     as_cpp = ["-std=c++17", "-O1", "-ffp-contract=off", "-Drestrict=__restrict", "-x", "c++"]
     must_run(["g++", *as_cpp, *SOURCES, "counter.cc", "-o", "counter"], work)

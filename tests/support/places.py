@@ -4,6 +4,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS, CORE, DOCS, EXAMPLES = (ROOT / name for name in ("benchmarks", "core", "docs", "examples"))
+# What is compiled: headers, sources, baselines.
+CORE_FILES = tuple(sorted(path for name in ("include", "src", "baselines") for path in (CORE / name).rglob("*.[ch]")))
 SOURCES = ROOT / "src" / "dehyst"
 TESTS = ROOT / "tests"
 FUZZ, SUPPORT = TESTS / "fuzz", TESTS / "support"

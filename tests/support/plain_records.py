@@ -11,8 +11,7 @@ import places
 
 from dehyst import Actuator, MaxwellSlip, Record, Spring, State
 
-CORE = places.CORE
-CORE_SOURCES = tuple(sorted(path.name for path in CORE.glob("dehyst*.c")))
+CORE_SOURCES = tuple(path.name for path in places.CORE_FILES if path.suffix == ".c" and "src" in path.parts)
 STROKE = 16e-6
 VOLTS = 200.0
 MAJOR = (1, 0, 1, 0, 1, 0)

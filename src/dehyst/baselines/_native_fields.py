@@ -1,4 +1,4 @@
-"""The only door to the compiled steppers of Preisach, Bouc-Wen and Duhem. Equations: `core/rivals_fields.h`."""
+"""The only door to the compiled steppers of Preisach, Bouc-Wen and Duhem. Equations: `core/baselines/fields.h`."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from dehyst._types import Array
 
 
 class PlayCore:
-    """Plays, curves on them and low-passes in C. Equations and names: `core/rivals_plays.h`.
+    """Plays, curves on them and low-passes in C. Equations and names: `core/baselines/plays.h`.
 
     Parameters
     ----------

@@ -391,7 +391,7 @@ class Compensator:
         )
 
     def tables(self) -> dict[str, Array]:
-        """Every number that a step reads, as the core made it; names as in `core/dehyst.h`."""
+        """Every number that a step reads, as the core made it; names as in `core/include/dehyst.h`."""
         return self._loop.tables()
 
     def start(self) -> CoreState:

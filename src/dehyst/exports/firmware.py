@@ -1,4 +1,4 @@
-"""A compensator as a folder of C for a microcontroller: the very files that Python runs, and its numbers."""
+"""A compensator as a folder of C for a microcontroller: the core that Python runs, and the numbers of the model."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dehyst.exports.footprint import (
     sizes,
 )
 from dehyst.exports.golden_trace import GoldenTrace, golden_trace, trace_header
-from dehyst.exports.model_header import Number, demand_compensator, model_header, size_header
+from dehyst.exports.model_header import NUMBERS, SIZES, Number, demand_compensator, numbers, size_macros, title
 from dehyst.exports.naming import DEFAULT, demand_name, file_of, name_in, printable, text_of
 from dehyst.exports.operation_count import Operations, worst_case
 from dehyst.exports.shipped import shipped
@@ -32,22 +32,21 @@ from dehyst.exports.start import ExportedStart
 
 __all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "sizes", "worst_case"]
 
-SOURCES = ("piezo.c", "dehyst.c", "dehyst_grades.c", "dehyst_smooth.c", "dehyst_wide.c", "dehyst_compensator.c")
-_HEADERS = ("piezo.h", "dehyst.h", "dehyst_parts.h", "dehyst_balance.h", "dehyst_config.h")
-_GENERATED = ("model.h", "model_size.h", "trace.h", "README.md")
-_FILES = {*SOURCES, *_HEADERS, *_GENERATED, "check.c", "Makefile", "LICENSE"}
+SOURCES = ("piezo.c", "dehyst.c")
+_HEADERS = ("piezo.h", "dehyst.h")
+_FILES = {*SOURCES, *_HEADERS, "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
 _BUILT = re.compile(r".*\.(o|ci|su)|check_program")
-# A float's error, as a share of the range: above the first, or the number type was not rewritten everywhere.
+# A float's error, as a share of the range: below the first, the number type was not changed everywhere.
 _LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
 _ANY = 1e300
 _AHEAD = "\n        /* Give each displacement {ahead} samples before its time, MODEL_AHEAD. */"
 _SMOOTH = """
 
-Wishes must be smooth, without jumps, corners or noise: what is late is made up for by differences between samples, and
-these make such wishes large. Voltages stay within the limits all the same.
+Wanted displacements must be smooth, without jumps, corners or noise: delays are compensated by differences between
+samples, which amplify these. Voltages stay within the limits all the same.
 """
 _INDENT = " " * 22 + "# "
-_COMPILER, _UNASKED = "cc", "not asked for"
+_COMPILER, _UNREQUESTED = "cc", "not requested"
 _PROCESSORS: dict[str, tuple[str, tuple[str, ...]]] = {
     "this computer, -O2": (_COMPILER, ("-O2",)),
     "Cortex-M4, -O2": ("arm-none-eabi-gcc", CORTEX_M4),
@@ -82,13 +81,13 @@ class Exported(NamedTuple):
 
 
 def code(compensator: Compensator, number: Number = "double", name: str = DEFAULT) -> dict[str, str]:
-    """The C files of a compensator by name: `SOURCES` and the headers that they include, as `export` writes them.
+    """Return the C files of a compensator by name: `SOURCES` and their headers, as `export` writes them.
 
     Raises
     ------
     ModelError
-        If it is no Compensator, the number type is another one, floats cannot hold this model, or the name is none in
-        C or means something else there.
+        If it is no Compensator, the number type is another one, floats cannot hold this model, or the name is no name
+        in C or has a meaning there.
     """
     demand_compensator(compensator)
     if number not in ("double", "float"):
@@ -96,12 +95,11 @@ def code(compensator: Compensator, number: Number = "double", name: str = DEFAUL
     demand_name(name)
     files = {file: shipped(file) for file in (*SOURCES, *_HEADERS)}
     if number == "float":
-        files["dehyst_config.h"] = _single(files["dehyst_config.h"])
-    files |= {file: text_of(files[file], name) for file in ("piezo.c", "piezo.h")}
-    for file, header in (("model.h", model_header), ("model_size.h", size_header)):
-        # The first line has the actuator's name.
-        title, body = header(compensator, number).split("\n", 1)
-        files[file] = f"{title}\n{text_of(body, name)}"
+        files["dehyst.h"] = _single(files["dehyst.h"])
+    for file, place, generated in (("piezo.c", NUMBERS, numbers), ("piezo.h", SIZES, size_macros)):
+        text = text_of(files[file].replace(place, generated(compensator, number)), name)
+        # The actuator's name is not to be renamed.
+        files[file] = f"{title(compensator)}\n{text}"
     return {file_of(file, name): text for file, text in files.items()}
 
 
@@ -114,27 +112,27 @@ def export(
     name: str = DEFAULT,
     measure: bool = True,
 ) -> Exported:
-    """Write a compensator as C: all of it, or nothing.
+    """Write a compensator as C: the whole folder, or nothing.
 
-    The folder holds the files of the core, byte for byte but for the number type, `model.h` with the numbers, `piezo.h`
-    with the calls, a trace of what Python does that ``make check`` replays, and a README that says how to use it, how
-    many bytes it takes and how many operations a step is at most.
+    Four files go into a firmware: the core, `dehyst.c` and `dehyst.h`, byte for byte the one that Python runs but for
+    the number type; the model, `piezo.c` and `piezo.h`, with its numbers and calls. Beside them are a golden trace that
+    ``make check`` replays, and a README with the usage, the bytes that it takes and the most operations of a step.
 
     Parameters
     ----------
     compensator : Compensator
-        It is exported as it was made or last reset, and stays as it is.
+        The export has the state in which it was made or last reset. It does not change.
     directory : path
-        Made here; may exist if it is empty.
+        A new or an empty folder.
     number : {'double', 'float'}, optional
-        float: every number is rounded once. The error against double is measured if there is a compiler.
+        float: every number is rounded once; the error is measured if there is a compiler.
     force : bool, optional
-        Replace an earlier export. Other files are never replaced.
+        Replace an earlier export. A folder with other files is always refused.
     name : str, optional
-        Of the type and the calls, a name in C, so that several models go into one firmware: files are then NAME.c,
-        NAME.h, NAME_model.h and NAME_model_size.h, and macros begin with it.
+        Name in C of the type and the calls, so that several models fit into one firmware: the files of the model are
+        then NAME.c and NAME.h, and macros begin with it.
     measure : bool, optional
-        Compile it, for bytes and for the error of floats, which takes seconds; False: README goes without.
+        Compile the export to measure bytes and the error of floats, which takes seconds.
 
     Returns
     -------
@@ -143,10 +141,10 @@ def export(
     Raises
     ------
     ModelError
-        If it is no Compensator, the number type is another one, floats cannot hold this model, or the name is none in
-        C or means something else there.
+        If it is no Compensator, the number type is another one, floats cannot hold this model, or the name is no name
+        in C or has a meaning there.
     FileFormatError
-        If it is no path, the folder holds other files, or cannot be written.
+        If it is no path, the folder holds other files, or it cannot be written.
     """
     folder = path_of(directory)
     files = code(compensator, number, name)
@@ -167,36 +165,36 @@ def export(
 
 
 def _complete(draft: Path, compensator: Compensator, number: Number, name: str, measure: bool) -> Exported:
-    """Add what needs the other files: the trace with its bound, and the README with what was measured."""
+    """Add the trace with its error bound and the README with the measured sizes, which need the other files."""
     trace = golden_trace(compensator)
     _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
-    made = Exported(draft, {}, worst_case(compensator), None, None if measure else _UNASKED)
+    result = Exported(draft, {}, worst_case(compensator), None, None if measure else _UNREQUESTED)
     if measure:
-        made = _measured(made, number, name)
+        result = _measured(result, number, name)
     if number == "float":
-        most = _UNMEASURED if made.error is None else _MARGIN * made.error
+        most = _UNMEASURED if result.error is None else _MARGIN * result.error
         _write(draft, {"trace.h": trace_header(trace, _LEAST, most)})
-    _write(draft, {"README.md": _readme(compensator, number, trace, made, name)})
-    return made
+    _write(draft, {"README.md": _readme(compensator, number, trace, result, name)})
+    return result
 
 
-def _measured(made: Exported, number: Number, name: str) -> Exported:
-    """With what the compilers at hand make of it, or why they do not."""
-    found, error, why = {}, None, None
+def _measured(result: Exported, number: Number, name: str) -> Exported:
+    """Add sizes and error by the compilers at hand, or the reason why they are missing."""
+    footprints, error, reason = {}, None, None
     if number == "float":
         try:
-            error = _float_error(made.folder, name)
+            error = _float_error(result.folder, name)
         except FileFormatError as failure:
-            why = _reason(failure)
+            reason = _reason(failure)
     for processor, (compiler, flags) in _PROCESSORS.items():
-        # Its unit knows floats only.
+        # Its floating-point unit has floats only.
         if processor.startswith("Cortex-M4F") and number == "double":
             continue
         try:
-            found[processor] = sizes(made.folder, compiler, flags)
+            footprints[processor] = sizes(result.folder, compiler, flags)
         except FileFormatError as failure:
-            why = _reason(failure) if compiler == _COMPILER else why
-    return made._replace(footprints=found, error=error, unmeasured=why)
+            reason = _reason(failure) if compiler == _COMPILER else reason
+    return result._replace(footprints=footprints, error=error, unmeasured=reason)
 
 
 def _reason(failure: FileFormatError) -> str:
@@ -205,37 +203,37 @@ def _reason(failure: FileFormatError) -> str:
     return f"the C compiler failed ({failure})"
 
 
-def _single(config: str) -> str:
-    """`dehyst_config.h` for floats."""
-    if config.count("typedef double dehyst_real;") != 1 or config.count("DBL_") != 2:
-        raise FileFormatError("firmware/dehyst_config.h: not the file of this version; install dehyst again")
-    return config.replace("typedef double dehyst_real;", "typedef float dehyst_real;").replace("DBL_", "FLT_")
+def _single(header: str) -> str:
+    """Return `dehyst.h` for floats."""
+    if header.count("typedef double dehyst_real;") != 1 or header.count("DBL_") != 2:
+        raise FileFormatError("exports/templates/dehyst.h: not the file of this version; install dehyst again")
+    return header.replace("typedef double dehyst_real;", "typedef float dehyst_real;").replace("DBL_", "FLT_")
 
 
 def _demand_free(folder: Path, force: bool) -> None:
-    """Refuse a folder that holds what an export would not write; an earlier export, too, unless told otherwise."""
+    """Refuse a folder with files that an export does not write, and without `force` an earlier export."""
     if not folder.resolve().parent.is_dir():
         raise FileFormatError(f"{folder}: the folder {folder.parent} does not exist; create it first")
     if not folder.exists():
         return
     if not folder.is_dir():
         raise FileFormatError(f"{folder}: is a file, need the name of a folder")
-    there = sorted(path.name for path in folder.iterdir())
+    present = sorted(path.name for path in folder.iterdir())
     earlier = name_in(folder)
-    own = {file_of(file, earlier or DEFAULT) for file in _FILES}
-    other = [name for name in there if name not in own and not _BUILT.fullmatch(name)]
-    if other or (there and earlier is None):
-        named = ", ".join((other or there)[:3])
+    exported = {file_of(file, earlier or DEFAULT) for file in _FILES}
+    foreign = [name for name in present if name not in exported and not _BUILT.fullmatch(name)]
+    if foreign or (present and earlier is None):
+        named = ", ".join((foreign or present)[:3])
         raise FileFormatError(
             f"{folder}: holds other files ({named}); an export replaces its folder whole, so own files must live "
             "outside it: give the name of a new or an empty folder"
         )
-    if there and not force:
+    if present and not force:
         raise FileFormatError(f"{folder}: holds an earlier export; give another name, or --force to replace it")
 
 
 def _put(draft: Path, target: Path) -> None:
-    """The draft at its place, what was there removed."""
+    """Move the draft to its place, and remove what was there."""
     settle_folder(draft)
     if not target.exists():
         draft.rename(target)
@@ -259,23 +257,23 @@ def _write(folder: Path, files: dict[str, str]) -> None:
 
 
 def _float_error(folder: Path, name: str) -> float:
-    """Largest error of the trace in floats, as a share of the range."""
+    """Measure the largest error of the trace in floats, as a share of the range."""
     with tempfile.TemporaryDirectory() as work:
         program, sources = str(Path(work) / "check"), [file_of(file, name) for file in SOURCES]
         run([_COMPILER, *STRICT, "-O2", "check.c", *sources, "-o", program], folder)
-        found = _MEASURED.search(run([program], folder))
-    if found is None:
-        raise FileFormatError("check.c: did not tell the error of floats; install dehyst again")
-    return float(found[1])
+        error = _MEASURED.search(run([program], folder))
+    if error is None:
+        raise FileFormatError("check.c: did not print the error of floats; install dehyst again")
+    return float(error[1])
 
 
-def _readme(compensator: Compensator, number: Number, trace: GoldenTrace, made: Exported, own: str) -> str:
+def _readme(compensator: Compensator, number: Number, trace: GoldenTrace, result: Exported, own: str) -> str:
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
-    outset, tables = ExportedStart.of(compensator), compensator.tables()
+    start, tables = ExportedStart.of(compensator), compensator.tables()
     text = shipped("README.md")
     if own != DEFAULT:
-        # The example's variable must not be called as its type.
+        # The variable of the example must not have the name of its type.
         text = text_of(re.sub(r"\bstage\b", "piezo_1", text), own)
     return Template(text).substitute(
         name=printable(compensator.actuator.name),
@@ -290,35 +288,37 @@ def _readme(compensator: Compensator, number: Number, trace: GoldenTrace, made: 
         slew="" if slew is None else f" and change by {slew:.9g} V/s at most",
         ahead=text_of(_AHEAD.format(ahead=ahead), own) if ahead else "",
         smooth=_SMOOTH if tables["tap"].size > 1 or compensator.actuator.lag else "",
-        begins=outset.words,
-        way=outset.way,
-        bytes=text_of(_bytes(made), own),
-        arithmetic=made.operations.arithmetic,
-        divisions=made.operations.divisions,
-        comparisons=made.operations.comparisons,
+        begins=start.words,
+        way=start.way,
+        bytes=text_of(_bytes(result), own),
+        arithmetic=result.operations.arithmetic,
+        divisions=result.operations.divisions,
+        comparisons=result.operations.comparisons,
         rows=len(trace.rows),
-        error=_error_words(number, made),
-        config="" if number == "double" else ", its numbers made floats in `dehyst_config.h`",
+        error=_error_words(number, result),
+        config="" if number == "double" else ", with floats in `dehyst.h`",
     )
 
 
-def _error_words(number: Number, made: Exported) -> str:
+def _error_words(number: Number, result: Exported) -> str:
     if number == "double":
         return ": the same bits"
-    if made.error is None:
-        return f"; the error was not\n{_INDENT}measured, it is taken to be below {_UNMEASURED:.0e} of the range"
-    most = f"{_MARGIN * made.error:.1e}"
-    return f"; errors are {made.error:.1e}\n{_INDENT}of the range at most, to be above {_LEAST:.0e} and below {most}"
+    if result.error is None:
+        return f"; the error was not\n{_INDENT}measured, it must be below {_UNMEASURED:.0e} of the range"
+    most = f"{_MARGIN * result.error:.1e}"
+    return (
+        f"; errors are at most {result.error:.1e}\n{_INDENT}of the range and must lie between {_LEAST:.0e} and {most}"
+    )
 
 
-def _bytes(made: Exported) -> str:
-    if made.unmeasured is not None:
+def _bytes(result: Exported) -> str:
+    if result.unmeasured is not None:
         left_out = (
-            f"Not measured on this computer: {made.unmeasured}. Later, "
-            "`dehyst.exports.sizes(folder, compiler)` measures it."
+            f"Not measured on this computer: {result.unmeasured}. To measure it later: "
+            "`dehyst.exports.sizes(folder, compiler)`."
         )
-        return left_out if not made.footprints else f"{left_out}\n\n{_table(made.footprints)}"
-    return _table(made.footprints)
+        return left_out if not result.footprints else f"{left_out}\n\n{_table(result.footprints)}"
+    return _table(result.footprints)
 
 
 def _table(footprints: dict[str, Footprint]) -> str:
@@ -326,7 +326,10 @@ def _table(footprints: dict[str, Footprint]) -> str:
         [
             "| bytes | flash | RAM for one `piezo` | stack |",
             "| --- | --- | --- | --- |",
-            *(f"| {name} | {one.flash} | {one.ram} | {one.stack or 'not told'} |" for name, one in footprints.items()),
+            *(
+                f"| {name} | {size.flash} | {size.ram} | {size.stack or 'unknown'} |"
+                for name, size in footprints.items()
+            ),
             "",
             "Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need.",
             "Stack: the deepest chain of calls, without that arithmetic.",

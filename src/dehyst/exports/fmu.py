@@ -27,7 +27,7 @@ from dehyst.exports.footprint import run
 from dehyst.exports.model_header import demand_compensator
 from dehyst.exports.shipped import shipped
 
-_SPOKEN = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
+_WRAPPERS = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
 _BINARY = {"2.0": "binaries/linux64", "3.0": "binaries/x86_64-linux"}
 _SOURCE = "all.c"
 # Not Python's file times: the same model gives the same file.
@@ -38,11 +38,11 @@ _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-s")
 
 
 class SourceOnlyWarning(UserWarning):
-    """An FMU was written without a binary: whoever uses it compiles it first."""
+    """An FMU was written without a binary: the importing program must compile it."""
 
 
 class _NoBinaryError(Exception):
-    """Why none could be built."""
+    """The reason why no binary could be built."""
 
 
 def export_fmu(
@@ -53,10 +53,10 @@ def export_fmu(
     *,
     force: bool = False,
 ) -> None:
-    """Write an FMU for co-simulation, which starts from the state that the compensator was made or last reset in.
+    """Write an FMU for co-simulation, which starts from the state in which the compensator was made or last reset.
 
     Its step is the compensator's period, or a whole multiple of it, over which the input is held; without a period any
-    step is one sample. What goes in at the beginning of a step takes effect by its end, when the output may be read.
+    step is one sample. An input at the beginning of a step takes effect by its end, when the output may be read.
 
     Parameters
     ----------
@@ -64,10 +64,10 @@ def export_fmu(
     path : path
         Ends in .fmu.
     version : {"3.0", "2.0"}, optional
-        Of FMI.
+        Version of FMI.
     kind : {"compensator", "actuator"}, optional
         Displacement [m] in and voltage [V] out, with the numbers of clamped samples; or the virtual actuator, voltage
-        in and displacement out, which knows no limits.
+        in and displacement out, without limits.
     force : bool, optional
         Replace a file of this name that dehyst did not write.
 
@@ -76,7 +76,7 @@ def export_fmu(
     ModelError
         If it is no Compensator, the version or the kind is none of these, or it lacks a period that it needs.
     FileFormatError
-        If a file of this name is not of dehyst, cannot be written, or its name does not end in .fmu.
+        If dehyst did not write the file of this name, it cannot be written, or its name does not end in .fmu.
 
     Warns
     -----
@@ -102,9 +102,9 @@ def export_fmu(
     content = {name: text.encode() for name, text in texts.items()}
     try:
         content[f"{_BINARY[version]}/{description.identifier}.so"] = _compiled(sources)
-    except _NoBinaryError as why:
+    except _NoBinaryError as reason:
         warnings.warn(
-            f"the FMU holds sources, but no binary: {why}. Install gcc and export it again, or let the program that "
+            f"the FMU holds sources, but no binary: {reason}. Install gcc and export it again, or let the program that "
             "imports it compile it",
             SourceOnlyWarning,
             2,
@@ -121,16 +121,16 @@ def _demand_free(path: Path, force: bool) -> None:
 
 
 def _unlimited(compensator: Compensator) -> Compensator:
-    """The same actuator in the same state, without limits: it is to answer any voltage."""
+    """Return the same actuator in the same state without limits, for any voltage."""
     return Compensator(compensator.actuator, _NONE, period=compensator.period, state=compensator.asked_start)
 
 
 def _sources(compensator: Compensator, version: Version) -> dict[str, str]:
-    """Contents of `sources/`, but for what holds the token."""
-    own = ("fmu.h", "fmu.c", *_SPOKEN[version])
-    units = (*SOURCES, *(name for name in own if name.endswith(".c")))
+    """Return the contents of `sources/`, without the file that holds the token."""
+    wrapper = ("fmu.h", "fmu.c", *_WRAPPERS[version])
+    units = (*SOURCES, *(name for name in wrapper if name.endswith(".c")))
     every = shipped("fmu_all.c") + "".join(f'#include "{name}"\n' for name in units)
-    return {**code(compensator), **{name: shipped(name) for name in own}, _SOURCE: every}
+    return {**code(compensator), **{name: shipped(name) for name in wrapper}, _SOURCE: every}
 
 
 def _token(sources: Mapping[str, str], version: Version, kind: Kind) -> str:
@@ -141,8 +141,8 @@ def _token(sources: Mapping[str, str], version: Version, kind: Kind) -> str:
 
 
 def _model(token: str, description: Description) -> str:
-    """Text of `fmu_model.h`."""
-    which = next(one.name for one in description.variables if one.causality == "input")
+    """Return the text of `fmu_model.h`."""
+    name = next(variable.name for variable in description.variables if variable.causality == "input")
     return "\n".join(
         [
             "#ifndef FMU_MODEL_H",
@@ -150,7 +150,7 @@ def _model(token: str, description: Description) -> str:
             "",
             f"#define FMU_ACTUATOR {int(description.kind == 'actuator')}",
             f'#define FMU_TOKEN "{token}"',
-            f'#define FMU_INPUT_NAME "{which}"',
+            f'#define FMU_INPUT_NAME "{name}"',
             "",
             "#endif",
             "",
@@ -159,7 +159,7 @@ def _model(token: str, description: Description) -> str:
 
 
 def _compiled(sources: Mapping[str, str]) -> bytes:
-    """The shared library."""
+    """Compile the shared library."""
     compiler = os.environ.get("CC") or next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if not sys.platform.startswith("linux") or platform.machine() != "x86_64":
         raise _NoBinaryError("binaries are built on Linux x86-64 only")

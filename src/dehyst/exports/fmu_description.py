@@ -1,4 +1,4 @@
-"""What an FMU tells of itself: `modelDescription.xml` of FMI 2.0 and 3.0, how it is built, a page for people."""
+"""The description of an FMU: `modelDescription.xml` of FMI 2.0 and 3.0, its build, and an HTML page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LONGEST = 60
 
 
 class Variable(NamedTuple):
-    """A variable of an FMU; its place in the list is its value reference. Without a unit it is a whole number."""
+    """A variable of an FMU; its index in the list is its value reference. Without a unit it is an integer."""
 
     name: str
     causality: Literal["independent", "input", "output"]
@@ -78,7 +78,7 @@ class Description:
     @property
     def outputs(self) -> tuple[int, ...]:
         """Value references of the outputs."""
-        return tuple(i for i, one in enumerate(self.variables) if one.causality == "output")
+        return tuple(i for i, variable in enumerate(self.variables) if variable.causality == "output")
 
     def xml(self, token: str, source: str) -> str:
         """Text of `modelDescription.xml`.
@@ -116,10 +116,10 @@ class Description:
         return _text(root)
 
     def page(self) -> str:
-        """A page for people, in HTML."""
+        """Return the HTML page."""
         rows = [
-            f"<tr><td>{one.name}</td><td>{one.causality}</td><td>{one.unit}</td><td>{escape(one.description)}</td></tr>"
-            for one in self.variables
+            f"<tr><td>{variable.name}</td><td>{variable.causality}</td><td>{variable.unit}</td><td>{escape(variable.description)}</td></tr>"
+            for variable in self.variables
         ]
         return "\n".join(
             [
@@ -165,11 +165,11 @@ def _fill_2(root: ElementTree.Element, description: Description, source: str) ->
     _add(_add(interface, "SourceFiles"), "File", name=source)
     _fill_common(root, description)
     variables = _add(root, "ModelVariables")
-    for reference, one in enumerate(description.variables):
-        attributes = {"name": one.name, "valueReference": str(reference)} | _roles(one)
-        scalar = _add(variables, "ScalarVariable", description=one.description, **attributes)
-        if one.unit:
-            _add(scalar, "Real", unit=one.unit, **_numbers(one))
+    for reference, variable in enumerate(description.variables):
+        attributes = {"name": variable.name, "valueReference": str(reference)} | _roles(variable)
+        scalar = _add(variables, "ScalarVariable", description=variable.description, **attributes)
+        if variable.unit:
+            _add(scalar, "Real", unit=variable.unit, **_numbers(variable))
         else:
             _add(scalar, "Integer")
     structure = _add(root, "ModelStructure")
@@ -187,11 +187,11 @@ def _fill_3(root: ElementTree.Element, description: Description) -> None:
     _add(root, "CoSimulation", modelIdentifier=description.identifier, **features)
     _fill_common(root, description)
     variables = _add(root, "ModelVariables")
-    for reference, one in enumerate(description.variables):
-        attributes = {"name": one.name, "valueReference": str(reference)} | _roles(one)
-        if one.unit:
-            attributes |= {"unit": one.unit} | _numbers(one)
-        _add(variables, "Float64" if one.unit else "UInt64", description=one.description, **attributes)
+    for reference, variable in enumerate(description.variables):
+        attributes = {"name": variable.name, "valueReference": str(reference)} | _roles(variable)
+        if variable.unit:
+            attributes |= {"unit": variable.unit} | _numbers(variable)
+        _add(variables, "Float64" if variable.unit else "UInt64", description=variable.description, **attributes)
     structure = _add(root, "ModelStructure")
     for part in ("Output", "InitialUnknown"):
         for reference in description.outputs:
@@ -210,14 +210,14 @@ def _fill_common(root: ElementTree.Element, description: Description) -> None:
     _add(root, "DefaultExperiment", startTime="0", **step)
 
 
-def _roles(one: Variable) -> dict[str, str]:
-    roles = {"causality": one.causality, "variability": "continuous" if one.unit else "discrete"}
-    return roles | {"initial": "calculated"} if one.causality == "output" else roles
+def _roles(variable: Variable) -> dict[str, str]:
+    roles = {"causality": variable.causality, "variability": "continuous" if variable.unit else "discrete"}
+    return roles | {"initial": "calculated"} if variable.causality == "output" else roles
 
 
-def _numbers(one: Variable) -> dict[str, str]:
-    numbers = {} if one.range is None else {"min": repr(one.range[0]), "max": repr(one.range[1])}
-    return numbers if one.start is None else numbers | {"start": repr(one.start)}
+def _numbers(variable: Variable) -> dict[str, str]:
+    numbers = {} if variable.range is None else {"min": repr(variable.range[0]), "max": repr(variable.range[1])}
+    return numbers if variable.start is None else numbers | {"start": repr(variable.start)}
 
 
 def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:

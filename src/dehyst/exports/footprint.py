@@ -1,4 +1,4 @@
-"""How many bytes an exported folder takes of flash, RAM and stack, as a compiler has it."""
+"""Bytes of flash, RAM and stack of an exported folder, by a compiler."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ int main(void)
     for (;;) sent = piezo_step(&memory, wanted);
 }
 """
-_ROOM = '#include "piezo.h"\nextern char room[sizeof(piezo)];\nchar room[sizeof(piezo)] = {0};\n'
+_MEMORY = '#include "piezo.h"\nextern char memory[sizeof(piezo)];\nchar memory[sizeof(piezo)] = {0};\n'
 _FRAME = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?(\d+) bytes')
 _CALL = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
 
 
 class Footprint(NamedTuple):
-    """Bytes of flash (code and numbers), of RAM for one piezo, of stack below a call; None if it is not told."""
+    """Bytes of flash (code and numbers), of RAM for one piezo, and of stack below a call, None if unknown."""
 
     flash: int
     ram: int
@@ -48,17 +48,17 @@ def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O
     Parameters
     ----------
     directory : path
-        As `dehyst.export` wrote it.
+        A folder that `dehyst.export` wrote.
     compiler : str, optional
-        That of the processor, such as ``arm-none-eabi-gcc``; its `size` is looked for beside it.
+        The compiler for the processor, such as ``arm-none-eabi-gcc``; its `size` is expected beside it.
     flags : sequence of str, optional
-        Optimisation and processor; with ``-flto`` what this model does not need is left out.
+        Optimisation and processor; ``-flto`` leaves out what this model does not need.
 
     Returns
     -------
     Footprint
-        Flash is that of a program that begins and steps, with the compiler's own arithmetic but nothing else. Stack is
-        that of the deepest chain of calls, told by gcc alone, without the compiler's own arithmetic.
+        Flash is that of a program that begins and steps, with the compiler's own arithmetic and nothing else. Stack is
+        that of the deepest chain of calls without this arithmetic; only gcc reports it.
 
     Raises
     ------
@@ -77,24 +77,24 @@ def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O
         graphs = _compile(folder, compiler, options, sources)
         link = ["-static", "-nostdlib", "-Wl,--gc-sections", "-Wl,-e,main", "-Wl,--build-id=none"]
         objects = [f"{name[:-2]}.o" for name in sources]
-        # Whole programs are compiled when they are linked.
+        # With -flto the program is compiled when it is linked.
         late = ["-fcallgraph-info=su", *_BARE] if graphs else []
         run([compiler, *flags, *late, *link, *objects, "-lgcc", "-o", "program"], folder)
-        (folder / "room.c").write_text(text_of(_ROOM, name))
-        run([compiler, *options, "-fno-lto", "-c", "room.c"], folder)
+        (folder / "memory.c").write_text(text_of(_MEMORY, name))
+        run([compiler, *options, "-fno-lto", "-c", "memory.c"], folder)
         text, data, _ = _size(folder, compiler, "program")
         return Footprint(
-            text + data, sum(_size(folder, compiler, "room.o")), _deepest(folder, name) if graphs else None
+            text + data, sum(_size(folder, compiler, "memory.o")), _deepest(folder, name) if graphs else None
         )
 
 
 def run(command: Sequence[str], folder: Path) -> str:
-    """What a command prints that is run in a folder.
+    """Run a command in a folder and return what it prints.
 
     Raises
     ------
     FileFormatError
-        If it cannot be run, or fails; with what it says.
+        If it cannot be run, or fails; with its message.
     """
     try:
         done = subprocess.run(
@@ -109,15 +109,15 @@ def run(command: Sequence[str], folder: Path) -> str:
     except (OSError, subprocess.TimeoutExpired) as error:
         raise FileFormatError(f"{command[0]}: cannot be run ({error}); name a compiler that is installed") from error
     if done.returncode:
-        said = (done.stderr.strip() or done.stdout.strip() or f"status {done.returncode}").splitlines()
-        # The places that a compiler names first do not say what is wrong.
-        said = [line for line in said if "error" in line.lower()] or said
-        raise FileFormatError(f"{' '.join(command[:2])} ...: {said[0]}; need a C99 compiler for the processor")
+        lines = (done.stderr.strip() or done.stdout.strip() or f"status {done.returncode}").splitlines()
+        # A compiler names places before it names the error.
+        lines = [line for line in lines if "error" in line.lower()] or lines
+        raise FileFormatError(f"{' '.join(command[:2])} ...: {lines[0]}; need a C99 compiler for the processor")
     return done.stdout
 
 
 def _compile(folder: Path, compiler: str, options: list[str], sources: Sequence[str]) -> bool:
-    """Whether the compiler could tell the graph of calls, too."""
+    """Compile, and return whether the compiler also wrote the graph of calls."""
     try:
         run([compiler, *options, "-fcallgraph-info=su", "-c", *sources], folder)
     except FileFormatError:
@@ -127,14 +127,14 @@ def _compile(folder: Path, compiler: str, options: list[str], sources: Sequence[
 
 
 def _size(folder: Path, compiler: str, file: str) -> tuple[int, int, int]:
-    """Bytes of text, data and bss."""
+    """Return the bytes of text, data and bss."""
     beside = re.sub(r"(gcc|clang|cc)(-[\d.]+)?$", "size", compiler)
     row = run([beside if shutil.which(beside) else "size", file], folder).splitlines()[1].split()
     return int(row[0]), int(row[1]), int(row[2])
 
 
 def _deepest(folder: Path, name: str) -> int:
-    """Bytes of the deepest chain of calls that begins at a call of `NAME.h`; nothing here calls itself."""
+    """Return the bytes of the deepest chain of calls from a function of `NAME.h`; nothing here calls itself."""
     frames: dict[str, int] = {}
     calls: dict[str, set[str]] = {}
     for graph in folder.glob("*.ci"):

@@ -1,4 +1,4 @@
-"""What Python does with a compensator, call by call, as a trace that its export replays."""
+"""The golden trace: what Python computes with a compensator, call by call, for its export to replay."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dehyst._types import Array
 from dehyst.control import ClampWarning, Compensator
 from dehyst.control.compensator import Clamps
 
-# Shares of the reach that turning points may lie beyond it: such wishes are clamped.
+# How far turning points may lie beyond the reach, as a share of it: such displacements are clamped.
 _BEYOND = 0.25
 _LEGS, _JUMPS, _VOLTAGES = 14, 80, 80
 _LEAST_LEG, _MOST_LEG = 25, 400
@@ -25,7 +25,7 @@ _COMMITS, _NONSENSE, _HELD, _OFFERED, _STEPS = 13, 29, 17, 11, 255
 
 
 class Call(IntEnum):
-    """A call of `piezo.h`, in the order of `check.c`; from COMMIT on but for NONSENSE a displacement is compared."""
+    """A call of `piezo.h`, in the order of `check.c`. From COMMIT on, except NONSENSE, displacements are compared."""
 
     STEP = 0
     OFFER = 1
@@ -37,7 +37,7 @@ class Call(IntEnum):
 
 
 class TraceRow(NamedTuple):
-    """A call, what it is given [m or V] and what it answers: a voltage [V], or where the actuator then is [m]."""
+    """A call, its argument [m or V] and its result: a voltage [V], or the displacement [m] of the actuator after it."""
 
     what: Call
     given: float
@@ -53,9 +53,9 @@ class GoldenTrace(NamedTuple):
     clamps : Clamps
         Of the steps.
     refused : int
-        Displacements that were no number.
+        Number of wanted displacements that are not a number.
     volts, stroke : float
-        What errors are told of: the width of the limits [V] and of the reach [m].
+        Ranges to which errors are referred: the width of the limits [V] and of the reach [m].
     """
 
     rows: tuple[TraceRow, ...]
@@ -66,10 +66,11 @@ class GoldenTrace(NamedTuple):
 
 
 def golden_trace(compensator: Compensator) -> GoldenTrace:
-    """Play a trace on compensators like this one, at their start; this one stays as it is.
+    """Play a trace on compensators like this one, from their start; this one does not change.
 
-    Wishes within the reach and beyond it, slow and in jumps; offers that are not taken, taken, or sent as another
-    voltage; periods in which nothing is sent; wishes that are no numbers. At last the actuator alone, under voltages.
+    It has wanted displacements within the reach and beyond it, slow and in jumps, and some that are not a number;
+    offers that are dropped, committed, or committed with another voltage; periods in which nothing is sent; and at the
+    end voltages on the actuator alone.
     """
     low, high = compensator.limits
     bottom, top = compensator.reach
@@ -86,12 +87,12 @@ def golden_trace(compensator: Compensator) -> GoldenTrace:
 
 
 def trace_header(trace: GoldenTrace, least: float, most: float) -> str:
-    """Text of `trace.h`; a float's error is to lie between two shares of the range."""
-    # C has no NaN to write down; check.c makes one.
+    """Return the text of `trace.h`; the error of floats must lie between two shares of the range."""
+    # C has no literal for NaN; check.c makes one.
     rows = [f"    {{{int(row.what)}, {_hex(row.given)}, {_hex(row.answer)}}}" for row in trace.rows]
     return "\n".join(
         [
-            "/* What Python did with this model. */",
+            "/* What Python computed with this model. */",
             "#ifndef TRACE_H",
             "#define TRACE_H",
             "",
@@ -125,7 +126,7 @@ def _hex(value: float) -> str:
 
 
 def _path(compensator: Compensator) -> Array:
-    """Wishes [m]: half cosines between turning points, slow enough for most slew rates, then jumps."""
+    """Return wanted displacements [m]: half cosines, slow enough for most slew rates, then jumps."""
     rng = np.random.default_rng(20)
     bottom, top = compensator.reach
     low, high = compensator.limits
@@ -146,20 +147,20 @@ def _voltages(low: float, high: float) -> Array:
 
 
 def _played(loop: Compensator, path: Array) -> Iterable[TraceRow]:
-    """The rows of a path, with every kind of call mixed in."""
+    """Yield the rows of a path, with every kind of call mixed in."""
     low, high = loop.limits
-    for t, wish in enumerate(path.tolist()):
+    for t, wanted in enumerate(path.tolist()):
         if t % _OFFERED == 3:
             other = float(path[-1 - t])
             yield TraceRow(Call.OFFER, other, loop.offer(other))
         if t % _COMMITS in (5, 9):
-            offered = loop.offer(wish)
-            yield TraceRow(Call.OFFER, wish, offered)
+            offered = loop.offer(wanted)
+            yield TraceRow(Call.OFFER, wanted, offered)
             if t % _COMMITS == 9:
                 loop.commit(offered)
                 yield TraceRow(Call.ACCEPT, 0.0, _place(loop))
                 continue
-            # As a converter of few bits sends it.
+            # As a converter with few bits sends it.
             sent = low + (high - low) * round(_STEPS * (offered - low) / (high - low)) / _STEPS
             loop.commit(sent)
             yield TraceRow(Call.COMMIT, sent, _place(loop))
@@ -169,11 +170,11 @@ def _played(loop: Compensator, path: Array) -> Iterable[TraceRow]:
         elif t % _NONSENSE == 11:
             yield TraceRow(Call.NONSENSE, math.nan, _refused(loop))
         else:
-            yield TraceRow(Call.STEP, wish, loop.step(wish))
+            yield TraceRow(Call.STEP, wanted, loop.step(wanted))
 
 
 def _refused(loop: Compensator) -> float:
-    """The voltage that acts on when a firmware, which must send something, is asked for no number."""
+    """Return the voltage that acts on when the wanted displacement is not a number."""
     with suppress(ModelError):
         loop.offer(math.nan)
     loop.hold()
@@ -181,6 +182,6 @@ def _refused(loop: Compensator) -> float:
 
 
 def _place(loop: Compensator) -> float:
-    """Where its actuator is [m]."""
+    """Return the displacement of the actuator [m]."""
     state = loop.state
     return float(state.motion[0]) if state.motion.size else state.displacement

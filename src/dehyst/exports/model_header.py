@@ -1,4 +1,4 @@
-"""The numbers of a compensator as C: `model.h` and `model_size.h`."""
+"""The numbers of a compensator as C: what `piezo.c` and `piezo.h` hold of a model."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ from dehyst.exports.start import ExportedStart
 Number: TypeAlias = Literal["double", "float"]
 Tables: TypeAlias = Mapping[str, Array]
 
+# Lines of the templates in whose place the generated text comes.
+SIZES, NUMBERS = "/* sizes */\n", "/* numbers */\n"
 _A_LINE = 4
 _LARGEST = float(np.finfo(np.float64).max)
-# Of each: what must strictly increase, and of what it is, so that a refusal can say it.
+# Tables that must strictly increase or be positive, and what they hold, for messages.
 _INCREASING = {
     "rho": "breakaway elongations",
     "knot": "displacements of the spring's knots",
@@ -39,7 +41,7 @@ _POSITIVE = {
 
 
 def demand_compensator(value: object) -> None:
-    """Refuse what is no Compensator.
+    """Refuse anything but a Compensator.
 
     Raises
     ------
@@ -53,7 +55,7 @@ def demand_compensator(value: object) -> None:
 
 
 class Sizes(NamedTuple):
-    """How many of each part a loop has: elements, spring's knots, grades, transformer's knots, creep, smooth, taps."""
+    """Sizes of a loop: elements, spring's knots, grades, transformer's knots, creep branches, smooth elements, taps."""
 
     elements: int
     knots: int
@@ -65,21 +67,24 @@ class Sizes(NamedTuple):
 
     @classmethod
     def of(cls, tables: Tables) -> Sizes:
-        """Of a compensator's tables."""
+        """Read them from the tables of a compensator."""
         grades = max(tables["grade_knot"].size - 1, 0)
         names = ("tau_voltage", "creep", "length", "tap")
         return cls(tables["rho"].size, tables["knot"].size, grades, *(tables[name].size for name in names))
 
 
-def size_header(compensator: Compensator, number: Number) -> str:
-    """Text of `model_size.h`: macros that others than `piezo.c` need too."""
+def title(compensator: Compensator) -> str:
+    """Return the first line of `piezo.c` and `piezo.h`: the name of the actuator, as a comment."""
+    name = in_comment(compensator.actuator.name)
+    return f"/* The actuator '{name}', made by dehyst {__version__}. Units: V, m, s. Do not edit. */"
+
+
+def size_macros(compensator: Compensator, number: Number) -> str:
+    """Return the macros that `piezo.h` begins with."""
     tables = _tables(compensator, number)
     sizes, (low, high) = Sizes.of(tables), tables["loop"][:2].tolist()
     spell = _Spelling(number).plain
     lines = [
-        "#ifndef MODEL_SIZE_H",
-        "#define MODEL_SIZE_H",
-        "",
         f"#define MODEL_ELEMENTS {sizes.elements}",
         f"#define MODEL_BRANCHES {sizes.branches}",
         f"#define MODEL_SMOOTH {sizes.smooth}",
@@ -93,18 +98,17 @@ def size_header(compensator: Compensator, number: Number) -> str:
         f"#define MODEL_LOW {spell(low)} /* V */",
         f"#define MODEL_HIGH {spell(high)} /* V */",
         "",
-        "#endif",
     ]
-    return "\n".join([*_title(compensator), *lines, ""])
+    return "\n".join(lines)
 
 
-def model_header(compensator: Compensator, number: Number) -> str:
-    """Text of `model.h`: every number that a step reads, and the state that it starts from.
+def numbers(compensator: Compensator, number: Number) -> str:
+    """Return the constants of `piezo.c`: every number that a step reads, and the state that it starts from.
 
     Raises
     ------
     ModelError
-        If a float cannot tell numbers apart that must differ, or hold one of them.
+        If numbers that must differ are one float, or a float cannot hold one of them.
     """
     tables = _tables(compensator, number)
     if number == "float":
@@ -122,26 +126,17 @@ def model_header(compensator: Compensator, number: Number) -> str:
     arrays = [spell.array(name, values) for name, values in used.items() if values.size]
     return "\n".join(
         [
-            *_title(compensator),
-            "#ifndef MODEL_H",
-            "#define MODEL_H",
-            "",
-            '#include "dehyst.h"',
-            '#include "model_size.h"',
-            "",
             *arrays,
-            *_begins(compensator),
+            *_start_comment(compensator),
             *(spell.array(name, values if values.size else np.zeros(1)) for name, values in begin.items()),
             _compensator(tables, used, spell),
-            "",
-            "#endif",
             "",
         ]
     )
 
 
 class _Spelling:
-    """How numbers are written in C: hexadecimal, so that not a bit is lost, where only C reads them."""
+    """Numbers as C text: hexadecimal where only C reads them, so that no bit is lost."""
 
     def __init__(self, number: Number) -> None:
         self.number = number
@@ -152,7 +147,7 @@ class _Spelling:
         return float(value).hex() if self.number == "double" else f"{float(np.float32(value)).hex()}f"
 
     def plain(self, value: float) -> str:
-        """As every C++ takes it: the shortest decimal that is rounded to the same number."""
+        """Return the shortest decimal that is rounded to the same number, which every C++ reads."""
         return repr(float(value)) if self.number == "double" else f"{np.float32(value)!s}f"
 
     def some(self, values: Array) -> str:
@@ -165,7 +160,7 @@ class _Spelling:
 
 
 def _tables(compensator: Compensator, number: Number) -> Tables:
-    """Its numbers; of floats the limits and the largest change are rounded inward: no voltage may leave them."""
+    """Return the tables; for floats with limits and largest change rounded inward, so that no voltage leaves them."""
     tables = compensator.tables()
     if number == "double":
         return tables
@@ -179,13 +174,13 @@ def _tables(compensator: Compensator, number: Number) -> Tables:
 
 
 def _below(value: float) -> float:
-    """The largest float that is not above a double."""
+    """Return the largest float that is not above a double."""
     rounded = np.float32(value)
     return float(rounded if float(rounded) <= value else np.nextafter(rounded, np.float32(-np.inf)))
 
 
 def _used(tables: Tables) -> dict[str, Array]:
-    """Arrays that a loop reads: graded elements have no stiffness apart, a curve has one slope less than knots."""
+    """Select the arrays that a loop reads: not kappa with graded elements, and one slope less than knots."""
     arrays = {name: values for name, values in tables.items() if name not in ("loop", "inertia", "transition")}
     if tables["grade_knot"].size:
         arrays["kappa"] = EMPTY
@@ -195,7 +190,7 @@ def _used(tables: Tables) -> dict[str, Array]:
 
 
 def _compensator(tables: Tables, used: Tables, spell: _Spelling) -> str:
-    """The constant `model`, member by member as `dehyst_compensator` has them."""
+    """Return the constant `model`, with the members of `dehyst_compensator` in their order."""
     sizes = Sizes.of(tables)
 
     def at(*names: str) -> str:
@@ -227,17 +222,17 @@ def _compensator(tables: Tables, used: Tables, spell: _Spelling) -> str:
     return "static const dehyst_compensator model = " + "\n".join(rows)
 
 
-def _begins(compensator: Compensator) -> list[str]:
-    outset = ExportedStart.of(compensator)
+def _start_comment(compensator: Compensator) -> list[str]:
+    start = ExportedStart.of(compensator)
     return [
-        f"/* Where it starts, at {outset.words}. To bring the actuator there:",
-        f" * {outset.way}.",
+        f"/* The start, at {start.words}. To bring the actuator there:",
+        f" * {start.way}.",
         " * w, y and y'/omega; then the memory. */",
     ]
 
 
 def _demand_float(tables: Tables) -> None:
-    """Refuse what single precision would make another model of."""
+    """Refuse a model that single precision would change."""
     for name, values in tables.items():
         with np.errstate(over="ignore", under="ignore"):
             rounded = values.astype(np.float32)
@@ -255,11 +250,6 @@ def _demand_float(tables: Tables) -> None:
     kept, decay = tables["decay"], tables["decay"].astype(np.float32)
     if ((decay == 1) & (kept < 1)).any():
         raise ModelError(
-            "float: creep is so slow beside the period that it would never relax: what a step leaves of a strain, "
+            "float: creep is so slow beside the period that it would never relax: the decay of a strain in one step, "
             f"{float(kept.max())!r}, is 1 when rounded; export double, or give a longer period"
         )
-
-
-def _title(compensator: Compensator) -> list[str]:
-    name = in_comment(compensator.actuator.name)
-    return [f"/* Numbers of the actuator '{name}', made by dehyst {__version__}: V, m, s. Do not edit. */"]

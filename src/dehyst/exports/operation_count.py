@@ -1,4 +1,4 @@
-"""How many operations on numbers a step of the loop takes at most, from the sizes of its parts."""
+"""The most operations on numbers that a step of the loop takes, from the sizes of its parts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _TRIES = 200
 
 @dataclass(frozen=True)
 class Operations:
-    """Operations on numbers; those on whole numbers and moves are left out.
+    """Counts of operations on real numbers; operations on integers and moves are not counted.
 
     Attributes
     ----------
@@ -36,10 +36,10 @@ class Operations:
 
 
 def worst_case(compensator: Compensator) -> Operations:
-    """Bound of `dehyst_loop_step`, and of `piezo_step` and `piezo_simulate`, whatever was asked for before.
+    """Bound the operations of `dehyst_loop_step`, `piezo_step` and `piezo_simulate`, whatever came before.
 
-    It follows the functions of `core/`, every branch taken where it costs most: an offer, then the actuator simulated
-    with a voltage that is not the wish, past every breakaway and every knot on the way.
+    The count follows the functions of `core/` on their most expensive branches: an offer, then a simulation of the
+    actuator with another voltage than the candidate's, past every breakaway and every knot on the way.
 
     Raises
     ------
@@ -50,14 +50,14 @@ def worst_case(compensator: Compensator) -> Operations:
     tables = compensator.tables()
     sizes, inertia = Sizes.of(tables), tables["inertia"].size > 0
     known = _known(sizes, inertia)
-    # What was asked for and its voltage are tested, limited, and tested again.
+    # The wanted displacement and its voltage are tested, limited, and tested again.
     offer = Operations(2 * sizes.taps - 1 + 6 + 2 + 3, 1, 9)
     commit = Operations(2 + 5, 0, 10)
-    return offer + _wish(sizes, known) + commit + known + _simulate(sizes, inertia)
+    return offer + _evaluate(sizes, known) + commit + known + _simulate(sizes, inertia)
 
 
 def _search(n: int) -> int:
-    """Comparisons of `count_below`: two for each of three tries, then bisection."""
+    """Count the comparisons of `count_below`: two for each of three tries, then bisection."""
     return 6 + max(n, 0).bit_length()
 
 
@@ -65,40 +65,40 @@ def _curve(knots: int) -> Operations:
     return Operations(3, 0, _search(knots - 2)) if knots else Operations()
 
 
-def _wish(s: Sizes, known: Operations) -> Operations:
-    """`dehyst_wide_wish`."""
+def _evaluate(s: Sizes, known: Operations) -> Operations:
+    """Count those of `dehyst_evaluate`."""
     held = _look_ahead(s) if s.grades else Operations(7 + 5 * s.elements, 0, _search(s.knots - 2) + 2 * s.elements)
     smooth = Operations(1, 0, 1) + s.smooth * (Operations(5) + _MOVED) if s.smooth else Operations()
     return held + known + smooth + _curve(s.bends) + Operations(4, 0, 1)
 
 
 def _known(s: Sizes, inertia: bool) -> Operations:
-    """`known_of`: creep, and with inertia lever and what is free of it."""
+    """Count those of `known_voltage`: creep, and with inertia gain and offset."""
     return Operations(3 * s.branches + 3) + (Operations(2 + 9 + 5, 2) if inertia else Operations())
 
 
 def _simulate(s: Sizes, inertia: bool) -> Operations:
-    """`dehyst_wide_simulate_step` without `known_of`."""
-    arrive = Operations(1 + 3 * s.branches) + (Operations(2 + 9 + 2 + 3 + 7, 2) if inertia else Operations())
+    """Count those of `dehyst_simulate_step` without `known_voltage`."""
+    advance = Operations(1 + 3 * s.branches) + (Operations(2 + 9 + 2 + 3 + 7, 2) if inertia else Operations())
     moved = Operations(2 * s.elements, 0, 2 * s.elements)
     within_reach = Operations(2, 0, 4)
     solve = _smooth_solve(s) if s.smooth else _solve(s)
-    return _curve(s.bends) + Operations(1) + solve + within_reach + moved + arrive
+    return _curve(s.bends) + Operations(1) + solve + within_reach + moved + advance
 
 
 def _events(s: Sizes) -> int:
-    """Changes of slope that a step can pass."""
+    """Count the changes of slope that a step can pass."""
     return (s.elements + 1) * max(s.grades, 1) + s.knots
 
 
 def _solve(s: Sizes) -> Operations:
-    """`dehyst_wide_solve`: a direction is tried, the other one, and then a look ahead for each event."""
+    """Count those of `dehyst_solve`: both directions are tried, then there is a look ahead for each event."""
     events = _events(s)
     return Operations(4, 0, 2) + events * Operations(8, 1, 1) + (events + 2) * _look_ahead(s)
 
 
 def _smooth_solve(s: Sizes) -> Operations:
-    """`dehyst_smooth_solve`: at most two looks for each step."""
+    """Count those of `dehyst_smooth_solve`: at most two looks ahead for each step."""
     meet = _look_ahead(s) + Operations(4) + s.smooth * (_MOVED + Operations(9, 1, 1))
     tries = _TRIES + _events(s)
     last = Operations(1, 0, 2) + s.smooth * (Operations(3) + _MOVED)
@@ -106,7 +106,7 @@ def _smooth_solve(s: Sizes) -> Operations:
 
 
 def _look_ahead(s: Sizes) -> Operations:
-    """`dehyst_look_ahead` or, with graded elements, `dehyst_grades_look_ahead`."""
+    """Count those of `dehyst_plain_look_ahead` or, with graded elements, `dehyst_grades_look_ahead`."""
     spring = _search(s.knots - 2) + 4
     if not s.grades:
         return Operations(6 + 10 * s.elements, 0, spring + 2 * s.elements)
@@ -114,7 +114,7 @@ def _look_ahead(s: Sizes) -> Operations:
     return Operations(11, 0, spring + 1) + grade + s.elements * (Operations(12, 0, 2) + grade)
 
 
-# `dehyst_decay`, `dehyst_log1p`, and `moved`: an element that comes back, is at rest, and goes on.
+# `dehyst_decay`, `dehyst_log1p`, and `moved` for an element that returns, is at rest, and goes on.
 _DECAY = Operations(31, 1, 2)
 _LOG = Operations(28, 2, 1)
 _MOVED = _DECAY + _LOG + _DECAY + Operations(11, 3, 6)

@@ -9,7 +9,7 @@ from dehyst._errors import FileFormatError
 
 
 def shipped(name: str) -> str:
-    """A text file that comes with the package; in an editable install the core's lie apart."""
+    """Return a text file that comes with the package; an editable install has the core's in another folder."""
     for root in sys.modules["dehyst"].__path__:
         path = Path(root) / "exports" / "templates" / name
         if path.is_file():

@@ -1,4 +1,4 @@
-"""Where a compensator begins, and how its actuator is brought there."""
+"""The start state of an exported compensator, and the way to bring the actuator there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NEAR = 0.01
 
 
 class ExportedStart(NamedTuple):
-    """Displacement [m] and voltage [V] of the memory at the beginning, and the way there in words."""
+    """Displacement [m] and voltage [V] of the memory at the start, and the way there as a sentence."""
 
     displacement: float
     voltage: float
@@ -22,11 +22,11 @@ class ExportedStart(NamedTuple):
 
     @classmethod
     def of(cls, compensator: Compensator) -> ExportedStart:
-        """Of a loop like this one, as it was made or last reset."""
+        """Return the start of a loop like this one, as it was made or last reset."""
         loop, actuator = compensator.afresh(), compensator.actuator
         state, (low, high), asked = loop.state, loop.limits, loop.asked_start
         place = float(state.motion[0]) if state.motion.size else state.displacement
-        # A little beyond the limits, the state that was asked for tells the way as well.
+        # A little beyond the limits, the requested state has the same way.
         near = abs(actuator.voltage(asked) - loop.voltage) <= _NEAR * (high - low)
         return cls(place, loop.voltage, _way(actuator, asked if near else state, loop.voltage))
 
@@ -37,7 +37,7 @@ class ExportedStart(NamedTuple):
 
 
 def _way(actuator: Actuator, state: State, voltage: float) -> str:
-    """What to do with the voltage; slow, since time is not in it."""
+    """Describe how the voltage leads to the state; slowly, because the words have no time in them."""
     strain, most = state.displacement - state.carts, actuator.slip.breakaway
     end = f"{voltage:.6g} V"
     rest = " and wait until creep has come to rest" if actuator.creep is not None else ""
@@ -47,4 +47,4 @@ def _way(actuator: Actuator, state: State, voltage: float) -> str:
         return f"lower the voltage slowly from its highest, never back, to {end}{rest}"
     if not strain.any():
         return f"swing the voltage about {end}, each swing smaller than the one before, until it rests there{rest}"
-    return f"play the voltages after which the actuator was in this state, a homing say, down to the last one, {end}"
+    return f"play the voltages that lead to this state, for instance a homing, down to the last one, {end}"

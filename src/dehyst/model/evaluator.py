@@ -38,7 +38,7 @@ class PathData:
 
 @dataclass(frozen=True, eq=False)
 class Evaluator:
-    """The parts of an `Actuator`: tau(v) = R(w) + creep + smooth elements + beta (w - y), see `core/dehyst.h`."""
+    """The parts of an `Actuator`: tau(v) = R(w) + creep + smooth elements + beta (w - y), see `dehyst.h`."""
 
     slip: MaxwellSlip | GradedSlip
     spring: Spring

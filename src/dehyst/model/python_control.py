@@ -48,7 +48,7 @@ def compensator_block(loop: Loop, states: list[str], period: float | None, name:
 
 
 def labels(model: Evaluator, taps: int) -> list[str]:
-    """Return the names of a loop's states, in the order of `row` in the C++ bindings.
+    """Return the names of a loop's states, in the order of `row` in `bindings/loop.cpp`.
 
     w and carts, creep strains, smooth elongations [m]; with dynamics y, y'/omega and the push on the mass [m]; the
     voltage last sent; with a lag the acting voltage and the last two wanted ones [V]; with preview the inputs [m].

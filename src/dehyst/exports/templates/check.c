@@ -1,4 +1,4 @@
-/* Replays what Python did with the same model: prints what differs, and returns 0 if nothing does. */
+/* Replays what Python computed with the same model: prints what differs, and returns 0 if nothing does. */
 #include "piezo.h"
 #include "trace.h"
 
@@ -6,11 +6,11 @@
 #include <math.h>
 #include <stdio.h>
 
-#define MOST_SAID 5
+#define MOST_PRINTED 5
 
 static double magnitude_of(double a) { return a < 0 ? -a : a; }
 
-/* What the row asks for, done: what it answers. */
+/* Make the call of a row and return its result. */
 static double answer(const trace_row *row, piezo *loop, piezo *actuator)
 {
     const dehyst_real given = (dehyst_real)row->given;
@@ -25,7 +25,7 @@ static double answer(const trace_row *row, piezo *loop, piezo *actuator)
     }
 }
 
-/* As a share of the voltage limits, or of the displacements between them. */
+/* Return the error as a share of the voltage limits, or of the displacements between them. */
 static double error_of(const trace_row *row, double got)
 {
     const int displaces = row->what >= TRACE_COMMIT && row->what != TRACE_NONSENSE;
@@ -51,7 +51,7 @@ static int conclude(int differing, double largest, const piezo *loop)
     }
     printf("float: largest error %.3e of the range, to be above %.0e and below %.1e\n", largest, TRACE_LEAST,
            TRACE_MOST);
-    /* An error like double's would tell that the number type was not rewritten everywhere. */
+    /* An error like that of double shows that the number type was not changed everywhere. */
     return !(largest > TRACE_LEAST && largest < TRACE_MOST);
 }
 
@@ -67,9 +67,9 @@ int main(void)
     for (i = 0; i < TRACE_SIZE; i++) {
         const double got = answer(trace + i, &loop, &actuator), error = error_of(trace + i, got);
         if (error > largest || error != error) largest = error;
-        if (got != trace[i].answer && differing++ < MOST_SAID && sizeof(dehyst_real) == sizeof(double))
+        if (got != trace[i].answer && differing++ < MOST_PRINTED && sizeof(dehyst_real) == sizeof(double))
             printf("row %d: got %.17g, want %.17g\n", i, got, trace[i].answer);
-        /* What follows must not depend on where a piezo lies. */
+        /* The rest must not depend on where a piezo lies in memory. */
         if (i == TRACE_SIZE / 2) {
             piezo_copy(&copy, &loop);
             piezo_begin(&loop);

@@ -21,7 +21,7 @@ typedef struct instance {
 } instance;
 
 /* A message holds no % sign, so it is its own format. */
-static fmi2Status tell(instance *i, fmi2Status status)
+static fmi2Status report(instance *i, fmi2Status status)
 {
     const fmi2String category = status == fmi2Error ? "logStatusError" : "logStatusWarning";
     if (i->functions.logger != NULL)
@@ -29,7 +29,7 @@ static fmi2Status tell(instance *i, fmi2Status status)
     return status;
 }
 
-static fmi2Status result(instance *i, int good) { return good ? fmi2OK : tell(i, fmi2Error); }
+static fmi2Status result(instance *i, int good) { return good ? fmi2OK : report(i, fmi2Error); }
 
 static fmi2Status absent(fmi2Component c, const char *what)
 {
@@ -61,7 +61,7 @@ FMI(fmi2Component, Instantiate)(fmi2String name, fmi2Type type, fmi2String token
     good = fmu_begin(&i->fmu) && fmu_matches(&i->fmu, token) &&
            fmu_demand(&i->fmu, type == fmi2CoSimulation, "Instantiate: it is for co-simulation only");
     if (good) return i;
-    tell(i, fmi2Error);
+    report(i, fmi2Error);
     free(i);
     return NULL;
 }
@@ -108,7 +108,7 @@ FMI(fmi2Status, GetInteger)(fmi2Component c, REFERENCES, fmi2Integer value[])
     uint64_t count;
     size_t k;
     for (k = 0; k < n; k++) {
-        if (!fmu_count(&i->fmu, references[k], &count)) return tell(i, fmi2Error);
+        if (!fmu_count(&i->fmu, references[k], &count)) return report(i, fmi2Error);
         value[k] = count < INT_MAX ? (fmi2Integer)count : INT_MAX;
     }
     return fmi2OK;
@@ -194,7 +194,7 @@ FMI(fmi2Status, DeSerializeFMUstate)(fmi2Component c, const fmi2Byte bytes[], si
 {
     instance *i = c;
     fmu_memory found;
-    if (!fmu_deserialize(&i->fmu, bytes, size, &found)) return tell(i, fmi2Error);
+    if (!fmu_deserialize(&i->fmu, bytes, size, &found)) return report(i, fmi2Error);
     if (*state == NULL) *state = malloc(sizeof(fmu_memory));
     if (*state == NULL) return absent(c, "DeSerializeFMUstate: no memory is left");
     memcpy(*state, &found, sizeof found);
@@ -225,8 +225,8 @@ FMI(fmi2Status, DoStep)(fmi2Component c, fmi2Real from, fmi2Real by, fmi2Boolean
 {
     instance *i = c;
     (void)no_way_back;
-    if (!fmu_step(&i->fmu, from, by)) return tell(i, fmi2Error);
-    if (fmu_clamped(&i->fmu) && i->logging) tell(i, fmi2Warning);
+    if (!fmu_step(&i->fmu, from, by)) return report(i, fmi2Error);
+    if (fmu_clamped(&i->fmu) && i->logging) report(i, fmi2Warning);
     return fmi2OK;
 }
 

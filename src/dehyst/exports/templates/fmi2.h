@@ -1,4 +1,4 @@
-/* What an FMU for co-simulation declares of FMI 2.0, as its standard says it. */
+/* The declarations of FMI 2.0 that an FMU for co-simulation needs, after the standard. */
 #ifndef FMI2_H
 #define FMI2_H
 

@@ -19,14 +19,14 @@ typedef struct instance {
     fmi3Boolean logging;
 } instance;
 
-static fmi3Status tell(instance *i, fmi3Status status)
+static fmi3Status report(instance *i, fmi3Status status)
 {
     const fmi3String category = status == fmi3Error ? "logStatusError" : "logStatusWarning";
     if (i->log != NULL) i->log(i->environment, status, category, i->fmu.message);
     return status;
 }
 
-static fmi3Status result(instance *i, int good) { return good ? fmi3OK : tell(i, fmi3Error); }
+static fmi3Status result(instance *i, int good) { return good ? fmi3OK : report(i, fmi3Error); }
 
 static fmi3Status absent(fmi3Instance c, const char *what)
 {
@@ -58,7 +58,7 @@ FMI(fmi3Instance, InstantiateCoSimulation)(
     good = fmu_begin(&i->fmu) && fmu_matches(&i->fmu, token) &&
            fmu_demand(&i->fmu, !events && n == 0, "Instantiate: there are neither events nor intermediate variables");
     if (good) return i;
-    tell(i, fmi3Error);
+    report(i, fmi3Error);
     free(i);
     return NULL;
 }
@@ -70,7 +70,7 @@ FMI(fmi3Status, EnterInitializationMode)(fmi3Instance c, fmi3Boolean tolerant, f
 {
     instance *i = c;
     (void)tolerant, (void)tolerance, (void)stops, (void)stop;
-    if (!fmu_enter(&i->fmu, FMU_MADE, FMU_BEGINNING, "EnterInitializationMode")) return tell(i, fmi3Error);
+    if (!fmu_enter(&i->fmu, FMU_MADE, FMU_BEGINNING, "EnterInitializationMode")) return report(i, fmi3Error);
     i->fmu.time = start;
     return fmi3OK;
 }
@@ -155,7 +155,7 @@ FMI(fmi3Status, DeserializeFMUState)(fmi3Instance c, const fmi3Byte bytes[], siz
 {
     instance *i = c;
     fmu_memory found;
-    if (!fmu_deserialize(&i->fmu, bytes, size, &found)) return tell(i, fmi3Error);
+    if (!fmu_deserialize(&i->fmu, bytes, size, &found)) return report(i, fmi3Error);
     if (*state == NULL) *state = malloc(sizeof(fmu_memory));
     if (*state == NULL) return absent(c, "DeserializeFMUState: no memory is left");
     memcpy(*state, &found, sizeof found);
@@ -170,7 +170,7 @@ FMI(fmi3Status, DoStep)(fmi3Instance c, fmi3Float64 from, fmi3Float64 by, fmi3Bo
     (void)no_way_back;
     *event = *terminate = *early = false;
     *reached = good ? from + by : from;
-    if (!good) return tell(i, fmi3Error);
-    if (fmu_clamped(&i->fmu) && i->logging) tell(i, fmi3Warning);
+    if (!good) return report(i, fmi3Error);
+    if (fmu_clamped(&i->fmu) && i->logging) report(i, fmi3Warning);
     return fmi3OK;
 }

@@ -1,4 +1,4 @@
-/* What an FMU for co-simulation declares of FMI 3.0, as its standard says it. */
+/* The declarations of FMI 3.0 that an FMU for co-simulation needs, after the standard. */
 #ifndef FMI3_H
 #define FMI3_H
 

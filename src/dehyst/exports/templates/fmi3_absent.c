@@ -1,5 +1,5 @@
 /* What a library for FMI 3.0 must offer, of things that this FMU has not: other types of variables and interfaces,
- * clocks, events, derivatives. Nothing is done, and that is said by the status. */
+ * clocks, events, derivatives. They do nothing and return a status that states it. */
 #ifdef FMU_STANDARD_HEADERS
 #include "fmi3Functions.h"
 #else

@@ -21,7 +21,7 @@ int fmu_begin(fmu *f)
     const double y = piezo_displacement(&f->piezo), v = within(loop->sent);
     f->phase = FMU_MADE;
     f->time = 0;
-    f->told = 0;
+    f->reported = 0;
     f->message[0] = 0;
     f->input = FMU_ACTUATOR ? v : y;
     f->output = FMU_ACTUATOR ? y : v;
@@ -135,8 +135,8 @@ int fmu_step(fmu *f, double from, double by)
 int fmu_clamped(fmu *f)
 {
     const dehyst_loop *loop = &f->piezo.loop;
-    const int now = (loop->limited > 0) + 2 * (loop->slewed > 0), news = now & ~f->told;
-    f->told |= now;
+    const int now = (loop->limited > 0) + 2 * (loop->slewed > 0), news = now & ~f->reported;
+    f->reported |= now;
     if (FMU_ACTUATOR || !news) return 0;
     (void)REFUSE(f, "CLAMPED: %.6g um wanted, %.6g V sent: %s", f->input * 1e6, f->output,
                  news & 1 ? "that is a limit" : "the slew rate allows no more");
@@ -158,47 +158,47 @@ static const double *taken(const double *from, dehyst_real *to, int n)
 void fmu_save(const fmu *f, fmu_memory *memory)
 {
     const dehyst_loop *loop = &f->piezo.loop;
-    const dehyst_wide_state *state = &loop->state;
+    const dehyst_state *state = &loop->state;
     const double scalar[FMU_SCALARS] = {
         state->memory.y, state->y,        state->rate,     state->input, loop->sent,
-        loop->acting,    loop->wished[0], loop->wished[1], loop->asked,  loop->wish.w,
-        loop->wish.v,    loop->voltage,   f->input,        f->output,    f->time};
+        loop->acting,    loop->intended[0], loop->intended[1], loop->wanted,  loop->candidate.w,
+        loop->candidate.v,    loop->voltage,   f->input,        f->output,    f->time};
     double *at = copied(memory->number, scalar, FMU_SCALARS);
     at = copied(at, state->memory.cart, MODEL_ELEMENTS);
     at = copied(at, state->strain, MODEL_BRANCHES);
     at = copied(at, state->elongation, MODEL_SMOOTH);
-    copied(at, loop->fed, MODEL_TAPS);
+    copied(at, loop->inputs, MODEL_TAPS);
     memory->check = 0;
     memset(memory->token, 0, sizeof memory->token);
     memcpy(memory->token, FMU_TOKEN, sizeof FMU_TOKEN);
     memory->count[0] = loop->limited;
     memory->count[1] = loop->slewed;
     memory->count[2] = loop->refused;
-    memory->count[3] = (uint64_t)f->phase * 4 + (uint64_t)f->told;
+    memory->count[3] = (uint64_t)f->phase * 4 + (uint64_t)f->reported;
 }
 
 /* The carts go where this instance has its own. Nothing is ever on offer between two steps. */
 void fmu_restore(fmu *f, const fmu_memory *memory)
 {
     dehyst_loop *loop = &f->piezo.loop;
-    dehyst_wide_state *state = &loop->state;
+    dehyst_state *state = &loop->state;
     dehyst_real *const scalar[FMU_SCALARS] = {
         &state->memory.y, &state->y,        &state->rate,     &state->input, &loop->sent,
-        &loop->acting,    &loop->wished[0], &loop->wished[1], &loop->asked,  &loop->wish.w,
-        &loop->wish.v,    &loop->voltage,   &f->input,        &f->output,    &f->time};
+        &loop->acting,    &loop->intended[0], &loop->intended[1], &loop->wanted,  &loop->candidate.w,
+        &loop->candidate.v,    &loop->voltage,   &f->input,        &f->output,    &f->time};
     const double *at = memory->number;
     int i;
     for (i = 0; i < FMU_SCALARS; i++) *scalar[i] = *at++;
     at = taken(at, state->memory.cart, MODEL_ELEMENTS);
     at = taken(at, state->strain, MODEL_BRANCHES);
     at = taken(at, state->elongation, MODEL_SMOOTH);
-    taken(at, loop->fed, MODEL_TAPS);
+    taken(at, loop->inputs, MODEL_TAPS);
     loop->offer = DEHYST_NOTHING;
     loop->limited = (unsigned long)memory->count[0];
     loop->slewed = (unsigned long)memory->count[1];
     loop->refused = (unsigned long)memory->count[2];
     f->phase = (fmu_phase)(memory->count[3] / 4);
-    f->told = (int)(memory->count[3] % 4);
+    f->reported = (int)(memory->count[3] % 4);
 }
 
 /* FNV-1a of 64 bits, over all behind `check`. */

@@ -1,4 +1,4 @@
-/* An FMU apart from the version of FMI: what goes in and comes out, whole periods, the memory as a row of numbers. */
+/* An FMU without the version of FMI: input and output, whole periods, the memory as a row of numbers. */
 #ifndef FMU_H
 #define FMU_H
 
@@ -19,7 +19,7 @@ typedef enum fmu_phase { FMU_MADE, FMU_BEGINNING, FMU_RUNNING, FMU_ENDED } fmu_p
 enum { FMU_SENT = 4, FMU_OFFERED = 11, FMU_GIVEN = 13 };
 #define FMU_NUMBERS (FMU_SCALARS + MODEL_ELEMENTS + MODEL_BRANCHES + MODEL_SMOOTH + MODEL_TAPS)
 
-/* All that an instance remembers, without a pointer; alike states are alike to the last byte. */
+/* The memory of an instance, without a pointer; equal states are equal to the last byte. */
 typedef struct fmu_memory {
     char token[sizeof FMU_TOKEN + 7 - (sizeof FMU_TOKEN + 7) % 8];
     uint64_t check; /* of what follows; only in a serialised state */
@@ -31,11 +31,11 @@ typedef struct fmu {
     piezo piezo;
     fmu_phase phase;
     double input, output, time;
-    int told; /* of limits 1, of the slew rate 2 */
+    int reported; /* of limits 1, of the slew rate 2 */
     char message[240];
 } fmu;
 
-/* Those that may fail return 0 then, have moved nothing, and say why in `message`, which never holds a % sign. */
+/* A function that fails returns 0, moves nothing, and writes the reason to `message`, which never has a % sign. */
 int fmu_begin(fmu *f);
 int fmu_matches(fmu *f, const char *token);
 int fmu_demand(fmu *f, int holds, const char *why);
@@ -43,9 +43,9 @@ int fmu_enter(fmu *f, fmu_phase from, fmu_phase to, const char *function);
 int fmu_set(fmu *f, uint32_t reference, double value);
 int fmu_get(fmu *f, uint32_t reference, double *value);
 int fmu_count(fmu *f, uint32_t reference, uint64_t *value);
-/* Goes on by as many periods as the step holds. Without a period, any step is one sample. */
+/* Takes as many periods as the step holds. Without a period, any step is one sample. */
 int fmu_step(fmu *f, double from, double by);
-/* 1 if something was clamped for the first time, and says what. */
+/* Returns 1 if something was clamped for the first time, and writes what to `message`. */
 int fmu_clamped(fmu *f);
 
 static inline int fmu_finite(double a) { return a - a == 0; }

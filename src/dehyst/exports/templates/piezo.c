@@ -1,19 +1,19 @@
 #include "piezo.h"
 
-#include "model.h"
+/* numbers */
 
 void piezo_point(piezo *p)
 {
     p->loop.state.memory.cart = p->cart;
     p->loop.state.strain = p->strain;
     p->loop.state.elongation = p->elongation;
-    p->loop.fed = p->fed;
-    p->loop.wish.cart = p->spare;
+    p->loop.inputs = p->inputs;
+    p->loop.candidate.cart = p->spare;
 }
 
 dehyst_status piezo_begin(piezo *p)
 {
-    dehyst_wide_state *state = &p->loop.state;
+    dehyst_state *state = &p->loop.state;
     int i;
     piezo_point(p);
     for (i = 0; i < MODEL_ELEMENTS; i++) p->cart[i] = p->spare[i] = model_cart[i];
@@ -42,10 +42,10 @@ dehyst_real piezo_simulate(piezo *p, dehyst_real voltage)
 
 dehyst_real piezo_displacement(const piezo *p)
 {
-    return model.wide.inertia ? p->loop.state.y : p->loop.state.memory.y;
+    return model.actuator.inertia ? p->loop.state.y : p->loop.state.memory.y;
 }
 
-/* Member by member: an assignment of this size would call for memcpy, which a bare machine may lack. */
+/* Member by member: an assignment of this size would call memcpy, which a bare machine may lack. */
 static void copy_loop(dehyst_loop *to, const dehyst_loop *from)
 {
     to->state.memory.y = from->state.memory.y;
@@ -54,12 +54,12 @@ static void copy_loop(dehyst_loop *to, const dehyst_loop *from)
     to->state.input = from->state.input;
     to->sent = from->sent;
     to->acting = from->acting;
-    to->wished[0] = from->wished[0];
-    to->wished[1] = from->wished[1];
-    to->asked = from->asked;
-    to->wish.w = from->wish.w;
-    to->wish.v = from->wish.v;
-    to->wish.hint = from->wish.hint;
+    to->intended[0] = from->intended[0];
+    to->intended[1] = from->intended[1];
+    to->wanted = from->wanted;
+    to->candidate.w = from->candidate.w;
+    to->candidate.v = from->candidate.v;
+    to->candidate.hint = from->candidate.hint;
     to->voltage = from->voltage;
     to->offer = from->offer;
     to->limited = from->limited;
@@ -75,9 +75,9 @@ void piezo_copy(piezo *to, const piezo *from)
     copy_loop(&to->loop, &from->loop);
     for (i = 0; i < MODEL_ELEMENTS; i++) {
         to->cart[i] = from->loop.state.memory.cart[i];
-        to->spare[i] = from->loop.wish.cart[i];
+        to->spare[i] = from->loop.candidate.cart[i];
     }
     for (i = 0; i < MODEL_BRANCHES; i++) to->strain[i] = from->strain[i];
     for (i = 0; i < MODEL_SMOOTH; i++) to->elongation[i] = from->elongation[i];
-    for (i = 0; i < MODEL_TAPS; i++) to->fed[i] = from->fed[i];
+    for (i = 0; i < MODEL_TAPS; i++) to->inputs[i] = from->inputs[i];
 }

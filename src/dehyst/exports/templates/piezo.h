@@ -1,42 +1,44 @@
 /* A piezo actuator in a loop: wanted displacement [m] in, voltage [V] out, one call every MODEL_PERIOD seconds.
  *
- * No heap, no library, no globals but constants: a piezo is all memory, and there may be many. No call can fail but
- * piezo_begin, each takes bounded time. Not for two threads or interrupts at once on one piezo. */
+ * No heap, no library, no globals but constants: a piezo holds all memory, and there may be many. Only piezo_begin can
+ * fail; every call takes bounded time. Two threads or interrupts must not use one piezo at the same time. */
 #ifndef PIEZO_H
 #define PIEZO_H
 
 #include "dehyst.h"
-#include "model_size.h"
+
+/* sizes */
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
 typedef struct piezo {
-    dehyst_loop loop; /* how many samples were limited, slewed and refused is told by its counts */
+    dehyst_loop loop; /* its counts: how many samples were limited, slewed and refused */
     dehyst_real cart[MODEL_ROOM(MODEL_ELEMENTS)], spare[MODEL_ROOM(MODEL_ELEMENTS)];
     dehyst_real strain[MODEL_ROOM(MODEL_BRANCHES)];
     dehyst_real elongation[MODEL_ROOM(MODEL_SMOOTH)];
-    dehyst_real fed[MODEL_TAPS];
+    dehyst_real inputs[MODEL_TAPS];
 } piezo;
 
-/* Comes before every other call: start from the state that was exported. DEHYST_OK, or the memory is not to be used. */
+/* Start from the exported state. Call it before every other function. If it does not return DEHYST_OK, do not use p. */
 dehyst_status piezo_begin(piezo *p);
-/* The voltage to send now; the memory takes it to be sent. If the displacement is not a number, the last voltage. */
+/* Return the voltage to send now, which then counts as sent. If the displacement is not a number, it is the last one. */
 dehyst_real piezo_step(piezo *p, dehyst_real displacement);
-/* The same in two: nothing moves until the voltage that was really sent is committed. */
+/* Return the voltage to send; nothing moves until a voltage is committed. */
 dehyst_real piezo_offer(piezo *p, dehyst_real displacement);
+/* End a period with the voltage that was really sent. */
 void piezo_commit(piezo *p, dehyst_real voltage);
-/* A period has passed in which nothing was sent: the last voltage acts on. */
+/* End a period in which nothing was sent: the last voltage acts on. */
 void piezo_hold(piezo *p);
-/* The actuator itself: its displacement after a period with this voltage; if that is not a number, with the last. One
- * that leads farther than can be computed moves nothing and is counted as refused. */
+/* The actuator itself: return its displacement after a period with this voltage, or with the last one if this is not a
+ * number. A voltage that leads farther than can be computed moves nothing and counts as refused. */
 dehyst_real piezo_simulate(piezo *p, dehyst_real voltage);
-/* Where the actuator is, by all that was sent. */
+/* Return the displacement of the actuator, from all voltages that were sent. */
 dehyst_real piezo_displacement(const piezo *p);
-/* A piezo points into itself: it is copied by piezo_copy, not by assignment. If the bytes of such a copy were moved,
- * piezo_point puts its pointers right. */
+/* Copy a piezo. It points into itself: an assignment would not do. */
 void piezo_copy(piezo *to, const piezo *from);
+/* Correct the pointers of a piezo after its bytes were moved. */
 void piezo_point(piezo *p);
 
 #ifdef __cplusplus

@@ -1,4 +1,4 @@
-#include "rivals_plays.h"
+#include "plays.h"
 
 #include <math.h>
 

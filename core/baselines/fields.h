@@ -10,8 +10,8 @@
  *
  * Beyond the identified voltages y goes on linearly and nothing is remembered. Every array belongs to the caller.
  */
-#ifndef RIVALS_FIELDS_H
-#define RIVALS_FIELDS_H
+#ifndef DEHYST_FIELDS_H
+#define DEHYST_FIELDS_H
 
 #ifdef __cplusplus
 extern "C" {

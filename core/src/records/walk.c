@@ -1,19 +1,19 @@
-#include "dehyst_parts.h"
+#include "reversals.h"
 
 /* Voltage to displacement on the stack: along straight pieces of the present branch, one after another. */
 
-static dehyst_real branch_stops(const dehyst_slip *slip, const dehyst_stack *stack, dehyst_real y, int hint)
+static dehyst_real branch_voltage(const dehyst_slip *slip, const dehyst_stack *stack, dehyst_real y, int hint)
 {
     const dehyst_reversal *from = stack->reversal + stack->depth - 1;
     dehyst_real u = stack->direction * (y - from->y);
-    return from->stops + stack->direction * masing(slip, cell_of(slip, u, hint), u);
+    return from->slip_voltage + stack->direction * masing_branch(slip, cell_of(slip, u, hint), u);
 }
 
-/* The segment of the spring in which the present branch, beyond y, reaches v. */
-static int segment_at_voltage(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_real y, dehyst_real v,
+/* Return the segment of the spring in which the present branch, beyond y, reaches v. */
+static int segment_at_voltage(const dehyst_plain *plain, const dehyst_stack *stack, dehyst_real y, dehyst_real v,
                               const piece *last)
 {
-    const dehyst_curve *spring = &actuator->spring;
+    const dehyst_curve *spring = &plain->spring;
     dehyst_real direction = stack->direction;
     int forward = direction > 0, tries = 0;
     int near = segment(spring, y, last->j), far = forward ? spring->size - 2 : 0;
@@ -23,7 +23,7 @@ static int segment_at_voltage(const dehyst_actuator *actuator, const dehyst_stac
         dehyst_real at = spring->knot[knot];
         dehyst_real reached = direction * (at - y) <= 0
                                   ? direction * -DEHYST_LARGEST
-                                  : branch_stops(&actuator->slip, stack, at, last->cell) + spring->value[knot];
+                                  : branch_voltage(&plain->slip, stack, at, last->cell) + spring->value[knot];
         if (direction * (v - reached) >= 0)
             near = middle + (forward ? 1 : -1);
         else
@@ -32,18 +32,18 @@ static int segment_at_voltage(const dehyst_actuator *actuator, const dehyst_stac
     return near;
 }
 
-/* The cell of the present branch in which, within segment j, it reaches v. */
-static int cell_at_voltage(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_real v, int j, int hint)
+/* Return the cell in which the present branch, within segment j, reaches v. */
+static int cell_at_voltage(const dehyst_plain *plain, const dehyst_stack *stack, dehyst_real v, int j, int hint)
 {
-    const dehyst_slip *slip = &actuator->slip;
+    const dehyst_slip *slip = &plain->slip;
     const dehyst_reversal *from = stack->reversal + stack->depth - 1;
     int near = hint, far = slip->size, tries = 0;
     while (near < far) {
         int middle = tries++ < 2 ? near : near + (far - near) / 2;
         dehyst_real y = from->y + stack->direction * slip->edge[middle];
-        dehyst_real stops = from->stops + stack->direction * slip->intercept[middle] +
+        dehyst_real slip_voltage = from->slip_voltage + stack->direction * slip->intercept[middle] +
                             stack->direction * slip->stiffness[middle] * slip->edge[middle];
-        if (stack->direction * (v - stops - on_segment(&actuator->spring, j, y)) >= 0)
+        if (stack->direction * (v - slip_voltage - on_segment(&plain->spring, j, y)) >= 0)
             near = middle + 1;
         else
             far = middle;
@@ -51,17 +51,18 @@ static int cell_at_voltage(const dehyst_actuator *actuator, const dehyst_stack *
     return near;
 }
 
-/* The piece of the present branch in one cell and one segment. Written in place: pieces returned by value are copied
- * by wider loads than the stores before them, which stalls the processor at every change of piece. */
-static void piece_in(const dehyst_actuator *actuator, const dehyst_stack *stack, int cell, int j, piece *found)
+/* Compute the piece of the present branch in one cell and one segment. Written in place: pieces returned by value are
+ * copied by wider loads than the stores before them, which stalls the processor at every change of piece. */
+static void piece_in(const dehyst_plain *plain, const dehyst_stack *stack, int cell, int j, piece *found)
 {
-    const dehyst_slip *slip = &actuator->slip;
-    const dehyst_curve *spring = &actuator->spring;
+    const dehyst_slip *slip = &plain->slip;
+    const dehyst_curve *spring = &plain->spring;
     const dehyst_reversal *from = stack->reversal + stack->depth - 1;
     const dehyst_real direction = stack->direction, y_from = from->y;
     const dehyst_real slope = slip->stiffness[cell] + spring->slope[j];
     const dehyst_real u = cell > 0 ? slip->edge[cell - 1] : 0, start = y_from + direction * u;
-    const dehyst_real v_start = from->stops + direction * masing(slip, cell, u) + on_segment(spring, j, start);
+    const dehyst_real v_start =
+        from->slip_voltage + direction * masing_branch(slip, cell, u) + on_segment(spring, j, start);
     const int forward = direction > 0, last = forward ? j + 2 == spring->size : j == 0;
     const int first = forward ? j == 0 : j + 2 == spring->size;
     const dehyst_real knot = spring->knot[j + forward], behind = spring->knot[j + !forward];
@@ -81,26 +82,26 @@ static void piece_in(const dehyst_actuator *actuator, const dehyst_stack *stack,
 }
 
 /* Move to the piece of the present branch, at or beyond the present place, that holds v. */
-static void find_piece(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_real v, piece *now)
+static void find_piece(const dehyst_plain *plain, const dehyst_stack *stack, dehyst_real v, piece *now)
 {
     const dehyst_reversal *from = stack->reversal + stack->depth - 1;
-    int j = segment_at_voltage(actuator, stack, stack->y, v, now);
-    int cell = cell_of(&actuator->slip, stack->direction * (stack->y - from->y), now->cell);
-    piece_in(actuator, stack, cell_at_voltage(actuator, stack, v, j, cell), j, now);
+    int j = segment_at_voltage(plain, stack, stack->y, v, now);
+    int cell = cell_of(&plain->slip, stack->direction * (stack->y - from->y), now->cell);
+    piece_in(plain, stack, cell_at_voltage(plain, stack, v, j, cell), j, now);
 }
 
-/* Work out the piece that follows `now` on its branch, if one does. Done ahead of need, it costs no waiting. */
-static void look_beyond(const dehyst_actuator *actuator, const dehyst_stack *stack, const piece *now, piece *ahead)
+/* Compute the piece that follows `now` on its branch, if one does, ahead of need: nothing then waits for it. */
+static void look_beyond(const dehyst_plain *plain, const dehyst_stack *stack, const piece *now, piece *ahead)
 {
     int forward = stack->direction > 0 ? 1 : -1;
-    if (now->ends_at_knot || now->cell < actuator->slip.size)
-        piece_in(actuator, stack, now->cell + !now->ends_at_knot, now->j + forward * now->ends_at_knot, ahead);
+    if (now->ends_at_knot || now->cell < plain->slip.size)
+        piece_in(plain, stack, now->cell + !now->ends_at_knot, now->j + forward * now->ends_at_knot, ahead);
 }
 
-void dehyst_walk_begin(dehyst_walk *walk, const dehyst_actuator *actuator, dehyst_stack *stack)
+void dehyst_walk_begin(dehyst_walk *walk, const dehyst_plain *plain, dehyst_stack *stack)
 {
     static const piece nowhere = {0, 0, 0, 0, 0, 0, 0, 0, 0};
-    walk->actuator = actuator;
+    walk->plain = plain;
     walk->stack = stack;
     walk->pieces[0] = walk->pieces[1] = nowhere;
     walk->now = walk->pieces;
@@ -110,16 +111,16 @@ void dehyst_walk_begin(dehyst_walk *walk, const dehyst_actuator *actuator, dehys
     walk->v = stack->v;
 }
 
-/* Put the walk on the piece that holds v, from the farthest point of the stack's branch. */
+/* Put the walk on the piece that holds v, from the farthest point of the stack's branch on. */
 static void find_way(dehyst_walk *walk, dehyst_real v)
 {
-    const dehyst_actuator *actuator = walk->actuator;
+    const dehyst_plain *plain = walk->plain;
     dehyst_stack *stack = walk->stack;
     piece *now = walk->now;
     const dehyst_reversal *to;
     dehyst_real direction = stack->direction;
     if (direction * (v - stack->v) < 0) {
-        dehyst_stack_turn(&actuator->slip, stack, branch_stops(&actuator->slip, stack, stack->y, now->cell));
+        dehyst_stack_turn(&plain->slip, stack, branch_voltage(&plain->slip, stack, stack->y, now->cell));
         direction = stack->direction;
         walk->on_piece = 0;
     }
@@ -132,22 +133,22 @@ static void find_way(dehyst_walk *walk, dehyst_real v)
         walk->now = walk->ahead;
         walk->ahead = now;
     } else {
-        find_piece(actuator, stack, v, now);
+        find_piece(plain, stack, v, now);
     }
-    look_beyond(actuator, stack, walk->now, walk->ahead);
+    look_beyond(plain, stack, walk->now, walk->ahead);
     walk->on_piece = 1;
 }
 
-/* Where the piece or the elastic way back from the farthest point of its branch, at `far` times the direction, leads to.
- * Returns whether it does: on the way back no cart moves, and it need not be told from the branch, as in
- * dehyst_stack_compensate. */
-static inline int onward(const piece *now, dehyst_real direction, dehyst_real width, dehyst_real place, dehyst_real *far,
-                         dehyst_real *y_far, dehyst_real *y)
+/* Return whether the piece, or the elastic way back from the farthest point of its branch, leads to v, and where.
+ * `place` and `far` are v and the voltage of that point times the direction. On the way back no cart moves: the motion
+ * stays on the branch, as in dehyst_stack_compensate. */
+static inline int onward(const piece *now, dehyst_real direction, dehyst_real width, dehyst_real place,
+                         dehyst_real *far, dehyst_real *y_far, dehyst_real *y)
 {
     const dehyst_real ahead = place > *far ? place : *far;
     const dehyst_real y_ahead = now->start + (direction * ahead - now->v_start) * now->inverse_slope;
     const dehyst_real back = (ahead - place) * now->inverse_elastic;
-    /* Of comparisons with what is not a number none holds. */
+    /* No comparison with NaN holds. */
     if (!(ahead < direction * now->v_end && back <= width && direction * y_ahead - back >= now->bottom)) return 0;
     *far = ahead;
     *y_far = y_ahead;
@@ -155,7 +156,7 @@ static inline int onward(const piece *now, dehyst_real direction, dehyst_real wi
     return 1;
 }
 
-/* Go on to a piece that holds v, which the present one does not. */
+/* Go on to another piece, which holds v. */
 static void leap(dehyst_walk *walk, dehyst_real v)
 {
     find_way(walk, v);
@@ -166,7 +167,7 @@ static void leap(dehyst_walk *walk, dehyst_real v)
 dehyst_real dehyst_walk_to(dehyst_walk *walk, dehyst_real v)
 {
     dehyst_stack *stack = walk->stack;
-    const dehyst_real direction = stack->direction, width = walk->actuator->slip.edge[0];
+    const dehyst_real direction = stack->direction, width = walk->plain->slip.edge[0];
     dehyst_real far = direction * stack->v;
     if (walk->on_piece && onward(walk->now, direction, width, direction * v, &far, &stack->y, &walk->y)) {
         stack->v = direction * far;
@@ -180,20 +181,19 @@ dehyst_real dehyst_walk_to(dehyst_walk *walk, dehyst_real v)
 void dehyst_walk_end(dehyst_walk *walk)
 {
     dehyst_stack *stack = walk->stack;
-    const dehyst_slip *slip = &walk->actuator->slip;
+    const dehyst_slip *slip = &walk->plain->slip;
     if (stack->direction * (walk->v - stack->v) < 0)
-        dehyst_stack_turn(slip, stack, branch_stops(slip, stack, stack->y, walk->now->cell));
+        dehyst_stack_turn(slip, stack, branch_voltage(slip, stack, stack->y, walk->now->cell));
     stack->y = walk->y;
     stack->v = walk->v;
 }
 
-void dehyst_stack_simulate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y,
-                           long n)
+void dehyst_stack_simulate(const dehyst_plain *plain, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y, long n)
 {
-    const dehyst_real width = actuator->slip.edge[0];
+    const dehyst_real width = plain->slip.edge[0];
     dehyst_walk walk;
     long t = 0;
-    dehyst_walk_begin(&walk, actuator, stack);
+    dehyst_walk_begin(&walk, plain, stack);
     while (t < n) {
         if (!is_finite(v[t])) {
             y[t++] = walk.y;

@@ -1,6 +1,6 @@
 // An actuator's tables and memory, owned by C++ for the length of a call or of a loop.
-#ifndef DEHYST_ACTUATORS_H
-#define DEHYST_ACTUATORS_H
+#ifndef DEHYST_TABLES_H
+#define DEHYST_TABLES_H
 
 #include <memory>
 #include <stdexcept>
@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "arrays.h"
-#include "dehyst.h"
+#include "dehyst_records.h"
 
 using Grid = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Bounds = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
@@ -47,7 +47,7 @@ inline void demand_size(size_t rows, size_t columns = 1) {
 
 struct Core {
     std::vector<double> rho, kappa, knot, value, slope, edge, intercept, stiffness;
-    dehyst_actuator actuator;
+    dehyst_plain tables;
 
     Core(Input rho_, Input kappa_, Input knot_, Input value_)
         : rho(copy(rho_)), kappa(copy(kappa_)), knot(copy(knot_)), value(copy(value_)) {
@@ -60,26 +60,27 @@ struct Core {
         demand(dehyst_curve_tabulate(int(knot.size()), knot.data(), value.data(), slope.data()));
         demand(dehyst_slip_tabulate(int(n), rho.data(), kappa.data(), edge.data(), intercept.data(), stiffness.data(),
                                     &inverse_step));
-        actuator.slip = {int(n),           rho.data(),       kappa.data(), edge.data(),
+        tables.slip = {int(n),           rho.data(),       kappa.data(), edge.data(),
                          intercept.data(), stiffness.data(), inverse_step};
-        actuator.spring = {int(knot.size()), knot.data(), value.data(), slope.data()};
+        tables.spring = {int(knot.size()), knot.data(), value.data(), slope.data()};
     }
     Core(const Core &) = delete;
 
     std::vector<double> carts(double y, Input cart) const {
         std::vector<double> own_cart = copy(cart);
         if (own_cart.size() != rho.size()) demand(DEHYST_ERR_SIZE);
-        dehyst_state state{y, own_cart.data()};
-        demand(dehyst_state_check(&actuator, &state));
+        dehyst_plain_state state{y, own_cart.data()};
+        demand(dehyst_plain_check(&tables, &state));
         return own_cart;
     }
 
-    using Run = void(const dehyst_actuator *, dehyst_state *, dehyst_stack *, const double *, double *, long);
-    using Step = double(const dehyst_actuator *, dehyst_state *, double);
+    using Run = void(const dehyst_plain *, dehyst_plain_state *, dehyst_stack *, const double *, double *, long);
+    using Step = double(const dehyst_plain *, dehyst_plain_state *, double);
 
-    std::tuple<Output, double, Output> run(Run *function, Step *step, Input in, double y, Input cart, bool stack) const {
+    std::tuple<Output, double, Output> run(Run *function, Step *step, Input in, double y, Input cart,
+                                           bool stack) const {
         std::vector<double> own_cart = carts(y, cart);
-        dehyst_state state{y, own_cart.data()};
+        dehyst_plain_state state{y, own_cart.data()};
         const size_t n = in.size();
         std::unique_ptr<double[]> out(new double[n + 1]);
         const double *source = in.data();
@@ -88,74 +89,74 @@ struct Core {
             if (stack) {
                 std::vector<dehyst_reversal> reversals(DEHYST_STACK_CAPACITY(rho.size()));
                 dehyst_stack work{int(reversals.size()), 0, 1, 0, 0, reversals.data()};
-                function(&actuator, &state, &work, source, out.get(), long(n));
+                function(&tables, &state, &work, source, out.get(), long(n));
             } else {
-                for (size_t t = 0; t < n; t++) out[t] = step(&actuator, &state, source[t]);
+                for (size_t t = 0; t < n; t++) out[t] = step(&tables, &state, source[t]);
             }
         }
         return {own<Output>(std::move(out), {n}), state.y, as_array(own_cart)};
     }
 
     auto compensate(Input in, double y, Input cart, bool stack) const {
-        return run(dehyst_compensate_run, dehyst_compensate_step, in, y, cart, stack);
+        return run(dehyst_plain_compensate_run, dehyst_plain_compensate, in, y, cart, stack);
     }
     auto simulate(Input in, double y, Input cart, bool stack) const {
-        return run(dehyst_simulate_run, dehyst_simulate_step, in, y, cart, stack);
+        return run(dehyst_plain_simulate_run, dehyst_plain_simulate, in, y, cart, stack);
     }
 
     int depth(Input history, double y, Input cart) const {
         std::vector<double> own_cart = carts(y, cart), out(history.size() + 1);
-        dehyst_state state{y, own_cart.data()};
+        dehyst_plain_state state{y, own_cart.data()};
         std::vector<dehyst_reversal> reversals(DEHYST_STACK_CAPACITY(rho.size()));
         dehyst_stack work{int(reversals.size()), 0, 1, 0, 0, reversals.data()};
-        demand(dehyst_stack_encode(&actuator, &state, &work));
-        dehyst_stack_compensate(&actuator, &work, history.data(), out.data(), long(history.size()));
+        demand(dehyst_stack_encode(&tables, &state, &work));
+        dehyst_stack_compensate(&tables, &work, history.data(), out.data(), long(history.size()));
         return work.depth;
     }
 
     double voltage(double y, Input cart) const {
         std::vector<double> own_cart = carts(y, cart);
-        dehyst_state state{y, own_cart.data()};
-        return dehyst_voltage(&actuator, &state);
+        dehyst_plain_state state{y, own_cart.data()};
+        return dehyst_plain_voltage(&tables, &state);
     }
-    double spring_at(double y) const { return dehyst_curve_at(&actuator.spring, y); }
-    double spring_inverse(double v) const { return dehyst_curve_inverse(&actuator.spring, v); }
+    double spring_at(double y) const { return dehyst_curve_at(&tables.spring, y); }
+    double spring_inverse(double v) const { return dehyst_curve_inverse(&tables.spring, v); }
 };
 
 struct Wide {
     Core base;
     std::vector<double> grade_knot, grade_value, grade_slope, tau_voltage, tau_drive, tau_slope, tau_inverse, stiffness;
     std::vector<double> length, back, smooth;
-    dehyst_wide wide;
+    dehyst_actuator tables;
 
     Wide(Input rho, Input kappa, Input knot, Input value, Input grade_knot_, Input grades, Input tau_voltage_,
          Input tau_drive_, Input stiffness_, Input inertia, Input length_, Input closing, Input smooth_)
         : base(rho, kappa, knot, value), grade_knot(copy(grade_knot_)), grade_slope(copy(grades)),
-          tau_voltage(copy(tau_voltage_)), tau_drive(copy(tau_drive_)), stiffness(copy(stiffness_)), length(copy(length_)),
-          back(length.size()), smooth(copy(smooth_)) {
+          tau_voltage(copy(tau_voltage_)), tau_drive(copy(tau_drive_)), stiffness(copy(stiffness_)),
+          length(copy(length_)), back(length.size()), smooth(copy(smooth_)) {
         const size_t n = base.rho.size(), m = grade_knot.empty() ? 0 : grade_knot.size() - 1;
         if (grade_slope.size() != n * m || tau_voltage.size() != tau_drive.size()) demand(DEHYST_ERR_SIZE);
         if (closing.size() != length.size() || smooth.size() != length.size()) demand(DEHYST_ERR_SIZE);
         demand_size(n + 1, m + 1), demand_size(tau_voltage.size()), demand_size(stiffness.size());
         demand_size(length.size());
-        wide = {base.actuator, {0, nullptr, nullptr, nullptr}, {0, nullptr, nullptr, nullptr},
+        tables = {base.tables, {0, nullptr, nullptr, nullptr}, {0, nullptr, nullptr, nullptr},
                 {0, nullptr, nullptr, nullptr}, int(stiffness.size()), stiffness.data(), inertia.size() > 0, 0, 0,
                 {int(length.size()), length.data(), back.data(), smooth.data()}};
         if (inertia.size() != 0 && inertia.size() != 2) demand(DEHYST_ERR_SIZE);
-        if (wide.inertia) wide.series = inertia(0), wide.share = inertia(1);
+        if (tables.inertia) tables.series = inertia(0), tables.share = inertia(1);
         demand(dehyst_smooth_tabulate(int(length.size()), length.data(), closing.data(), back.data()));
         if (m > 0) {
             grade_slope.resize((n + 1) * m), grade_value.resize((n + 1) * (m + 1));
             demand(dehyst_grades_tabulate(int(n), int(m), grade_knot.data(), grade_slope.data(), grade_value.data()));
-            wide.grades = {int(m), grade_knot.data(), grade_value.data(), grade_slope.data()};
+            tables.grades = {int(m), grade_knot.data(), grade_value.data(), grade_slope.data()};
         }
         if (!tau_voltage.empty()) {
             const int k = int(tau_voltage.size());
             tau_slope.resize(k), tau_inverse.resize(k);
             demand(dehyst_curve_tabulate(k, tau_voltage.data(), tau_drive.data(), tau_slope.data()));
             demand(dehyst_curve_tabulate(k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()));
-            wide.drive = {k, tau_voltage.data(), tau_drive.data(), tau_slope.data()};
-            wide.voltage = {k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()};
+            tables.transformer = {k, tau_voltage.data(), tau_drive.data(), tau_slope.data()};
+            tables.inverse_transformer = {k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()};
         }
     }
     Wide(const Wide &) = delete;
@@ -163,39 +164,39 @@ struct Wide {
     // In one array: the strains of creep, then the elongations of smooth elements.
     struct Memory {
         std::vector<double> cart, strain;
-        dehyst_wide_state state;
+        dehyst_state state;
     };
 
     std::unique_ptr<Memory> memory(double w, Input cart, Input strain, Input motion) const {
         auto own_memory = std::make_unique<Memory>();
         own_memory->cart = copy(cart), own_memory->strain = copy(strain);
-        if (own_memory->cart.size() != base.rho.size() || own_memory->strain.size() != stiffness.size() + length.size() ||
-            motion.size() != (wide.inertia ? 2 : 0))
+        if (own_memory->cart.size() != base.rho.size() ||
+            own_memory->strain.size() != stiffness.size() + length.size() || motion.size() != (tables.inertia ? 2 : 0))
             demand(DEHYST_ERR_SIZE);
         own_memory->state = {{w, own_memory->cart.data()}, own_memory->strain.data(),
                              own_memory->strain.data() + stiffness.size(), 0, 0, 0};
-        if (wide.inertia) own_memory->state.y = motion(0), own_memory->state.rate = motion(1);
-        demand(dehyst_wide_check(&wide, &own_memory->state));
+        if (tables.inertia) own_memory->state.y = motion(0), own_memory->state.rate = motion(1);
+        demand(dehyst_check(&tables, &own_memory->state));
         return own_memory;
     }
 
-    struct Room {
+    struct Workspace {
         std::vector<dehyst_reversal> reversals;
-        std::vector<double> value, slope, held;
+        std::vector<double> value, slope, at_cart;
         std::vector<int> segment;
-        dehyst_room room;
+        dehyst_workspace workspace;
 
-        Room(size_t elements, size_t knots, bool stack)
-            : reversals(stack ? DEHYST_STACK_CAPACITY(elements) : 0), value(knots), slope(knots), held(elements),
+        Workspace(size_t elements, size_t knots, bool stack)
+            : reversals(stack ? DEHYST_STACK_CAPACITY(elements) : 0), value(knots), slope(knots), at_cart(elements),
               segment(elements) {
-            room = {{int(reversals.size()), 0, 1, 0, 0, stack ? reversals.data() : nullptr},
-                    value.data(), slope.data(), held.data(), segment.data()};
+            workspace = {{int(reversals.size()), 0, 1, 0, 0, stack ? reversals.data() : nullptr},
+                    value.data(), slope.data(), at_cart.data(), segment.data()};
         }
-        Room(const Room &) = delete;
+        Workspace(const Workspace &) = delete;
     };
 
-    // Runs of equal steps: samples bounds[r] to bounds[r + 1] move at the pace of row r.
-    struct Paces {
+    // Runs of equal steps: samples bounds[r] to bounds[r + 1] take steps of row r.
+    struct Steps {
         Bounds bounds;
         Grid decay, gain, transition;
 
@@ -208,11 +209,11 @@ struct Wide {
             if (!fit) demand(DEHYST_ERR_SIZE);
             return r;
         }
-        dehyst_pace at(size_t r) const {
-            dehyst_pace pace{decay.data() + r * decay.shape(1), gain.data() + r * gain.shape(1), {}};
+        dehyst_step at(size_t r) const {
+            dehyst_step step{decay.data() + r * decay.shape(1), gain.data() + r * gain.shape(1), {}};
             if (const double *row = transition.data() + 8 * r; transition.shape(1) == 8)
-                pace.transition = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
-            return pace;
+                step.transition = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
+            return step;
         }
         long first(size_t r) const { return long(bounds(r)); }
         long length(size_t r) const { return long(bounds(r + 1) - bounds(r)); }
@@ -223,25 +224,25 @@ struct Wide {
     Reached reached(std::unique_ptr<double[]> out, size_t n, const Memory &after) const {
         const std::vector<double> motion{after.state.y, after.state.rate};
         return {own<Output>(std::move(out), {n}), after.state.memory.y, as_array(after.cart), as_array(after.strain),
-                as_array(wide.inertia ? motion : std::vector<double>())};
+                as_array(tables.inertia ? motion : std::vector<double>())};
     }
 
-    Reached compensate(Input in, Input more, Bounds bounds, Grid decay, Grid gain, Grid transition, double w, Input cart,
-                       Input strain, Input motion, bool stack) const {
+    Reached compensate(Input in, Input extra, Bounds bounds, Grid decay, Grid gain, Grid transition, double w,
+                       Input cart, Input strain, Input motion, bool stack) const {
         auto own_memory = memory(w, cart, strain, motion);
-        const Paces paces{bounds, decay, gain, transition};
-        const size_t n = in.size(), count = paces.size(n, stiffness.size(), wide.inertia);
-        if (more.size() != 0 && more.size() != n) demand(DEHYST_ERR_SIZE);
+        const Steps steps{bounds, decay, gain, transition};
+        const size_t n = in.size(), count = steps.size(n, stiffness.size(), tables.inertia);
+        if (extra.size() != 0 && extra.size() != n) demand(DEHYST_ERR_SIZE);
         std::unique_ptr<double[]> out(new double[n + 1]);
-        const double *source = in.data(), *added = more.size() ? more.data() : nullptr;
+        const double *source = in.data(), *added = extra.size() ? extra.data() : nullptr;
         {
             nb::gil_scoped_release release;
-            Room own_room(base.rho.size(), base.knot.size(), stack);
+            Workspace work(base.rho.size(), base.knot.size(), stack);
             for (size_t r = 0; r < count; r++) {
-                const dehyst_pace pace = paces.at(r);
-                const long first = paces.first(r);
-                dehyst_wide_compensate(&wide, &pace, &own_memory->state, &own_room.room, source + first,
-                                       added ? added + first : nullptr, out.get() + first, paces.length(r));
+                const dehyst_step step = steps.at(r);
+                const long first = steps.first(r);
+                dehyst_compensate_run(&tables, &step, &own_memory->state, &work.workspace, source + first,
+                                       added ? added + first : nullptr, out.get() + first, steps.length(r));
             }
         }
         return reached(std::move(out), n, *own_memory);
@@ -250,19 +251,19 @@ struct Wide {
     Reached simulate(Input in, Input load, Bounds bounds, Grid decay, Grid gain, Grid transition, double w, Input cart,
                      Input strain, Input motion, bool stack) const {
         auto own_memory = memory(w, cart, strain, motion);
-        const Paces paces{bounds, decay, gain, transition};
-        const size_t n = in.size(), count = paces.size(n, stiffness.size(), wide.inertia);
+        const Steps steps{bounds, decay, gain, transition};
+        const size_t n = in.size(), count = steps.size(n, stiffness.size(), tables.inertia);
         if (load.size() != 0 && load.size() != n) demand(DEHYST_ERR_SIZE);
         std::unique_ptr<double[]> out(new double[n + 1]);
         const double *source = in.data(), *force = load.size() ? load.data() : nullptr;
         {
             nb::gil_scoped_release release;
-            Room own_room(base.rho.size(), base.knot.size(), stack);
+            Workspace work(base.rho.size(), base.knot.size(), stack);
             for (size_t r = 0; r < count; r++) {
-                const dehyst_pace pace = paces.at(r);
-                const long first = paces.first(r);
-                dehyst_wide_simulate(&wide, &pace, &own_memory->state, &own_room.room, source + first,
-                                     force ? force + first : nullptr, out.get() + first, paces.length(r));
+                const dehyst_step step = steps.at(r);
+                const long first = steps.first(r);
+                dehyst_simulate_run(&tables, &step, &own_memory->state, &work.workspace, source + first,
+                                     force ? force + first : nullptr, out.get() + first, steps.length(r));
             }
         }
         return reached(std::move(out), n, *own_memory);
@@ -270,7 +271,7 @@ struct Wide {
 
     double voltage(double w, Input cart, Input strain, Input motion) const {
         auto own_memory = memory(w, cart, strain, motion);
-        return dehyst_wide_voltage(&wide, &own_memory->state);
+        return dehyst_voltage(&tables, &own_memory->state);
     }
 };
 

@@ -1,18 +1,18 @@
-#include "dehyst_parts.h"
+#include "reversals.h"
 
 /* Samples on the carts between two attempts to encode a state that has no stack yet. */
 #define BLOCK 256
 
 static dehyst_real distance(const dehyst_reversal *a, const dehyst_reversal *b) { return magnitude(a->y - b->y); }
 
-/* Turn round at the present place. A branch that has moved every cart forgets what lies below it. Of three successive
- * nested amplitudes in one cell the two middle reversals bound a loop that no element tells from a straight line. */
-void dehyst_stack_turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real stops)
+/* A branch that has moved every cart forgets the reversals below it. Of three successive nested amplitudes in one cell
+ * the two middle reversals bound a loop that is a straight line for every element. */
+void dehyst_stack_turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real slip_voltage)
 {
     dehyst_reversal *r = stack->reversal;
     dehyst_reversal here;
     here.y = stack->y;
-    here.stops = stops;
+    here.slip_voltage = slip_voltage;
     here.v = stack->v;
     if (stack->depth == 2 && cell_of(slip, distance(&here, &r[1]), 0) == slip->size) {
         r[0] = r[1];
@@ -35,20 +35,20 @@ void dehyst_stack_turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real
     }
 }
 
-/* Turn round at y, a point of the present branch in this cell and near this segment of the spring. */
-static void turn_at(const dehyst_actuator *actuator, dehyst_stack *stack, dehyst_real y, int cell, int j)
+/* Turn at y, a point of the present branch in this cell and near segment j of the spring. */
+static void turn_at(const dehyst_plain *plain, dehyst_stack *stack, dehyst_real y, int cell, int j)
 {
     const dehyst_reversal *from = stack->reversal + stack->depth - 1;
-    const dehyst_real stops =
-        from->stops + stack->direction * masing(&actuator->slip, cell, magnitude(y - from->y));
+    const dehyst_real slip_voltage =
+        from->slip_voltage + stack->direction * masing_branch(&plain->slip, cell, magnitude(y - from->y));
     stack->y = y;
-    stack->v = stops + on_segment(&actuator->spring, segment(&actuator->spring, y, j), y);
-    dehyst_stack_turn(&actuator->slip, stack, stops);
+    stack->v = slip_voltage + on_segment(&plain->spring, segment(&plain->spring, y, j), y);
+    dehyst_stack_turn(&plain->slip, stack, slip_voltage);
 }
 
-dehyst_status dehyst_stack_encode(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_stack *stack)
+dehyst_status dehyst_stack_encode(const dehyst_plain *plain, const dehyst_plain_state *state, dehyst_stack *stack)
 {
-    const dehyst_slip *slip = &actuator->slip;
+    const dehyst_slip *slip = &plain->slip;
     dehyst_reversal *r = stack->reversal, swap;
     dehyst_real direction, y = state->y, cart = state->y, rho = 0, total = 0;
     int i, count = 0;
@@ -73,12 +73,12 @@ dehyst_status dehyst_stack_encode(const dehyst_actuator *actuator, const dehyst_
     }
     /* Twice as far as it takes to move every cart: rounding must not make the outermost amplitude look shorter. */
     r[count].y = y - direction * 4 * rho;
-    r[count].stops = -direction * total;
-    r[count].v = r[count].stops + dehyst_curve_at(&actuator->spring, r[count].y);
+    r[count].slip_voltage = -direction * total;
+    r[count].v = r[count].slip_voltage + dehyst_curve_at(&plain->spring, r[count].y);
     for (i = count - 1; i >= 0; i--) {
         dehyst_real u = distance(&r[i], &r[i + 1]);
-        r[i].stops = r[i + 1].stops + direction * masing(slip, cell_of(slip, u, 0), u);
-        r[i].v = r[i].stops + dehyst_curve_at(&actuator->spring, r[i].y);
+        r[i].slip_voltage = r[i + 1].slip_voltage + direction * masing_branch(slip, cell_of(slip, u, 0), u);
+        r[i].v = r[i].slip_voltage + dehyst_curve_at(&plain->spring, r[i].y);
         direction = -direction;
     }
     for (i = 0; i < count - i; i++) {
@@ -88,13 +88,13 @@ dehyst_status dehyst_stack_encode(const dehyst_actuator *actuator, const dehyst_
     }
     stack->depth = count + 1;
     stack->y = state->y;
-    stack->v = dehyst_voltage(actuator, state);
+    stack->v = dehyst_plain_voltage(plain, state);
     return DEHYST_OK;
 }
 
-void dehyst_stack_decode(const dehyst_actuator *actuator, const dehyst_stack *stack, dehyst_state *state)
+void dehyst_stack_decode(const dehyst_plain *plain, const dehyst_stack *stack, dehyst_plain_state *state)
 {
-    const dehyst_slip *slip = &actuator->slip;
+    const dehyst_slip *slip = &plain->slip;
     dehyst_real y = stack->y, direction = stack->direction;
     int i, k = stack->depth - 1;
     for (i = 0; i < slip->size; i++) {
@@ -108,12 +108,12 @@ void dehyst_stack_decode(const dehyst_actuator *actuator, const dehyst_stack *st
 }
 
 /* While a motion turns back by no more than edge_0 from the farthest point of its branch, nor to where that began, no
- * cart moves, and it need not be told from the branch: noise on a path costs no reversals. */
-void dehyst_stack_compensate(const dehyst_actuator *actuator, dehyst_stack *stack, const dehyst_real *y, dehyst_real *v,
+ * cart moves, and the motion stays on the branch: noise on a path costs no reversals. */
+void dehyst_stack_compensate(const dehyst_plain *plain, dehyst_stack *stack, const dehyst_real *y, dehyst_real *v,
                              long n)
 {
-    const dehyst_slip *slip = &actuator->slip;
-    const dehyst_curve *spring = &actuator->spring;
+    const dehyst_slip *slip = &plain->slip;
+    const dehyst_curve *spring = &plain->spring;
     const dehyst_real elastic = slip->stiffness[0], width = slip->edge[0];
     const dehyst_reversal *from = stack->reversal + stack->depth - 1, *to = joint(stack);
     dehyst_real direction = stack->direction, present = stack->y, voltage = stack->v;
@@ -124,9 +124,9 @@ void dehyst_stack_compensate(const dehyst_actuator *actuator, dehyst_stack *stac
     long t;
     for (t = 0; t < n; t++) {
         const dehyst_real goal = is_finite(y[t]) ? y[t] : present;
-        dehyst_real place = direction * goal, stops;
+        dehyst_real place = direction * goal, slip_voltage;
         if (far - place > width || place < began) {
-            turn_at(actuator, stack, direction * far, cell, j);
+            turn_at(plain, stack, direction * far, cell, j);
             direction = stack->direction;
             from = stack->reversal + stack->depth - 1;
             to = joint(stack);
@@ -144,40 +144,41 @@ void dehyst_stack_compensate(const dehyst_actuator *actuator, dehyst_stack *stac
         }
         if (far - began >= slip->edge[cell] || (cell > 0 && far - began < slip->edge[cell - 1]))
             cell = cell_of(slip, far - began, cell);
-        stops = from->stops + direction * (masing(slip, cell, far - began) - elastic * (far - place));
+        slip_voltage =
+            from->slip_voltage + direction * (masing_branch(slip, cell, far - began) - elastic * (far - place));
         j = segment(spring, goal, j);
-        voltage = stops + on_segment(spring, j, goal);
+        voltage = slip_voltage + on_segment(spring, j, goal);
         v[t] = voltage;
         present = goal;
     }
-    if (direction * present < far) turn_at(actuator, stack, direction * far, cell, j);
+    if (direction * present < far) turn_at(plain, stack, direction * far, cell, j);
     stack->y = present;
     stack->v = voltage;
 }
 
-typedef dehyst_real step_function(const dehyst_actuator *, dehyst_state *, dehyst_real);
-typedef void stack_function(const dehyst_actuator *, dehyst_stack *, const dehyst_real *, dehyst_real *, long);
+typedef dehyst_real step_function(const dehyst_plain *, dehyst_plain_state *, dehyst_real);
+typedef void stack_function(const dehyst_plain *, dehyst_stack *, const dehyst_real *, dehyst_real *, long);
 
-static void run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work, const dehyst_real *in,
+static void run(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_stack *work, const dehyst_real *in,
                 dehyst_real *out, long n, step_function *step, stack_function *on_stack)
 {
     long t = 0, stop;
-    while (t < n && dehyst_stack_encode(actuator, state, work) != DEHYST_OK)
-        for (stop = n - t < BLOCK ? n : t + BLOCK; t < stop; t++) out[t] = step(actuator, state, in[t]);
+    while (t < n && dehyst_stack_encode(plain, state, work) != DEHYST_OK)
+        for (stop = n - t < BLOCK ? n : t + BLOCK; t < stop; t++) out[t] = step(plain, state, in[t]);
     if (t < n) {
-        on_stack(actuator, work, in + t, out + t, n - t);
-        dehyst_stack_decode(actuator, work, state);
+        on_stack(plain, work, in + t, out + t, n - t);
+        dehyst_stack_decode(plain, work, state);
     }
 }
 
-void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work,
-                           const dehyst_real *y, dehyst_real *v, long n)
+void dehyst_plain_compensate_run(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_stack *work,
+                                 const dehyst_real *y, dehyst_real *v, long n)
 {
-    run(actuator, state, work, y, v, n, dehyst_compensate_step, dehyst_stack_compensate);
+    run(plain, state, work, y, v, n, dehyst_plain_compensate, dehyst_stack_compensate);
 }
 
-void dehyst_simulate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_stack *work,
-                         const dehyst_real *v, dehyst_real *y, long n)
+void dehyst_plain_simulate_run(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_stack *work,
+                               const dehyst_real *v, dehyst_real *y, long n)
 {
-    run(actuator, state, work, v, y, n, dehyst_simulate_step, dehyst_stack_simulate);
+    run(plain, state, work, v, y, n, dehyst_plain_simulate, dehyst_stack_simulate);
 }

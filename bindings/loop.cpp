@@ -2,32 +2,34 @@
 
 #include <cmath>
 
-#include "actuators.h"
+#include "tables.h"
 
 namespace {
 
 // The memory of a loop as one row of numbers, so that it can be saved, restored and compared bit for bit.
 struct Loop {
     const Wide &wide;
-    std::vector<double> decay, gain, tap, fed, spare;
+    std::vector<double> decay, gain, tap, inputs, spare;
     std::unique_ptr<Wide::Memory> memory;
     dehyst_compensator compensator{};
     dehyst_loop loop{};
-    nb::object tell;
-    bool told[2] = {false, false};
+    nb::object on_clamp;
+    bool reported[2] = {false, false};
     bool busy = false;
 
     // numbers: low, high, change, lag, keep, from_old, from_new.
-    Loop(const Wide &wide_, Input decay_, Input gain_, Input transition, Input tap_, Input numbers, nb::object tell_)
-        : wide(wide_), decay(copy(decay_)), gain(copy(gain_)), tap(copy(tap_)), fed(tap.size()), spare(wide.base.rho.size()), tell(tell_) {
-        const bool inertia = wide.wide.inertia;
+    Loop(const Wide &wide_, Input decay_, Input gain_, Input transition, Input tap_, Input numbers,
+         nb::object on_clamp_)
+        : wide(wide_), decay(copy(decay_)), gain(copy(gain_)), tap(copy(tap_)), inputs(tap.size()),
+          spare(wide.base.rho.size()), on_clamp(on_clamp_) {
+        const bool inertia = wide.tables.inertia;
         if (decay.size() != wide.stiffness.size() || gain.size() != decay.size() || numbers.size() != 7 ||
             transition.size() != (inertia ? 8 : 0))
             demand(DEHYST_ERR_SIZE);
         const double *row = transition.data(), *x = numbers.data();
-        dehyst_pace pace{decay.data(), gain.data(), {}};
-        if (inertia) pace.transition = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
-        compensator = {wide.wide, pace, x[0], x[1], x[2], int(tap.size()), tap.data(), x[3], x[4], x[5], x[6], 0};
+        dehyst_step step{decay.data(), gain.data(), {}};
+        if (inertia) step.transition = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
+        compensator = {wide.tables, step, x[0], x[1], x[2], int(tap.size()), tap.data(), x[3], x[4], x[5], x[6], 0};
         demand(dehyst_compensator_tabulate(&compensator));
     }
     Loop(const Loop &) = delete;
@@ -37,36 +39,36 @@ struct Loop {
         auto begun = wide.memory(w, cart, strain, motion);
         dehyst_loop fresh{};
         fresh.state = begun->state;
-        fresh.fed = fed.data();
-        fresh.wish.cart = spare.data();
+        fresh.inputs = inputs.data();
+        fresh.candidate.cart = spare.data();
         demand(dehyst_loop_begin(&compensator, &fresh));
         loop = fresh;
         memory = std::move(begun);
     }
 
-    // A clamp is said before the voltage counts as sent, once of each kind: whoever listens may still refuse.
+    // A clamp is reported before the voltage counts as sent, once of each kind: the listener may still raise.
     void check_offer(double u) {
         if (loop.offer == DEHYST_REFUSED) {
             loop.offer = DEHYST_NOTHING;
             throw CoreError("the wanted displacement is not a finite number");
         }
-        if (loop.offer == DEHYST_LIMITED || loop.offer == DEHYST_SLEWED) say(loop.offer == DEHYST_SLEWED, u);
+        if (loop.offer == DEHYST_LIMITED || loop.offer == DEHYST_SLEWED) report(loop.offer == DEHYST_SLEWED, u);
     }
-    void say(bool slewed, double u) {
-        if (told[slewed]) return;
-        tell(slewed, u, loop.voltage);
-        told[slewed] = true;
+    void report(bool slewed, double u) {
+        if (reported[slewed]) return;
+        on_clamp(slewed, u, loop.voltage);
+        reported[slewed] = true;
     }
 
     double offer(double u) {
         demand_free();
         const double v = dehyst_loop_offer(&compensator, &loop, u);
-        if (loop.offer != DEHYST_WISHED) check_offer(u);
+        if (loop.offer != DEHYST_CANDIDATE) check_offer(u);
         return v;
     }
     void commit(double v) {
         demand_free();
-        if (!dehyst_loop_believes(&compensator, v)) throw CoreError("nothing like the limits");
+        if (!dehyst_loop_accepts(&compensator, v)) throw CoreError("nothing like the limits");
         dehyst_loop_commit(&compensator, &loop, v);
     }
     double step(double u) {
@@ -74,7 +76,7 @@ struct Loop {
         dehyst_loop_commit(&compensator, &loop, v);
         return v;
     }
-    // Another thread may ask for a step while the interpreter is free: it is told.
+    // Another thread may request a step while the interpreter lock is released: that raises.
     struct Busy {
         bool &flag;
         explicit Busy(bool &flag_) : flag(flag_) { flag = true; }
@@ -117,7 +119,7 @@ struct Loop {
     // Every number that a step reads, as the core made it.
     nb::dict tables() const {
         const dehyst_compensator &c = compensator;
-        const double *phi = c.pace.transition.phi, *before = c.pace.transition.before, *after = c.pace.transition.after;
+        const double *phi = c.step.transition.phi, *before = c.step.transition.before, *after = c.step.transition.after;
         const Core &base = wide.base;
         nb::dict found;
         auto put = [&](const char *name, const std::vector<double> &values) { found[name] = as_array(values); };
@@ -129,8 +131,8 @@ struct Loop {
         put("creep", wide.stiffness), put("decay", decay), put("gain", gain);
         put("length", wide.length), put("back", wide.back), put("smooth", wide.smooth);
         put("tap", tap);
-        if (wide.wide.inertia) {
-            put("inertia", {wide.wide.series, wide.wide.share});
+        if (wide.tables.inertia) {
+            put("inertia", {wide.tables.series, wide.tables.share});
             put("transition", {phi[0], phi[1], phi[2], phi[3], before[0], before[1], after[0], after[1]});
         } else {
             put("inertia", {}), put("transition", {});
@@ -148,27 +150,28 @@ struct Loop {
         const std::vector<double> motion{loop.state.y, loop.state.rate};
         const double *cart = loop.state.memory.cart;
         return {loop.state.memory.y, as_array({cart, cart + spare.size()}), as_array(memory->strain),
-                as_array(wide.wide.inertia ? motion : std::vector<double>())};
+                as_array(wide.tables.inertia ? motion : std::vector<double>())};
     }
 
-    // What a state lacks to go on bit for bit: amplifier, mass and what was fed.
+    // What a state lacks to go on bit for bit: amplifier, mass and what was inputs.
     Output rest() const {
         demand_free();
-        std::vector<double> row{loop.sent, loop.acting, loop.wished[0], loop.wished[1], loop.state.input, loop.state.rate};
-        row.insert(row.end(), fed.begin(), fed.end());
+        std::vector<double> row{loop.sent,        loop.acting,      loop.intended[0],
+                                loop.intended[1], loop.state.input, loop.state.rate};
+        row.insert(row.end(), inputs.begin(), inputs.end());
         return as_array(row);
     }
     void go_on(Input row, unsigned long limited, unsigned long slewed, unsigned long refused) {
         demand_free();
-        if (row.size() != 6 + fed.size()) demand(DEHYST_ERR_SIZE);
+        if (row.size() != 6 + inputs.size()) demand(DEHYST_ERR_SIZE);
         for (size_t i = 0; i < row.size(); i++)
             if (!std::isfinite(row(i))) demand(DEHYST_ERR_FINITE);
-        // The push and the velocity of a mass, as `dehyst_wide_check` bounds its place.
+        // The push and the velocity of a mass, as `dehyst_check` bounds its place.
         const double farthest = 1 / DEHYST_EPSILON / DEHYST_EPSILON;
         if (std::fabs(row(4)) > farthest || std::fabs(row(5)) > farthest) demand(DEHYST_ERR_FINITE);
-        loop.sent = row(0), loop.acting = row(1), loop.wished[0] = row(2), loop.wished[1] = row(3);
+        loop.sent = row(0), loop.acting = row(1), loop.intended[0] = row(2), loop.intended[1] = row(3);
         loop.state.input = row(4), loop.state.rate = row(5);
-        std::copy(row.data() + 6, row.data() + row.size(), fed.begin());
+        std::copy(row.data() + 6, row.data() + row.size(), inputs.begin());
         loop.limited = limited, loop.slewed = slewed, loop.refused = refused;
         loop.offer = DEHYST_NOTHING;
     }
@@ -178,10 +181,10 @@ struct Loop {
         each(loop.state.memory.y);
         for (size_t i = 0; i < spare.size(); i++) each(loop.state.memory.cart[i]);
         for (double &one : memory->strain) each(one);
-        if (wide.wide.inertia) each(loop.state.y), each(loop.state.rate), each(loop.state.input);
+        if (wide.tables.inertia) each(loop.state.y), each(loop.state.rate), each(loop.state.input);
         each(loop.sent);
-        if (compensator.lag > 0) each(loop.acting), each(loop.wished[0]), each(loop.wished[1]);
-        for (size_t m = 0; m + 1 < fed.size(); m++) each(fed[m]);
+        if (compensator.lag > 0) each(loop.acting), each(loop.intended[0]), each(loop.intended[1]);
+        for (size_t m = 0; m + 1 < inputs.size(); m++) each(inputs[m]);
     }
     Output row() {
         demand_free();
@@ -199,7 +202,7 @@ struct Loop {
         const double *next = row.data();
         visit([&](double &one) { one = *next++; });
         loop.offer = DEHYST_NOTHING;
-        demand(dehyst_wide_check(&wide.wide, &loop.state));
+        demand(dehyst_check(&wide.tables, &loop.state));
     }
 
     // Functions of a row: what was in the loop before does not count, what is in it after is of no use.
@@ -223,7 +226,7 @@ struct Loop {
     double reached(Input row, double v) {
         place(row);
         follow(v);
-        return wide.wide.inertia ? loop.state.y : loop.state.memory.y;
+        return wide.tables.inertia ? loop.state.y : loop.state.memory.y;
     }
     Output moved(Input row_, double v) {
         place(row_);

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "arrays.h"
-#include "rivals_plays.h"
+#include "plays.h"
 
 namespace {
 

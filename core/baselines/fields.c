@@ -1,4 +1,4 @@
-#include "rivals_fields.h"
+#include "fields.h"
 
 #include <math.h>
 
@@ -170,7 +170,7 @@ void preisach_counts(const preisach_plane *plane, preisach_stairs *stairs, const
     }
 }
 
-/* The root of value(x) = goal in [low, high], value increasing; both are given by a function that tells the slope. */
+/* The root of value(x) = goal in [low, high], value increasing; a function returns both value and slope. */
 typedef double (*increasing)(const void *what, double x, double *slope);
 
 /* A step shorter than the grain ends the search. */

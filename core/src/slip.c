@@ -1,6 +1,4 @@
-#include "dehyst_parts.h"
-
-#include <stddef.h>
+#include "internal.h"
 
 static int is_increasing(const dehyst_real *a, int n)
 {
@@ -57,9 +55,9 @@ dehyst_status dehyst_slip_tabulate(int n, const dehyst_real *rho, const dehyst_r
     return DEHYST_OK;
 }
 
-dehyst_status dehyst_state_check(const dehyst_actuator *actuator, const dehyst_state *state)
+dehyst_status dehyst_plain_check(const dehyst_plain *plain, const dehyst_plain_state *state)
 {
-    const dehyst_slip *slip = &actuator->slip;
+    const dehyst_slip *slip = &plain->slip;
     int i;
     if (slip->size > 0 && state->cart == NULL) return DEHYST_ERR_SIZE;
     if (!is_finite(state->y) || !all_finite(state->cart, slip->size)) return DEHYST_ERR_FINITE;
@@ -84,10 +82,10 @@ dehyst_real dehyst_curve_inverse(const dehyst_curve *curve, dehyst_real value)
 void dehyst_slip_move(const dehyst_slip *slip, dehyst_real *cart, dehyst_real y)
 {
     int i;
-    for (i = 0; i < slip->size; i++) cart[i] = dragged(cart[i], y, slip->rho[i]);
+    for (i = 0; i < slip->size; i++) cart[i] = cart_after(cart[i], y, slip->rho[i]);
 }
 
-void dehyst_slip_stops(const dehyst_slip *slip, dehyst_real *cart, const dehyst_real *y, dehyst_real *out, long n)
+void dehyst_slip_elongations(const dehyst_slip *slip, dehyst_real *cart, const dehyst_real *y, dehyst_real *out, long n)
 {
     long t;
     int i;
@@ -97,30 +95,30 @@ void dehyst_slip_stops(const dehyst_slip *slip, dehyst_real *cart, const dehyst_
     }
 }
 
-dehyst_real dehyst_voltage(const dehyst_actuator *actuator, const dehyst_state *state)
+dehyst_real dehyst_plain_voltage(const dehyst_plain *plain, const dehyst_plain_state *state)
 {
-    const dehyst_slip *slip = &actuator->slip;
+    const dehyst_slip *slip = &plain->slip;
     dehyst_real v = 0;
     int i;
     for (i = 0; i < slip->size; i++) v += slip->kappa[i] * (state->y - state->cart[i]);
-    return v + dehyst_curve_at(&actuator->spring, state->y);
+    return v + dehyst_curve_at(&plain->spring, state->y);
 }
 
-dehyst_real dehyst_compensate_step(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real y)
+dehyst_real dehyst_plain_compensate(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_real y)
 {
     if (is_finite(y)) {
-        dehyst_slip_move(&actuator->slip, state->cart, y);
+        dehyst_slip_move(&plain->slip, state->cart, y);
         state->y = y;
     }
-    return dehyst_voltage(actuator, state);
+    return dehyst_plain_voltage(plain, state);
 }
 
-outlook dehyst_look_ahead(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real y,
-                          dehyst_real direction)
+branch_segment dehyst_plain_look_ahead(const dehyst_plain *plain, const dehyst_plain_state *state, dehyst_real y,
+                                       dehyst_real direction)
 {
-    const dehyst_slip *slip = &actuator->slip;
-    const dehyst_curve *spring = &actuator->spring;
-    outlook ahead = {0, 0, 0};
+    const dehyst_slip *slip = &plain->slip;
+    const dehyst_curve *spring = &plain->spring;
+    branch_segment ahead = {0, 0, 0};
     int i, j = segment(spring, y, spring->size / 2);
     if (direction < 0 && j > 0 && y <= spring->knot[j]) j--;
     ahead.event = direction * DEHYST_LARGEST;
@@ -141,16 +139,16 @@ outlook dehyst_look_ahead(const dehyst_actuator *actuator, const dehyst_state *s
     return ahead;
 }
 
-dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real v)
+dehyst_real dehyst_plain_simulate(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_real v)
 {
     dehyst_real y = state->y, direction = 1;
-    int changes = actuator->slip.size + actuator->spring.size;
-    outlook ahead;
+    int changes = plain->slip.size + plain->spring.size;
+    branch_segment ahead;
     if (!is_finite(v)) return y;
-    ahead = dehyst_look_ahead(actuator, state, y, direction);
+    ahead = dehyst_plain_look_ahead(plain, state, y, direction);
     if (v < ahead.v) {
         direction = -1;
-        ahead = dehyst_look_ahead(actuator, state, y, direction);
+        ahead = dehyst_plain_look_ahead(plain, state, y, direction);
     }
     while (changes-- > 0) {
         dehyst_real goal = y + (v - ahead.v) / ahead.slope;
@@ -159,10 +157,10 @@ dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, dehyst_state *
             break;
         }
         y = ahead.event;
-        ahead = dehyst_look_ahead(actuator, state, y, direction);
+        ahead = dehyst_plain_look_ahead(plain, state, y, direction);
     }
     if (!within_reach(y)) return y;
-    dehyst_slip_move(&actuator->slip, state->cart, y);
+    dehyst_slip_move(&plain->slip, state->cart, y);
     state->y = y;
     return y;
 }

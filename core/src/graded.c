@@ -1,6 +1,4 @@
-#include "dehyst_parts.h"
-
-#include <stddef.h>
+#include "internal.h"
 
 dehyst_status dehyst_grades_tabulate(int n, int m, const dehyst_real *knot, dehyst_real *slope, dehyst_real *value)
 {
@@ -26,7 +24,7 @@ dehyst_status dehyst_grades_tabulate(int n, int m, const dehyst_real *knot, dehy
     return DEHYST_OK;
 }
 
-/* psi_i at b, which lies in segment j; row N is the sum of all. */
+/* Return psi_i at b, which lies in segment j; row N is the sum of all. */
 static dehyst_real psi(const dehyst_grades *grades, int i, int j, dehyst_real b)
 {
     return grades->value[i * (grades->size + 1) + j] + grades->slope[i * grades->size + j] * (b - grades->knot[j]);
@@ -37,8 +35,8 @@ static int grade(const dehyst_grades *grades, dehyst_real b, int hint)
     return count_below(grades->knot + 1, grades->size - 1, b, hint);
 }
 
-/* The segment that a cart sliding in `direction`, `lead` behind y, moves in, and the y at which it meets the next knot.
- * It is found by the very comparison that makes the knot an event, so that no event is met twice. */
+/* Return the segment in which a cart slides in `direction`, `lead` behind y, and the y at which it meets the next knot.
+ * The comparison is the one that makes the knot an event, so that no event is met twice. */
 static int grade_ahead(const dehyst_grades *grades, dehyst_real y, dehyst_real lead, dehyst_real direction, int hint,
                        dehyst_real *event)
 {
@@ -57,18 +55,18 @@ static int grade_ahead(const dehyst_grades *grades, dehyst_real y, dehyst_real l
     return j;
 }
 
-static void nearer(outlook *ahead, dehyst_real direction, dehyst_real event)
+static void nearer(branch_segment *ahead, dehyst_real direction, dehyst_real event)
 {
     if (direction * (event - ahead->event) < 0) ahead->event = event;
 }
 
-outlook dehyst_grades_look_ahead(const dehyst_wide *wide, const dehyst_state *state, dehyst_real y,
-                                 dehyst_real direction)
+branch_segment dehyst_grades_look_ahead(const dehyst_actuator *actuator, const dehyst_plain_state *state, dehyst_real y,
+                                        dehyst_real direction)
 {
-    const dehyst_slip *slip = &wide->plain.slip;
-    const dehyst_curve *spring = &wide->plain.spring;
-    const dehyst_grades *grades = &wide->grades;
-    outlook ahead;
+    const dehyst_slip *slip = &actuator->plain.slip;
+    const dehyst_curve *spring = &actuator->plain.spring;
+    const dehyst_grades *grades = &actuator->grades;
+    branch_segment ahead;
     dehyst_real event;
     int i, j = segment(spring, y, spring->size / 2), hint;
     if (direction < 0 && j > 0 && y <= spring->knot[j]) j--;
@@ -97,11 +95,11 @@ outlook dehyst_grades_look_ahead(const dehyst_wide *wide, const dehyst_state *st
     return ahead;
 }
 
-dehyst_real dehyst_grades_voltage(const dehyst_wide *wide, const dehyst_state *state)
+dehyst_real dehyst_grades_voltage(const dehyst_actuator *actuator, const dehyst_plain_state *state)
 {
-    const dehyst_grades *grades = &wide->grades;
-    int i, n = wide->plain.slip.size, hint = grade(grades, state->y, grades->size / 2);
-    dehyst_real v = dehyst_curve_at(&wide->plain.spring, state->y) + psi(grades, n, hint, state->y);
+    const dehyst_grades *grades = &actuator->grades;
+    int i, n = actuator->plain.slip.size, hint = grade(grades, state->y, grades->size / 2);
+    dehyst_real v = dehyst_curve_at(&actuator->plain.spring, state->y) + psi(grades, n, hint, state->y);
     for (i = 0; i < n; i++) {
         hint = grade(grades, state->cart[i], hint);
         v -= psi(grades, i, hint, state->cart[i]);
@@ -109,19 +107,19 @@ dehyst_real dehyst_grades_voltage(const dehyst_wide *wide, const dehyst_state *s
     return v;
 }
 
-/* Where the carts sit is looked up only for those that move. */
-void dehyst_grades_compensate(const dehyst_wide *wide, dehyst_state *state, dehyst_real *held, int *where,
-                              const dehyst_real *y, dehyst_real *v, long n)
+/* Only carts that move are looked up. */
+void dehyst_grades_compensate(const dehyst_actuator *actuator, dehyst_plain_state *state, dehyst_real *at_cart,
+                              int *where, const dehyst_real *y, dehyst_real *v, long n)
 {
-    const dehyst_slip *slip = &wide->plain.slip;
-    const dehyst_curve *spring = &wide->plain.spring;
-    const dehyst_grades *grades = &wide->grades;
+    const dehyst_slip *slip = &actuator->plain.slip;
+    const dehyst_curve *spring = &actuator->plain.spring;
+    const dehyst_grades *grades = &actuator->grades;
     dehyst_real *cart = state->cart, present = state->y;
     int i, j = segment(spring, present, 0), k = grade(grades, present, 0);
     long t;
     for (i = 0; i < slip->size; i++) {
         where[i] = grade(grades, cart[i], k);
-        held[i] = psi(grades, i, where[i], cart[i]);
+        at_cart[i] = psi(grades, i, where[i], cart[i]);
     }
     for (t = 0; t < n; t++) {
         dehyst_real sum = 0;
@@ -131,9 +129,9 @@ void dehyst_grades_compensate(const dehyst_wide *wide, dehyst_state *state, dehy
             if (cart[i] < low || cart[i] > high) {
                 cart[i] = cart[i] < low ? low : high;
                 where[i] = grade(grades, cart[i], where[i]);
-                held[i] = psi(grades, i, where[i], cart[i]);
+                at_cart[i] = psi(grades, i, where[i], cart[i]);
             }
-            sum += held[i];
+            sum += at_cart[i];
         }
         j = segment(spring, present, j);
         k = grade(grades, present, k);

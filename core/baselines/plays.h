@@ -9,8 +9,8 @@
  * v -> y (simulate) is explicit. y -> v (compensate) walks from where v is to the next place where a play begins to
  * move or passes a knot, until y is met: exact, with neither tolerance nor iteration.
  */
-#ifndef DEHYST_RIVALS_PLAYS_H
-#define DEHYST_RIVALS_PLAYS_H
+#ifndef DEHYST_PLAYS_H
+#define DEHYST_PLAYS_H
 
 #ifdef __cplusplus
 extern "C" {

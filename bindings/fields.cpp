@@ -1,4 +1,4 @@
-// Arrays in, arrays out, the interpreter lock released. No algorithm: see core/rivals_fields.h.
+// Arrays in, arrays out, the interpreter lock released. No algorithm: see core/baselines/fields.h.
 #include <cstdint>
 #include <memory>
 #include <stdexcept>
@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "arrays.h"
-#include "rivals_fields.h"
+#include "fields.h"
 
 namespace {
 

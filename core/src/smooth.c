@@ -1,14 +1,12 @@
-#include "dehyst_parts.h"
+#include "internal.h"
 
-#include <stddef.h>
-
-/* What is left to move must be this much shorter than the shortest element before its curvature is below rounding. */
+/* The curvature is below rounding where the rest of the motion is this much shorter than the shortest element. */
 #define SHARE ((dehyst_real)(1.0 / 16))
-/* Steps of a solution beside those that pass events. From below, Newton's steps never go too far: they reach the end of
- * an element that lets go in as many steps as its stiffness is powers of e above what stays. */
+/* Newton's steps of a solution beside those that pass events. From below they never go too far: for an element that
+ * slides, they take as many steps as its stiffness is powers of e above the stiffness that stays. */
 #define TRIES 200
 
-/* To a few units in the last place, however small x is. With f = n ln 2 - x, exp(f) - 1 = f + f c / (2 - c) where
+/* Exact to a few units in the last place, however small x is. With f = n ln 2 - x, exp(f) - 1 = f + f c / (2 - c) where
  * c = f + 2 - f coth(f / 2) = f - f^2 / 6 + f^4 / 360 - ... (Bernoulli's numbers). */
 dehyst_real dehyst_decay(dehyst_real x)
 {
@@ -19,7 +17,7 @@ dehyst_real dehyst_decay(dehyst_real x)
     dehyst_real f, t, c, rest, scale = 1;
     int n, i;
     if (x > 40) return 1;
-    /* Nor is what is not a number converted to int. */
+    /* NaN must not be converted to int. */
     if (!(x > 0)) return 0;
     n = (int)(x * (dehyst_real)1.4426950408889634 + (dehyst_real)0.5);
     f = (dehyst_real)n * high - x + (dehyst_real)n * low;
@@ -79,8 +77,8 @@ dehyst_status dehyst_smooth_check(const dehyst_smooth *smooth, const dehyst_real
     return DEHYST_OK;
 }
 
-/* Elongation r, counted in the direction of motion, after a motion over `way` >= 0. Against its elongation an element
- * comes back by r' = 1 - back r, steeper than 1, until it is at rest; then r' = 1 - r / length. */
+/* Return the elongation r, positive in the direction of motion, after a motion over `way` >= 0. Against its elongation
+ * an element returns by r' = 1 - back r, steeper than 1, until it is at rest; then r' = 1 - r / length. */
 static dehyst_real moved(const dehyst_smooth *smooth, int l, dehyst_real r, dehyst_real way)
 {
     const dehyst_real length = smooth->length[l], back = smooth->back[l];
@@ -118,7 +116,7 @@ void dehyst_smooth_elongations(const dehyst_smooth *smooth, dehyst_real *elongat
     }
 }
 
-dehyst_real dehyst_smooth_held(const dehyst_smooth *smooth, const dehyst_real *elongation)
+dehyst_real dehyst_smooth_voltage(const dehyst_smooth *smooth, const dehyst_real *elongation)
 {
     dehyst_real sum = 0;
     int l;
@@ -126,7 +124,7 @@ dehyst_real dehyst_smooth_held(const dehyst_smooth *smooth, const dehyst_real *e
     return sum;
 }
 
-dehyst_real dehyst_smooth_held_after(const dehyst_smooth *smooth, const dehyst_real *elongation, dehyst_real by)
+dehyst_real dehyst_smooth_voltage_after(const dehyst_smooth *smooth, const dehyst_real *elongation, dehyst_real by)
 {
     const dehyst_real direction = by < 0 ? -1 : 1;
     dehyst_real sum = 0;
@@ -145,18 +143,18 @@ void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongati
             dehyst_smooth_move(smooth, elongation, path[t] - y);
             y = path[t];
         }
-        v[t] += dehyst_smooth_held(smooth, elongation);
+        v[t] += dehyst_smooth_voltage(smooth, elongation);
     }
 }
 
-/* The whole right-hand side at w, nothing moved yet: its value, its slope onward, and the next change of slope of its
- * straight parts. Between such changes it is concave along the motion, for a smooth element only ever gets softer. */
-static outlook meet(const dehyst_wide *wide, const dehyst_wide_state *state, dehyst_real stiffness, dehyst_real w,
-                    dehyst_real direction)
+/* Return the whole right-hand side at w, with nothing moved yet: value, slope onward, and the next change of slope of
+ * its straight parts. Between such changes it is concave along the motion, because smooth elements only get softer. */
+static branch_segment meet(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real stiffness,
+                           dehyst_real w, dehyst_real direction)
 {
-    const dehyst_smooth *smooth = &wide->smooth;
+    const dehyst_smooth *smooth = &actuator->smooth;
     const dehyst_real by = w - state->memory.y;
-    outlook ahead = look_ahead(wide, &state->memory, w, direction);
+    branch_segment ahead = look_ahead(actuator, &state->memory, w, direction);
     int l;
     ahead.v += stiffness * by;
     ahead.slope += stiffness;
@@ -169,49 +167,50 @@ static outlook meet(const dehyst_wide *wide, const dehyst_wide_state *state, deh
     return ahead;
 }
 
-/* Step over events at once where that is not too far, else over the next one. `beyond` lies past the solution. */
-static outlook hop(const dehyst_wide *wide, const dehyst_wide_state *state, dehyst_real drive, dehyst_real stiffness,
-                   dehyst_real direction, dehyst_real goal, dehyst_real event, dehyst_real *w, dehyst_real *beyond)
+/* Step over several events where that is not too far, else over the next one. `beyond` lies past the solution. */
+static branch_segment hop(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real drive,
+                          dehyst_real stiffness, dehyst_real direction, dehyst_real goal, dehyst_real event,
+                          dehyst_real *w, dehyst_real *beyond)
 {
     const dehyst_real far = direction * (goal - *beyond) < 0 ? goal : event + (*beyond - event) / 2;
-    const outlook there = meet(wide, state, stiffness, far, direction);
+    const branch_segment there = meet(actuator, state, stiffness, far, direction);
     *w = far;
     if (direction * (drive - there.v) >= 0) return there;
     *beyond = far;
     *w = event;
-    return meet(wide, state, stiffness, event, direction);
+    return meet(actuator, state, stiffness, event, direction);
 }
 
-dehyst_real dehyst_smooth_solve(const dehyst_wide *wide, dehyst_wide_state *state, dehyst_real drive,
+dehyst_real dehyst_smooth_solve(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real drive,
                                 dehyst_real stiffness, dehyst_real *likely)
 {
-    const dehyst_smooth *smooth = &wide->smooth;
-    const int grades = wide->grades.size > 0 ? wide->grades.size : 1;
-    int tries = TRIES + (wide->plain.slip.size + 1) * grades + wide->plain.spring.size, l;
+    const dehyst_smooth *smooth = &actuator->smooth;
+    const int grades = actuator->grades.size > 0 ? actuator->grades.size : 1;
+    int tries = TRIES + (actuator->plain.slip.size + 1) * grades + actuator->plain.spring.size, l;
     dehyst_real w = state->memory.y, direction = *likely, shortest = smooth->length[0], beyond;
-    outlook ahead;
+    branch_segment ahead;
     if (!is_finite(drive)) return w;
     for (l = 1; l < smooth->size; l++)
         if (smooth->length[l] < shortest) shortest = smooth->length[l];
-    ahead = meet(wide, state, stiffness, w, direction);
+    ahead = meet(actuator, state, stiffness, w, direction);
     if (direction * (drive - ahead.v) < 0) {
         *likely = direction = -direction;
-        ahead = meet(wide, state, stiffness, w, direction);
+        ahead = meet(actuator, state, stiffness, w, direction);
     }
     beyond = direction * DEHYST_LARGEST;
     while (tries-- > 0 && direction * (drive - ahead.v) > 0) {
         const dehyst_real goal = w + (drive - ahead.v) / ahead.slope, step = (goal - w) / shortest;
         if (direction * (goal - ahead.event) > 0) {
-            ahead = hop(wide, state, drive, stiffness, direction, goal, ahead.event, &w, &beyond);
+            ahead = hop(actuator, state, drive, stiffness, direction, goal, ahead.event, &w, &beyond);
             continue;
         }
         w = goal;
-        /* What the next step would still put right goes with the square of this one. */
+        /* The next correction is proportional to the square of this step. */
         if (step * step <= SHARE * DEHYST_EPSILON) break;
-        ahead = meet(wide, state, stiffness, w, direction);
+        ahead = meet(actuator, state, stiffness, w, direction);
     }
     if (!within_reach(w)) return w;
-    dehyst_slip_move(&wide->plain.slip, state->memory.cart, w);
+    dehyst_slip_move(&actuator->plain.slip, state->memory.cart, w);
     dehyst_smooth_move(smooth, state->elongation, w - state->memory.y);
     state->memory.y = w;
     return w;

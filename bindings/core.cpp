@@ -1,5 +1,5 @@
 // Arrays in, arrays out, the interpreter lock released, a status back. No algorithm.
-#include "actuators.h"
+#include "tables.h"
 #include "loop.h"
 
 namespace {
@@ -8,23 +8,23 @@ std::tuple<Matrix, Output> strains(Input path, Bounds bounds, Grid decay, Grid g
     std::vector<double> d = copy(strain);
     const size_t n = path.size(), j = d.size();
     const std::vector<double> none;
-    const Wide::Paces paces{bounds, decay, gain, Grid(none.data(), {decay.shape(0), 0})};
-    const size_t count = paces.size(n, j, false);
+    const Wide::Steps steps{bounds, decay, gain, Grid(none.data(), {decay.shape(0), 0})};
+    const size_t count = steps.size(n, j, false);
     std::unique_ptr<double[]> out(new double[n * j + 1]);
     const double *source = path.data();
     {
         nb::gil_scoped_release release;
         for (size_t r = 0; r < count; r++) {
-            const dehyst_pace pace = paces.at(r);
-            const long first = paces.first(r);
-            dehyst_strains(int(j), &pace, d.data(), first ? source[first - 1] : before, source + first,
-                           out.get() + first * j, paces.length(r));
+            const dehyst_step step = steps.at(r);
+            const long first = steps.first(r);
+            dehyst_strains(int(j), &step, d.data(), first ? source[first - 1] : before, source + first,
+                           out.get() + first * j, steps.length(r));
         }
     }
     return {own<Matrix>(std::move(out), {n, j}), as_array(d)};
 }
 
-std::tuple<Matrix, Output> stops(Input rho, Input cart, Input y) {
+std::tuple<Matrix, Output> slip_elongations(Input rho, Input cart, Input y) {
     std::vector<double> own_rho = copy(rho), own_cart = copy(cart);
     const size_t n = y.size(), size = own_rho.size();
     if (own_cart.size() != size) demand(DEHYST_ERR_SIZE);
@@ -33,7 +33,7 @@ std::tuple<Matrix, Output> stops(Input rho, Input cart, Input y) {
     const double *source = y.data();
     {
         nb::gil_scoped_release release;
-        dehyst_slip_stops(&slip, own_cart.data(), source, out.get(), long(n));
+        dehyst_slip_elongations(&slip, own_cart.data(), source, out.get(), long(n));
     }
     return {own<Matrix>(std::move(out), {n, size}), as_array(own_cart)};
 }
@@ -78,7 +78,8 @@ NB_MODULE(_core, m) {
     m.doc() = "The C core of dehyst; use it through dehyst._native.";
     nb::exception<CoreError>(m, "CoreError", PyExc_ValueError);
     nb::class_<Core>(m, "Core")
-        .def(nb::init<Input, Input, Input, Input>(), nb::arg("rho"), nb::arg("kappa"), nb::arg("knot"), nb::arg("value"))
+        .def(nb::init<Input, Input, Input, Input>(), nb::arg("rho"), nb::arg("kappa"), nb::arg("knot"),
+             nb::arg("value"))
         .def("compensate", &Core::compensate)
         .def("simulate", &Core::simulate)
         .def("depth", &Core::depth)
@@ -91,7 +92,7 @@ NB_MODULE(_core, m) {
         .def("simulate", &Wide::simulate)
         .def("voltage", &Wide::voltage);
     bind_loop(m);
-    m.def("stops", &stops);
+    m.def("slip_elongations", &slip_elongations);
     m.def("smooth_elongations", &smooth_elongations);
     m.def("steps", &steps);
     m.def("strains", &strains);

@@ -1,0 +1,176 @@
+/* Functions that the sources of the core share; private to them. */
+#ifndef DEHYST_INTERNAL_H
+#define DEHYST_INTERNAL_H
+
+#include "dehyst.h"
+
+#include <stddef.h>
+
+static inline int is_finite(dehyst_real a) { return a - a == 0; }
+
+static inline dehyst_real magnitude(dehyst_real a) { return a < 0 ? -a : a; }
+
+/* Return whether a displacement can be computed with: farther, products with stiffnesses overflow. NaN cannot. */
+#define DEHYST_FARTHEST (1 / DEHYST_EPSILON / DEHYST_EPSILON)
+static inline int within_reach(dehyst_real a) { return a >= -DEHYST_FARTHEST && a <= DEHYST_FARTHEST; }
+
+/* Return how many entries of the increasing a [n] are <= u; search near the hint first. A negative hint counts as n. */
+static inline int count_below(const dehyst_real *a, int n, dehyst_real u, int hint)
+{
+    int low = 0, high = n, i = (unsigned)hint < (unsigned)n ? hint : n, tries;
+    for (tries = 0; tries < 3; tries++) {
+        if (i < n && a[i] <= u)
+            low = ++i;
+        else if (i > 0 && a[i - 1] > u)
+            high = --i;
+        else
+            return i;
+    }
+    while (low < high) {
+        int middle = low + (high - low) / 2;
+        if (a[middle] <= u)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+/* Return the segment of the curve that holds x: knot_j <= x < knot_{j+1}; the end segments are unbounded. */
+static inline int segment(const dehyst_curve *curve, dehyst_real x, int hint)
+{
+    return count_below(curve->knot + 1, curve->size - 2, x, hint);
+}
+
+static inline dehyst_real on_segment(const dehyst_curve *curve, int j, dehyst_real x)
+{
+    return curve->value[j] + curve->slope[j] * (x - curve->knot[j]);
+}
+
+/* The straight segment of a branch that a motion in one direction meets at y: voltage, slope, and where it ends. */
+typedef struct branch_segment {
+    dehyst_real v, slope, event;
+} branch_segment;
+
+branch_segment dehyst_plain_look_ahead(const dehyst_plain *plain, const dehyst_plain_state *state, dehyst_real y,
+                                       dehyst_real direction);
+dehyst_real dehyst_grades_voltage(const dehyst_actuator *actuator, const dehyst_plain_state *state);
+void dehyst_grades_compensate(const dehyst_actuator *actuator, dehyst_plain_state *state, dehyst_real *at_cart,
+                              int *where, const dehyst_real *y, dehyst_real *v, long n);
+branch_segment dehyst_grades_look_ahead(const dehyst_actuator *actuator, const dehyst_plain_state *state, dehyst_real y,
+                                        dehyst_real direction);
+
+/* Return the segment of the plain or graded elements and the spring that begins at w. */
+static inline branch_segment look_ahead(const dehyst_actuator *actuator, const dehyst_plain_state *memory,
+                                        dehyst_real w, dehyst_real direction)
+{
+    return actuator->grades.size > 0 ? dehyst_grades_look_ahead(actuator, memory, w, direction)
+                                     : dehyst_plain_look_ahead(&actuator->plain, memory, w, direction);
+}
+
+/* Return where a motion that ends at y leaves a cart at b. */
+static inline dehyst_real cart_after(dehyst_real b, dehyst_real y, dehyst_real rho)
+{
+    const dehyst_real low = y - rho, high = y + rho;
+    b = b < low ? low : b;
+    return b > high ? high : b;
+}
+
+/* Return the voltage after a motion that ends at y, and the carts after it. */
+static inline dehyst_real voltage_after(const dehyst_plain *plain, const dehyst_real *restrict cart, dehyst_real y,
+                                        dehyst_real *restrict after, int *restrict hint)
+{
+    const dehyst_slip *slip = &plain->slip;
+    const dehyst_real *restrict rho = slip->rho, *restrict kappa = slip->kappa;
+    /* Four sums do not wait for one another. */
+    dehyst_real sum[4];
+    int i = 0, k;
+    /* An initialiser might call memset. */
+    sum[0] = sum[1] = sum[2] = sum[3] = 0;
+    for (; i + 4 <= slip->size; i += 4)
+        for (k = 0; k < 4; k++) {
+            after[i + k] = cart_after(cart[i + k], y, rho[i + k]);
+            sum[k] += kappa[i + k] * (y - after[i + k]);
+        }
+    for (k = 0; i < slip->size; i++, k++) {
+        after[i] = cart_after(cart[i], y, rho[i]);
+        sum[k] += kappa[i] * (y - after[i]);
+    }
+    *hint = segment(&plain->spring, y, *hint);
+    return ((sum[0] + sum[2]) + (sum[1] + sum[3])) + on_segment(&plain->spring, *hint, y);
+}
+
+/* Move carts and smooth elements to the w at which G(w) + stiffness (w - w_old) = drive, G the voltage of these and the
+ * spring, and return w. Nothing moves if w is not within reach.
+ * @param likely the direction that is tried first; the direction of the motion is written back */
+dehyst_real dehyst_solve(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real drive, dehyst_real stiffness,
+                         dehyst_real *likely);
+/* Return the voltage of smooth elements after a motion over `by`; nothing moves. */
+dehyst_real dehyst_smooth_voltage_after(const dehyst_smooth *smooth, const dehyst_real *elongation, dehyst_real by);
+
+/* Return 1 - exp(-x) for x >= 0, without a mathematics library. */
+dehyst_real dehyst_decay(dehyst_real x);
+/* Return ln(1 + a) for 0 <= a <= 1. */
+dehyst_real dehyst_log1p(dehyst_real a);
+dehyst_status dehyst_smooth_check(const dehyst_smooth *smooth, const dehyst_real *elongation);
+dehyst_real dehyst_smooth_voltage(const dehyst_smooth *smooth, const dehyst_real *elongation);
+/* Add the voltages of smooth elements along a path [n] that begins at y to v [n]. */
+void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
+                              const dehyst_real *path, dehyst_real *v, long n);
+/* Do the same as dehyst_solve where there are smooth elements. */
+dehyst_real dehyst_smooth_solve(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real drive,
+                                dehyst_real stiffness, dehyst_real *likely);
+
+/* Return the voltage of creep after one or two steps without motion. */
+static inline dehyst_real creep_after(const dehyst_actuator *actuator, const dehyst_step *step,
+                                      const dehyst_real *strain, int steps)
+{
+    dehyst_real sum[4];
+    int j, i;
+    sum[0] = sum[1] = sum[2] = sum[3] = 0;
+    for (j = 0; j + 4 <= actuator->branches; j += 4)
+        for (i = 0; i < 4; i++) {
+            const dehyst_real once = step->decay[j + i] * strain[j + i];
+            sum[i] += actuator->creep_stiffness[j + i] * (steps > 1 ? step->decay[j + i] * once : once);
+        }
+    for (i = 0; j < actuator->branches; j++, i++) {
+        const dehyst_real once = step->decay[j] * strain[j];
+        sum[i] += actuator->creep_stiffness[j] * (steps > 1 ? step->decay[j] * once : once);
+    }
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+}
+
+/* Move creep through a step in which w moves over `by`. */
+static inline void move_creep(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_real *strain,
+                              dehyst_real by)
+{
+    int j;
+    for (j = 0; j < actuator->branches; j++) strain[j] = step->decay[j] * strain[j] + step->gain[j] * by;
+}
+
+/* At the end of a step y = offset + gain w: return the gain. */
+static inline dehyst_real gain_of(const dehyst_actuator *actuator, const dehyst_transition *to)
+{
+    return to->after[0] / (1 + actuator->share * to->after[0]);
+}
+
+/* Return the offset of the same. */
+static inline dehyst_real offset_of(const dehyst_actuator *actuator, const dehyst_transition *to,
+                                    const dehyst_state *state, dehyst_real load)
+{
+    return (to->phi[0] * state->y + to->phi[1] * state->rate + to->before[0] * state->input + to->after[0] * load) /
+           (1 + actuator->share * to->after[0]);
+}
+
+/* Move a mass through a step that ends at w and y. */
+static inline void move_mass(const dehyst_actuator *actuator, const dehyst_transition *to, dehyst_state *state,
+                             dehyst_real w, dehyst_real y, dehyst_real load)
+{
+    const dehyst_real input = w - actuator->share * y + load;
+    state->rate =
+        to->phi[2] * state->y + to->phi[3] * state->rate + to->before[1] * state->input + to->after[1] * input;
+    state->input = input;
+    state->y = y;
+}
+
+#endif

@@ -1,0 +1,67 @@
+"""The core alone, as a C developer builds it: its laws by ctest, under sanitizers too, and found by find_package."""
+
+import shutil
+import subprocess
+
+import places
+import pytest
+import sanitized
+
+USER = """
+cmake_minimum_required(VERSION 3.18)
+project(user C)
+find_package(dehyst 0.1 REQUIRED)
+add_executable(user main.c)
+target_link_libraries(user PRIVATE dehyst::dehyst)
+"""
+PROGRAM = """
+#include <dehyst.h>
+int main(void)
+{
+    dehyst_real knot[2] = {0, 1}, value[2] = {0, 2}, slope[1];
+    return dehyst_curve_tabulate(2, knot, value, slope) != DEHYST_OK || slope[0] != 2;
+}
+"""
+
+
+def run(*command):
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, f"{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def build(source, folder, *options):
+    run("cmake", "-S", source, "-B", folder, *options)
+    run("cmake", "--build", folder)
+
+
+@pytest.fixture(autouse=True)
+def tools():
+    for tool in ("cmake", "ctest", "cc"):
+        if shutil.which(tool) is None:
+            pytest.skip(f"{tool} is not installed: the core cannot be built alone")
+
+
+@pytest.mark.parametrize("sanitize", ["OFF", "ON"])
+def test_its_laws_hold(tmp_path, sanitize):
+    if sanitize == "ON" and (missing := sanitized.runtime_missing()):
+        pytest.skip(f"{missing} is not installed: the core cannot be compiled under sanitizers")
+    build(places.CORE, tmp_path, f"-DDEHYST_SANITIZE={sanitize}")
+    assert "100% tests passed, 0 tests failed out of 9" in run("ctest", "--test-dir", tmp_path)
+
+
+def test_a_project_of_its_own_finds_it(tmp_path):
+    build(places.CORE, tmp_path / "core")
+    run("cmake", "--install", tmp_path / "core", "--prefix", tmp_path / "installed")
+    (tmp_path / "CMakeLists.txt").write_text(USER)
+    (tmp_path / "main.c").write_text(PROGRAM)
+    build(tmp_path, tmp_path / "user", f"-DCMAKE_PREFIX_PATH={tmp_path / 'installed'}")
+    run(tmp_path / "user" / "user")
+
+
+def test_the_same_sources_make_the_same_files(tmp_path):
+    for name in ("one", "two"):
+        build(places.CORE, tmp_path / name, "-DDEHYST_TESTS=OFF")
+    for file in ("dehyst.c", "dehyst.h"):
+        one, two = ((tmp_path / name / "amalgamation" / file).read_bytes() for name in ("one", "two"))
+        assert one == two
