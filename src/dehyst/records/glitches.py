@@ -325,7 +325,14 @@ def _slew(v: Array, around: Indices, share: float) -> Array:
     # Not the step across, nor those that the ends of the record repeat.
     own = np.diff(around, axis=1) == 1
     own[:, _NEAR] = False
-    return np.nanquantile(np.where(own, steps, np.nan), share, axis=1)
+    # As `numpy.nanquantile` interpolates, which goes row by row and takes most of an identification's time.
+    ordered, count = np.sort(np.where(own, steps, np.nan), axis=1), own.sum(axis=1)
+    at = (count - 1) * share
+    first = np.floor(at).astype(np.intp)
+    nearest = np.column_stack([first, np.minimum(first + 1, count - 1)])
+    low, high = np.take_along_axis(ordered, nearest, axis=1).T
+    part, rise = at - first, high - low
+    return np.asarray(np.where(part < 0.5, low + rise * part, high - rise * (1 - part)))
 
 
 def _from_chord(values: Array, before: Indices, width: int, beside: int = 0) -> Array:
