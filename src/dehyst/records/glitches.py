@@ -338,10 +338,11 @@ def _slew(v: Array, around: Indices, share: float) -> Array:
 def _from_chord(values: Array, before: Indices, width: int, beside: int = 0) -> Array:
     """What samples (k, width) after those `before` lie off the chord over them, or over so many more on each side."""
     last, span = len(values) - 1, width + 1 + 2 * beside
-    left, right = (values[np.clip(i, 0, last)] for i in (before - beside, before + width + 1 + beside))
+    # The minimum of the maximum is `numpy.clip` in a third of its time.
+    left, right = (values[np.minimum(np.maximum(i, 0), last)] for i in (before - beside, before + width + 1 + beside))
     inside = np.arange(1, width + 1)
     chord = left[:, None] + (right - left)[:, None] * ((inside + beside) / span)
-    return np.asarray(values[np.clip(before[:, None] + inside, 0, last)] - chord)
+    return np.asarray(values[np.minimum(np.maximum(before[:, None] + inside, 0), last)] - chord)
 
 
 def _apart(found: list[tuple[float, int, int]]) -> list[tuple[int, int]]:
