@@ -8,12 +8,12 @@ from functools import cache
 import places
 import pytest
 import tracking_trials
-from examples import NIGHTLY
 
 import dehyst
 from dehyst import Outcome
 from dehyst.model import Structure
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from examples import NIGHTLY
 
 DATA = places.DATA
 # Truth, time step, cycles of the fast and the slow loops, holds, cycles of the path [s].
