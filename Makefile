@@ -1,21 +1,25 @@
-# make demo   install into .venv and run the main job on a virtual actuator
-# make test   install with the tests' dependencies and run every test
-# make check  lint, types, import contracts, and the C core under strict warnings
-# make wheel  build the wheel, audit it, and run the demo from it in a new environment
-# make bench  measure speed and accuracy, write benchmarks/*.json and the README's table
+# make demo     install into .venv and run the main job on a virtual actuator
+# make test     install with the tests' dependencies and run the tests
+# make nightly  the same tests with all repeats and examples
+# make check    lint, types, import contract, and the C core under strict warnings
+# make wheel    build the wheel, audit it, and run the demo from it in a new environment
+# make bench    measure speed and accuracy, write benchmarks/*.json and the README's table
 
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.txt core/*/*.[ch] core/*/*/*.[ch] bindings/* src/dehyst/* src/dehyst/*/*)
 
-.PHONY: demo test check wheel bench clean
+.PHONY: demo test nightly check wheel bench clean
 
 demo: $(VENV)/.report
 	$(BIN)/dehyst demo
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist worksteal
+
+nightly: $(VENV)/.test
+	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest -n auto --dist worksteal -m "not fuzz"
 
 check: $(VENV)/.check
 	$(BIN)/ruff check .

@@ -1,5 +1,6 @@
 """What every test shares: signals, Hypothesis without a stopwatch, and the C core compiled apart from Python."""
 
+import os
 import shutil
 import signal
 import subprocess
@@ -20,7 +21,8 @@ STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract
 
 # Shared machines stall: a time limit on one example would fail tests that are right.
 settings.register_profile("dehyst", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("dehyst")
+settings.register_profile("nightly", settings.get_profile("dehyst"), max_examples=300)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dehyst"))
 
 # Reads an actuator, a state and a path; prints, a line a sample, the voltages and what they lead back to: by the stack,
 # by the carts.

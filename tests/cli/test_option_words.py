@@ -2,13 +2,12 @@
 
 import ast
 import re
-import subprocess
-import sys
 from dataclasses import replace
 
 import click
 import places
 import pytest
+from click.testing import CliRunner
 from summaries import anatomy
 
 import dehyst
@@ -143,21 +142,16 @@ def folder(tmp_path_factory):
         ("excite staircase 100 -o out.csv --sample-rate 0.01", "--sample-rate: got 0.01"),
     ],
 )
-def test_messages_of_commands_name_options(folder, line, shown):
-    command = [sys.executable, "-c", "from dehyst.cli.commands import main; main()", *line.split()]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 2, done.stderr
+def test_messages_of_commands_name_options(folder, monkeypatch, line, shown):
+    monkeypatch.chdir(folder)
+    done = CliRunner().invoke(main, line.split())
+    assert done.exit_code == 2, done.stderr
     assert shown in done.stderr
     assert not re.search(r"\b[a-z]+_?[a-z]*=|slope_floor|sample_rate|slew_rate", done.stderr)
 
 
 def test_the_help_of_knots_is_what_is_done():
-    shown = subprocess.run(
-        [sys.executable, "-c", "from dehyst.cli.commands import main; main()", "identify", "--help"],
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
+    shown = CliRunner().invoke(main, ["identify", "--help"]).stdout
     assert "[default: N + 1, at most 41]" in " ".join(shown.split())
     record = demo.record_loops(PlayActuator(plays=60))[0]
     for elements, knots in ((20, 21), (50, 41)):
@@ -181,10 +175,10 @@ def test_numbers_of_things_agree_with_them():
 
 
 @pytest.mark.parametrize("name", ["limits", "knots", "delay"])
-def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path):
+def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path, monkeypatch):
     (tmp_path / name).mkdir()
     (tmp_path / name / "x").touch()
-    command = [sys.executable, "-c", "from dehyst.cli.commands import main; main()", "demo", "-o", name, "--no-report"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(main, ["demo", "-o", name, "--no-report"])
+    assert done.exit_code == 2
     assert done.stderr.startswith(f"dehyst: {name}: holds other files (x)")

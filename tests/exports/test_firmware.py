@@ -12,6 +12,7 @@ import sys
 import time
 import warnings
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import compiled_exports
@@ -45,23 +46,38 @@ def unmeasured(monkeypatch):
     monkeypatch.setattr("dehyst.exports.firmware._PROCESSORS", {})
 
 
-def pythons(compensator, samples, every):
-    loop = compensator.afresh()
-    voltages = loop.run(compiled_exports.wishes(compensator, samples))
-    return compiled_exports.told(voltages, loop.clamps, every=every)
+@cache
+def pythons(kind, samples):
+    """What Python answers to so many wishes, a hundred of them one by one."""
+    loop = KINDS[kind]().afresh()
+    voltages = loop.run(compiled_exports.wishes(loop, samples))
+    return compiled_exports.told(voltages, loop.clamps, every=samples // 100)
+
+
+# Wishes grow narrower over 3072 samples, and begin again.
+SOME = [
+    *((kind, 4000) for kind in ("all", "moving")),
+    *(pytest.param(kind, 10_000, marks=pytest.mark.nightly) for kind in ("all", "moving")),
+]
+MANY = [("plain", 10**5), pytest.param("plain", 10**6, marks=pytest.mark.nightly)]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize(
-    ("kind", "samples"), [("plain", 10**6), ("slewing", 10**6), ("all", 50_000), ("moving", 50_000)]
+    ("kind", "samples"),
+    [
+        *((kind, 10**5) for kind in ("plain", "slewing")),
+        *(pytest.param(kind, 10**6, marks=pytest.mark.nightly) for kind in ("plain", "slewing")),
+        *((kind, 50_000) for kind in ("all", "moving")),
+    ],
 )
 def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler):
     if compiler == "clang" and shutil.which("clang") is None:
         pytest.skip("clang is not installed")
     need("gcc")
     compensator = KINDS[kind]()
-    expected = pythons(compensator, samples, samples // 100)
+    expected = pythons(kind, samples)
     limited, slewed = (int(n) for n in expected[-1].split())
     assert 0.005 * samples < limited + slewed < 0.999 * samples
     folder = written(tmp_path / "c", compensator)
@@ -73,23 +89,23 @@ def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "samples"), [("plain", 10**6), ("all", 10_000), ("moving", 10_000)])
+@pytest.mark.parametrize(("kind", "samples"), [*MANY, *SOME])
 def test_an_emulated_cortex_m4_answers_pythons_bits(tmp_path, kind, samples):
     need("arm-none-eabi-gcc", "qemu-system-arm")
     compensator = KINDS[kind]()
     got = compiled_exports.emulated(written(tmp_path / "c", compensator), compensator, samples, every=samples // 100)
-    assert got == pythons(compensator, samples, samples // 100)
+    assert got == pythons(kind, samples)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "samples"), [("plain", 10**6), ("all", 50_000), ("moving", 50_000)])
+@pytest.mark.parametrize(("kind", "samples"), [*MANY, ("all", 50_000), ("moving", 50_000)])
 def test_floats_by_its_unit_are_those_of_this_computer(tmp_path, kind, samples):
     need("gcc", "arm-none-eabi-gcc", "qemu-system-arm")
     compensator = KINDS[kind]()
     folder = written(tmp_path / "c", compensator, "float")
     here = compiled_exports.driven(folder, compensator, samples, every=samples // 100)
     assert compiled_exports.emulated(folder, compensator, samples, every=samples // 100) == here
-    assert here != pythons(compensator, samples, samples // 100)
+    assert here != pythons(kind, samples)
 
 
 @pytest.mark.parametrize("number", ["double", "float"])

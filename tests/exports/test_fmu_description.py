@@ -15,6 +15,7 @@ import numpy as np
 import places
 import plain_records
 import pytest
+from command_line import run
 from fmpy.build import build_platform_binary
 from fmpy.validation import validate_fmu
 from fmu_runner import (
@@ -164,18 +165,10 @@ def test_a_file_of_others_is_replaced_by_force_only(tmp_path, monkeypatch):
     with pytest.warns(SourceOnlyWarning):
         export_fmu(ALL["plain"], path)
     ALL["plain"].actuator.save(tmp_path / "model.json")
-    assert (
-        cli("model.json", "x.fmu", "--fmu", "--force", "--limits", 0, 100, "--period", 1, cwd=tmp_path).returncode == 0
-    )
+    options = "--limits", 0, 100, "--period", 1
+    assert run("export", "model.json", "x.fmu", "--fmu", "--force", *options, cwd=tmp_path)[0] == 0
     with pytest.raises(FileFormatError, match="this is a folder"), pytest.warns(SourceOnlyWarning):
         export_fmu(ALL["plain"], (tmp_path / "folder.fmu").mkdir() or tmp_path / "folder.fmu")
-
-
-def cli(*arguments, cwd):
-    command = [sys.executable, "-c", "from dehyst.cli.commands import main; main()", "export", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=600, check=False)
-    assert "Traceback" not in done.stderr, done.stderr
-    return done
 
 
 def test_the_command_line_writes_both_kinds(tmp_path):
@@ -183,13 +176,14 @@ def test_the_command_line_writes_both_kinds(tmp_path):
     compensator.actuator.save(tmp_path / "model.json")
     low, high = compensator.limits
     options = "--limits", low, high, "--slew", compensator.slew_rate, "--period", PERIOD
-    done = cli("model.json", "c.fmu", *options, "--fmu", cwd=tmp_path)
-    assert done.returncode == 0
-    assert done.stdout.startswith("c.fmu: an FMU 3.0 of the compensator, sources and a binary for Linux x86-64")
-    assert "outside the limits" in done.stderr
-    done = cli("model.json", "a.fmu", "--period", PERIOD, "--fmu", "2.0", "--kind", "actuator", "--json", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    told = json.loads(done.stdout)
+    status, out, err = run("export", "model.json", "c.fmu", *options, "--fmu", cwd=tmp_path)
+    assert status == 0
+    assert out.startswith("c.fmu: an FMU 3.0 of the compensator, sources and a binary for Linux x86-64")
+    assert "outside the limits" in err
+    options = "--period", PERIOD, "--fmu", "2.0", "--kind", "actuator", "--json"
+    status, out, err = run("export", "model.json", "a.fmu", *options, cwd=tmp_path)
+    assert (status, err) == (0, "")
+    told = json.loads(out)
     begins = told.pop("begins")
     assert told == {"fmu": "a.fmu", "version": "2.0", "kind": "actuator", "binary": True, "warnings": []}
     state = start_state(compensator.actuator, "top")
@@ -222,9 +216,9 @@ def test_the_command_line_writes_both_kinds(tmp_path):
 def test_the_command_line_refuses(tmp_path, options, words):
     ALL["plain"].actuator.save(tmp_path / "model.json")
     (tmp_path / "x.fmu").write_text("mine")
-    done = cli("model.json", "x.fmu", *options, cwd=tmp_path)
-    assert done.returncode == 2
-    assert words in done.stderr
+    status, _, err = run("export", "model.json", "x.fmu", *options, cwd=tmp_path)
+    assert status == 2
+    assert words in err
     assert (tmp_path / "x.fmu").read_text() == "mine"
 
 

@@ -97,7 +97,11 @@ def ordeal(seed, share, kinds=KINDS):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     ("share", "replies"),
-    [(0.02, 1000), pytest.param(0.05, 4000, marks=pytest.mark.slow), pytest.param(0.3, 6000, marks=pytest.mark.slow)],
+    [
+        (0.02, 500),
+        (0.3, 1000),
+        *(pytest.param(*each, marks=pytest.mark.nightly) for each in ((0.02, 1000), (0.05, 4000), (0.3, 6000))),
+    ],
 )
 def test_fuzzed_replies_never_move_a_voltage_out_of_its_limits(share, replies):
     seed = changed = 0
@@ -114,7 +118,7 @@ def test_each_kind_of_meddling(kind):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("sequences", [200, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sequences", [200, pytest.param(1000, marks=pytest.mark.nightly)])
 def test_random_calls_keep_limits_and_slew_rate(sequences):
     done = 0
     for seed in range(sequences):
@@ -197,7 +201,7 @@ def test_each_rehearsed_fault_over_a_socket(fault, error, why, back):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("cases", [8, pytest.param(80, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [8, pytest.param(80, marks=pytest.mark.nightly)])
 def test_fuzzed_replies_over_real_sockets(cases):
     changed = 0
     for seed in range(cases):

@@ -12,13 +12,6 @@ NAME = re.compile(r"(?<!`)`([A-Za-z_][\w.]*)(?:\(.*?\))?`(?!`)")
 FOREIGN = {"ReadGCSCommand", "GcsCommandset", "modelDescription.xml", "NAME.h"}
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
-TREES = {path: ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
-C_NAMES = {
-    name
-    for path in (*places.CORE_FILES, *(ROOT / "bindings").iterdir(), *(PACKAGE / "exports" / "templates").iterdir())
-    for name in re.findall(r"[A-Za-z_]\w+", path.read_text(errors="ignore"))
-}
-
 
 def bound(tree):
     """All names that are bound or used as an attribute, an argument or a key in a tree."""
@@ -40,10 +33,10 @@ def bound(tree):
     return names
 
 
-def members():
+def members(trees):
     """What each class has: its own methods, attributes and fields, and those of the classes that it is made from."""
     classes = {}
-    for tree in TREES.values():
+    for tree in trees:
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 classes.setdefault(node.name, []).append(node)
@@ -68,33 +61,48 @@ def members():
     return {name: of(name) for name in classes}
 
 
-MEMBERS = members()
-BOUND = {path: bound(tree) for path, tree in TREES.items()}
-MODULES = {path.stem: names for path, names in BOUND.items()}
-EVERY = set().union(*BOUND.values(), MODULES, {part.name for part in PACKAGE.rglob("*") if part.is_dir()}, C_NAMES)
+def c_names():
+    """Identifiers of the C sources."""
+    return {
+        name
+        for path in (*places.CORE_FILES, *(ROOT / "bindings").iterdir(), *(PACKAGE / "exports" / "templates").iterdir())
+        for name in re.findall(r"[A-Za-z_]\w+", path.read_text(errors="ignore"))
+    }
 
 
-def exists(name, path):
-    """Whether a name means something: a private one in its own module, a dotted one in its class or module."""
-    first, *rest = name.removeprefix("dehyst.").split(".")
-    if not rest:
-        return first in BOUND[path] if first.startswith("_") and not first.startswith("__") else first in EVERY
-    if first in MEMBERS:
-        return rest[0] in MEMBERS[first]
-    if len(rest) == 1 and first in MODULES:
-        return rest[0] in MODULES[first]
-    return all(part in EVERY for part in (first, *rest))
+class Vocabulary:
+    """The names of the sources."""
+
+    def __init__(self, trees):
+        self.members = members(trees.values())
+        self.bound = {path: bound(tree) for path, tree in trees.items()}
+        self.modules = {path.stem: names for path, names in self.bound.items()}
+        folders = {part.name for part in PACKAGE.rglob("*") if part.is_dir()}
+        self.every = set().union(*self.bound.values(), self.modules, folders, c_names())
+
+    def has(self, name, path):
+        """Whether a name means something: a private one in its own module, a dotted one in its class or module."""
+        first, *rest = name.removeprefix("dehyst.").split(".")
+        if not rest:
+            private = first.startswith("_") and not first.startswith("__")
+            return first in self.bound[path] if private else first in self.every
+        if first in self.members:
+            return rest[0] in self.members[first]
+        if len(rest) == 1 and first in self.modules:
+            return rest[0] in self.modules[first]
+        return all(part in self.every for part in (first, *rest))
 
 
 def test_names_in_docstrings_exist():
-    seen, stale = 0, []
-    for path, tree in TREES.items():
+    trees = {path: ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
+    vocabulary, seen, stale = Vocabulary(trees), 0, []
+    for path, tree in trees.items():
         for node in ast.walk(tree):
             if not isinstance(node, (ast.Module, *DEFINITIONS)):
                 continue
             for name in NAME.findall(ast.get_docstring(node) or ""):
                 seen += 1
-                if name not in FOREIGN and not exists(name, path):
+                if name not in FOREIGN and not vocabulary.has(name, path):
                     stale.append((str(path.relative_to(PACKAGE)), getattr(node, "name", "module"), name))
     assert stale == []
     assert seen > 500

@@ -26,6 +26,7 @@ from dehyst import (
 )
 from dehyst._native import CoreState, StepCoefficients
 from dehyst.control import StateBounds
+from examples import examples
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
@@ -195,7 +196,7 @@ def test_simulate_agrees_with_the_oracle(motion):
 
 
 @given(motion=motions(max_samples=200))
-@settings(max_examples=200)
+@examples(60, nightly=200)
 def test_simulating_the_compensating_voltage_gives_the_path(motion):
     actuator, state, path = motion
     sent = actuator.compensate(path, state=state, extrapolate=True)

@@ -1,14 +1,63 @@
-"""The command line as a process of its own."""
+"""The command line as a process of its own: forked, where that can be, from one that has loaded the package."""
 
+import atexit
+import json
+import os
+import select
 import subprocess
 import sys
+import tempfile
+from functools import cache
+from pathlib import Path
 
 DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
+TIMEOUT = 600
+# A line in: arguments, folder, environment, and files for both outputs of a command. A line out: its exit status.
+_SERVER = """
+import json, os, sys
+from dehyst.cli import main
+for line in sys.stdin:
+    arguments, folder, environment, out, err = json.loads(line)
+    child = os.fork()
+    if child == 0:
+        os.chdir(folder)
+        os.environ.clear()
+        os.environ.update(environment)
+        for number, path in enumerate((os.devnull, out, err)):
+            os.dup2(os.open(path, os.O_RDWR), number)
+        sys.argv[1:] = arguments
+        main()
+        sys.exit()
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
+@cache
+def _server():
+    server = subprocess.Popen([sys.executable, "-c", _SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    atexit.register(server.communicate)
+    return server
+
+
+def _forked(arguments, folder):
+    """Exit status, standard output and standard error of a child of the server."""
+    server = _server()
+    with tempfile.NamedTemporaryFile() as out, tempfile.NamedTemporaryFile() as err:
+        request = arguments, str(folder), dict(os.environ), out.name, err.name
+        server.stdin.write(json.dumps(request).encode() + b"\n")
+        server.stdin.flush()
+        assert select.select([server.stdout], [], [], TIMEOUT)[0], f"{arguments}: no end in {TIMEOUT} s"
+        status = int(server.stdout.readline())
+        return status, out.read().decode(), err.read().decode()
 
 
 def run(*arguments, cwd=None):
     """Return exit status, standard output and standard error of a dehyst command."""
-    command = [*DEHYST, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=600, check=False)
-    assert "Traceback" not in done.stderr, done.stderr
-    return done.returncode, done.stdout, done.stderr
+    words = list(map(str, arguments))
+    if hasattr(os, "fork"):
+        status, out, err = _forked(words, cwd or Path.cwd())
+    else:
+        done = subprocess.run([*DEHYST, *words], capture_output=True, text=True, cwd=cwd, timeout=TIMEOUT, check=False)
+        status, out, err = done.returncode, done.stdout, done.stderr
+    assert "Traceback" not in err, err
+    return status, out, err

@@ -3,7 +3,10 @@
 import re
 import shutil
 import subprocess
+import tempfile
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import plain_records
@@ -15,6 +18,7 @@ from dehyst.exports.firmware import SOURCES, code
 from dehyst.exports.footprint import CORTEX_M4F, STRICT
 
 LIMITS = (10.0, 150.0)
+_BUILT = tempfile.TemporaryDirectory(prefix="dehyst-core-")
 SEED, MULTIPLIER, INCREMENT = 88172645463325252, 6364136223846793005, 1442695040888963407
 OFFSET, PRIME, WORD = 14695981039346656037, 1099511628211, 2**64 - 1
 
@@ -195,11 +199,27 @@ def _defines(compensator, samples, every):
     return [f"-DSAMPLES={samples}L", f"-DEVERY={every}L", f"-DMIDDLE={middle.hex()}", f"-DHALF={half.hex()}"]
 
 
+@cache
+def _compiled(command, files):
+    """Object files of an export's core, which has no model's numbers: compiled once for a command and a content."""
+    folder = Path(tempfile.mkdtemp(dir=_BUILT.name))
+    for name, text in files:
+        (folder / name).write_text(text)
+    sources = [name for name, _ in files if name.endswith(".c")]
+    must_run([*command, "-c", *sources], folder)
+    return [str(folder / f"{name[:-2]}.o") for name in sources]
+
+
+def _core(folder, *command):
+    return _compiled(command, tuple((path.name, path.read_text()) for path in sorted(folder.glob("dehyst*.[ch]"))))
+
+
 def driven(folder, compensator, samples, *, every, compiler="gcc", options=("-O2",)):
     """Lines that DRIVER prints, compiled for this computer."""
     (folder / "driver.c").write_text(DRIVER)
     defines = _defines(compensator, samples, every)
-    must_run([compiler, *STRICT, *options, *defines, "driver.c", *SOURCES, "-o", "driver"], folder)
+    command = [compiler, *STRICT, *options]
+    must_run([*command, *defines, "driver.c", "piezo.c", *_core(folder, *command), "-o", "driver"], folder)
     return must_run(["./driver"], folder).splitlines()
 
 
@@ -210,9 +230,8 @@ def emulated(folder, compensator, samples, *, every):
     (folder / "board.ld").write_text(BOARD)
     defines = _defines(compensator, samples, every)
     link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
-    must_run(
-        ["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F, *defines, "driver.c", *SOURCES, *link, "-o", "driver.elf"], folder
-    )
+    command = ["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F]
+    must_run([*command, *defines, "driver.c", "piezo.c", *_core(folder, *command), *link, "-o", "driver.elf"], folder)
     return must_run([*QEMU, "driver.elf"], folder).splitlines()
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Record, RecordError
@@ -22,6 +22,7 @@ from dehyst.waveforms import (
     reversal_curves,
     staircase,
 )
+from examples import examples
 
 KINDS = {
     "raised cosine": partial(raised_cosine, [200.0, 80.0], cycles=2),
@@ -141,7 +142,7 @@ class TestLaws:
         check_laws(drive, made)
 
     @given(st.data())
-    @settings(max_examples=300)
+    @examples(60, nightly=300)
     def test_whatever_is_accepted_keeps_the_laws(self, data):
         """Numbers of any size: refused with a sentence, or played within the laws."""
         anything = st.floats() | log_uniform(1e-14, 1e14) | st.floats(-1e3, 1e3) | st.sampled_from([0.0, 1e6, 5e-324])

@@ -325,16 +325,24 @@ def _slew(v: Array, around: Indices, share: float) -> Array:
     # Not the step across, nor those that the ends of the record repeat.
     own = np.diff(around, axis=1) == 1
     own[:, _NEAR] = False
-    return np.nanquantile(np.where(own, steps, np.nan), share, axis=1)
+    # As `numpy.nanquantile` interpolates, which goes row by row and takes most of an identification's time.
+    ordered, count = np.sort(np.where(own, steps, np.nan), axis=1), own.sum(axis=1)
+    at = (count - 1) * share
+    first = np.floor(at).astype(np.intp)
+    nearest = np.column_stack([first, np.minimum(first + 1, count - 1)])
+    low, high = np.take_along_axis(ordered, nearest, axis=1).T
+    part, rise = at - first, high - low
+    return np.asarray(np.where(part < 0.5, low + rise * part, high - rise * (1 - part)))
 
 
 def _from_chord(values: Array, before: Indices, width: int, beside: int = 0) -> Array:
     """What samples (k, width) after those `before` lie off the chord over them, or over so many more on each side."""
     last, span = len(values) - 1, width + 1 + 2 * beside
-    left, right = (values[np.clip(i, 0, last)] for i in (before - beside, before + width + 1 + beside))
+    # The minimum of the maximum is `numpy.clip` in a third of its time.
+    left, right = (values[np.minimum(np.maximum(i, 0), last)] for i in (before - beside, before + width + 1 + beside))
     inside = np.arange(1, width + 1)
     chord = left[:, None] + (right - left)[:, None] * ((inside + beside) / span)
-    return np.asarray(values[np.clip(before[:, None] + inside, 0, last)] - chord)
+    return np.asarray(values[np.minimum(np.maximum(before[:, None] + inside, 0), last)] - chord)
 
 
 def _apart(found: list[tuple[float, int, int]]) -> list[tuple[int, int]]:

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog, nnls
 
 from dehyst import IdentifyError
 from dehyst.identification.solvers.program import NORMS, solve
+from examples import examples
 
 
 def problem(seed, free=2, positive=7, rows=50, limits=6):
@@ -66,7 +67,7 @@ def test_agrees_with_another_solver(norm, seed):
     assert abs(found.gap) < 1e-8
 
 
-@settings(max_examples=150, deadline=None)
+@examples(60, nightly=150)
 @given(st.integers(0, 10**6), st.integers(0, 3), st.integers(1, 12), st.integers(0, 25))
 def test_the_least_squares_are_proven_by_their_multipliers(seed, free, positive, limits):
     f, p, b, c, low = problem(seed, free, positive, 60, limits)
@@ -76,7 +77,7 @@ def test_the_least_squares_are_proven_by_their_multipliers(seed, free, positive,
     assert_least_squares(f, p, b, c, low, found)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(60, nightly=100)
 @given(st.integers(0, 10**6), st.integers(1, 6), st.sampled_from(["column", "limit", "both"]))
 def test_dependent_columns_and_repeated_limits_change_nothing(seed, positive, kind):
     f, p, b, c, low = problem(seed, 1, positive)

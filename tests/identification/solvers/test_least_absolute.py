@@ -19,6 +19,7 @@ from dehyst.identification.solvers.l1_interior_point import interior
 from dehyst.identification.solvers.problem import Problem
 from dehyst.identification.solvers.program import solve
 from dehyst.model.structure import Grid
+from examples import examples
 
 KINDS = ("random", "collinear", "noise-free", "tiny", "repeated rows", "rounded")
 
@@ -58,7 +59,7 @@ def least(a, b, free, matrix=None, lower=None):
     return -answer.objective * unit
 
 
-@settings(max_examples=400, deadline=None)
+@examples(100, nightly=400)
 @given(st.sampled_from(KINDS), st.integers(0, 10**6), st.integers(20, 200), st.integers(1, 15))
 def test_agrees_with_highs(kind, seed, rows, columns):
     a, b, free = table(kind, seed, rows, columns)

@@ -1,6 +1,8 @@
 """The whole experiment on a bench in a time of its own: what it finds, what it leaves on disk, how it goes on."""
 
+import copy
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -17,6 +19,13 @@ from dehyst.instruments.simulated import SimulatedRig
 from dehyst.report import write_calibration
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Excitation, raised_cosine
+
+
+@pytest.fixture(scope="module")
+def creeping(tmp_path_factory):
+    """A calibration of what creeps: the result, its folder, and the rig as it left it."""
+    folder, rig = tmp_path_factory.mktemp("bench") / "creep", SimulatedRig(PlayActuator(creep=0.01))
+    return calibrate(rig, folder, watcher=Heard()), folder, rig
 
 
 @pytest.fixture(scope="module")
@@ -117,22 +126,21 @@ def test_it_goes_on_after_an_interrupt(tmp_path):
     ]
 
 
-def test_creep_is_seen_and_followed(tmp_path):
-    rig = SimulatedRig(PlayActuator(creep=0.01))
-    found = calibrate(rig, tmp_path, watcher=Heard())
+def test_creep_is_seen_and_followed(creeping):
+    found, _, _ = creeping
     assert found.creep.seen
     assert [one.name for one in found.training] == ["look", "loops", "fast", "stairs"]
     assert found.fit.actuator.creep is not None
     assert found.compensated.largest_percent < 0.4
 
 
-def test_a_path_is_not_followed_by_an_old_record_of_what_creeps(tmp_path):
+def test_a_path_is_not_followed_by_an_old_record_of_what_creeps(creeping, tmp_path):
     """What crept in an hour between the nominal path and the compensated one, a new nominal path tells."""
-    rig = SimulatedRig(PlayActuator(creep=0.01))
-    calibrate(rig, tmp_path)
-    (tmp_path / "records" / "compensated.h5").unlink()
+    _, before, rig = creeping
+    folder, rig = shutil.copytree(before, tmp_path / "creep"), copy.deepcopy(rig)
+    (folder / "records" / "compensated.h5").unlink()
     rig._wait(3600.0)
-    found = calibrate(rig, tmp_path)
+    found = calibrate(rig, folder)
     assert found.played == ("nominal", "compensated")
     assert found.compensated.largest_percent < 0.4
 

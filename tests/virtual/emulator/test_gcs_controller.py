@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from hand_clock import Hand
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst.virtual import PlayActuator, VirtualBench
 from dehyst.virtual.emulator import Controller
 from dehyst.virtual.emulator.gcs_controller import _WORDS
+from examples import examples
 
 
 @pytest.fixture
@@ -269,7 +270,7 @@ LINES = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@examples(60, nightly=300)
 @given(st.lists(LINES, max_size=20))
 def test_no_line_breaks_it_nor_leaves_the_limits(lines):
     hand = Hand()
