@@ -57,7 +57,7 @@ def test_addresses_that_are_none(tmp_path):
     own = tmp_path / "own_rig_of_mine.py"
     for text, why in [
         ("make = 3", "has no function 'make'"),
-        ("def make(**_): return 3", "gave a int, need an AbstractRig"),
+        ("def make(**_): return 3", "returned a int, need an AbstractRig"),
         ("def make(): pass", "it is called with limits= and slew_rate="),
         ("1/0", "ZeroDivisionError"),
         ("x y", "SyntaxError"),

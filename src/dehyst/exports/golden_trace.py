@@ -15,7 +15,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import ClampWarning, Compensator
-from dehyst.control.compensator import Clamps
+from dehyst.control.clamping import Clamps
 
 # Shares of the reach that turning points may lie beyond it: such wishes are clamped.
 _BEYOND = 0.25

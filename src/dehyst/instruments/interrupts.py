@@ -23,7 +23,7 @@ class Shield:
 
     def __init__(self) -> None:
         self.deferring, self._stopped = True, False
-        self._deferred: list[int] = []
+        self.deferred: list[int] = []
         self._handlers: dict[int, Any] = {}
 
     def install(self) -> None:
@@ -63,12 +63,12 @@ class Shield:
                 signal.raise_signal(number)
 
     def _take_deferred(self) -> list[int]:
-        deferred, self._deferred = self._deferred, []
+        deferred, self.deferred = self.deferred, []
         return deferred
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if self.deferring:
-            self._deferred.append(number)
+            self.deferred.append(number)
             return
         self.deferring = self._stopped = True
         handler = self._handlers[number]

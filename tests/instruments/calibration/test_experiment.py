@@ -243,7 +243,7 @@ def test_it_ends_at_a_safe_voltage(finished):
 )
 def test_impossible_plans_are_refused(wrong):
     with pytest.raises(DehystError, match=next(iter(wrong))):
-        Plan(**wrong).pace(SimulatedRig(PlayActuator()))
+        Plan(**wrong).excitations(SimulatedRig(PlayActuator()))
 
 
 @pytest.mark.parametrize("creep", [0.0, 0.002, 0.02])
