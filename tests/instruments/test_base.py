@@ -109,10 +109,18 @@ SPOILT = {
     "a lot comes twice": (
         lambda n, s: [s, s] if n == 3 else [s],
         LinkError,
-        r"got a sample of .* s after one of .* s, need rising times",
+        r"got a sample of .* s after one of .* s, need increasing times",
     ),
-    "time stands still": (at(2, lambda s: s._replace(time=np.full_like(s.time, s.time[0]))), LinkError, "rising times"),
-    "time falls back": (at(4, lambda s: s._replace(time=s.time - 1)), LinkError, "need rising times; check the link"),
+    "time stands still": (
+        at(2, lambda s: s._replace(time=np.full_like(s.time, s.time[0]))),
+        LinkError,
+        "increasing times",
+    ),
+    "time falls back": (
+        at(4, lambda s: s._replace(time=s.time - 1)),
+        LinkError,
+        "need increasing times; check the link",
+    ),
     "a lot is missing": (
         lambda n, s: [] if n == 10 else [s],
         DeviceError,
@@ -443,7 +451,7 @@ CHILD = """
 import sys, time
 sys.path.insert(0, {tests!r})
 from fake_rig import FakeRig
-from dehyst.excitation import Excitation
+from dehyst.waveforms import Excitation
 import numpy as np
 rig = FakeRig()
 rig._wait = time.sleep

@@ -232,7 +232,9 @@ def test_limits_narrower_than_told(doomed):
     """Set and played: refused by the device, said with its words, and the voltage brought back."""
     rig = EpicsRig.connect(doomed.prefix)
     doomed.do("instrument._amplifier.limits = Limits(0, 80)")
-    with pytest.raises(DeviceError, match=r"reports: VOLTAGE: got 82 V, which is out of the amplifier's range") as caught:
+    with pytest.raises(
+        DeviceError, match=r"reports: VOLTAGE: got 82 V, which is out of the amplifier's range"
+    ) as caught:
         rig.set_voltage(150.0)
     assert "brought to 0 V" in caught.value.__notes__[0]
     with pytest.raises(DeviceError, match=r"reports: start: got 0 to 99.* V, need 0 to 80 V"):

@@ -83,7 +83,7 @@ def test_a_cycle_follows_an_earlier_top_and_returns_to_the_lowest_voltage():
 
 
 def test_what_has_no_such_cycle_has_no_replay():
-    assert replay(staircase(200, steps=5, hold=0.1, back=True, drive=PACE.drive())) is None
+    assert replay(staircase(200, steps=5, hold=0.1, back=True, drive=PACE.sampling())) is None
 
 
 @pytest.mark.parametrize("name", ["look", "tops", "others", "homing"])
@@ -227,7 +227,7 @@ def test_a_calibration_refuses_it_and_leaves_a_safe_voltage(folder):
 
 
 def test_a_record_without_a_loop_is_played_anew_not_trusted(tmp_path):
-    stairs = staircase(200, steps=5, hold=0.1, back=True, drive=PACE.drive())
+    stairs = staircase(200, steps=5, hold=0.1, back=True, drive=PACE.sampling())
     Session(tmp_path, rig_of(PlayActuator()), NullProgress()).record(stairs, "stairs")
     job = Session(tmp_path, rig_of(PlayActuator(stroke=0.6 * STROKE)), NullProgress())
     job.record(stairs, "stairs")

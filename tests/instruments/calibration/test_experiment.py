@@ -147,14 +147,14 @@ def test_a_folder_of_another_instrument_is_refused(finished):
 
 
 def test_a_given_protocol_is_played_as_it_is(tmp_path):
-    given = raised_cosine([200, 150, 100, 50], cycles=2, drive=ExcitationPlan(0, 200, 400.0).drive())
+    given = raised_cosine([200, 150, 100, 50], cycles=2, drive=ExcitationPlan(0, 200, 400.0).sampling())
     found = calibrate(SimulatedRig(PlayActuator()), tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
     assert [one.name for one in found.training] == ["look", "given-1"]
     np.testing.assert_allclose(read(tmp_path / "records" / "given-1.h5").voltage, given.voltage, atol=1e-9)
 
 
 def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
-    given = raised_cosine([150.0], drive=ExcitationPlan(0, 200, 400.0).drive())
+    given = raised_cosine([150.0], drive=ExcitationPlan(0, 200, 400.0).sampling())
     rig = SimulatedRig(PlayActuator(), limits=(0, 100))
     with pytest.raises(RecordError, match=r"raised-cosine: 0 to 150 V, but .* may have 0 to 100 V"):
         calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
@@ -164,7 +164,7 @@ def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
 
 def test_it_retreats_from_what_stops_it_between_records(tmp_path):
     """The given protocol ends at 100 V, where the voltage stays while the model is identified."""
-    rising = raised_cosine([200, 100], cycles=1, drive=ExcitationPlan(0, 200, 400.0).drive())
+    rising = raised_cosine([200, 100], cycles=1, drive=ExcitationPlan(0, 200, 400.0).sampling())
     given = Excitation("rising", rising.voltage[:-200], rising.sample_rate)
     rig = SimulatedRig(PlayActuator())
 
