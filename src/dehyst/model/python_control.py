@@ -38,7 +38,7 @@ def actuator_block(
     seconds = 0.0 if period is None else period
     pace = model.pace(np.array([0, 1]), np.array([seconds]))
     numbers = np.array([-_LARGEST, _LARGEST, _LARGEST, *model.amplifier(seconds)])
-    loop = model.core.loop(pace, np.ones(1), numbers, _nothing_to_tell, model.held(start))
+    loop = model.core.loop(pace, np.ones(1), numbers, _ignore_clamps, model.held(start))
     return _block(loop, loop.moved, loop.reached, ("voltage", "displacement"), labels(model, 1), period, name, allowed)
 
 
@@ -130,5 +130,5 @@ def _numbered(name: str, count: int) -> list[str]:
     return [f"{name}[{i}]" for i in range(count)]
 
 
-def _nothing_to_tell(_slewed: bool, _displacement: float, _voltage: float) -> None:
-    """An actuator has no limits."""
+def _ignore_clamps(_slewed: bool, _displacement: float, _voltage: float) -> None:
+    """Ignore clamps: an actuator has no limits."""
