@@ -1,4 +1,4 @@
-"""Figures of what records tell: singular values, intervals of stiffnesses and spring, a trajectory's error band."""
+"""Figures of what records determine: singular values, intervals of stiffnesses and spring, error bands."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, inline, length_unit
 from dehyst.uncertainty import Insight
 from dehyst.uncertainty.prediction_band import PredictionBand
-from dehyst.uncertainty.wide_insight import WideInsight
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,12 +20,15 @@ _FREE = "#BBBBBB"
 _FOOT = 1e-5
 
 
-def singular_values(told: Identifiability, *, name: str) -> str:
-    """Singular value of each direction, filled if the records tell it, hollow if not."""
+def singular_values(directions: Identifiability, *, name: str) -> str:
+    """Singular value of each direction, filled if the records determine it, hollow if not."""
 
     def draw(ax: Axes) -> None:
-        number, known = np.arange(1, told.values.size + 1), np.arange(told.values.size) < told.determined
-        shown = np.maximum(told.values, _FOOT)
+        number, known = (
+            np.arange(1, directions.values.size + 1),
+            np.arange(directions.values.size) < directions.determined,
+        )
+        shown = np.maximum(directions.values, _FOOT)
         for some, face, label in ((known, MEASURED, "known"), (~known, "white", "open")):
             if some.any():
                 ax.plot(
@@ -42,7 +44,7 @@ def singular_values(told: Identifiability, *, name: str) -> str:
                 )
         ax.set(yscale="log", xlabel="direction", ylabel="singular value (V/V)")
         ax.set_ylim(bottom=min(_FOOT, float(shown.min())))
-        ax.set_xlim(0.5, told.values.size + 0.5)
+        ax.set_xlim(0.5, directions.values.size + 0.5)
         ax.legend(loc="lower left")
 
     return inline(name, draw)
@@ -98,7 +100,7 @@ def spring_intervals(found: Insight, *, name: str) -> str:
     return inline(name, draw)
 
 
-def loop_interval(found: WideInsight, *, name: str) -> str:
+def loop_interval(found: Insight, *, name: str) -> str:
     """How far the displacement may be off by noise on the rise and the fall through the limits."""
     loop = found.loop
 
@@ -118,7 +120,7 @@ def loop_interval(found: WideInsight, *, name: str) -> str:
     return inline(name, draw)
 
 
-def drive_interval(found: WideInsight, *, name: str) -> str:
+def drive_interval(found: Insight, *, name: str) -> str:
     """How far tau may be off at its knots by noise."""
     tau, noise = found.actuator.transformer, found.intervals
 
@@ -135,7 +137,7 @@ def drive_interval(found: WideInsight, *, name: str) -> str:
     return inline(name, draw)
 
 
-def creep_intervals(found: WideInsight, *, name: str) -> str:
+def creep_intervals(found: Insight, *, name: str) -> str:
     """Stiffness of each creep branch with its interval by noise."""
     creep, noise = found.actuator.creep, found.intervals
 

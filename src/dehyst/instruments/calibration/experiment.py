@@ -24,7 +24,6 @@ from dehyst.instruments.calibration.session import NullProgress, ProgressListene
 from dehyst.model import Fit
 from dehyst.records import Record
 from dehyst.uncertainty import Insight, insight
-from dehyst.uncertainty.wide_insight import WideInsight
 from dehyst.waveforms import Excitation
 
 __all__ = ["RESULTS", "Calibration", "Plan", "calibrate"]
@@ -40,7 +39,7 @@ class Calibration:
     Attributes
     ----------
     fit : Fit
-    insight : Insight or WideInsight
+    insight : Insight
     creep : CreepCheck
         Of the first look.
     training, held_out : tuple of Record
@@ -59,7 +58,7 @@ class Calibration:
     """
 
     fit: Fit
-    insight: Insight | WideInsight
+    insight: Insight
     creep: CreepCheck
     training: tuple[Record, ...]
     held_out: tuple[Record, ...]
@@ -229,15 +228,15 @@ class _CalibrationRun:
             return self.excitations.tops()
         return self._suggested(assessment) or self.excitations.tops()
 
-    def _more(self, assessment: Insight | WideInsight, number: int) -> Excitation:
+    def _more(self, assessment: Insight, number: int) -> Excitation:
         return self._suggested(assessment) or self.excitations.tops(10 * (number + 1))
 
-    def _suggested(self, assessment: Insight | WideInsight) -> Excitation | None:
-        if isinstance(assessment, WideInsight) or not assessment.advice:
+    def _suggested(self, assessment: Insight) -> Excitation | None:
+        if not assessment.advice:
             return None
         return self.excitations.within_slew_rate(assessment.advice[0].excitation)
 
-    def _identify(self, training: Sequence[Record], held_out: Record) -> tuple[Fit, Insight | WideInsight]:
+    def _identify(self, training: Sequence[Record], held_out: Record) -> tuple[Fit, Insight]:
         self.listener.step("identify")
         fit = identify(training, validate=held_out, progress=self.listener.message)
         self.listener.message("assessing what the records determine")
@@ -245,7 +244,7 @@ class _CalibrationRun:
         fit = replace(fit, actuator=replace(fit.actuator, name=name))
         return fit, self._insight(fit, training)
 
-    def _insight(self, fit: Fit, records: Record | Sequence[Record]) -> Insight | WideInsight:
+    def _insight(self, fit: Fit, records: Record | Sequence[Record]) -> Insight:
         return insight(fit.actuator, records, limits=(self.excitations.low, self.excitations.high), repeats=0)
 
     def _play(self, planned: PlannedRun, *, afresh: bool = False) -> Record:
