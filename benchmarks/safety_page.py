@@ -1,6 +1,6 @@
 """Put the faults of `faults.json` into `docs/safety.md`, between its markers.
 
-With --check nothing is written; the exit status tells whether the page holds them already.
+With --check nothing is written; the exit status is 0 if the page is up to date.
 """
 
 import json
@@ -13,7 +13,7 @@ from readme import fill
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "docs" / "safety.md"
 BLOCK = re.compile(r"(<!-- figures: faults -->\n).*?(<!-- end of figures -->)", re.DOTALL)
-HEADS = ("what happens", "what is said", "exit status", "ended after", "voltage", "samples told by the device, on disk")
+HEADS = ("fault", "message", "exit status", "ended after", "voltage", "samples from the device, on disk")
 _LONGEST = 150
 
 
@@ -35,7 +35,7 @@ def table(data: dict) -> str:
 
 
 def message(one: dict) -> str:
-    """The first sentence, without the controller's name, and cut where it is long."""
+    """Return the first sentence, without the controller's name, and cut if it is long."""
     if not one["said"]:
         return "-"
     words = one["said"][0].replace("dehyst,emulated piezo controller,0,0.1.0 at ", "")
@@ -50,7 +50,7 @@ def status(one: dict) -> str:
 
 
 def voltage(one: dict) -> str:
-    """What became of it: as the command says, or as the emulator does."""
+    """Return the outcome for the voltage, as reported by the command, or by the emulator."""
     put, notes = one["put_out"], " ".join(one["said"])
     if put is None:
         return "nothing was sent"

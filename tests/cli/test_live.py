@@ -60,7 +60,7 @@ def test_steps_bar_numbers_and_error(clock):
         assert seen(live)[3].count("━") == 30
         assert seen(live)[4:] == ["  6 000 samples on disk     23.171 V      2.3171 um"]
         live.step("identify")
-        live.tell("100 elements")
+        live.message("100 elements")
         clock.now += 65.0
         assert seen(live)[:2] == ["✓ look        1.0 s, 6 000 samples", "▶ identify    100 elements, 1 min 05 s"]
         live.step("compensated", 10.0)

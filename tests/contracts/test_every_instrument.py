@@ -170,7 +170,7 @@ def test_a_voltage_is_ramped_to(bench, candidate):
 @pytest.mark.parametrize(("asked", "sent"), [(150.0, 50.0), (-30.0, -5.0), (1e300, 50.0)])
 def test_a_voltage_beyond_the_limits_is_clamped_and_said(bench, asked, sent):
     rig, instrument = bench(limits=(-5.0, 50.0))
-    with pytest.warns(ClampWarning, match=f"was asked for and {sent:g} V sent: -5 to 50 V is allowed"):
+    with pytest.warns(ClampWarning, match=f"was requested and {sent:g} V sent: -5 to 50 V is allowed"):
         assert rig.set_voltage(asked) == sent
     assert standing(instrument, sent)
     assert instrument.log.lowest >= -5.0 - 1e-9

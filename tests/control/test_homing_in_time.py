@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, SmoothSlip, Spring
 from dehyst.control import StateBounds, shortest_homing
-from dehyst.control.homing_in_time import Swing
+from dehyst.control.homing_in_time import TimedHoming
 from dehyst.control.major_loop import MajorLoop
 from dehyst.model import Structure
 from dehyst.uncertainty import RestStates
@@ -86,7 +86,7 @@ def test_no_state_at_rest_leaves_the_bracket(name):
         assert np.all(state.carts <= bracket.upper.carts + slack)
         assert bracket.lower.displacement - slack <= state.displacement <= bracket.upper.displacement + slack
         voltage = rng.uniform(*LIMITS, 9)
-        known = bracket.drive(actuator, voltage)
+        known = bracket.propagate(actuator, voltage)
         y = actuator.simulate(voltage, state=state).displacement
         assert np.all((known.lowest - slack <= y) & (y <= known.highest + slack))
 
@@ -113,7 +113,9 @@ def test_a_little_less_does_not_home(name):
         for k in range(1, len(found.turns) - 1):
             turns = list(found.turns)
             turns[k] += share * ways * np.sign(turns[k - 1] - turns[k])
-            assert StateBounds.at_rest(actuator, 0.0).drive(actuator, turns).bracket.width > 1e-6 * plain_records.STROKE
+            assert (
+                StateBounds.at_rest(actuator, 0.0).propagate(actuator, turns).bounds.width > 1e-6 * plain_records.STROKE
+            )
 
 
 @pytest.mark.parametrize("name", TIMED)
@@ -125,7 +127,7 @@ def test_in_time_no_past_is_left_farther_than_said(name, seed):
     start = past(actuator, seed, 0.0)
     time = found.played.time if actuator.needs_time else None
     reached = actuator.simulate(found.played.voltage, time=time, state=start, extrapolate=True).state
-    assert abs(reached.displacement - found.state.displacement) <= found.left + 1e-12 * plain_records.STROKE
+    assert abs(reached.displacement - found.state.displacement) <= found.spread + 1e-12 * plain_records.STROKE
     further = DRIVE.play("", DRIVE.legs([0.0, 150.0, 20.0, 260.0, -40.0, 0.0]))
     time = further.time if actuator.needs_time else None
     paths = [
@@ -134,7 +136,8 @@ def test_in_time_no_past_is_left_farther_than_said(name, seed):
     ]
     # A mass may overshoot by as much as it was off.
     assert (
-        np.abs(paths[0] - paths[1]).max() <= (2 if actuator.dynamics else 1) * found.left + 1e-12 * plain_records.STROKE
+        np.abs(paths[0] - paths[1]).max()
+        <= (2 if actuator.dynamics else 1) * found.spread + 1e-12 * plain_records.STROKE
     )
 
 
@@ -145,16 +148,16 @@ def _timed(name, found={}):  # noqa: B006
 
 
 def test_longer_holds_leave_less_until_it_is_certified():
-    left = [shortest_homing(CREEPING, drive=DRIVE, hold=hold).left for hold in (0.0, 50.0, 200.0, 800.0)]
+    left = [shortest_homing(CREEPING, drive=DRIVE, hold=hold).spread for hold in (0.0, 50.0, 200.0, 800.0)]
     assert all(b < 0.8 * a for a, b in pairwise(left))
     # Creep that lasts for 200 s, and the spring gives way to it: what is left falls by e in a little more.
     assert left[2] / left[3] == pytest.approx(np.exp(600 / 200), rel=0.5)
-    swing = Swing.of(CREEPING, LIMITS, (0.0, 0.0), drive=DRIVE, hold=0.0, tolerance=1e-9)
-    assert swing.left > 1e-9
+    swing = TimedHoming.shortest(CREEPING, LIMITS, (0.0, 0.0), drive=DRIVE, hold=0.0, tolerance=1e-9)
+    assert swing.spread > 1e-9
     assert f"holds of {swing.needed:.3g} s at both limits in place of 0 s would do" in swing.remarks()[0]
     enough = shortest_homing(CREEPING, drive=DRIVE, hold=swing.needed, tolerance=1e-9)
     assert enough.certified
-    assert enough.left == enough.error
+    assert enough.spread == enough.error
     assert not shortest_homing(CREEPING, drive=DRIVE, hold=0.7 * swing.needed, tolerance=1e-9).certified
 
 

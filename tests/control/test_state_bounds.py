@@ -70,7 +70,7 @@ def test_breakaway_alone_will_do():
 def test_no_equilibrium_leaves_the_bracket(drive):
     actuator, start, path, seed = drive
     bracket = StateBounds.at_rest(actuator, start)
-    known = bracket.drive(actuator, path)
+    known = bracket.propagate(actuator, path)
     low, carts_low = carts_along(actuator, path, bracket.lower)
     high, carts_high = carts_along(actuator, path, bracket.upper)
     allowance = metres(actuator, low, high)
@@ -83,7 +83,7 @@ def test_no_equilibrium_leaves_the_bracket(drive):
         assert np.all((carts >= carts_low - allowance) & (carts <= carts_high + allowance))
         end = actuator.simulate(path, state=state, extrapolate=True).state
         for name, sign in (("lower", 1), ("upper", -1)):
-            bound = getattr(known.bracket, name)
+            bound = getattr(known.bounds, name)
             assert np.all(sign * (end.carts - bound.carts) >= -allowance)
             assert sign * (end.displacement - bound.displacement) >= -allowance
 
@@ -97,7 +97,7 @@ def test_brackets_are_attained(drive):
     slope = max(actuator.spring.slopes.max(), 0.0) * metres(actuator)
     assert actuator.voltage(bracket.lower) == pytest.approx(start, abs=volts + slope)
     assert actuator.voltage(bracket.upper) == pytest.approx(start, abs=volts + slope)
-    known = bracket.drive(actuator, path)
+    known = bracket.propagate(actuator, path)
     (low, carts_low), (high, carts_high) = (carts_along(actuator, path, s) for s in (bracket.lower, bracket.upper))
     allowance = metres(actuator, low, high)
     np.testing.assert_allclose(known.lowest, low, rtol=0, atol=allowance)
@@ -109,18 +109,18 @@ def test_brackets_are_attained(drive):
 def test_the_widest_bracket_never_grows(drive):
     actuator, start, path, _ = drive
     bracket = StateBounds.at_rest(actuator, start)
-    known = bracket.drive(actuator, path)
+    known = bracket.propagate(actuator, path)
     allowance = metres(actuator, known.lowest, known.highest)
     assert np.all(np.diff(known.width, prepend=bracket.width) <= allowance)
     assert np.all(known.highest - known.lowest <= known.width + allowance)
-    assert known.bracket.width == pytest.approx(known.width[-1] if path.size else bracket.width, abs=allowance)
+    assert known.bounds.width == pytest.approx(known.width[-1] if path.size else bracket.width, abs=allowance)
 
 
 @given(drives())
 def test_the_widest_bracket_in_closed_form(drive):
     """It is max(0, 2 rho_N - D), D from the extremes of the voltage alone: why no homing is shorter than ours."""
     actuator, start, path, _ = drive
-    known = StateBounds.at_rest(actuator, start).drive(actuator, path)
+    known = StateBounds.at_rest(actuator, start).propagate(actuator, path)
     visited = np.concatenate([[start], path])
     extremes = zip(np.minimum.accumulate(visited)[1:], np.maximum.accumulate(visited)[1:], strict=True)
     least = np.array([least_range(actuator, low, high) for low, high in extremes])
@@ -144,42 +144,42 @@ def test_every_state_covers_the_least_range(drive):
 def test_a_drive_in_two_parts_is_one_drive(drive, cut):
     actuator, start, path, _ = drive
     bracket = StateBounds.at_rest(actuator, start)
-    whole = bracket.drive(actuator, path)
-    first = bracket.drive(actuator, path[:cut])
-    second = first.bracket.drive(actuator, path[cut:])
+    whole = bracket.propagate(actuator, path)
+    first = bracket.propagate(actuator, path[:cut])
+    second = first.bounds.propagate(actuator, path[cut:])
     allowance = metres(actuator, whole.lowest, whole.highest)
     for name in ("lowest", "highest", "width"):
         parts = np.concatenate([getattr(first, name), getattr(second, name)])
         np.testing.assert_allclose(parts, getattr(whole, name), rtol=0, atol=allowance)
-    np.testing.assert_allclose(second.bracket.widths, whole.bracket.widths, rtol=0, atol=allowance)
+    np.testing.assert_allclose(second.bounds.widths, whole.bounds.widths, rtol=0, atol=allowance)
 
 
 def test_long_records_and_their_turning_points_say_the_same():
     turns = [0, 150, 20, 120, 60, 170, 5]
     steps = [np.linspace(a, b, 1500)[1:] for a, b in pairwise(turns)]
-    dense = StateBounds.at_rest(PLANT).drive(PLANT, np.concatenate(steps))
-    sparse = StateBounds.at_rest(PLANT).drive(PLANT, turns[1:])
+    dense = StateBounds.at_rest(PLANT).propagate(PLANT, np.concatenate(steps))
+    sparse = StateBounds.at_rest(PLANT).propagate(PLANT, turns[1:])
     assert dense.width.size == 6 * 1499
     np.testing.assert_allclose(dense.width[1498::1499], sparse.width, rtol=0, atol=metres(PLANT))
-    np.testing.assert_allclose(dense.bracket.lower.carts, sparse.bracket.lower.carts, rtol=0, atol=metres(PLANT))
-    np.testing.assert_allclose(dense.bracket.upper.carts, sparse.bracket.upper.carts, rtol=0, atol=metres(PLANT))
+    np.testing.assert_allclose(dense.bounds.lower.carts, sparse.bounds.lower.carts, rtol=0, atol=metres(PLANT))
+    np.testing.assert_allclose(dense.bounds.upper.carts, sparse.bounds.upper.carts, rtol=0, atol=metres(PLANT))
 
 
 def test_the_first_sample_at_which_all_is_known():
     voltage = np.concatenate([np.linspace(0, 230, 100), np.linspace(230, 0, 100)])
-    known = StateBounds.at_rest(PLANT).drive(PLANT, voltage)
+    known = StateBounds.at_rest(PLANT).propagate(PLANT, voltage)
     assert known.first_known is not None
     assert known.unknown[0] == 10
     assert np.all(known.unknown[known.first_known :] == 0)
     assert known.unknown[known.first_known - 1] > 0
-    assert known.bracket.known(metres(PLANT))
-    assert StateBounds.at_rest(PLANT).drive(PLANT, [10.0, 0.0]).first_known is None
+    assert known.bounds.known(metres(PLANT))
+    assert StateBounds.at_rest(PLANT).propagate(PLANT, [10.0, 0.0]).first_known is None
     assert not StateBounds.at_rest(PLANT).known(1e-9)
 
 
 def test_looser_tolerances_know_earlier():
     counts = [
-        StateBounds.at_rest(PLANT).drive(PLANT, [180.0, 0.0], tolerance=t).unknown[-1] for t in (1e-18, 1e-6, 1e-5)
+        StateBounds.at_rest(PLANT).propagate(PLANT, [180.0, 0.0], tolerance=t).unknown[-1] for t in (1e-18, 1e-6, 1e-5)
     ]
     assert counts[0] == 10
     assert counts[2] == 0
@@ -200,7 +200,7 @@ def test_the_error_bar_of_a_first_move(actuator, seed):
     allowance = metres(actuator, *readings)
     final = [reading[-1] for reading in readings]
     assert np.ptp(final) == pytest.approx(first_move_error(bracket), abs=allowance)
-    known = bracket.drive(actuator, homing.turns)
+    known = bracket.propagate(actuator, homing.turns)
     for reading in readings:
         assert np.all(reading >= known.lowest - bracket.upper.displacement - allowance)
         assert np.all(reading <= known.highest - bracket.lower.displacement + allowance)
@@ -215,7 +215,12 @@ def test_the_error_bar_in_closed_form():
 
 def test_refusals_of_wrong_types():
     rest = StateBounds.at_rest(PLANT)
-    for call in (shortest_homing, StateBounds.at_rest, lambda a: rest.drive(a, [0.0]), lambda a: least_range(a, 0, 1)):
+    for call in (
+        shortest_homing,
+        StateBounds.at_rest,
+        lambda a: rest.propagate(a, [0.0]),
+        lambda a: least_range(a, 0, 1),
+    ):
         with pytest.raises(ModelError, match="actuator: got str, need an Actuator"):
             call("plant")
 
@@ -231,11 +236,11 @@ def test_brackets_refuse():
     with pytest.raises(ModelError, match="voltage: got nan"):
         StateBounds.at_rest(PLANT, np.nan)
     with pytest.raises(ModelError, match="voltage: 1 of 2 values are not finite"):
-        rest.drive(PLANT, [0.0, np.inf])
+        rest.propagate(PLANT, [0.0, np.inf])
     with pytest.raises(ModelError, match="this actuator has 3 elements"):
-        rest.drive(plain_records.plant(3), [0.0])
+        rest.propagate(plain_records.plant(3), [0.0])
     with pytest.raises(ModelError, match="tolerance: got -1"):
-        rest.drive(PLANT, [0.0], tolerance=-1)
+        rest.propagate(PLANT, [0.0], tolerance=-1)
     with pytest.raises(ModelError, match="tolerance: got 0"):
         rest.known(0)
     with pytest.raises(ModelError, match="highest: got inf"):

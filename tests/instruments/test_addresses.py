@@ -43,22 +43,22 @@ def test_addresses_go_to_their_rigs(monkeypatch):
 def test_addresses_that_are_none(tmp_path):
     for address, why in [
         ("pi://", "need pi://host:port"),
-        ("pi://h:99999", "no address"),
+        ("pi://h:99999", "not the address"),
         ("pi://h:1/a/b", "need pi://host"),
-        ("gpib://7", "no kind of rig called 'gpib'"),
-        ("rubbish", "no address of a rig"),
-        ("a.py:", "no address"),
+        ("gpib://7", "got an unknown kind of rig, 'gpib'"),
+        ("rubbish", "not the address of a rig"),
+        ("a.py:", "not the address"),
         ("epics://", "need the prefix"),
         ("sim://", "need play"),
-        ("missing.py:make", "no such file"),
+        ("missing.py:make", "does not exist"),
     ]:
         with pytest.raises(RigError, match=why):
             open_rig(address)
     own = tmp_path / "own_rig_of_mine.py"
     for text, why in [
         ("make = 3", "has no function 'make'"),
-        ("def make(**_): return 3", "gave a int, need an AbstractRig"),
-        ("def make(): pass", "it is called with limits= and slew_rate="),
+        ("def make(**_): return 3", "returned a int, need an AbstractRig"),
+        ("def make(): pass", "dehyst calls it with limits= and slew_rate="),
         ("1/0", "ZeroDivisionError"),
         ("x y", "SyntaxError"),
     ]:
@@ -76,7 +76,7 @@ def test_addresses_that_are_none(tmp_path):
 
 @pytest.mark.parametrize(
     ("asked", "why"),
-    [({"limits": (0.0, 20.0)}, "allows itself 0 to 200 V .* but 0 to 20 V"), ({"slew_rate": 5.0}, "but .* 5 V/s")],
+    [({"limits": (0.0, 20.0)}, "allows 0 to 200 V .* but 0 to 20 V"), ({"slew_rate": 5.0}, "but .* 5 V/s")],
 )
 def test_a_rig_that_does_not_keep_to_what_was_asked_is_refused(tmp_path, asked, why):
     own = tmp_path / "rig_that_forgets.py"

@@ -109,10 +109,18 @@ SPOILT = {
     "a lot comes twice": (
         lambda n, s: [s, s] if n == 3 else [s],
         LinkError,
-        r"got a sample of .* s after one of .* s, need rising times",
+        r"got a sample of .* s after one of .* s, need increasing times",
     ),
-    "time stands still": (at(2, lambda s: s._replace(time=np.full_like(s.time, s.time[0]))), LinkError, "rising times"),
-    "time falls back": (at(4, lambda s: s._replace(time=s.time - 1)), LinkError, "need rising times; check the link"),
+    "time stands still": (
+        at(2, lambda s: s._replace(time=np.full_like(s.time, s.time[0]))),
+        LinkError,
+        "increasing times",
+    ),
+    "time falls back": (
+        at(4, lambda s: s._replace(time=s.time - 1)),
+        LinkError,
+        "need increasing times; check the link",
+    ),
     "a lot is missing": (
         lambda n, s: [] if n == 10 else [s],
         DeviceError,
@@ -226,7 +234,7 @@ def test_a_retreat_needs_no_sensor(broken):
 def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name):
     rig = FakeRig((0.0, 100.0))
     setattr(rig, name, lambda *_: {}[1])
-    with pytest.raises(DeviceError, match=f"{name} of the rig raised KeyError.*see to its code"):
+    with pytest.raises(DeviceError, match=f"{name} of the rig raised KeyError.*check its code"):
         rig.retreat() if name == "_halt" else rig.play(Excitation("up", np.linspace(1, 5, 10), 100.0))
 
 
@@ -278,7 +286,7 @@ def test_an_excitation_as_steep_as_allowed_is_played():
 def watched(*columns, span=100.0):
     watch = SensorWatch(span)
     for voltage, displacement in columns:
-        watch.see(np.asarray(voltage, float), np.asarray(displacement, float))
+        watch.observe(np.asarray(voltage, float), np.asarray(displacement, float))
 
 
 @given(st.lists(st.integers(1, 40), min_size=1), st.data())
@@ -315,13 +323,13 @@ def test_the_watch_lets_holds_and_coarse_digits_pass():
     """They pass, and are not forgotten: what stands still from then on is told from where it stood."""
     watch = SensorWatch(100.0)
     for voltage, displacement in (([50.0] * 1000, [1e-6] * 1000), ([], []), ([50.0], [1e-6])):
-        watch.see(np.asarray(voltage), np.asarray(displacement))
+        watch.observe(np.asarray(voltage), np.asarray(displacement))
     with pytest.raises(SensorError, match="it stays at 1 um while the voltage goes from 50 to 71 V"):
-        watch.see(np.array([71.0]), np.array([1e-6]))
+        watch.observe(np.array([71.0]), np.array([1e-6]))
     coarse, voltage = SensorWatch(100.0), np.linspace(0, 100, 1001)
-    coarse.see(voltage, np.round(voltage / 15) * 1e-6)
+    coarse.observe(voltage, np.round(voltage / 15) * 1e-6)
     with pytest.raises(SensorError, match="stays at 7 um while the voltage goes from 79 to 100 V"):
-        coarse.see(np.array([79.0]), np.array([7e-6]))
+        coarse.observe(np.array([79.0]), np.array([7e-6]))
 
 
 # Signals.
@@ -343,7 +351,7 @@ def test_the_first_signal_passes_and_the_others_wait():
         except KeyboardInterrupt:
             for _ in range(3):
                 interrupt()
-            assert shield.late == [signal.SIGINT] * 3
+            assert shield.deferred == [signal.SIGINT] * 3
             raise
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -351,12 +359,12 @@ def test_the_first_signal_passes_and_the_others_wait():
 @POSIX
 def test_what_waited_comes_at_the_end():
     reached = []
-    with pytest.raises(KeyboardInterrupt), shielded(held=True):
+    with pytest.raises(KeyboardInterrupt), shielded(defer=True):
         interrupt()
         reached.append("end")
     assert reached == ["end"]
     # Also where another error ended it; that one is its context.
-    with pytest.raises(KeyboardInterrupt) as caught, shielded(held=True):
+    with pytest.raises(KeyboardInterrupt) as caught, shielded(defer=True):
         interrupt()
         raise ValueError("first")
     assert str(caught.value.__context__) == "first"
@@ -370,7 +378,7 @@ def test_a_handler_that_only_takes_note_stops_nothing(monkeypatch):
         with shielded() as shield:
             interrupt(signal.SIGTERM)
             interrupt(signal.SIGTERM)
-            assert not shield.held
+            assert not shield.deferring
     finally:
         signal.signal(signal.SIGTERM, before)
     assert noted == [signal.SIGTERM] * 2
@@ -443,7 +451,7 @@ CHILD = """
 import sys, time
 sys.path.insert(0, {tests!r})
 from fake_rig import FakeRig
-from dehyst.excitation import Excitation
+from dehyst.waveforms import Excitation
 import numpy as np
 rig = FakeRig()
 rig._wait = time.sleep

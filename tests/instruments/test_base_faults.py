@@ -229,7 +229,9 @@ def test_limits_narrower_than_told_over_a_socket():
         PiRig.connect("127.0.0.1", server.port, limits=ALLOWED) as rig,
     ):
         for act_ in (lambda: rig.set_voltage(55.0), lambda: rig.play(wave)):
-            with pytest.raises(DeviceError, match=r"error 302: .*limits are narrower than it told.*after") as caught:
+            with pytest.raises(
+                DeviceError, match=r"error 302: .*limits are narrower than it reported.*after"
+            ) as caught:
                 act_()
             assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
     assert bench.log.highest <= 40.0

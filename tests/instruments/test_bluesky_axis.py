@@ -274,7 +274,7 @@ def test_a_voltage_from_elsewhere_must_be_homed_away(homed, engine):
     engine(bps.mv(homed.voltage, 60.0))
     with pytest.raises(FailedStatus) as caught:
         engine(bps.mv(homed, 6.0))
-    assert "somebody else has sent 60 V" in str(caught.value.__cause__)
+    assert "another client has sent 60 V" in str(caught.value.__cause__)
     engine(homing(homed))
     engine(bps.mv(homed, 6.0))
     assert measured(engine, homed) == pytest.approx(6.0, abs=EXACT)
@@ -289,7 +289,7 @@ def test_limits_narrower_than_told(actuator, engine, tmp_path):
         with pytest.raises(FailedStatus) as caught:
             engine(bps.mv(axis, 15.0))
         assert isinstance(caught.value.__cause__, DeviceError)
-        assert "narrower than it says" in str(caught.value.__cause__)
+        assert "narrower than it reports" in str(caught.value.__cause__)
         # What was taken is remembered: it may go on within what is left.
         engine(bps.mv(axis, 1.0))
         assert measured(engine, axis) == pytest.approx(1.0, abs=EXACT)
@@ -390,7 +390,7 @@ def test_an_actuator_that_creeps(engine, tmp_path, monkeypatch, overhead):
 
 def test_no_limits_in_common(ioc, actuator, engine):
     axis = made(ioc, actuator, limits=(300.0, 400.0))
-    with pytest.raises(RigError, match="300 to 200 V is what all allow"):
+    with pytest.raises(RigError, match="lower one is 300 V, their smallest upper one 200 V"):
         engine(homing(axis))
 
 

@@ -232,10 +232,12 @@ def test_limits_narrower_than_told(doomed):
     """Set and played: refused by the device, said with its words, and the voltage brought back."""
     rig = EpicsRig.connect(doomed.prefix)
     doomed.do("instrument._amplifier.limits = Limits(0, 80)")
-    with pytest.raises(DeviceError, match=r"says: VOLTAGE: got 82 V, which is out of the amplifier's range") as caught:
+    with pytest.raises(
+        DeviceError, match=r"reports: VOLTAGE: got 82 V, which is out of the amplifier's range"
+    ) as caught:
         rig.set_voltage(150.0)
     assert "brought to 0 V" in caught.value.__notes__[0]
-    with pytest.raises(DeviceError, match=r"says: start: got 0 to 99.* V, need 0 to 80 V"):
+    with pytest.raises(DeviceError, match=r"reports: start: got 0 to 99.* V, need 0 to 80 V"):
         rig.play(cosine())
     assert doomed.log()["highest"] <= 80.0
     assert rig.read().voltage == 0.0
@@ -248,7 +250,7 @@ def test_limits_narrower_in_the_record(ioc):
     rig.retreat()
     link.put("VOLTAGE.DRVH", 50.0)
     try:
-        with pytest.raises(DeviceError, match=r"took 50 V when .* narrower than it says"):
+        with pytest.raises(DeviceError, match=r"took 50 V when .* narrower than it reports"):
             rig.set_voltage(90.0)
         assert rig.read().voltage == 0.0
     finally:

@@ -147,12 +147,12 @@ def test_without_the_package(monkeypatch):
 
 
 def test_addresses(card):
-    rig = NiRig.of("ni://Dev1/ao0,ai0?gain=10&scale=2", limits=(0, 60), slew_rate=300)
+    rig = NiRig.from_address("ni://Dev1/ao0,ai0?gain=10&scale=2", limits=(0, 60), slew_rate=300)
     assert (rig.limits.words, rig.slew_rate) == ("0 to 60 V", 300)
     card.put(3.0)
     assert rig.read().voltage == pytest.approx(30.0)
     assert rig.read().displacement == pytest.approx(3e-6)
-    assert NiRig.of("ni://Dev1/ao0,ai0?gain=10&scale=2&monitor=ai1&monitor_gain=20").read().voltage == 60.0
+    assert NiRig.from_address("ni://Dev1/ao0,ai0?gain=10&scale=2&monitor=ai1&monitor_gain=20").read().voltage == 60.0
     for bad in (
         "ni://Dev1/ao0,ai0",
         "ni://Dev1/ao0?gain=1&scale=1",
@@ -161,4 +161,4 @@ def test_addresses(card):
         "ni://Dev1/ao0,ai0?gain=ten&scale=1",
     ):
         with pytest.raises(RigError, match=r"need ni://Dev1/ao0,ai0\?gain=10"):
-            NiRig.of(bad)
+            NiRig.from_address(bad)

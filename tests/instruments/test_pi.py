@@ -119,7 +119,7 @@ def test_a_servo_that_stays_on_is_told():
 @pytest.mark.parametrize("lacking", [["WAV"], ["DRR?"], ["HDR?"], WAVES])
 def test_without_a_wave_generator_or_recorder_the_host_plays(lacking):
     controller = FakeController(without=lacking)
-    with pytest.warns(UserWarning, match=f"does not know .*{lacking[0].replace('?', '.')}.*slowly"):
+    with pytest.warns(UserWarning, match=f"lacks the commands .*{lacking[0].replace('?', '.')}.*slowly"):
         rig = quick(controller, slew_rate=4000.0)
     assert rig.nearest_rate(1000.0) == 200.0
     record = rig.play(triangle(high=20.0, count=41, rate=200.0))
@@ -133,7 +133,7 @@ def test_without_a_wave_generator_or_recorder_the_host_plays(lacking):
     [
         ({"TNR?": ["1"]}, "recorder tables"),
         ({"HDR?": ["#RecordOptions", "2=Current Position"]}, "cannot record both"),
-        ({"SPA?": None}, "does not tell the parameters 0x0e000200"),
+        ({"SPA?": None}, "does not report the parameters 0x0e000200"),
         ({"SPA?": lambda a: [f"1 {a[1]}=0"]}, "0x0e000200"),
     ],
 )
@@ -154,10 +154,10 @@ def test_an_older_syntax_version_is_that_of_gcs_2():
         ({"*IDN?": ["HTTP/1.1 400 Bad Request"]}, [], {}, LinkError, "web server"),
         ({"*IDN?": ["SSH-2.0-OpenSSH_9"]}, [], {}, LinkError, "is it a GCS controller"),
         ({"*IDN?": None}, [], {}, LinkError, "got nothing in .*other client"),
-        ({}, ["SVA"], {}, DeviceError, "does not know SVA"),
-        ({}, ["VMA?"], {}, DeviceError, "does not know VMA.; give the voltages"),
+        ({}, ["SVA"], {}, DeviceError, "lacks the commands SVA"),
+        ({}, ["VMA?"], {}, DeviceError, "lacks the commands VMA.; give the allowed voltages"),
         ({"VMI?": ["1=200"]}, [], {}, LinkError, "no range"),
-        ({"SAI?": ["1", "2"]}, [], {}, RigError, "has the axes 1, 2; say which"),
+        ({"SAI?": ["1", "2"]}, [], {}, RigError, "has the axes 1, 2; choose one"),
         ({}, [], {"axis": "7"}, RigError, "got the axis '7', it has 1"),
         ({}, [], {"limits": (200.0, 300.0)}, RigError, "nothing is left"),
         ({"VOL?": ["1=nan"]}, [], {}, LinkError, "sent '\\[?.?VOL. 1.*got '1=nan'|need a finite number"),
@@ -199,7 +199,7 @@ def test_a_slew_rate_in_open_loop_is_asked_for():
 def test_narrower_limits_than_told_are_an_error_of_the_device():
     controller = FakeController(limits=(-20.0, 60.0), told={"VMA?": ["1=120"]})
     rig = quick(controller)
-    with pytest.raises(DeviceError, match=r"error 7: .*narrower than it told.*SVA 1") as caught:
+    with pytest.raises(DeviceError, match=r"error 7: .*narrower than it reported.*SVA 1") as caught:
         rig.set_voltage(100.0)
     assert "brought to 0 V" in caught.value.__notes__[0]
     assert controller.bench.voltage == 0.0

@@ -328,12 +328,12 @@ def test_the_code_on_its_page_runs(tmp_path, monkeypatch):
         exec(code, names)
     assert names["compensator"].clamps == (0, 0)
     time = 1e-3 * np.arange(names["sent"].size + 1)
-    begun = names["begun"]
-    y = actuator.simulate(np.append(begun.voltage, names["sent"]), time=time, state=begun.state).displacement[1:]
+    first = names["first"]
+    y = actuator.simulate(np.append(first.voltage, names["sent"]), time=time, state=first.state).displacement[1:]
     plain_records.assert_close(y, names["wanted"], 1e-12 * plain_records.STROKE)
     # The loop of blocks has the true model: there is nothing for the integral to add.
-    plain_records.assert_close(names["found"].outputs[0], names["wanted"], 1e-12 * plain_records.STROKE)
-    plain_records.assert_close(names["found"].outputs[1], names["sent"], 1e-9)
+    plain_records.assert_close(names["response"].outputs[0], names["wanted"], 1e-12 * plain_records.STROKE)
+    plain_records.assert_close(names["response"].outputs[1], names["sent"], 1e-9)
     check_its_loop(names, actuator)
     check_its_device(names, actuator)
 

@@ -21,5 +21,5 @@ class Heard:
         if name == self._stop_at and self.samples_of[name] >= self._after:
             raise KeyboardInterrupt
 
-    def tell(self, words):
+    def message(self, text):
         pass

@@ -120,7 +120,7 @@ class PipeLink(TcpLink):
         self.controller, self.meddle = controller, meddle
         super().__init__("pipe", 1, timeout)
 
-    def _connected(self):
+    def _connect(self):
         return _Pipe(self.controller, self.meddle)
 
 

@@ -144,9 +144,9 @@ class Live:
         if errors.size:
             step.error, step.largest = float(errors[-1]), max(step.largest or 0.0, float(errors.max()))
 
-    def tell(self, words: str) -> None:
-        """Say what the step does now."""
-        self.words = words
+    def message(self, text: str) -> None:
+        """Show what the step does now."""
+        self.words = text
 
     def _end(self, fate: Fate) -> None:
         if (step := self._present) is not None:

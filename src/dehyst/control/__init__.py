@@ -1,6 +1,7 @@
-"""Control: from a wanted displacement to the voltage that causes it."""
+"""Control: from a wanted displacement to the voltage that produces it."""
 
-from dehyst.control.compensator import ClampWarning, Compensator
+from dehyst.control.clamping import ClampWarning
+from dehyst.control.compensator import Compensator
 from dehyst.control.homing import Homing, shortest_homing
 from dehyst.control.limits import VoltageLimits
 from dehyst.control.snapshot import Snapshot

@@ -1,7 +1,7 @@
 """The shortest homing: the voltage of least travel that leads from any state at rest to a known one, certified.
 
-Where the order of voltages tells the state it follows in closed form. Where time has a say, or smooth elements have, a
-swing through all of the limits is played in time, see `dehyst.control.homing_in_time`.
+If the order of voltages determines the state, it follows in closed form. For actuators with creep, inertia, lag or
+smooth elements a voltage through all of the limits is played in time, see `dehyst.control.homing_in_time`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._types import Array, Mask
 from dehyst._validation import interval, number
-from dehyst.control.homing_in_time import Swing
+from dehyst.control.homing_in_time import TimedHoming
 from dehyst.control.major_loop import MajorLoop
 from dehyst.control.state_bounds import StateBounds, first_move_error, least_width, moves_on
 from dehyst.model import Actuator, GradedSlip, State
@@ -32,43 +32,43 @@ class Homing:
     turns : tuple of float
         Voltages [V] to visit in this order, the present one first; in between the voltage is monotone. The present one
         alone if the state is known already.
-    bracket : StateBounds
+    bounds : StateBounds
         Of the state at the end, by two simulations.
     unknown : tuple of int
-        Elements whose carts it leaves unknown, counted from 0.
+        Elements whose carts stay unknown, counted from 0.
     certified : bool
         Whether the displacement and every element with stiffness are known at the end, hence all later motion too.
     remarks : tuple of str
-        What else the user should know, in sentences.
+        Remarks for the user, in sentences.
     played : Excitation or None
-        The voltage in time, holds among it, where time has a say: it is certified at this pace only.
-    left : float or None
-        With `played`: how far apart the displacement may be [m] at the end and along a further cycle through the
-        limits, whatever was before. It is this that `certified` speaks of.
+        The voltage in time, with holds, if the state depends on time: it is certified at this speed only.
+    spread : float or None
+        With `played`: largest difference [m] of the displacement between any two histories, at the end and along a
+        further cycle through the limits. `certified` refers to it.
     """
 
     turns: tuple[float, ...]
-    bracket: StateBounds
+    bounds: StateBounds
     unknown: tuple[int, ...]
     certified: bool
     remarks: tuple[str, ...] = ()
     played: Excitation | None = None
-    left: float | None = None
+    spread: float | None = None
 
     @property
     def state(self) -> State:
-        """The state at the end, certified or only the middle of the bracket; unknown carts are put halfway."""
-        return self.bracket.middle
+        """The state at the end, certified or only the middle of the bounds, with unknown carts halfway."""
+        return self.bounds.middle
 
     @property
     def width(self) -> float:
-        """The widest bracket [m] at the end, elements without stiffness among them."""
-        return self.bracket.width
+        """The largest width [m] of the bounds at the end, including elements without stiffness."""
+        return self.bounds.width
 
     @property
     def error(self) -> float:
-        """Error bar [m] of a displacement after it: `left`, or the width of the bracket."""
-        return self.width if self.left is None else self.left
+        """Error bar [m] of a displacement after it: `spread`, or the width of the bounds."""
+        return self.width if self.spread is None else self.spread
 
     @property
     def travel(self) -> float:
@@ -93,7 +93,7 @@ def shortest_homing(
     is shorter than the best of: up, down, up and down, down and up, each then to the end. The extremes follow in
     closed form; the certificate is two simulations.
 
-    It is just long enough for the model. A real actuator deserves some percent more; going farther never unhomes.
+    It is just long enough for the model. Give a real actuator some percent more; a larger excursion also homes it.
 
     Parameters
     ----------
@@ -101,25 +101,25 @@ def shortest_homing(
     limits : (float, float), optional
         Lowest and highest voltage [V]; default the actuator's.
     present, end : float, optional
-        Where the voltage is and where it shall end [V]; default 0 and back to the present one.
+        Present and final voltage [V]; default 0, and back to the present one.
     tolerance : float, optional
-        Width [m] to which the state shall be known; default 1e-12 of the range of the spring's knots. Where time has a
-        say, that to which the displacement shall be known; default 1e-3 of that range.
+        Width [m] to which the state shall be known; default 1e-12 of the range of the spring's knots. If the state
+        depends on time, width to which the displacement shall be known; default 1e-3 of that range.
     stiff_only : bool, optional
-        Leave out elements without stiffness from the start. They never move the actuator; by default they are homed
-        too where the limits allow it, so that the state is known whole.
+        Leave out elements without stiffness. They never move the actuator; by default they are homed too if the limits
+        allow it, so that the whole state is known.
     drive : Sampling, optional
-        Pace and shape of the legs, where time has a say; default: legs of a twentieth of the longest creep time
-        constant, and no shorter than fifty periods of a resonance.
+        Speed and shape of the legs, if the state depends on time; default: legs of a twentieth of the longest creep
+        time constant, and no shorter than fifty periods of a resonance.
     hold : float, optional
-        Seconds to wait at either end of the limits at the last visit, where time has a say; default: what the tolerance
-        needs, or if no hold does, the longest time constant of creep.
+        Seconds to wait at the last visit of either limit, if the state depends on time; default: as long as the
+        tolerance requires, or if no hold suffices, the longest time constant of creep.
 
     Returns
     -------
     Homing
-        If the limits are too narrow, the best within them, not certified, with a remark on what would do. What creep
-        leaves is told as an error bar, and how long a hold would do.
+        If the limits are too narrow, the best within them, not certified, with a remark on what would suffice. For
+        creep it includes an error bar, and how long a hold would suffice.
 
     Raises
     ------
@@ -128,45 +128,43 @@ def shortest_homing(
     """
     if not isinstance(actuator, Actuator):
         raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
-    bounds = _limits(actuator, limits)
-    start = _inside(present, "present", bounds)
-    stop = start if end is None else _inside(end, "end", bounds)
+    allowed = _limits(actuator, limits)
+    start = _inside(present, "present", allowed)
+    stop = start if end is None else _inside(end, "end", allowed)
     if moves_on(actuator):
-        return _in_time(Swing.of(actuator, bounds, (start, stop), drive=drive, hold=hold, tolerance=tolerance))
-    task = _HomingTask(actuator, bounds, start, stop, least_width(actuator, tolerance))
-    turns = task.turns(task.stiff if stiff_only or not task.can(task.whole) else task.whole)
-    bracket = StateBounds.at_rest(actuator, start).drive(actuator, turns).bracket
-    unknown = bracket.widths > task.tolerance
-    loose = unknown & _stiff(actuator)
-    certified = not loose.any() and first_move_error(bracket) <= task.tolerance
-    remark = task.remark(turns, bracket, unknown, loose, certified)
-    return Homing(turns, bracket, tuple(map(int, np.flatnonzero(unknown))), certified, (remark,) if remark else ())
+        ends = start, stop
+        return _in_time(TimedHoming.shortest(actuator, allowed, ends, drive=drive, hold=hold, tolerance=tolerance))
+    task = _HomingTask(actuator, allowed, start, stop, least_width(actuator, tolerance))
+    turns = task.turns(task.stiff if stiff_only or not task.suffices(task.whole) else task.whole)
+    bounds = StateBounds.at_rest(actuator, start).propagate(actuator, turns).bounds
+    unknown = bounds.widths > task.tolerance
+    unknown_stiff = unknown & _stiff(actuator)
+    certified = not unknown_stiff.any() and first_move_error(bounds) <= task.tolerance
+    remark = task.remark(turns, bounds, unknown, unknown_stiff, certified)
+    return Homing(turns, bounds, tuple(map(int, np.flatnonzero(unknown))), certified, (remark,) if remark else ())
 
 
-def _in_time(swing: Swing) -> Homing:
-    """What a swing played in time is worth."""
-    unknown = swing.bracket.widths > swing.tolerance
-    certified = swing.left <= swing.tolerance
+def _in_time(timed: TimedHoming) -> Homing:
     return Homing(
-        swing.turns,
-        swing.bracket,
-        tuple(map(int, np.flatnonzero(unknown))),
-        certified,
-        swing.remarks(),
-        swing.excitation,
-        swing.left,
+        timed.turns,
+        timed.bounds,
+        tuple(map(int, np.flatnonzero(timed.bounds.widths > timed.tolerance))),
+        timed.spread <= timed.tolerance,
+        timed.remarks(),
+        timed.excitation,
+        timed.spread,
     )
 
 
 def _stiff(actuator: Actuator) -> Mask:
-    """Elements with stiffness anywhere (N,)."""
+    """Return which elements (N,) have stiffness anywhere."""
     kappa = actuator.slip.stiffness
     return np.asarray((kappa > 0).any(axis=1) if isinstance(actuator.slip, GradedSlip) else kappa > 0)
 
 
 @dataclass(frozen=True, eq=False)
 class _HomingTask:
-    """A homing asked for. A reach [m] is the least range that makes known what shall be: see `least_range`."""
+    """The task of a homing. A reach [m] is the `least_range` that homes the whole state, or the stiff elements."""
 
     actuator: Actuator
     limits: tuple[float, float]
@@ -184,21 +182,21 @@ class _HomingTask:
 
     @property
     def slack(self) -> float:
-        """The part of the tolerance [m] that is left to rounding."""
+        """The part of the tolerance [m] reserved for rounding."""
         return min(self.tolerance, least_width(self.actuator, None))
 
     def _reach(self, breakaway: Array) -> float:
         return 2 * float(breakaway.max()) - (self.tolerance - self.slack) if breakaway.size else -np.inf
 
-    def can(self, reach: float) -> bool:
+    def suffices(self, reach: float) -> bool:
         return self._enough(*self.limits, reach)
 
     def _enough(self, low: float, high: float, reach: float) -> bool:
-        # An identified model's largest element breaks away over the full excursion exactly: rounding must not decide.
+        # In an identified model the largest element needs exactly the full excursion: rounding must not decide.
         return self.branch.displacement(high, 1) - self.branch.displacement(low, -1) >= reach - 0.5 * self.slack
 
     def top(self, bottom: float, reach: float) -> float:
-        """Highest voltage [V] that, with `bottom` the lowest, makes the least range `reach`."""
+        """Return the highest voltage [V] that makes the least range `reach` if `bottom` is the lowest."""
         branch = self.branch
         return branch.voltage(branch.displacement(bottom, -1) + reach, 1)
 
@@ -211,41 +209,41 @@ class _HomingTask:
         return MajorLoop(self.actuator)
 
     def extremes(self, reach: float) -> tuple[float, float]:
-        """Lowest and highest voltage [V], as close together as `reach` allows; the limits if they do not allow it."""
+        """Return the lowest and highest voltage [V], as close together as `reach` allows; else the limits."""
         low, high = self.limits
         near, far = min(self.start, self.stop), max(self.start, self.stop)
         if self._enough(near, far, reach):
             return near, far
-        if not self.can(reach):
+        if not self.suffices(reach):
             return low, high
         latest = near if self._enough(near, high, reach) else max(low, self.bottom(high, reach))
-        # The top is piecewise linear in the bottom: the least difference lies where the slope of either changes.
-        places = np.concatenate([self.branch.bends(-1), self.branch.bends(1) - reach])
-        corners = [self.branch.voltage(float(place), -1) for place in places]
+        # The top is piecewise linear in the bottom: the difference is least where the slope of either changes.
+        bends = np.concatenate([self.branch.bends(-1), self.branch.bends(1) - reach])
+        corners = [self.branch.voltage(float(bend), -1) for bend in bends]
         bottoms = np.clip([latest, low, self.bottom(far, reach), *corners], low, latest)
         tops = np.array([far if self._enough(b, far, reach) else min(high, self.top(b, reach)) for b in bottoms])
-        # Of equals the one that goes down least: a piezo stack is better pushed than pulled.
-        short = tops - bottoms <= (1 + 1e-12) * (tops - bottoms).min()
-        best = int(np.argmax(np.where(short, bottoms, -np.inf)))
+        # Of equal ranges the one with the highest bottom: a piezo stack bears compression better than tension.
+        shortest = tops - bottoms <= (1 + 1e-12) * (tops - bottoms).min()
+        best = int(np.argmax(np.where(shortest, bottoms, -np.inf)))
         return float(bottoms[best]), float(tops[best])
 
     def turns(self, reach: float) -> tuple[float, ...]:
-        """The shorter order of the two extremes; up first if both are as long."""
+        """Return the voltages [V] to visit, with the extremes in the shorter order; up first if both are equal."""
         low, high = self.extremes(reach)
         middle = (low, high) if self.stop > self.start else (high, low)
         visited = (self.start, *(turn for turn in middle if turn not in (self.start, self.stop)), self.stop)
         return visited[:1] if visited == (self.start, self.start) else visited
 
     def remark(
-        self, turns: tuple[float, ...], bracket: StateBounds, unknown: Mask, loose: Mask, certified: bool
+        self, turns: tuple[float, ...], bounds: StateBounds, unknown: Mask, unknown_stiff: Mask, certified: bool
     ) -> str | None:
-        if not certified and self.can(self.stiff):
-            return f"not certified: rounding leaves a width of {bracket.width:.3g} m; give a tolerance above that"
+        if not certified and self.suffices(self.stiff):
+            return f"not certified: rounding leaves a width of {bounds.width:.3g} m; give a tolerance above that"
         if not certified:
-            return f"not certified: {_left(bracket, loose)}; {self._beyond(self.stiff)}"
+            return f"not certified: {_unknown(bounds, unknown_stiff)}; {self._beyond(self.stiff)}"
         if unknown.any():
-            said = f"{_left(bracket, unknown)}, without stiffness, which no motion depends on"
-            return said if self.can(self.whole) else f"{said}; {self._beyond(self.whole)}"
+            remark = f"{_unknown(bounds, unknown)}, without stiffness, which no motion depends on"
+            return remark if self.suffices(self.whole) else f"{remark}; {self._beyond(self.whole)}"
         travel, shorter = _travel(turns), _travel(self.turns(self.stiff))
         if shorter >= travel * (1 - 1e-9):
             return None
@@ -254,7 +252,7 @@ class _HomingTask:
     def _beyond(self, reach: float) -> str:
         low, high = self.limits
         above, below = self.top(low, reach) - high, low - self.bottom(high, reach)
-        return f"{above:.4g} V above {high:.6g} V, or {below:.4g} V below {low:.6g} V, would do"
+        return f"{above:.4g} V above {high:.6g} V, or {below:.4g} V below {low:.6g} V, would suffice"
 
 
 def _limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[float, float]:
@@ -278,13 +276,13 @@ def _travel(turns: Sequence[float]) -> float:
 
 
 def _named(elements: Mask) -> str:
-    """Elements in words, counted from 1 as in the paper."""
+    """Return the elements in words, counted from 1."""
     numbers = [int(i) + 1 for i in np.flatnonzero(elements)]
     if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
         return f"elements {numbers[0]} to {numbers[-1]}"
     return f"element{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
 
 
-def _left(bracket: StateBounds, unknown: Mask) -> str:
-    widest = bracket.widths[unknown].max(initial=0.0) * 1e6
+def _unknown(bounds: StateBounds, unknown: Mask) -> str:
+    widest = bounds.widths[unknown].max(initial=0.0) * 1e6
     return f"leaves {_named(unknown)} of {unknown.size} unknown, by up to {widest:.4g} um"

@@ -1,4 +1,4 @@
-"""The voltages and slew rate that a compensator keeps."""
+"""The voltage limits and the slew rate of a compensator."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import interval, number, untimely, vector
 
-# What a missing time of each sample can be mended with.
+# The hint in errors about a missing time of the samples.
 TIME_NEEDED = "give time= [s], one a sample, or make the Compensator with period= [s]"
 
 
 @dataclass(frozen=True)
 class VoltageLimits:
-    """What a voltage must keep to.
+    """Limits of a voltage and of its slew rate.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class VoltageLimits:
     Raises
     ------
     ModelError
-        If they are no interval, or the slew rate is not positive.
+        If they are not an interval, or the slew rate is not positive.
     """
 
     low: float
@@ -48,15 +48,15 @@ class VoltageLimits:
 
     @property
     def words(self) -> str:
-        """For a sentence."""
+        """The limits as text, for a sentence."""
         return f"{self.low:.6g} to {self.high:.6g} V"
 
     def nearest(self, voltage: float) -> float:
-        """The voltage [V], or the limit that it is beyond."""
+        """Return the voltage [V], or the limit that it exceeds."""
         return min(max(voltage, self.low), self.high)
 
     def steps(self, size: int, time: ArrayLike | None) -> Array:
-        """Largest voltage step before each sample."""
+        """Return the largest voltage step [V] before each sample (n,)."""
         if self.slew_rate is None:
             return np.full(size, np.inf)
         if time is None:
@@ -67,7 +67,7 @@ class VoltageLimits:
         return np.concatenate([[np.inf], self.slew_rate * np.diff(t)])[:size]
 
     def allowed(self, voltage: Array, before: float, steps: Array) -> Array:
-        """The wish, clipped; right up to the first sample that is changed."""
+        """Return wanted voltages, clipped; correct up to and including the first sample that is changed."""
         previous = np.concatenate([[before], voltage[:-1]])
-        # Limits come last: slew may not push a voltage out of them.
+        # Limits come last: the slew rate must not push a voltage out of them.
         return np.clip(np.clip(voltage, previous - steps, previous + steps), self.low, self.high)

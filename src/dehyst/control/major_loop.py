@@ -1,6 +1,6 @@
-"""The outermost branches of an actuator: where it is after a long rise, or a long fall, with every cart dragged along.
+"""The major loop of an actuator: its displacement after a long rise or a long fall, with every cart dragged along.
 
-No state at rest at a voltage lies beyond them. Creep, inertia and lag have come to rest on them.
+No state at rest lies outside it. Creep, inertia and lag are at rest on it.
 """
 
 from __future__ import annotations
@@ -19,50 +19,50 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class MajorLoop:
-    """Voltage over displacement on the outermost rising (side 1) and falling (side -1) branch.
+    """Voltage over displacement on the rising (side 1) and the falling (side -1) branch of the major loop.
 
     Attributes
     ----------
     actuator : Actuator
-        Smooth elements hold their most all along.
+        Its smooth elements bear their largest force everywhere.
     """
 
     actuator: Actuator
 
     @cached_property
     def friction(self) -> float:
-        """What plain and smooth elements hold on both [V]."""
+        """The voltage [V] that plain and smooth elements bear on both branches."""
         slip, smooth = self.actuator.slip, self.actuator.smooth
-        held = 0.0 if smooth is None else float(smooth.stiffness @ smooth.length)
-        return held if isinstance(slip, GradedSlip) else held + float(slip.friction.sum())
+        borne = 0.0 if smooth is None else float(smooth.stiffness @ smooth.length)
+        return borne if isinstance(slip, GradedSlip) else borne + float(slip.friction.sum())
 
     def voltage(self, displacement: float, side: int) -> float:
-        """Voltage [V] at a displacement [m]."""
+        """Return the voltage [V] at a displacement [m]."""
         if not isinstance(self.actuator.slip, GradedSlip):
-            drive = float(self.actuator.spring(displacement)) + side * self.friction
+            internal = float(self.actuator.spring(displacement)) + side * self.friction
         else:
-            y, held = self._branch(side)
-            drive = float(on_curve(y, held, displacement))
+            y, borne = self._branch(side)
+            internal = float(on_curve(y, borne, displacement))
         tau = self.actuator.transformer
-        return drive if tau is None else float(tau.inverse(drive))
+        return internal if tau is None else float(tau.inverse(internal))
 
     def displacement(self, voltage: float, side: int) -> float:
-        """Displacement [m] at a voltage [V]: no state lies lower on side 1, nor higher on side -1."""
+        """Return the displacement [m] at a voltage [V]: no state lies lower on side 1, nor higher on side -1."""
         tau = self.actuator.transformer
-        drive = voltage if tau is None else float(tau(voltage))
+        internal = voltage if tau is None else float(tau(voltage))
         if not isinstance(self.actuator.slip, GradedSlip):
-            return self.actuator.core.spring_inverse(drive - side * self.friction)
-        y, held = self._branch(side)
-        return float(on_curve(held, y, drive))
+            return self.actuator.core.spring_inverse(internal - side * self.friction)
+        y, borne = self._branch(side)
+        return float(on_curve(borne, y, internal))
 
     def bends(self, side: int) -> Array:
-        """Displacements [m] at which the slope of the branch changes, in order."""
+        """Return the displacements [m] at which the slope of the branch changes, in order."""
         tau = self.actuator.transformer
         more = [] if tau is None else [self.displacement(float(v), side) for v in tau.voltage]
-        return np.unique(np.concatenate([self._places(side), more]))
+        return np.unique(np.concatenate([self._element_bends(side), more]))
 
-    def _places(self, side: int) -> Array:
-        """Bends by the spring and the elements [m]; what differs by rounding is one place."""
+    def _element_bends(self, side: int) -> Array:
+        """Return the bends [m] of spring and elements; those that differ by rounding are merged."""
         knots, slip = self.actuator.spring.displacement, self.actuator.slip
         if not isinstance(slip, GradedSlip):
             return knots
@@ -81,12 +81,11 @@ class MajorLoop:
         return self._tabulated(-1)
 
     def _tabulated(self, side: int) -> tuple[Array, Array]:
-        """Bends of a branch of graded elements and a place beyond either end, and the drive there."""
-        slip, y = self.actuator.slip, self._places(side)
+        """Return the bends of a branch of graded elements, with a point beyond either end, and tau(v) [V] there."""
+        slip, y = self.actuator.slip, self._element_bends(side)
         y = np.concatenate([[y[0] - np.ptp(y)], y, [y[-1] + np.ptp(y)]])
-        held = self.actuator.spring(y) + side * self.friction
+        borne = self.actuator.spring(y) + side * self.friction
         if isinstance(slip, GradedSlip):
-            held = held + (
-                slip.internal_voltage(y[:, None]) - slip.internal_voltage(y[:, None] - side * slip.breakaway)
-            ).sum(axis=1)
-        return y, held
+            carts = y[:, None] - side * slip.breakaway
+            borne = borne + (slip.internal_voltage(y[:, None]) - slip.internal_voltage(carts)).sum(axis=1)
+        return y, borne

@@ -1,4 +1,4 @@
-"""All that a compensator's loop remembers, as a file."""
+"""The whole memory of a compensator's loop, as a value and a file."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from dehyst.model import Actuator, State, serialization
 
 FORMAT = "dehyst-loop"
 VERSION = 1
-# Counts of the core hold no more on every machine.
+# Range of the core's counts on every machine.
 _MOST = 2**31
-# Entries of a model file that a loop does not depend on, or has its own of.
+# Entries of a model file on which a loop does not depend.
 _FREE = {"name", "provenance", "limits", "state"}
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A loop between two steps.
+    """The memory of a loop between two steps.
 
     Attributes
     ----------
     key : str
-        Of the actuator's numbers, the period and the preview: it fits no other loop.
+        Digest of the actuator's numbers, the period and the preview: the snapshot fits no other loop.
     state : State
-        Where the actuator is.
+        State of the actuator.
     rest : (6 + M,) array
-        What a state lacks: the last voltage, what the amplifier made of it, the two that were to act before, the push
-        and the velocity of the mass, and the displacements fed, newest first.
+        The remaining memory: the last voltage, the output of the amplifier, its two inputs before, the push and the
+        velocity of the mass, and the displacements fed, newest first.
     counts : (int, int, int)
-        Samples limited, slewed and refused.
+        Numbers of samples limited, slewed and refused.
     """
 
     key: str
@@ -54,7 +54,7 @@ class Snapshot:
         object.__setattr__(self, "counts", tuple(counts))
 
     def save(self, path: PathLike) -> None:
-        """Write it (JSON), wholly or not at all.
+        """Write the snapshot as JSON, completely or not at all.
 
         Raises
         ------
@@ -75,14 +75,14 @@ class Snapshot:
 
     @classmethod
     def load(cls, path: PathLike) -> Snapshot:
-        """Read it, strictly and without loss.
+        """Read a snapshot, strictly and without loss.
 
         Raises
         ------
         FileFormatError
-            If the file cannot be read or is no JSON.
+            If the file cannot be read or is not JSON.
         ModelError
-            If it is no snapshot of this version.
+            If it is not a snapshot of this version.
         """
         data = read_json(path)
         if data.get("format") != FORMAT or type(data.get("version")) is not int or data["version"] != VERSION:
@@ -102,7 +102,7 @@ def _few(counts: Sequence[int]) -> bool:
 
 
 def key_of(actuator: Actuator, period: float | None, preview: bool) -> str:
-    """A digest of what a snapshot must fit."""
+    """Return the digest that a snapshot of a loop has as its key."""
     numbers = {name: value for name, value in actuator.as_dict().items() if name not in _FREE}
     text = json.dumps([numbers, period, preview], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

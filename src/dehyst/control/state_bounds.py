@@ -1,8 +1,8 @@
-"""What is known of the state: brackets about every cart.
+"""State bounds: an interval for the displacement and for every cart.
 
-Nothing is assumed of the past but that it ended at rest. With y known, each element stands alone; with v known the
-displacement depends on all of them, so the carts are bracketed by two simulations (theory section 11). A transformer
-keeps the order of voltages, and elements may be graded: a higher state stays the higher one.
+The history may be any that ended at rest. If y is known, the elements are independent; if only v is known the
+displacement depends on all of them, and two simulations bound the carts (theory section 11). A transformer keeps the
+order of voltages, and elements may be graded: a higher state stays the higher one.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from dehyst.control.major_loop import MajorLoop
 from dehyst.model import Actuator, MaxwellSlip, State
 
 Counts = NDArray[np.intp]
-# Of the range: well above rounding, well below anything a sensor sees.
+# Share of the range: well above rounding, well below the resolution of any sensor.
 _TOLERANCE = 1e-12
 _CHUNK = 4096
 
 
 @dataclass(frozen=True, eq=False)
 class KnownCarts:
-    """What a known displacement tells of the carts, from total ignorance.
+    """Knowledge of the carts from a known displacement, with nothing known before.
 
     Attributes
     ----------
     breakaway : (N,) array
         rho [m].
     running_range : (n,) array
-        R(t), how far apart the displacements seen so far lie [m].
+        R(t), the range of the displacements until now [m].
     tolerance : float
         Width [m] up to which an element counts as known.
     """
@@ -45,12 +45,12 @@ class KnownCarts:
 
     @property
     def widths(self) -> Array:
-        """(n, N) widths [m] of what each elongation s_i can be: exactly max(0, 2 rho_i - R)."""
+        """Width (n, N) [m] of the interval of each elongation s_i: exactly max(0, 2 rho_i - R)."""
         return np.maximum(0.0, 2 * self.breakaway - self.running_range[:, None])
 
     @property
     def unknown(self) -> Counts:
-        """(n,) how many elements are unknown."""
+        """Number of unknown elements (n,)."""
         known = np.searchsorted(2 * self.breakaway - self.tolerance, self.running_range, side="right")
         return np.asarray(self.breakaway.size - known)
 
@@ -63,7 +63,7 @@ class KnownCarts:
 def known_by_displacement(
     actuator: Actuator | ArrayLike, displacement: ArrayLike, *, tolerance: float | None = None
 ) -> KnownCarts:
-    """What is known of each element while the displacement is known: measured, or commanded.
+    """Return what is known of each element if the displacement is known: measured, or commanded.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def known_by_displacement(
     displacement : (n,) array_like
         [m]; nothing is known before the first sample.
     tolerance : float, optional
-        Width [m] up to which an element counts as known; default 1e-12 of 2 rho_N. Without any, an excursion of just
-        2 rho_N would leave to rounding whether it suffices.
+        Width [m] up to which an element counts as known; default 1e-12 of 2 rho_N. With 0, rounding would decide
+        whether an excursion of exactly 2 rho_N suffices.
 
     Raises
     ------
@@ -95,10 +95,10 @@ def known_by_displacement(
 
 @dataclass(frozen=True, eq=False)
 class StateBounds:
-    """Two states between which the actuator is: its displacement and every cart, in absolute coordinates.
+    """Two states that bound the actuator's: its displacement and every cart, in absolute coordinates.
 
-    A voltage keeps the order of states, so two simulations keep the bracket; no cart's width ever exceeds what the
-    widest had before. Elements without stiffness have carts too, and count like the others.
+    A voltage keeps the order of states, so two simulations propagate the bounds; no width ever exceeds the largest one
+    before. Elements without stiffness have carts too, and count like the others.
 
     Parameters
     ----------
@@ -122,27 +122,27 @@ class StateBounds:
                 f"got {self.lower.carts.size} and {self.upper.carts.size} carts, need states of one actuator"
             )
         if self.lower.displacement > self.upper.displacement or np.any(self.lower.carts > self.upper.carts):
-            raise ModelError("the lower state lies above the upper one: swap them, or start from Bracket.at_rest")
+            raise ModelError("the lower state lies above the upper one: swap them, or start from StateBounds.at_rest")
 
     @classmethod
     def at_rest(cls, actuator: Actuator, voltage: float = 0.0) -> StateBounds:
-        """Bracket every state the actuator can rest in at `voltage` [V]: its two extreme equilibria.
+        """Bound every state in which the actuator can rest at `voltage` [V], by its two extreme equilibria.
 
-        They lie on the outermost branches; of a plain actuator at ``eta^-1(v - F)`` with every s_i = rho_i and at
+        They lie on the major loop; of a plain actuator at ``eta^-1(v - F)`` with every s_i = rho_i and at
         ``eta^-1(v + F)`` with every s_i = -rho_i, where F = sum kappa_i rho_i.
 
         Raises
         ------
         ModelError
-            If `actuator` is none, or the voltage is not finite.
+            If `actuator` is not an Actuator, or the voltage is not finite.
         """
         v, slip = number(voltage, "voltage"), checked_actuator(actuator).slip
         branch = MajorLoop(actuator)
         lowest, highest = branch.displacement(v, 1), branch.displacement(v, -1)
         return cls(State(lowest, lowest - slip.breakaway), State(highest, highest + slip.breakaway))
 
-    def drive(self, actuator: Actuator, voltage: ArrayLike, *, tolerance: float | None = None) -> KnownState:
-        """What is known after each sample of a voltage; exact, by two simulations.
+    def propagate(self, actuator: Actuator, voltage: ArrayLike, *, tolerance: float | None = None) -> KnownState:
+        """Propagate the bounds through a voltage; exact, by two simulations.
 
         Parameters
         ----------
@@ -155,7 +155,7 @@ class StateBounds:
         Raises
         ------
         ModelError
-            If the voltage is not finite, the bracket is of another actuator, or the tolerance is not positive.
+            If the voltage is not finite, the bounds are of another actuator, or the tolerance is not positive.
         """
         v, least = vector(voltage, "voltage"), least_width(checked_actuator(actuator), tolerance)
         lowest, highest, width = np.empty_like(v), np.empty_like(v), np.empty_like(v)
@@ -173,39 +173,39 @@ class StateBounds:
 
     @property
     def widths(self) -> Array:
-        """(N,) width of the bracket of each cart [m]."""
+        """Width of the bounds of each cart (N,) [m]."""
         return self.upper.carts - self.lower.carts
 
     @property
     def width(self) -> float:
-        """The widest bracket [m] of a cart or of the displacement."""
+        """The largest width [m] of a cart or of the displacement."""
         return float(max(self.widths.max(initial=0.0), first_move_error(self)))
 
     @property
     def middle(self) -> State:
-        """The state halfway: off by half the width at most."""
+        """The state halfway, with an error of half the width at most."""
         lower, upper = self.lower, self.upper
         more = (0.5 * (getattr(lower, name) + getattr(upper, name)) for name in ("creep", "motion", "smooth"))
         return State(0.5 * (lower.displacement + upper.displacement), 0.5 * (lower.carts + upper.carts), *more)
 
     def known(self, tolerance: float) -> bool:
-        """Whether every cart and the displacement are known to `tolerance` [m]."""
+        """Return whether every cart and the displacement are known to `tolerance` [m]."""
         return self.width <= _positive(tolerance, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class KnownState:
-    """What is known after each sample of a voltage.
+    """Knowledge of the state after each sample of a voltage.
 
     Attributes
     ----------
     lowest, highest : (n,) array
-        Between which the displacement is [m], both attained.
+        Attained bounds of the displacement [m].
     width : (n,) array
-        The widest bracket of any cart [m]; it never grows, and the displacement's is never wider.
+        The largest width of any cart [m]; it never grows, and the displacement's is never larger.
     unknown : (n,) int array
-        How many elements are unknown; as a rule all of them until the displacement is known.
-    bracket : StateBounds
+        Number of unknown elements; usually all of them until the displacement is known.
+    bounds : StateBounds
         After the last sample.
     """
 
@@ -213,7 +213,7 @@ class KnownState:
     highest: Array
     width: Array
     unknown: Counts
-    bracket: StateBounds
+    bounds: StateBounds
 
     @property
     def first_known(self) -> int | None:
@@ -221,49 +221,49 @@ class KnownState:
         return _first(self.unknown == 0)
 
 
-def first_move_error(bracket: StateBounds) -> float:
-    """Error bar [m] of a first move from an unknown state: the width of the displacement's bracket before it.
+def first_move_error(bounds: StateBounds) -> float:
+    """Return the error bar [m] of a first move from an unknown state: the width of the displacement's bounds before it.
 
-    A sensor that reads zero at the start shows y(t) - y(0), and y(0) is anywhere in that bracket. Once the state is
-    known this is all that remains: readings of y(t) - y(0) from different starts differ by up to this width, and it is
-    attained. On the way the bracket of y(t) adds to it: they lie between ``lowest - upper.displacement`` and
+    A sensor that reads zero at the start shows y(t) - y(0), and y(0) is anywhere within the bounds. Once the state is
+    known only this error remains: readings of y(t) - y(0) from different starts differ by up to this width, which is
+    attained. Before that the bounds of y(t) add to it: readings lie between ``lowest - upper.displacement`` and
     ``highest - lower.displacement``.
     """
-    return bracket.upper.displacement - bracket.lower.displacement
+    return bounds.upper.displacement - bounds.lower.displacement
 
 
 def least_range(actuator: Actuator, lowest: float, highest: float) -> float:
-    """Range [m] that the displacement covers at least while the voltage covers `lowest` to `highest` [V].
+    """Return the range [m] that the displacement covers at least while the voltage covers `lowest` to `highest` [V].
 
     D = eta^-1(highest - F) - eta^-1(lowest + F), F = sum kappa_i rho_i; it may be negative. In general the first is the
-    displacement on the outermost rising branch, the second that on the falling one. From total ignorance the
-    widest bracket of a cart is exactly max(0, 2 rho_N - D) after any path that covers just these voltages: where it is
-    highest the lower extreme state has every s_i = rho_i, where it is lowest the upper one has every s_i = -rho_i, and
-    cart N stands where these two extremes of y put it. Neither the order nor the number of turns matters.
+    displacement on the rising branch of the major loop, the second that on the falling one. From an unknown state the
+    largest width of a cart is exactly max(0, 2 rho_N - D) after any path that covers just these voltages: at the
+    highest the lower extreme state has every s_i = rho_i, at the lowest the upper one has every s_i = -rho_i, and
+    these two extremes of y determine cart N. Neither the order nor the number of turns matters.
 
     Raises
     ------
     ModelError
-        If `actuator` is none, or a voltage is not finite.
+        If `actuator` is not an Actuator, or a voltage is not finite.
     """
     branch = MajorLoop(checked_actuator(actuator))
     return branch.displacement(number(highest, "highest"), 1) - branch.displacement(number(lowest, "lowest"), -1)
 
 
 def checked_actuator(actuator: Actuator) -> Actuator:
-    """Refuse what is no Actuator, and one whose states do not keep their order by the voltage alone."""
+    """Return an Actuator whose states keep their order under any voltage; raises ModelError for all others."""
     if not isinstance(actuator, Actuator):
         raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
     if moves_on(actuator):
         raise ModelError(
-            f"a bracket of the state follows the voltage alone, this actuator {moves_on(actuator)}; use "
-            "dehyst.control.homing.shortest_homing, which plays a voltage in time and says how much stays unknown"
+            f"bounds of the state follow the voltage alone, this actuator {moves_on(actuator)}; use "
+            "dehyst.shortest_homing, which plays a voltage in time and reports how much stays unknown"
         )
     return actuator
 
 
 def moves_on(actuator: Actuator) -> str:
-    """Why the order of voltages does not tell the state, in words; empty if it does."""
+    """Return in words why the order of voltages does not determine the state; empty if it does."""
     parts = {
         "creeps": actuator.creep is not None,
         "has inertia": actuator.dynamics is not None,
@@ -282,7 +282,7 @@ def _positive(tolerance: float | None, default: float) -> float:
 
 
 def least_width(actuator: Actuator, tolerance: float | None) -> float:
-    """The tolerance [m]: the given one, or 1e-12 of the range of the knots."""
+    """Return the tolerance [m]: the given one, or 1e-12 of the range of the knots."""
     return _positive(tolerance, _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
 
 
@@ -291,13 +291,13 @@ def _first(known: Mask) -> int | None:
 
 
 def _ordered(a: State, b: State) -> StateBounds:
-    """Two states that met differ by rounding, either way."""
+    """Return the bounds of two states; those that have met may differ either way by rounding."""
     ends = ((order(a.displacement, b.displacement), order(a.carts, b.carts)) for order in (np.minimum, np.maximum))
     return StateBounds(*(State(float(y), carts) for y, carts in ends))
 
 
 def _carts(actuator: Actuator, voltage: Array, state: State) -> tuple[Array, Array, State]:
-    """Displacement (n,), carts (n, N) and the state reached."""
+    """Return displacement (n,), carts (n, N) and the state reached."""
     motion = actuator.simulate(voltage, state=state, extrapolate=True)
     elongations, _ = slip_elongations(actuator.slip.breakaway, state.carts, motion.displacement)
     return motion.displacement, motion.displacement[:, None] - elongations, motion.state

@@ -1,4 +1,4 @@
-"""The state in which a cycle of displacement ends as it began, and ever after: creep and smooth elements settled."""
+"""The steady state of a cycle of displacement: creep and smooth elements end each cycle as they began it."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from dehyst.model import Actuator, State
 from dehyst.model.evaluator import PathData
 from dehyst.waveforms import ScanPath
 
-# Enough for a piecewise smooth map that contracts; the straight one of Dahl's elements takes one.
+# Enough for a contracting, piecewise smooth map; the linear one of Dahl's elements needs one.
 _ROUNDS = 100
 _EPS = float(np.finfo(np.float64).eps)
 
 
 def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
-    """The state at the first sample of a periodic path that has been followed for ever.
+    """Return the state at the first sample of a periodic path after infinitely many cycles.
 
-    What creeps and what lets go gradually is driven by w alone, which the path tells, so neither knows of the other
-    or of the carts. A branch of creep is linear: if a cycle from no strain ends at D, the strain to which it comes back
-    is ``d = exp(-T/tau) d + D``. A smooth element's end rises with its beginning, by less: the one point that comes
-    back is found between its two extremes.
+    Creep and smooth elements are driven by w alone, which follows from the path, so both are independent of each other
+    and of the carts. A branch of creep is linear: if a cycle from zero strain ends at D, its steady strain is
+    ``d = exp(-T/tau) d + D``. A smooth element's end rises with its beginning, with slope below 1: its only fixed point
+    lies between the two extremes.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
     path : ScanPath
         Periodic.
     state : State
-        At the path's first sample, after two cycles at least: its carts have forgotten what they can forget.
+        At the path's first sample, after two cycles at least, which erase the history of the carts.
 
     Raises
     ------
@@ -43,26 +43,26 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
 
 
 def _strains(actuator: Actuator, path: ScanPath) -> Array:
-    """The strains d_j (J,) [m] to which a cycle comes back."""
-    creep, one = actuator.creep, path.repeated(1)
-    course = PathData(one.time, velocity=one.velocity, acceleration=one.acceleration)
-    w = one.displacement + actuator.model.lead(one.displacement, course)
+    """Return the steady strains d_j (J,) [m] of a cycle."""
+    creep, cycle = actuator.creep, path.repeated(1)
+    data = PathData(cycle.time, velocity=cycle.velocity, acceleration=cycle.acceleration)
+    w = cycle.displacement + actuator.model.lead(cycle.displacement, data)
     if creep is None:
         return np.zeros(0)
-    gained = creep.strains(one.time, w)[-1]
-    return np.asarray(gained / -np.expm1(-float(one.time[-1]) / creep.time_constants))
+    gained = creep.strains(cycle.time, w)[-1]
+    return np.asarray(gained / -np.expm1(-float(cycle.time[-1]) / creep.time_constants))
 
 
 def _elongations(actuator: Actuator, path: ScanPath, state: State) -> Array:
-    """The elongations q_l (L,) [m] to which a cycle comes back, by false position after Illinois."""
-    one, length = path.repeated(1), np.zeros(0) if actuator.smooth is None else actuator.smooth.length
+    """Return the steady elongations q_l (L,) [m] of a cycle, by the Illinois method of false position."""
+    cycle, length = path.repeated(1), np.zeros(0) if actuator.smooth is None else actuator.smooth.length
 
     def gained(elongation: Array) -> Array:
         motion = actuator.compensate(
-            one.displacement,
-            time=one.time,
-            velocity=one.velocity,
-            acceleration=one.acceleration,
+            cycle.displacement,
+            time=cycle.time,
+            velocity=cycle.velocity,
+            acceleration=cycle.acceleration,
             state=replace(state, smooth=elongation),
             extrapolate=True,
         )
@@ -75,11 +75,11 @@ def _elongations(actuator: Actuator, path: ScanPath, state: State) -> Array:
         with np.errstate(invalid="ignore", divide="ignore"):
             middle = np.where(left == right, 0.5 * (low + high), (low * right - high * left) / (right - left))
         middle = np.clip(middle, low, high)
-        found = gained(middle)
-        if np.all(np.abs(found) <= 4 * _EPS * length) or np.all(high - low <= 4 * _EPS * length):
+        gain = gained(middle)
+        if np.all(np.abs(gain) <= 4 * _EPS * length) or np.all(high - low <= 4 * _EPS * length):
             break
-        up = found > 0
-        right = np.where(up & (side > 0), 0.5 * right, np.where(up, right, found))
-        left = np.where(~up & (side < 0), 0.5 * left, np.where(up, found, left))
+        up = gain > 0
+        right = np.where(up & (side > 0), 0.5 * right, np.where(up, right, gain))
+        left = np.where(~up & (side < 0), 0.5 * left, np.where(up, gain, left))
         low, high, side = np.where(up, middle, low), np.where(up, high, middle), np.where(up, 1.0, -1.0)
     return middle

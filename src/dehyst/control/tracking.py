@@ -1,4 +1,4 @@
-"""Whether the actuator follows: a path, the voltages for it with and without a model, and what was reached."""
+"""Tracking: a path, the voltages for it with and without a model, and the displacement that they reach."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TURNS = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)
 
 
 def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, leg: int = 200) -> Array:
-    """Path [m] through turning points given as shares of the stroke, cosines of `leg` samples between them."""
+    """Return a path [m] through turning points in shares of the stroke, joined by cosines of `leg` samples."""
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, leg + 1) / leg)
     legs = [start + (end - start) * rise for start, end in pairwise(turns)]
     return stroke * np.concatenate([[turns[0]], *legs])
@@ -36,14 +36,14 @@ class PlannedRun:
     Attributes
     ----------
     wanted : (n,) array
-        Displacement [m] for each sample of the excitation, as the sensor shows it; NaN while homing.
+        Wanted reading of the sensor [m] at each sample of the excitation; NaN during the homing.
     begin : int
-        The first sample of the path: before it are homing and the way to the path.
+        First sample of the path, after the homing and the way to the path.
     excitation : Excitation
     stroke : float
         Of the major loop [m].
     warnings : tuple of str
-        What the voltage could not follow.
+        Where the voltage could not follow.
     """
 
     wanted: Array
@@ -55,12 +55,12 @@ class PlannedRun:
 
 @dataclass(frozen=True, eq=False)
 class PathPlanner:
-    """Plans a path through most of the stroke after a homing.
+    """A planner of a path through most of the stroke after a homing.
 
     Parameters
     ----------
     homing : Excitation
-        Two major cycles, from and to the lowest voltage: after them the state is known. It gives the sample rate, too.
+        Two major cycles, from and to the lowest voltage: after them the state is known. It sets the sample rate too.
     ends : (float, float)
         Measured displacement [m] at the lowest and highest voltage of the homing.
     limits : VoltageLimits
@@ -80,23 +80,23 @@ class PathPlanner:
         return self.ends[1] - self.ends[0]
 
     def nominal(self) -> PlannedRun:
-        """By a constant ratio of voltage to displacement."""
+        """Plan the run with a constant ratio of voltage to displacement."""
         low, high = self.homing.voltage_range
         wanted = self._wanted(self.ends[0])
         voltage = low + (wanted - self.ends[0]) * (high - low) / self.stroke
-        return self._course("nominal", wanted, np.clip(voltage, self.limits.low, self.limits.high))
+        return self._run("nominal", wanted, np.clip(voltage, self.limits.low, self.limits.high))
 
     def compensated(self, actuator: Actuator, before: Sequence[Record]) -> PlannedRun:
-        """By a model, whose state follows from all that was played, and whose zero from the last of it.
+        """Plan the run with a model; its state follows from all earlier records, its zero from the last of them.
 
         Parameters
         ----------
         actuator : Actuator
         before : sequence of Record
-            What was played until now, in order; the last is that of the nominal course. What happened before them, and
-            where a sensor drifted to, the model cannot know: the last path tells.
+            All records until now, in order; the last is that of the nominal run. Its path corrects for what happened
+            before the records, and for the drift of the sensor.
         """
-        history = _one_after_another(before)
+        history = _joined(before)
         played = simulated(actuator, history.voltage, history.time)
         late = slice(-(len(TURNS) - 1) * self.leg, None)
         datum = float(np.mean((history.displacement - played.displacement)[late]))
@@ -107,37 +107,37 @@ class PathPlanner:
         ahead = np.interp(time + actuator.delay, time, wanted) - datum
         compensator = Compensator(actuator, (self.limits.low, self.limits.high), self.limits.slew_rate)
         command = compensator.trajectory(ahead, time=time, state=homed.state)
-        return self._course("compensated", wanted, command.voltage, command.warnings)
+        return self._run("compensated", wanted, command.voltage, command.warnings)
 
     def _wanted(self, start: float) -> Array:
-        """The way from where the homing ends to the path, and the path [m]."""
+        """Return the way from the end of the homing to the path, and the path [m]."""
         path = self.ends[0] + wanted_path(self.stroke, leg=self.leg)
         way = wanted_path(1.0, (start, float(path[0])), leg=self.leg)
         return np.concatenate([way[1:], path[1:]])
 
-    def _course(self, name: str, wanted: Array, voltage: Array, warnings: tuple[str, ...] = ()) -> PlannedRun:
+    def _run(self, name: str, wanted: Array, voltage: Array, warnings: tuple[str, ...] = ()) -> PlannedRun:
         home = self.homing
         excitation = Excitation(name, np.concatenate([home.voltage, voltage]), home.sample_rate)
         shown = np.concatenate([np.full(len(home), np.nan), wanted])
         return PlannedRun(shown, len(home) + self.leg - 1, excitation, self.stroke, warnings)
 
 
-def _one_after_another(records: Sequence[Record]) -> Record:
-    """The records in one, as far back as their times go on from one to the next."""
+def _joined(records: Sequence[Record]) -> Record:
+    """Return the records joined into one, as far back as their times increase from one to the next."""
     kept = [records[-1]]
-    for one in records[-2::-1]:
-        if one.time[-1] >= kept[0].time[0]:
+    for record in records[-2::-1]:
+        if record.time[-1] >= kept[0].time[0]:
             break
-        kept.insert(0, one)
+        kept.insert(0, record)
     time, voltage, displacement = (
-        np.concatenate([getattr(one, column) for one in kept]) for column in ("time", "voltage", "displacement")
+        np.concatenate([getattr(record, column) for record in kept]) for column in ("time", "voltage", "displacement")
     )
     return Record(time, voltage, displacement, "history")
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedPath:
-    """What was measured along a path: time (n,) [s], wanted and reached displacement (n,) [m], and the stroke [m]."""
+    """A measured path: time (n,) [s], wanted and reached displacement (n,) [m], and the stroke [m]."""
 
     time: Array
     wanted: Array
@@ -146,7 +146,7 @@ class TrackedPath:
 
     @classmethod
     def of(cls, played: PlannedRun, record: Record, rows: NDArray[np.intp]) -> TrackedPath:
-        """Compare a record of one of the excitations with the path; `rows` says which sample is which."""
+        """Compare the record of a planned run with its path; `rows` maps its samples to those of the excitation."""
         along = rows >= played.begin
         wanted = played.wanted[rows[along]]
         return cls(record.time[along] - record.time[along][0], wanted, record.displacement[along], played.stroke)
@@ -167,7 +167,7 @@ class TrackedPath:
         return percent(rms(self.error), self.stroke)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Return JSON values."""
         return {
             "largest_percent": self.largest_percent,
             "rms_percent": self.rms_percent,

@@ -1,4 +1,4 @@
-"""A whole path to voltages that may leave the program: within limits and slew rate, clamped loudly."""
+"""A whole path to voltages that may leave the program: within limits and slew rate, with a warning if clamped."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from dehyst.model.evaluator import PathData
 
 _CHUNK = 64
 _ANY = float(np.finfo(np.float64).max)
-# What `Loop.trace` calls an offer that was not clamped.
-_WISHED = 1
+# The code of `Loop.trace` for an offer that was not clamped.
+_NOT_CLAMPED = 1
 _ROUNDING = 1e-12
-# Of the spring's knots: a miss that is worth a sentence.
+# Share of the range of the spring's knots: a larger miss gives a warning.
 _WORTH = 1e-3
-# Runs of equal steps, each of which is set up anew.
+# Most runs of equal steps for which a loop is set up.
 _FEW = 64
 
 
@@ -36,14 +36,14 @@ class Command:
     voltage : (n,) array
         [V], within limits and slew rate.
     displacement : (n,) array
-        What the model does with it [m]: the wanted path, but where the voltage was clamped; with dynamics or a lag,
-        simulated.
+        The displacement of the model [m]: the wanted path, except where the voltage was clamped; simulated for an
+        actuator with dynamics or a lag.
     clamped : (n,) bool array
         Samples whose voltage was changed.
     state : State
-        The state that the clamped voltage leads to.
+        State after the clamped voltage.
     warnings : tuple of str
-        What was clamped, and whether the path is missed for another reason, in sentences; empty if all is well.
+        What was clamped, and whether the path is missed for another reason, in sentences; empty if neither.
     missed : float
         Largest distance [m] of `displacement` from the wanted path.
     followed : bool
@@ -71,58 +71,59 @@ def follow(
     acceleration: ArrayLike | None,
     start: State,
 ) -> Command:
-    """Voltages for a path, each clamped with the state kept true; see `Compensator.trajectory`."""
+    """Compute the voltages for a path, with the state after the clamped ones; see `Compensator.trajectory`."""
     wanted = vector(displacement, "displacement")
     if time is None and period is not None:
         time = period * np.arange(wanted.size)
     steps = limits.steps(wanted.size, time)
     path, state = _Path(actuator, wanted, time, load, velocity, acceleration), start
-    _ = path.clock  # which refuses a time that is missing or does not fit
+    _ = path.clock  # raises if the time is missing or does not fit
     voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
     clamped = np.zeros(wanted.size, dtype=bool)
     i, chunk = 0, _CHUNK
     while i < wanted.size:
         stop = min(i + chunk, wanted.size)
-        wish, after = path.followed(i, stop, state)
-        before = voltage[i - 1] if i else wish[0]
-        allowed = limits.allowed(wish, before, steps[i:stop])
-        # What rounding leaves of a wish that lies on a limit is no clamp.
-        bad = np.flatnonzero(np.abs(allowed - wish) > _ROUNDING * (limits.high - limits.low))
-        good = int(bad[0]) if bad.size else stop - i
-        voltage[i : i + good], reached[i : i + good] = allowed[:good], wanted[i : i + good]
-        if not bad.size:
+        candidate, after = path.compensate(i, stop, state)
+        before = voltage[i - 1] if i else candidate[0]
+        allowed = limits.allowed(candidate, before, steps[i:stop])
+        # The rounding of a voltage on a limit does not count as clamping.
+        changed = np.flatnonzero(np.abs(allowed - candidate) > _ROUNDING * (limits.high - limits.low))
+        count = int(changed[0]) if changed.size else stop - i
+        voltage[i : i + count], reached[i : i + count] = allowed[:count], wanted[i : i + count]
+        if not changed.size:
             i, state, chunk = stop, after, 2 * chunk
             continue
-        if good:
-            state = path.followed(i, i + good, state)[1]
-        i += good
-        voltage[i], clamped[i] = allowed[good], True
-        reached[i], state = path.sent(voltage, i, state)
+        if count:
+            state = path.compensate(i, i + count, state)[1]
+        i += count
+        voltage[i], clamped[i] = allowed[count], True
+        reached[i], state = path.simulate_sample(voltage, i, state)
         i, chunk = i + 1, _CHUNK
         if path.steps_on:
-            # What is clamped once is soon clamped again: one by one, then, to the end.
-            voltage[i:], reached[i:], clamped[i:], state = path.stepped(i, voltage[i - 1], state, limits)
+            # After a clamped sample others follow soon: sample by sample, then, to the end.
+            voltage[i:], reached[i:], clamped[i:], state = path.step(i, voltage[i - 1], state, limits)
             break
     if path.moves_on:
-        motion = path.played(voltage, start)
+        motion = path.simulate(voltage, start)
         reached, state = motion.displacement, motion.state
     missed = float(np.abs(wanted - reached).max(initial=0.0))
-    said = _clamps(limits, voltage, missed, clamped)
     followed = not clamped.any() and missed <= _WORTH * float(np.ptp(actuator.spring.displacement))
+    warnings = [*_clamp_warning(limits, voltage, missed, clamped)]
     if not followed and not clamped.any():
-        said = (*said, _lagged(missed))
-    return Command(voltage, reached, clamped, state, (*said, *_extrapolates(actuator, voltage)), missed, followed)
+        warnings.append(_miss_warning(missed))
+    warnings += _extrapolation_warning(actuator, voltage)
+    return Command(voltage, reached, clamped, state, tuple(warnings), missed, followed)
 
 
-def _lagged(missed: float) -> str:
-    """Where nothing was clamped only a mass or an amplifier can be left behind."""
+def _miss_warning(missed: float) -> str:
+    """Return the warning if nothing was clamped: then only a mass or an amplifier can be left behind."""
     return (
-        f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin where the "
-        "actuator stands, or moves faster than its samples tell"
+        f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
+        "actuator's state, or moves too fast for its sample rate"
     )
 
 
-def _extrapolates(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
+def _extrapolation_warning(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
     if actuator.limits is None:
         return ()
     low, high = actuator.limits
@@ -132,22 +133,22 @@ def _extrapolates(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
     return (f"{count} voltages lie outside the identified range {low:.6g} to {high:.6g} V: extrapolated",)
 
 
-def _clamps(limits: VoltageLimits, voltage: Array, missed: float, clamped: Mask) -> tuple[str, ...]:
+def _clamp_warning(limits: VoltageLimits, voltage: Array, missed: float, clamped: Mask) -> tuple[str, ...]:
     count = int(np.count_nonzero(clamped))
     if not count:
         return ()
     at_limit = int(np.count_nonzero(clamped & ((voltage <= limits.low) | (voltage >= limits.high))))
     first = int(np.flatnonzero(clamped)[0])
-    why = f"{at_limit} at the limits {limits.words}, {count - at_limit} by the slew rate"
+    reasons = f"{at_limit} at the limits {limits.words}, {count - at_limit} by the slew rate"
     return (
-        f"CLAMPED: {count} of {voltage.size} voltages ({why}), the first at sample {first}; the path is missed by "
+        f"CLAMPED: {count} of {voltage.size} voltages ({reasons}), the first at sample {first}; the path is missed by "
         f"up to {missed * 1e6:.4g} um",
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """A wanted path, followed in pieces. In time a piece begins with the sample at which the last one ended."""
+    """A wanted path, followed in pieces. If time matters, a piece begins with the last sample of the one before."""
 
     actuator: Actuator
     wanted: Array
@@ -158,12 +159,12 @@ class _Path:
 
     @property
     def moves_on(self) -> bool:
-        """Whether a mass or an amplifier still answers what was clamped before."""
+        """Whether a mass or an amplifier still responds to voltages that were clamped before."""
         return self.actuator.model.moves_on
 
     @property
     def steps_on(self) -> bool:
-        """Whether nothing moves on, and all but a few steps are of equal time."""
+        """Whether nothing moves on, and the time has few runs of equal steps."""
         return not self.moves_on and self.clock[1].size <= _FEW
 
     @cached_property
@@ -172,45 +173,43 @@ class _Path:
         return self.actuator.model.clock(self.time, self.wanted.size, TIME_NEEDED)
 
     @cached_property
-    def course(self) -> dict[str, Array | None]:
-        """What goes with the path, a value a sample."""
-        found = {"time": self.time, "load": self.load}
+    def data(self) -> dict[str, Array | None]:
+        """Time, load and derivatives of the path, one value a sample each."""
+        columns = {"time": self.time, "load": self.load}
         if self.actuator.dynamics is not None:
-            along = PathData(self.time, self.load, self.velocity, self.acceleration)
-            found["velocity"], found["acceleration"] = self.actuator.model.derivatives(self.wanted, along)
-        return {name: None if values is None else vector(values, name) for name, values in found.items()}
+            data = PathData(self.time, self.load, self.velocity, self.acceleration)
+            columns["velocity"], columns["acceleration"] = self.actuator.model.derivatives(self.wanted, data)
+        return {name: None if values is None else vector(values, name) for name, values in columns.items()}
 
     @cached_property
     def lead(self) -> Array:
-        """W less the path [m]."""
-        return self.actuator.model.lead(self.wanted, PathData(**self.course))
+        """The difference w - y (n,) [m]."""
+        return self.actuator.model.lead(self.wanted, PathData(**self.data))
 
-    def followed(self, i: int, stop: int, start: State) -> tuple[Array, State]:
-        """Voltages of samples i to stop - 1, from the state at sample i - 1, and the state at the last."""
+    def compensate(self, i: int, stop: int, start: State) -> tuple[Array, State]:
+        """Return the voltages of samples i to stop - 1, from the state at sample i - 1, and the state at the last."""
         if not self.actuator.wide:
             motion = self.actuator.compensate(self.wanted[i:stop], load=self.load, state=start, extrapolate=True)
             return motion.voltage, motion.state
         motion = self._piece(i, stop, start)
         voltage = motion.voltage
         if self.actuator.lag and stop < self.wanted.size:
-            # A lag asks for the slope of the voltage, which a piece's last sample knows from one side only.
+            # A lag needs the slope of the voltage, which the last sample of a piece has from one side only.
             voltage = self._piece(i, stop + 1, start).voltage[:-1]
         return voltage[min(i, 1) :], motion.state
 
-    def sent(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
-        """Where the voltage of sample i leads."""
+    def simulate_sample(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
+        """Return displacement and state after the voltage of sample i."""
         first = i if not self.actuator.wide else max(i - 1, 0)
         cut = self._cut(first, i + 1)
         motion = self.actuator.simulate(voltage[first : i + 1], **cut, state=start, extrapolate=True)
         return float(motion.displacement[-1]), motion.state
 
-    def stepped(
-        self, first: int, before: float, start: State, limits: VoltageLimits
-    ) -> tuple[Array, Array, Mask, State]:
-        """The samples from `first` on, each within limits: voltages, displacements, what was clamped, and the end."""
+    def step(self, first: int, before: float, start: State, limits: VoltageLimits) -> tuple[Array, Array, Mask, State]:
+        """Step through the samples from `first` on; return voltages, displacements, clamped samples and the state."""
         model, n, state = self.actuator.model, self.wanted.size, start
         bounds, durations = self.clock
-        voltage, place, offers = np.empty(n), np.empty(n), np.empty(n)
+        voltage, reached_w, offers = np.empty(n), np.empty(n), np.empty(n)
         w = self.wanted + self.lead
         for r, seconds in enumerate(durations):
             run = slice(max(int(bounds[r]), first), int(bounds[r + 1]))
@@ -221,15 +220,15 @@ class _Path:
             pace = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
             loop = model.core.loop(pace, np.ones(1), numbers, lambda *_: None, model.core_state(state))
             loop.go_on(np.array([before, before, before, before, 0.0, 0.0, w[run.start - 1]]), 0, 0, 0)
-            voltage[run], place[run], offers[run] = loop.trace(w[run])
+            voltage[run], reached_w[run], offers[run] = loop.trace(w[run])
             before, state = float(voltage[run.stop - 1]), model.state_of(CoreState(*loop.state()))
-        clamped = offers[first:] != _WISHED
-        clamped &= np.abs(place - w)[first:] > _ROUNDING * float(np.ptp(model.spring.displacement))
-        reached = np.where(clamped, place[first:] - self.lead[first:], self.wanted[first:])
+        clamped = offers[first:] != _NOT_CLAMPED
+        clamped &= np.abs(reached_w - w)[first:] > _ROUNDING * float(np.ptp(model.spring.displacement))
+        reached = np.where(clamped, reached_w[first:] - self.lead[first:], self.wanted[first:])
         return voltage[first:], reached, clamped, state
 
-    def played(self, voltage: Array, start: State) -> Motion:
-        """What the whole command does."""
+    def simulate(self, voltage: Array, start: State) -> Motion:
+        """Simulate the whole command."""
         return self.actuator.simulate(voltage, time=self.time, load=self.load, state=start, extrapolate=True)
 
     def _piece(self, i: int, stop: int, start: State) -> Motion:
@@ -237,12 +236,12 @@ class _Path:
         path = self.wanted[first:stop].copy()
         if i:
             path[0] = start.displacement - self.lead[first]
-        along: dict[str, Any] = {
-            name: None if values is None else values[first:stop] for name, values in self.course.items()
+        data: dict[str, Any] = {
+            name: None if values is None else values[first:stop] for name, values in self.data.items()
         }
-        return self.actuator.compensate(path, **along, state=start, extrapolate=True)
+        return self.actuator.compensate(path, **data, state=start, extrapolate=True)
 
     def _cut(self, first: int, stop: int) -> dict[str, Any]:
         if not self.actuator.wide:
             return {}
-        return {name: values[first:stop] for name in ("time", "load") if (values := self.course[name]) is not None}
+        return {name: values[first:stop] for name in ("time", "load") if (values := self.data[name]) is not None}

@@ -24,12 +24,12 @@ from dehyst.waveforms import homing as homing_through
 from dehyst.waveforms.excitation import positive, refuse_long, volts
 from dehyst.waveforms.scan import whole
 
-# Of the stroke: as near as the first steady cycle comes to the later ones.
+# Share of the stroke: deviation of the first steady cycle from the later ones.
 _TOLERANCE = 1e-4
 _HOMING_FREQUENCY = 1.0
-# A homing of more samples is written in longer steps: so many a leg, and so many a period of a resonance.
-_EVEN_SAMPLES, _LEG_SAMPLES, _SWING_SAMPLES = 100_000, 200, 10
-# And where that leaves too many, samples of a hold are left out: each is so many times later than the one before.
+# A homing of more samples has longer steps: this many a leg, and a period of a resonance.
+_EVEN_SAMPLES, _LEG_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
+# If these are still too many, most samples of a hold are left out: their times grow by this factor.
 _SPARSER = 1.02
 HOMING, START_UP, CYCLE = 0, 1, 2
 
@@ -37,8 +37,8 @@ HOMING, START_UP, CYCLE = 0, 1, 2
 class Played(NamedTuple):
     """Homing, start-up and cycles in a row (n,): time [s], phase (0, 1, 2), voltage [V], wanted and expected [m].
 
-    While homing nothing is wanted, and both displacements are those of a model that begins relaxed. A long homing has
-    rows farther apart than the rest; between rows the voltage is straight.
+    During the homing nothing is wanted, and both displacements are those of a model that begins relaxed. A long homing
+    has rows farther apart than the rest; between rows the voltage is linear.
     """
 
     time: Array
@@ -50,13 +50,13 @@ class Played(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WaveTable:
-    """What to play for a periodic scan of one axis: homing, then start-up, then the cycle as often as one likes.
+    """The voltages of a periodic scan of one axis: homing, then start-up, then the cycle any number of times.
 
     Attributes
     ----------
     homing : Excitation or None
-        Makes the state known; None if it was given, or is known whatever was before. A long one has a sample rate of
-        its own: the scan's over a whole number.
+        Leads to a known state; None if the state was given, or is known after any history. A long one has a sample
+        rate of its own: the scan's over a whole number.
     start_up : StartUp
         From the present displacement at rest to the cycle's first sample, then cycles whose voltages still change. The
         sample after its last is the cycle's first.
@@ -65,11 +65,11 @@ class WaveTable:
     cycles : int
         Cycles in the start-up, after which the steady table may be played.
     error : float
-        How far the first cycle of the steady table comes off the later ones [m], by the model.
+        Deviation of the first cycle of the steady table from the later ones [m], by the model.
     tolerance : float
-        How far it was allowed to come off [m].
+        Largest allowed deviation [m].
     unknown : float
-        How far the displacement may be from what is expected after the homing [m]; 0 if the state was given.
+        Error bar of the displacement after the homing [m]; 0 if the state was given.
     certified : bool
         Whether the state before the start-up is known: it was given, or the homing is certified.
     state : State
@@ -77,11 +77,11 @@ class WaveTable:
     start : State
         Where the start-up begins.
     actuator : Actuator
-        That it was made for.
+        The actuator of the table.
     clamped : int
         Samples of start-up and cycle whose voltage was changed to keep the limits.
     warnings : tuple of str
-        What is not as asked for, in sentences.
+        Deviations from the request, in sentences.
     """
 
     homing: Excitation | None
@@ -110,24 +110,24 @@ class WaveTable:
 
     @cached_property
     def homing_rows(self) -> NDArray[np.int64]:
-        """Samples of the homing (k,) that `played` has: all, or of many in a hold ever fewer; not the last."""
+        """Samples of the homing (k,) in `played`: all, or ever fewer of a long hold; not the last."""
         if self.homing is None:
             return np.zeros(0, dtype=np.int64)
-        # It ends at the sample with which the start-up begins.
+        # The last sample is the first of the start-up.
         rows = np.arange(len(self.homing) - 1)
-        return rows if rows.size <= _EVEN_SAMPLES else rows[_telling(self.homing.voltage[:-1])]
+        return rows if rows.size <= _EVEN_SAMPLES else rows[_thinned(self.homing.voltage[:-1])]
 
     def rows(self, cycles: int = 1) -> int:
-        """How many `played` has."""
+        """Return the number of rows of `played`."""
         return self.homing_rows.size + len(self.start_up) + cycles * len(self.cycle)
 
     def played(self, cycles: int = 1) -> Played:
-        """All in a row, with so many cycles of the steady table.
+        """Return all parts in a row, with `cycles` cycles of the steady table.
 
         Raises
         ------
         RecordError
-            If `cycles` is no number of cycles, or there are more than 5e7 samples.
+            If `cycles` is not a number of cycles, or there are more than 5e7 samples.
         """
         times = whole(cycles, "cycles", 0)
         refuse_long(self.rows(times), self.sample_rate)
@@ -139,13 +139,13 @@ class WaveTable:
         time = np.arange(sum(map(len, parts))) / self.sample_rate
         if self.homing is not None:
             rows = self.homing_rows
-            v, y = self.homing.voltage[rows], self._while_homing()[rows]
+            v, y = self.homing.voltage[rows], self._homing_displacement()[rows]
             voltage, wanted, expected = [v, *voltage], [y, *wanted], [y, *expected]
             phase = [np.full(rows.size, HOMING), *phase]
             time = np.concatenate([rows / self.homing.sample_rate, self.homing.duration + time])
         return Played(time, *map(np.concatenate, (phase, voltage, wanted, expected)))
 
-    def _while_homing(self) -> Array:
+    def _homing_displacement(self) -> Array:
         if self.homing is None:
             return np.zeros(0)
         v = self.homing.voltage
@@ -168,11 +168,11 @@ def wave_table(
     cycles: int | None = None,
     tolerance: float | None = None,
 ) -> WaveTable:
-    """Find what to play for a periodic scan.
+    """Compute the wave table of a periodic scan.
 
-    Without time the second cycle repeats itself, for what the scan can wipe out is wiped out by the first. Creep and
-    smooth elements settle slowly: their steady cycle is found directly (`steady_state`), and the start-up follows the
-    path with its own voltages until the steady ones may take over.
+    Without creep and smooth elements the second cycle repeats, because the first wipes out all that the scan can wipe
+    out. Creep and smooth elements settle slowly: their steady cycle is computed directly (`steady_state`), and the
+    start-up follows the path with its own voltages until the steady ones may be played.
 
     Parameters
     ----------
@@ -184,20 +184,20 @@ def wave_table(
     limits, slew_rate
         Of the voltage, as in `Compensator`.
     state : State, optional
-        Where the actuator is, at rest; by default it is not known and the shortest homing comes first.
+        State of the actuator, at rest; by default it is unknown and the shortest homing comes first.
     present : float, optional
-        With homing: voltage now [V]; by default 0 V or the limit next to it.
+        With homing: present voltage [V]; by default 0 V or the nearest limit.
     drive : Sampling, optional
-        Pace and shape of the homing; by default 1 Hz or the scan's frequency if that is lower, and with creep as slow
-        as `shortest_homing` has it. Its samples are the scan's; those of more than 1e5 are 200 a leg at least.
+        Speed and shape of the homing; by default 1 Hz or the scan's frequency if that is lower, and with creep as slow
+        as the default of `shortest_homing`. It has the scan's sample rate; above 1e5 samples 200 a leg at least.
     approach : float, optional
         Seconds to the first sample; by default as short as the speed and acceleration of the scan and the limits allow.
     cycles : int, optional
-        Cycles in the start-up; by default as many as the tolerance needs, 1000 and 5e6 samples at most; while
-        voltages are clipped, 47 and 1e5 samples at most. The axes of one scan should be given the same `approach` and
-        `cycles`, those of the slower one.
+        Cycles in the start-up; by default as many as the tolerance requires, 1000 and 5e6 samples at most; with
+        clamped voltages, 47 and 1e5 samples at most. Give the axes of one scan the same `approach` and `cycles`, those
+        of the slower one.
     tolerance : float, optional
-        How far the first steady cycle may come off [m]; by default 1e-4 of the stroke.
+        Largest deviation of the first steady cycle [m]; by default 1e-4 of the stroke.
 
     Raises
     ------
@@ -210,40 +210,40 @@ def wave_table(
     if not scan.periodic:
         raise RecordError("scan: got one that ends elsewhere than it begins, need a periodic one; try closed=True")
     path, compensator = scan.path(axis), Compensator(actuator, limits, slew_rate)
-    if words := compensator.strays(path.displacement):
-        raise ModelError(words)
+    if sentence := compensator.strays(path.displacement):
+        raise ModelError(sentence)
     stroke = path.range[1] - path.range[0]
     least = _TOLERANCE * stroke if tolerance is None else positive(tolerance, "tolerance")
-    wanted = None if cycles is None else start_up_cycles(cycles, path)
-    said, homing, unknown, sure, start = list(scan.warnings), None, 0.0, True, state
+    count = None if cycles is None else start_up_cycles(cycles, path)
+    warnings, excitation, unknown, certified, start = list(scan.warnings), None, 0.0, True, state
     if start is None:
-        homing, way_to, remarks = _homing(compensator, scan, present, drive)
-        unknown, sure, start = way_to.error, way_to.certified, way_to.state
-        said += remarks
-    reach = MotionLimits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
-    way = approach_to(path, compensator, start, reach, approach)
-    found = settle(compensator, path, way, start, least, wanted)
+        excitation, homing, remarks = _homing(compensator, scan, present, drive)
+        unknown, certified, start = homing.error, homing.certified, homing.state
+        warnings += remarks
+    motion = MotionLimits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
+    way = approach_to(path, compensator, start, motion, approach)
+    settled = settle(compensator, path, way, start, least, count)
     return WaveTable(
-        homing,
-        found.start_up,
-        found.cycle,
-        found.cycles,
-        found.error,
+        excitation,
+        settled.start_up,
+        settled.cycle,
+        settled.cycles,
+        settled.error,
         least,
         unknown,
-        sure,
-        found.state,
+        certified,
+        settled.state,
         start,
         actuator,
-        found.clamped,
-        (*said, *found.warnings),
+        settled.clamped,
+        (*warnings, *settled.warnings),
     )
 
 
 def _homing(
     compensator: Compensator, scan: Scan, present: float | None, drive: Sampling | None
 ) -> tuple[Excitation | None, Homing, tuple[str, ...]]:
-    """The homing in the scan's samples, what it is worth, and what is to be said."""
+    """Return the homing as an excitation at the scan's sample rate, the homing itself, and remarks on it."""
     actuator, limits = compensator.actuator, interval(compensator.limits or ())
     now = min(max(0.0, limits[0]), limits[1]) if present is None else volts(present, "present")
     if not limits[0] <= now <= limits[1]:
@@ -262,32 +262,32 @@ def _homing(
         limits=limits,
         slew_rate=compensator.slew_rate,
     )
-    way = shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive)
-    if way.played is None or way.played.duration * scan.rate <= _EVEN_SAMPLES:
+    homing = shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive)
+    if homing.played is None or homing.played.duration * scan.rate <= _EVEN_SAMPLES:
         drive = replace(drive, sample_rate=scan.rate)
-        way = shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive)
-    said = () if way.certified and way.played is None else way.remarks
-    if len(way.turns) < 2:
-        return None, way, said
-    played = way.played or homing_through(turns=way.turns, drive=drive)
-    return played, way, (*said, *played.warnings)
+        homing = shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive)
+    remarks = () if homing.certified and homing.played is None else homing.remarks
+    if len(homing.turns) < 2:
+        return None, homing, remarks
+    played = homing.played or homing_through(turns=homing.turns, drive=drive)
+    return played, homing, (*remarks, *played.warnings)
 
 
-def _telling(voltage: Array) -> NDArray[np.bool_]:
-    """Samples (n,) that tell enough: those that move, and in a hold some whose distance grows as it goes on."""
+def _thinned(voltage: Array) -> NDArray[np.bool_]:
+    """Return which samples (n,) to keep: those that move, and in a hold ever fewer."""
     held = np.zeros(voltage.size, dtype=np.int64)
     held[1:] = voltage[1:] == voltage[:-1]
-    moved = np.flatnonzero(held == 0)
-    since = np.arange(voltage.size) - np.repeat(moved, np.diff(moved, append=voltage.size))
+    moving = np.flatnonzero(held == 0)
+    since = np.arange(voltage.size) - np.repeat(moving, np.diff(moving, append=voltage.size))
     steps = np.unique(np.round(_SPARSER ** np.arange(int(log(voltage.size) / log(_SPARSER)) + 2)))
-    found: NDArray[np.bool_] = (since == 0) | np.isin(since, steps)
-    found[:-1] |= since[1:] == 0
-    return found
+    kept: NDArray[np.bool_] = (since == 0) | np.isin(since, steps)
+    kept[:-1] |= since[1:] == 0
+    return kept
 
 
 def _longer_steps(actuator: Actuator, drive: Sampling, rate: float) -> float:
-    """Samples a second [Hz] of a long homing: the scan's `rate` over a whole number."""
+    """Return the sample rate [Hz] of a long homing: the scan's `rate` over a whole number."""
     needed = 2 * _LEG_SAMPLES * drive.frequency
     if actuator.dynamics is not None:
-        needed = max(needed, _SWING_SAMPLES * actuator.dynamics.frequency / (2 * pi))
+        needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency / (2 * pi))
     return rate / max(1, int(rate / needed))

@@ -1,4 +1,4 @@
-"""Rigs: where a voltage meets an actuator. Each leaf speaks to one kind of instrument, and knows no other leaf."""
+"""Rigs: where a voltage meets an actuator. Each driver serves one kind of instrument and imports no other driver."""
 
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
 from dehyst.instruments.addresses import open_rig

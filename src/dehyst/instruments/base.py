@@ -1,4 +1,4 @@
-"""What every rig is: where a voltage meets an actuator. Limits, slew rate and retreat are kept here, for all rigs."""
+"""The base class of all rigs, which enforces limits, slew rate and retreat."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
 from dehyst.control.ramps import ramp_step
-from dehyst.instruments.driver_errors import finite, leafs_own, reading_of
+from dehyst.instruments.driver_errors import driver_errors, finite, reading_of
 from dehyst.instruments.interrupts import shielded
-from dehyst.instruments.limits import common, refuse
-from dehyst.instruments.samples import ASTRAY, Inspection, Listener, Reading, Samples
+from dehyst.instruments.limits import check_excitation, common_limits
+from dehyst.instruments.samples import READBACK_TOLERANCE, Inspection, Listener, Reading, Samples
 from dehyst.instruments.sensor_watch import SensorWatch
 from dehyst.records import Record
 from dehyst.waveforms import Excitation
 
 __all__ = ["AbstractRig", "Listener", "Reading", "Samples"]
 
-# A sensor may stand still along a record that moves the voltage less than this part of the range.
+# The sensor watch refers to this share of the range at least: over a smaller excursion a reading may be constant.
 _LEAST_WATCHED = 0.25
-# Seconds from one step of a ramp to the next; a host keeps no better time.
+# Seconds between two steps of a ramp; a host keeps no better time.
 _TICK = 0.01
-# Seconds that a ramp takes for the whole range at least: its steps are small then, and no actuator is struck by them.
+# Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
 _GENTLE = 1.0
-# How a note on an error begins that tells where the voltage was left.
-_TOLD = "The voltage"
+# First words of a note on an error that reports where the voltage was left.
+_NOTE = "The voltage"
 
 _Kind = TypeVar("_Kind", bound="np.generic[Any]")
 
@@ -44,30 +44,30 @@ _Kind = TypeVar("_Kind", bound="np.generic[Any]")
 class AbstractRig(ABC):
     """An amplifier and a sensor around one actuator.
 
-    A leaf opens its link in ``__init__``, calls ``super().__init__`` with what the device says of itself, and writes
-    the methods whose names begin with an underscore; see ``docs/rigs.md``. All that sends a voltage is final here.
+    A driver opens its link in ``__init__``, calls ``super().__init__`` with what the device reports, and implements
+    the methods whose names begin with an underscore; see ``docs/rigs.md``. All methods that send a voltage are final.
 
     Parameters
     ----------
     name : str
-        What the instrument says it is.
+        Name of the instrument.
     device : VoltageLimits
-        What the device allows; its slew rate may be None.
+        Limits of the device; its slew rate may be None.
     limits : (float, float), optional
-        Voltages that the user allows [V]; what the device does not allow is left out.
+        Voltages that the user allows [V]; they are narrowed to those of the device.
     slew_rate : float, optional
         Largest abs(dv/dt) [V/s] that the user allows; by default the device's, or the whole range in 0.1 s.
     longest : int, optional
-        Samples that one `_wave` takes; default any number.
+        Most samples of one `_wave`; default any number.
     axis : str
         Of the device.
     identity : str, optional
-        What tells the instrument from others wherever it is connected; default its name.
+        Identifies the instrument wherever it is connected; default its name.
 
     Attributes
     ----------
     limits, slew_rate : VoltageLimits, float
-        What is kept to: never wider than the device's nor than the user's, always with a slew rate [V/s].
+        The limits in force: never wider than the device's or the user's, always with a slew rate [V/s].
     safe : float
         The voltage [V] to retreat to: the one within the limits nearest to 0 V.
 
@@ -89,13 +89,13 @@ class AbstractRig(ABC):
         identity: str | None = None,
     ) -> None:
         self.name, self.axis, self.longest, self.identity = name, axis, longest, identity or name
-        self.limits = common(device, limits, slew_rate)
+        self.limits = common_limits(device, limits, slew_rate)
         self.slew_rate = float(self.limits.slew_rate or math.inf)
         if longest is not None and longest < 2:
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
         self.safe = self.limits.nearest(0.0)
         self._closed = False
-        self._stood: float | None = None
+        self._last_voltage: float | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -111,26 +111,26 @@ class AbstractRig(ABC):
 
     @final
     def set_voltage(self, voltage: float) -> float:
-        """Ramp to a voltage [V] within the slew rate, the whole range in a second at least; returns the one sent.
+        """Ramp to a voltage [V] within the slew rate, the whole range in a second at least; return the voltage sent.
 
-        What lies outside of the limits is clamped, with a `ClampWarning`.
+        A voltage outside the limits is clamped, with a `ClampWarning`.
 
         Raises
         ------
         RecordError
             If it is not a finite number; nothing was sent.
         RigError
-            If the device does not do it; a retreat was tried.
+            If the device fails; a retreat was attempted.
         """
         self._refuse_closed()
         try:
-            asked = number(voltage, "voltage")
+            requested = number(voltage, "voltage")
         except ModelError as error:
             raise RecordError(f"{error} of volts; nothing was sent") from error
-        sent = self.limits.nearest(asked)
-        if sent != asked:
+        sent = self.limits.nearest(requested)
+        if sent != requested:
             warnings.warn(
-                f"{asked:.6g} V was asked for and {sent:.6g} V sent: {self.limits.words} is allowed",
+                f"{requested:.6g} V was requested and {sent:.6g} V sent: {self.limits.words} is allowed",
                 ClampWarning,
                 stacklevel=2,
             )
@@ -145,18 +145,18 @@ class AbstractRig(ABC):
         Raises
         ------
         RigError
-            If there is no answer, or none that is finite.
+            If there is no answer, or a number in it is not finite.
         """
         self._refuse_closed()
         return finite(self.name, self._reading())
 
     @final
     def play(self, excitation: Excitation, listen: Listener = lambda _: None) -> Record:
-        """Ramp to the first voltage of an excitation and play it, at the rate of the device nearest to its own.
+        """Ramp to the first voltage of an excitation and play it, at the device's rate nearest to the excitation's.
 
-        Returns voltage and displacement as the device recorded them, in its own time. `listen` is called with each lot
-        of `Samples` as it comes. Whatever goes wrong, in `listen` too, and on Ctrl-C or SIGTERM, the wave is stopped
-        and the voltage brought to `safe`; `listen` has had all samples that came.
+        Returns voltage and displacement as the device recorded them, in its own time. `listen` is called with each
+        batch of `Samples` as it arrives. After any error, in `listen` too, and on Ctrl-C or SIGTERM, the wave is
+        stopped and the voltage ramped to `safe`; `listen` has received all samples that arrived.
 
         Raises
         ------
@@ -166,79 +166,79 @@ class AbstractRig(ABC):
             If the device, its link or its sensor fails.
         """
         rate = self.check(excitation)
-        came: list[Samples] = []
+        batches: list[Samples] = []
         span, (low, high) = self.limits.high - self.limits.low, excitation.voltage_range
-        look, watch = Inspection(self.name, span), SensorWatch(max(high - low, _LEAST_WATCHED * span))
+        inspection, sensor = Inspection(self.name, span), SensorWatch(max(high - low, _LEAST_WATCHED * span))
         with self.safely():
             self._ramp(float(excitation.voltage[0]))
             for piece in self._pieces(excitation.voltage):
-                # Closed before the retreat: what a leaf does at the end of a wave may not come after it.
-                with closing(self._piece(piece, rate, look)) as lots:
-                    for samples in lots:
-                        came.append(samples)
-                        self._stood = float(samples.voltage[-1])
+                # Closed before the retreat: what a driver does at the end of a wave must not come after it.
+                with closing(self._piece(piece, rate, inspection)) as arriving:
+                    for samples in arriving:
+                        batches.append(samples)
+                        self._last_voltage = float(samples.voltage[-1])
                         listen(samples)
-                        watch.see(samples.voltage, samples.displacement)
-        time_, voltage, displacement = (np.concatenate(columns) for columns in zip(*came, strict=True))
-        return Record(time_, voltage, displacement, excitation.name, {"rig": self.name, "axis": self.axis})
+                        sensor.observe(samples.voltage, samples.displacement)
+        times, voltage, displacement = (np.concatenate(columns) for columns in zip(*batches, strict=True))
+        return Record(times, voltage, displacement, excitation.name, {"rig": self.name, "axis": self.axis})
 
     @final
     def check(self, excitation: Excitation) -> float:
-        """The rate [Hz] at which an excitation would be played; raises RecordError as `play` does. Sends nothing."""
+        """Return the rate [Hz] at which `play` would play an excitation; raises its RecordError, sends nothing."""
         self._refuse_closed()
-        with leafs_own(self.name, "nearest_rate"):
+        with driver_errors(self.name, "nearest_rate"):
             rate = float(self.nearest_rate(excitation.sample_rate))
-        refuse(excitation, rate, self.limits, self.name)
+        check_excitation(excitation, rate, self.limits, self.name)
         return rate
 
     @final
     @contextmanager
     def safely(self) -> Iterator[None]:
-        """Retreat when anything goes wrong within, Ctrl-C too; the error has a note of what became of the voltage."""
+        """Retreat after any error within, Ctrl-C too, and add a note on the voltage to the error."""
         with shielded() as shield:
             try:
-                # Twice: a signal may come between an error and the line that makes it wait.
+                # Twice: a signal may come between an error and the line that defers signals.
                 try:
                     yield
                 except BaseException:
-                    shield.held = True
+                    shield.deferring = True
                     raise
             except BaseException as error:
-                if not any(note.startswith(_TOLD) for note in getattr(error, "__notes__", ())):
-                    # What stopped it may forbid the retreat, too.
+                if not any(note.startswith(_NOTE) for note in getattr(error, "__notes__", ())):
+                    # The cause of the error may prevent the retreat too.
                     error.add_note(self._retreated().replace(f" ({error})", ""))
                 raise
 
     @final
     def retreat(self) -> float:
-        """Stop what is played and ramp to the safe voltage [V], which is returned; Ctrl-C waits until it is there.
+        """Stop the wave and ramp to the safe voltage [V], which is returned; Ctrl-C waits until it is reached.
 
         Raises
         ------
         RigError
-            If the device does not do it.
+            If the device fails.
         """
         self._refuse_closed()
-        with shielded(held=True):
-            with leafs_own(self.name, "_halt"):
+        with shielded(defer=True):
+            with driver_errors(self.name, "_halt"):
                 self._halt()
-            self._ramp(self.safe, self._stood)
+            self._ramp(self.safe, self._last_voltage)
         return self.safe
 
     @final
     def close(self) -> None:
-        """Let the instrument go, at the voltage where it is. May be called twice."""
+        """Close the link and leave the voltage where it is. May be called twice."""
         if not self._closed:
             self._closed = True
             self._close()
 
     @final
     def rows(self, count: int) -> NDArray[np.intp]:
-        """Which of `count` voltages each sample of a record belongs to: where pieces join, two have the same."""
+        """Return which of `count` voltages each sample of a record belongs to; where pieces join, two share one."""
         return np.concatenate(list(self._pieces(np.arange(count))))
 
     def nearest_rate(self, sample_rate: float) -> float:
-        """The rate [Hz] nearest to `sample_rate` at which the device can play; by default that itself."""
+        """Return the rate [Hz] nearest to `sample_rate` at which the device can play; by default `sample_rate`."""
         return sample_rate
 
     @abstractmethod
@@ -251,51 +251,51 @@ class AbstractRig(ABC):
 
     @abstractmethod
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
-        """Play voltages (n,) [V], n <= longest, at `rate` [Hz], beginning where the output is; yield samples early.
+        """Play voltages (n,) [V], n <= longest, at `rate` [Hz], from the present output; yield samples as they arrive.
 
-        One sample of the record for each voltage. Times go on from one call to the next.
+        One sample of the record for each voltage. Times continue from one call to the next.
         """
 
     @abstractmethod
     def _halt(self) -> None:
-        """Stop what is being played, if anything is; the voltage stays where it is."""
+        """Stop the wave, if one is playing; the voltage stays where it is."""
 
     @abstractmethod
     def _close(self) -> None:
-        """Let the link go; raises nothing."""
+        """Close the link; raises nothing."""
 
     def _wait(self, seconds: float) -> None:
-        """Let time pass."""
+        """Wait."""
         time.sleep(seconds)
 
-    def _ramp(self, end: float, otherwise: float | None = None) -> None:
-        """Go from the voltage that is read to `end`, within the slew rate and in steps of a hundredth of the range.
+    def _ramp(self, end: float, fallback: float | None = None) -> None:
+        """Ramp from the voltage that is read to `end`, within the slew rate and in steps of a hundredth of the range.
 
-        Where it cannot be read, from `otherwise`: a retreat must not fail because a sensor did.
+        If it cannot be read, from `fallback`: a retreat must not fail because a sensor did.
         """
         try:
             present = self._reading().voltage
             if not math.isfinite(present):
                 raise DeviceError(f"{self.name}: read a voltage of {present} V, need a finite one; check the device")
         except DeviceError:
-            if otherwise is None:
+            if fallback is None:
                 raise
-            present = otherwise
+            present = fallback
         present = self._within(present)
         low, high = self.limits.low, self.limits.high
-        gently = VoltageLimits(low, high, min(self.slew_rate, (high - low) / _GENTLE))
+        gentle = VoltageLimits(low, high, min(self.slew_rate, (high - low) / _GENTLE))
         while present != end:
-            present = ramp_step(end, present, gently, _TICK)
-            # First, too: a wave may have been stopped just now.
+            present = ramp_step(end, present, gentle, _TICK)
+            # Before the first step too: a wave may have been stopped just now.
             self._wait(_TICK)
-            with leafs_own(self.name, "_put"):
+            with driver_errors(self.name, "_put"):
                 self._put(self.limits.nearest(present))
-            self._stood = present
+            self._last_voltage = present
 
     def _within(self, voltage: float) -> float:
-        """The voltage [V] that a device stands at; a readback's error may put it a little outside of the limits."""
+        """Return a read voltage [V] as one within the limits; an error of the readback may put it slightly outside."""
         present = self.limits.nearest(voltage)
-        if abs(voltage - present) > ASTRAY * (self.limits.high - self.limits.low):
+        if abs(voltage - present) > READBACK_TOLERANCE * (self.limits.high - self.limits.low):
             raise DeviceError(
                 f"{self.name}: stands at {voltage:.6g} V, but {self.limits.words} is allowed; bring it there by hand, "
                 "or widen the limits if device and actuator allow it"
@@ -303,45 +303,45 @@ class AbstractRig(ABC):
         return present
 
     def _reading(self) -> Reading:
-        with leafs_own(self.name, "_read"):
+        with driver_errors(self.name, "_read"):
             return reading_of(self.name, self._read())
 
     def _pieces(self, voltage: NDArray[_Kind]) -> Iterator[NDArray[_Kind]]:
-        """The voltages (n,) in pieces that the device takes, each beginning where the one before ended."""
+        """Yield the voltages (n,) in pieces that the device takes, each beginning where the one before ended."""
         longest = self.longest or voltage.size
         for start in range(0, max(1, voltage.size - 1), longest - 1):
             yield voltage[start : start + longest]
 
-    def _piece(self, voltage: Array, rate: float, look: Inspection) -> Generator[Samples, None, None]:
-        """Play one piece; what comes is looked at before it is believed."""
-        look.begin(voltage)
-        with leafs_own(self.name, "_wave"):
+    def _piece(self, voltage: Array, rate: float, inspection: Inspection) -> Generator[Samples, None, None]:
+        """Play one piece and check its samples as they arrive."""
+        inspection.begin(voltage)
+        with driver_errors(self.name, "_wave"):
             wave = iter(self._wave(voltage, rate))
         try:
             while True:
-                with leafs_own(self.name, "_wave"):
+                with driver_errors(self.name, "_wave"):
                     samples = next(wave, None)
                     if samples is None:
                         break
-                    admitted = look.admit(samples)
+                    admitted = inspection.admit(samples)
                 if admitted.time.size:
                     yield admitted
-                    look.judge(admitted)
+                    inspection.compare(admitted)
         finally:
             if isinstance(wave, Generator):
                 wave.close()
-        look.end()
+        inspection.end()
 
     def _refuse_closed(self) -> None:
         if self._closed:
             raise RigError(f"{self.name}: is closed; open it again")
 
     def _retreated(self) -> str:
-        """Retreat if the link still lives; what became of it, as a sentence."""
+        """Retreat if the link still works, and return the outcome as a sentence."""
         try:
-            return f"{_TOLD} was brought to {self.retreat():.6g} V."
-        except Exception as error:  # a leaf's library may raise anything; the first error is the one to be told
+            return f"{_NOTE} was brought to {self.retreat():.6g} V."
+        except Exception as error:  # a driver's library may raise anything; the first error is the one to report
             with suppress(Exception):
                 self.close()
-            told = f"{_TOLD} could not be brought to {self.safe:.6g} V ({error})"
-            return f"{told}: the device holds, or plays to its end, what it has; see to it by hand."
+            failure = f"{_NOTE} could not be brought to {self.safe:.6g} V ({error})"
+            return f"{failure}: the device holds, or plays to its end, what it has; see to it by hand."

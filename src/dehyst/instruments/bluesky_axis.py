@@ -1,4 +1,4 @@
-"""The compensated axis as a bluesky device: set a displacement, and the voltage that leads there is sent."""
+"""The compensated axis as a bluesky device: it sends the voltage that leads to the displacement that is set."""
 
 from __future__ import annotations
 
@@ -6,17 +6,15 @@ import asyncio
 import time
 import warnings
 from collections.abc import AsyncIterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 from dehyst._errors import DeviceError, MissingExtraError, ModelError, RigError
-from dehyst._native import EMPTY
 from dehyst._validation import number
 from dehyst.control import Compensator, VoltageLimits, shortest_homing
 from dehyst.control.ramps import homing_steps, ramp_step
-from dehyst.control.reachable import state_at
+from dehyst.control.reachable import slow_actuator, state_at
 from dehyst.instruments.epics import PvNames
-from dehyst.instruments.samples import ASTRAY
+from dehyst.instruments.samples import READBACK_TOLERANCE
 from dehyst.model import Actuator
 
 try:
@@ -38,29 +36,29 @@ except ImportError as error:
 
 _NAMES = PvNames()
 _MICRO = 1e-6
-# An axis that nobody gave a slew rate takes so many seconds for its whole range.
+# Seconds for the whole range, if neither IOC nor user gives a slew rate.
 _SWEEP = 1.0
-# What rounding may make of a voltage, of its range.
+# Rounding of a voltage, as a share of its range.
 _ROUNDING = 1e-9
 
 
 class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[float]):
     """A piezo axis without hysteresis, driven through an IOC's process variables.
 
-    `set` takes the wanted displacement [um] and leads there in steps within the slew rate; every voltage that was
+    `set` takes the wanted displacement [um] and moves there in steps within the slew rate; every voltage that was
     sent becomes part of the actuator's memory. Before the first `set` the axis must be homed, in a plan by
-    ``yield from homing(axis)``: what the actuator went through before is not known.
+    ``yield from homing(axis)``: the history of the actuator is unknown.
 
-    A displacement that the limits do not reach is refused before anything moves. `stop` holds the voltage.
+    A displacement outside the reach of the limits is refused before anything moves. `stop` holds the voltage.
 
     Parameters
     ----------
     prefix : str
         Of the process variables, as for `dehyst.instruments.epics.EpicsRig`.
     actuator : Actuator
-        Its inertia and its amplifier's lag are left alone: steps are slow against them.
+        Its inertia and its amplifier's lag are ignored: steps are slow against them.
     limits : (float, float), optional
-        Voltages [V] that are allowed; what actuator or IOC do not allow is left out.
+        Allowed voltages [V]; they are narrowed to those of actuator and IOC.
     slew_rate : float, optional
         Largest abs(dv/dt) [V/s], where the IOC allows it; default: the IOC's, or the whole range in a second.
     period : float, optional
@@ -76,11 +74,11 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     Attributes
     ----------
     wanted : SignalR
-        Displacement [um] that was asked for; after a stop, where the model takes the actuator to be.
+        Displacement [um] that was set; after a stop, the displacement of the model.
     voltage : SignalRW
-        The voltage that was sent [V]. Who sets it behind the axis must home again.
+        The voltage that was sent [V]. If anything else sets it, the axis must be homed again.
     position : SignalR
-        What the sensor measures [um]; it is in the device's hints.
+        The reading of the sensor [um]; it is in the device's hints.
 
     Raises
     ------
@@ -104,35 +102,35 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         period, settle = number(period, "period"), number(settle, "settle")
         if period <= 0 or settle < 0:
             raise ModelError(f"period, settle: got {period} and {settle} s, need more than 0, and 0 or more")
-        self._actuator, self._period, self._settle = _slow(actuator), period, settle
-        self._asked = [VoltageLimits(*ends) for ends in (limits, actuator.limits) if ends is not None]
-        self._asked_slew = None if slew_rate is None else VoltageLimits(0.0, 1.0, slew_rate).slew_rate
+        self._actuator, self._period, self._settle = slow_actuator(actuator), period, settle
+        self._given = [VoltageLimits(*ends) for ends in (limits, actuator.limits) if ends is not None]
+        self._given_slew_rate = None if slew_rate is None else VoltageLimits(0.0, 1.0, slew_rate).slew_rate
         self._limits: VoltageLimits | None = None
         self._compensator: Compensator | None = None
-        self._unknown = "it was not homed yet"
+        self._unhomed_reason = "it was not homed yet"
         self._stopped: bool | None = None
-        self._moves, self._sends = asyncio.Lock(), asyncio.Lock()
-        # When the voltage of a homing was sent, and from then on the time that the model's memory has reached [s].
+        self._move_lock, self._send_lock = asyncio.Lock(), asyncio.Lock()
+        # The time [s] that the model's memory has reached, from the voltage of the homing on.
         self._modelled_at = 0.0
 
         def readable(what: str) -> SignalR[float]:
             return epics_signal_r(float, f"ca://{prefix}{names.joint}{what}", timeout=timeout)
 
         with self.add_children_as_readables():
-            self.wanted, self._show_wanted = soft_signal_r_and_setter(float, units="um", precision=5)
+            self.wanted, self._set_wanted = soft_signal_r_and_setter(float, units="um", precision=5)
         with self.add_children_as_readables(StandardReadableFormat.UNCACHED_SIGNAL):
             self.voltage = epics_signal_rw(float, f"ca://{prefix}{names.joint}{names.voltage}", timeout=timeout)
         with self.add_children_as_readables(StandardReadableFormat.HINTED_UNCACHED_SIGNAL):
             self.position = readable(names.position)
         self.readback = readable(names.readback)
-        told = (names.low, names.high, names.slew)
-        self.low, self.high, self.slew = (None if each is None else readable(each) for each in told)
+        optional = (names.low, names.high, names.slew)
+        self.low, self.high, self.slew = (None if each is None else readable(each) for each in optional)
         super().__init__(name=name)
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Displacements [um] at the lower and the upper limit of the voltage; known when the axis is homed."""
-        low, high = self._known().reach
+        """Displacements [um] at the lower and the upper limit of the voltage, once the axis is homed."""
+        low, high = self._homed().reach
         return low / _MICRO, high / _MICRO
 
     async def home(self) -> None:
@@ -141,16 +139,16 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         Raises
         ------
         RigError
-            If no voltage is allowed by all, the IOC does something else, or the axis is stopped on the way.
+            If the limits have no voltage in common, the IOC takes another voltage, or the axis is stopped on the way.
 
         Warns
         -----
         UserWarning
-            If the limits are too narrow to know the state well.
+            If the limits are too narrow to determine the state well.
         """
-        async with self._moves:
-            self._stopped, self._compensator, self._unknown = None, None, "its homing was broken off"
-            limits = await self._allowed()
+        async with self._move_lock:
+            self._stopped, self._compensator, self._unhomed_reason = None, None, "its homing was broken off"
+            limits = await self._common_limits()
             present = limits.nearest(await self.readback.get_value())
             homing = shortest_homing(self._actuator, limits=(limits.low, limits.high), present=present)
             if not homing.certified:
@@ -162,44 +160,44 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
             self._compensator = Compensator(
                 self._actuator, (limits.low, limits.high), period=self._period, state=homing.state
             )
-            self._show_wanted(homing.state.displacement / _MICRO)
+            self._set_wanted(homing.state.displacement / _MICRO)
 
     @WatchableAsyncStatus.wrap
     async def set(self, value: float) -> AsyncIterator[WatcherUpdate[float]]:
-        """Go to a displacement [um]; done when the voltage is there.
+        """Move to a displacement [um]; done when the voltage has reached its end.
 
         Raises
         ------
         RigError
             In the status: if the axis is not homed, something else sent a voltage, or it is stopped without success.
         ModelError
-            In the status: if the displacement is out of reach; nothing has moved then.
+            In the status: if the displacement is out of reach; nothing has moved.
         """
-        async with self._moves:
+        async with self._move_lock:
             self._stopped = None
-            compensator, limits = self._known(), self._limits or VoltageLimits(0.0, 1.0)
-            await self._refuse_moved(compensator, limits)
+            compensator, limits = self._homed(), self._limits or VoltageLimits(0.0, 1.0)
+            await self._refuse_other_voltage(compensator, limits)
             await self.check_value(value)
-            self._show_wanted(float(value))
-            initial, there = await self.position.get_value(), False
-            while not there and self._stopped is None:
-                there = await asyncio.shield(self._step(compensator, float(value), limits))
+            self._set_wanted(float(value))
+            initial, reached = await self.position.get_value(), False
+            while not reached and self._stopped is None:
+                reached = await asyncio.shield(self._step(compensator, float(value), limits))
                 now = await self.position.get_value()
                 yield WatcherUpdate(now, initial, float(value), name=self.name, unit="um", precision=5)
-            if not there:
-                self._show_wanted(compensator.state.displacement / _MICRO)
+            if not reached:
+                self._set_wanted(compensator.state.displacement / _MICRO)
                 self._refuse_stopped()
             await asyncio.sleep(self._settle)
 
     async def check_value(self, value: float) -> None:
-        """Refuse a displacement [um] that cannot be reached, by a `ModelError`; nothing moves.
+        """Raise `ModelError` for a displacement [um] that cannot be reached; nothing moves.
 
         Raises
         ------
         RigError
             If the axis is not homed.
         """
-        compensator = self._known()
+        compensator = self._homed()
         wanted = _MICRO * number(value, f"{self.name}: displacement")
         needed = self._actuator.voltage(state_at(self._actuator, compensator.state, wanted))
         low, high = compensator.limits
@@ -207,43 +205,45 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         if not low - slack <= needed <= high + slack:
             lowest, highest = self.reach
             raise ModelError(
-                f"{self.name}: got {value:.6g} um, need {lowest:.6g} to {highest:.6g} um; it would take {needed:.6g} V "
+                f"{self.name}: got {value:.6g} um, need {lowest:.6g} to {highest:.6g} um; it needs {needed:.6g} V "
                 f"where {low:.6g} to {high:.6g} V is allowed; nothing was sent"
             )
 
     async def stop(self, success: bool = True) -> None:
-        """End what moves at its present voltage; without `success` it ends in an error."""
+        """End a move at its present voltage; without `success` it ends with an error."""
         self._stopped = success
 
     async def locate(self) -> Location[float]:
-        """Displacements [um] wanted and measured."""
+        """Return the wanted and the measured displacement [um]."""
         wanted, measured = await asyncio.gather(self.wanted.get_value(), self.position.get_value())
         return Location(setpoint=wanted, readback=measured)
 
-    def _known(self) -> Compensator:
+    def _homed(self) -> Compensator:
         if self._compensator is None:
-            raise RigError(f"{self.name}: where its actuator stands is not known: {self._unknown}; home it first")
+            raise RigError(f"{self.name}: the state of its actuator is unknown: {self._unhomed_reason}; home it first")
         return self._compensator
 
     def _refuse_stopped(self) -> None:
         if self._stopped is False or (self._stopped and self._compensator is None):
             raise RigError(f"{self.name}: was stopped on its way; it holds the voltage where it was")
 
-    async def _refuse_moved(self, compensator: Compensator, limits: VoltageLimits) -> None:
-        """Refuse to go on where another voltage was sent than by this axis."""
-        # A step of a move that was cancelled may still be on its way to the memory.
-        async with self._sends:
+    async def _refuse_other_voltage(self, compensator: Compensator, limits: VoltageLimits) -> None:
+        """Raise RigError if a voltage was sent that this axis did not send."""
+        # A step of a cancelled move may still be on its way to the memory.
+        async with self._send_lock:
             sent, output = await asyncio.gather(self.voltage.get_value(), self.readback.get_value())
-            at = compensator.voltage
+            modelled = compensator.voltage
         span = limits.high - limits.low
-        if abs(sent - at) > _ROUNDING * span or abs(output - at) > ASTRAY * span:
-            self._forget(f"somebody else has sent {sent:.6g} V, and {output:.6g} V is put out in place of {at:.6g} V")
-            self._known()
+        if abs(sent - modelled) > _ROUNDING * span or abs(output - modelled) > READBACK_TOLERANCE * span:
+            self._forget(
+                f"another client has sent {sent:.6g} V, and the output is {output:.6g} V instead of {modelled:.6g} V"
+            )
+            self._homed()
 
     def _catch_up(self, compensator: Compensator) -> None:
-        """Let the model creep as long as the voltage was held, up to the period that the next step stands for.
+        """Let the model creep for as long as the voltage was held, up to the period of the next step.
 
-        A step takes as long as the IOC and this machine make it.
+        The duration of a step depends on the IOC and this machine.
         """
         behind = int((time.monotonic() - self._modelled_at) / self._period) - 1
         if self._actuator.needs_time and behind > 0:
@@ -252,16 +252,16 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
             self._modelled_at += behind * self._period
 
     async def _step(self, compensator: Compensator, value: float, limits: VoltageLimits) -> bool:
-        """One step towards a displacement [um]; whether it has been reached."""
+        """Take one step towards a displacement [um], and return whether it is reached."""
         self._catch_up(compensator)
-        wish = limits.nearest(compensator.offer(_MICRO * value))
-        voltage = ramp_step(wish, compensator.voltage, limits, self._period)
+        target = limits.nearest(compensator.offer(_MICRO * value))
+        voltage = ramp_step(target, compensator.voltage, limits, self._period)
         await self._send(voltage, compensator, limits, self._period)
-        return voltage == wish
+        return voltage == target
 
     async def _send(self, voltage: float, memory: Compensator | None, limits: VoltageLimits, seconds: float) -> None:
-        """Put a voltage [V], remember what was taken of it, and wait. To be shielded: what is begun is remembered."""
-        async with self._sends:
+        """Send a voltage [V], commit the one that the IOC took, and wait; call it shielded from cancellation."""
+        async with self._send_lock:
             try:
                 await self.voltage.set(limits.nearest(voltage))
                 taken = await self.voltage.get_value()
@@ -275,33 +275,36 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
                 raise
             if abs(taken - voltage) > _ROUNDING * (limits.high - limits.low):
                 raise DeviceError(
-                    f"{self.name}: {taken:.6g} V was taken when {voltage:.6g} V was sent; are the IOC's limits "
-                    "narrower than it says?"
+                    f"{self.name}: the IOC took {taken:.6g} V when {voltage:.6g} V was sent; are its limits narrower "
+                    "than it reports?"
                 )
             await asyncio.sleep(seconds)
 
-    def _forget(self, why: str) -> None:
-        self._compensator, self._unknown = None, why
+    def _forget(self, reason: str) -> None:
+        self._compensator, self._unhomed_reason = None, reason
 
-    async def _allowed(self) -> VoltageLimits:
-        """What user, actuator and IOC all allow."""
+    async def _common_limits(self) -> VoltageLimits:
+        """Return the limits that user, actuator and IOC all allow."""
         control: dict[str, Any] = dict((await self.voltage.describe())[self.voltage.name].get("limits", {}))
         record = control.get("control") or {}
-        ends = [(each.low, each.high) for each in self._asked]
+        ends = [(each.low, each.high) for each in self._given]
         if record.get("low") is not None and record.get("high") is not None:
             ends.append((record["low"], record["high"]))
         if self.low is not None and self.high is not None:
             ends.append((await self.low.get_value(), await self.high.get_value()))
         low, high = max((end[0] for end in ends), default=0.0), min((end[1] for end in ends), default=0.0)
         if not low < high:
-            raise RigError(f"{self.name}: {low:.6g} to {high:.6g} V is what all allow; give other limits=")
+            raise RigError(
+                f"{self.name}: the limits of user, actuator and IOC have no voltage in common: their largest lower one "
+                f"is {low:.6g} V, their smallest upper one {high:.6g} V; give other limits="
+            )
         device = 0.0 if self.slew is None else await self.slew.get_value()
-        rates = [rate for rate in (device, self._asked_slew) if rate]
+        rates = [rate for rate in (device, self._given_slew_rate) if rate]
         return VoltageLimits(low, high, min(rates, default=(high - low) / _SWEEP))
 
 
 def homing(axis: CompensatedAxis) -> MsgGenerator[None]:
-    """A plan that homes an axis, and stops it if the plan is broken off."""
+    """Home an axis in a plan, and stop it if the plan is broken off."""
 
     def home() -> MsgGenerator[None]:
         for task in (yield from wait_for([axis.home])) or ():
@@ -309,8 +312,3 @@ def homing(axis: CompensatedAxis) -> MsgGenerator[None]:
 
     wrapper: Any = finalize_wrapper
     yield from wrapper(home(), stop(axis))
-
-
-def _slow(actuator: Actuator) -> Actuator:
-    """The same without what slow steps do not feel."""
-    return replace(actuator, dynamics=None, lag=0.0, state=replace(actuator.state, motion=EMPTY))

@@ -1,4 +1,4 @@
-"""Process variables below a prefix, read and written over EPICS Channel Access from ordinary, blocking code."""
+"""Process variables with a common prefix, read and written over EPICS Channel Access by blocking calls."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from dehyst._types import Array
 
 # ECA_TIMEOUT of Channel Access.
 _TIMED_OUT = 80
-# Of an answer that is cited in a message.
-_CITED = 60
+# Characters of an answer that a message quotes.
+_QUOTED = 60
 _METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "micron": 1e-6, "microns": 1e-6, "nm": 1e-9}
-_HINT = "is the IOC running, and does EPICS_CA_ADDR_LIST lead to it?"
+HINT = "is the IOC running, and does EPICS_CA_ADDR_LIST lead to it?"
 
 _Value = TypeVar("_Value")
 
 
 class _Worker:
-    """The one event loop, in a thread of its own, on which this process asks. It lives until the process ends.
+    """The event loop, in a thread of its own, for all exchanges of this process; it runs until the process ends.
 
-    Channels belong to the loop that made them, and Channel Access calls it back as long as they live.
+    Channels belong to the loop that made them, and Channel Access calls it back as long as they exist.
     """
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class _Worker:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def run(self, task: Coroutine[Any, Any, _Value]) -> _Value:
-        """Wait for what a coroutine returns; if the waiting is broken off, so is the coroutine."""
+        """Return the result of a coroutine; if the wait is interrupted, cancel the coroutine."""
         with self._lock:
             if self._loop is None:
                 self._loop = asyncio.new_event_loop()
@@ -51,7 +51,7 @@ _worker = _Worker()
 
 
 class ChannelAccess:
-    """Process variables below a prefix.
+    """Process variables with a common prefix.
 
     Parameters
     ----------
@@ -75,18 +75,18 @@ class ChannelAccess:
         self._ca: Any = aioca
 
     def absent(self, names: Sequence[str]) -> list[str]:
-        """Those of the names that nobody answers for within the timeout."""
+        """Return those of the names that no server answers for within the timeout."""
         pvs = [self.prefix + name for name in names]
-        found = self._run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
-        return [name for name, answer in zip(names, found, strict=True) if not answer.ok]
+        answers = self._run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
+        return [name for name, answer in zip(names, answers, strict=True) if not answer.ok]
 
     def connected(self, *names: str) -> bool:
-        """Whether these variables, which were used before, are connected now."""
+        """Return whether these variables, which were used before, are connected now."""
 
-        async def look() -> set[str]:
+        async def unconnected() -> set[str]:
             return self._unconnected()
 
-        return self._run(look()).isdisjoint(self.prefix + name for name in names)
+        return self._run(unconnected()).isdisjoint(self.prefix + name for name in names)
 
     def numbers(self, *names: str) -> list[float]:
         """Read numbers, all at the same time.
@@ -94,25 +94,25 @@ class ChannelAccess:
         Raises
         ------
         LinkError
-            If one does not come in time, or is none.
+            If an answer is late, or is not a number.
         """
         return [self._number(name, value) for name, value in zip(names, self._get(names), strict=True)]
 
     def arrays(self, *names: str, count: int) -> list[Array]:
-        """Read the first `count` numbers of each.
+        """Read the first `count` numbers of each array.
 
         Raises
         ------
         LinkError
-            If one does not come in time, or has fewer.
+            If an answer is late, or has fewer numbers.
         """
-        found = [np.atleast_1d(np.asarray(value)) for value in self._get(names, count=count)]
-        for name, values in zip(names, found, strict=True):
+        columns = [np.atleast_1d(np.asarray(value)) for value in self._get(names, count=count)]
+        for name, values in zip(names, columns, strict=True):
             if values.size < count or values.dtype.kind not in "fiu":
                 raise LinkError(
                     f"{self.prefix}{name}: got {values.size} values of {values.dtype}, need {count} numbers"
                 )
-        return [values[:count].astype(np.float64) for values in found]
+        return [values[:count].astype(np.float64) for values in columns]
 
     def text(self, name: str) -> str:
         """Read a text, short or long."""
@@ -122,44 +122,46 @@ class ChannelAccess:
         return bytes(np.atleast_1d(np.asarray(value)).astype(np.uint8)).split(b"\0")[0].decode(errors="replace")
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Between which a number may be put, as its record says; 0 and 0 if it does not say."""
+        """Return the control limits of a number's record; 0 and 0 if it has none."""
         (value,) = self._get([name], format=self._ca.FORMAT_CTRL)
         return float(getattr(value, "lower_ctrl_limit", 0.0)), float(getattr(value, "upper_ctrl_limit", 0.0))
 
     def metres(self, name: str) -> float | None:
-        """Metres in the unit of a record; None if it has no unit.
+        """Return the unit of a record in metres; None if it has no unit.
 
         Raises
         ------
         LinkError
-            If it is no unit of length.
+            If it is not a unit of length.
         """
         (value,) = self._get([name], format=self._ca.FORMAT_CTRL, count=1)
         unit = str(getattr(value, "units", "")).strip()
         if unit and unit not in _METRES:
-            raise LinkError(f"{self.prefix}{name}: its unit is {unit!r}, need m, mm, um or nm; mend EGU in its record")
+            raise LinkError(
+                f"{self.prefix}{name}: its unit is {unit!r}, need m, mm, um or nm; correct EGU in its record"
+            )
         return _METRES[unit] if unit else None
 
     def length(self, name: str) -> int:
-        """Elements that it can have."""
+        """Return the capacity of an array, in elements."""
         return int(self._run(self._answered(self._ca.cainfo, [name]))[0].count)
 
     def put(self, name: str, value: float | Array) -> None:
-        """Write a value, and wait until what it leads to is done.
+        """Write a value, and wait until the IOC has processed it.
 
         Raises
         ------
         LinkError
-            If that is not said in time: it may have been done, or not.
+            If there is no answer in time: the value may have been written, or not.
         DeviceError
             If it is refused.
         """
-        self._run(self._written(name, value, {}))
+        self._run(self._put(name, value, {}))
 
     def clear(self, name: str) -> None:
         """Write an empty text."""
         text = self.length(name) > 1
-        self._run(self._written(name, "", {"datatype": self._ca.DBR_CHAR_STR} if text else {}))
+        self._run(self._put(name, "", {"datatype": self._ca.DBR_CHAR_STR} if text else {}))
 
     def _get(self, names: Sequence[str], **options: Any) -> list[Any]:
         return self._run(self._answered(self._ca.caget, names, **options))
@@ -167,34 +169,34 @@ class ChannelAccess:
     def _run(self, task: Coroutine[Any, Any, _Value]) -> _Value:
         return _worker.run(task)
 
-    async def _answered(self, ask: Any, names: Sequence[str], **options: Any) -> list[Any]:
+    async def _answered(self, request: Any, names: Sequence[str], **options: Any) -> list[Any]:
         pvs = [self.prefix + name for name in names]
-        answers: list[Any] = await ask(pvs, timeout=self.timeout, throw=False, **options)
+        answers: list[Any] = await request(pvs, timeout=self.timeout, throw=False, **options)
         for pv, answer in zip(pvs, answers, strict=True):
             if not answer.ok:
-                raise self._broken(pv, answer)
+                raise self._error(pv, answer)
         return answers
 
-    async def _written(self, name: str, value: object, options: dict[str, Any]) -> None:
+    async def _put(self, name: str, value: object, options: dict[str, Any]) -> None:
         pv = self.prefix + name
         answer = await self._ca.caput(pv, value, wait=True, timeout=self.timeout, throw=False, **options)
         if not answer.ok:
-            raise self._broken(pv, answer)
+            raise self._error(pv, answer)
 
-    def _broken(self, pv: str, answer: Any) -> LinkError | DeviceError:
-        """What to raise for an answer that is none."""
+    def _error(self, pv: str, answer: Any) -> LinkError | DeviceError:
+        """Return the error to raise for an answer that failed."""
         if pv in self._unconnected():
-            return LinkError(f"{pv}: not connected for {self.timeout:g} s; {_HINT}")
+            return LinkError(f"{pv}: not connected for {self.timeout:g} s; {HINT}")
         if answer.errorcode == _TIMED_OUT:
             return LinkError(f"{pv}: no answer within {self.timeout:g} s, though it is connected; does its IOC hang?")
         return DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
 
     def _unconnected(self) -> set[str]:
-        """Every variable that this process asked for and is not connected; on the loop's thread."""
+        """Return all variables of this process that are not connected; on the loop's thread."""
         return {channel.name for channel in self._ca.get_channel_infos() if not channel.connected}
 
     def _number(self, name: str, value: Any) -> float:
         try:
             return float(value)
         except (TypeError, ValueError) as error:
-            raise LinkError(f"{self.prefix}{name}: got {repr(value)[:_CITED]}, need a number") from error
+            raise LinkError(f"{self.prefix}{name}: got {repr(value)[:_QUOTED]}, need a number") from error

@@ -1,4 +1,4 @@
-"""What a leaf's own code may do wrong: it is told as an instrument's fault is, and not by a traceback."""
+"""Errors raised by a driver's own code, re-raised as `DeviceError`."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from dehyst.instruments.samples import Reading
 
 
 @contextmanager
-def leafs_own(name: str, what: str) -> Iterator[None]:
-    """Turn whatever the `what` of a leaf raises into DeviceError; what it raises on purpose is left as it is."""
+def driver_errors(name: str, method: str) -> Iterator[None]:
+    """Re-raise what a driver's `method` raises as DeviceError; errors of dehyst pass unchanged."""
     try:
         yield
     except DehystError:
         raise
-    # A laboratory's code, or its library, may raise anything.
+    # A driver, or its library, may raise anything.
     except Exception as error:
         raise DeviceError(
-            f"{name}: {what} of the rig raised {type(error).__name__}: {error}; see to its code, or to the device"
+            f"{name}: {method} of the rig raised {type(error).__name__}: {error}; check its code, or the device"
         ) from error
 
 
 def reading_of(name: str, values: object) -> Reading:
-    """Three numbers as a reading, finite or not.
+    """Return three numbers as a reading, finite or not.
 
     Raises
     ------
     DeviceError
-        If they are something else.
+        If `values` are not three numbers.
     """
     try:
         time, voltage, displacement = map(float, values)  # type: ignore[call-overload]
@@ -42,7 +42,7 @@ def reading_of(name: str, values: object) -> Reading:
 
 
 def finite(name: str, reading: Reading) -> Reading:
-    """The same; raises LinkError if a number is not finite."""
+    """Return the reading; raises LinkError if a number is not finite."""
     if not all(map(math.isfinite, reading)):
         raise LinkError(f"{name}: read {reading}, need finite numbers; check the device and its sensor")
     return reading

@@ -12,24 +12,24 @@ from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst._types import Array
 from dehyst.control import VoltageLimits
 from dehyst.instruments.base import AbstractRig, Reading, Samples
-from dehyst.instruments.channel_access import ChannelAccess
+from dehyst.instruments.channel_access import HINT, ChannelAccess
 from dehyst.instruments.host_timed import HIGHEST_RATE, host_timed
 
-# Seconds between two looks at a wave; reading samples may take this share of the time at most.
-_LOOK, _SHARE = 0.1, 0.1
-# Seconds that the recorder may be behind the wave's end, and sample times that it may be silent.
+# Seconds between two polls of a wave; reading samples takes this share of the time at most.
+_POLL, _SHARE = 0.1, 0.1
+# Seconds that the recorder may lag behind the wave's end, and sample periods without a new sample.
 _LATE, _SILENT = 1.0, 5
-# By so much of the range a voltage that was taken may differ from the one that was sent: its rounding.
+# Rounding of a voltage that the IOC takes, as a share of the range.
 _ROUNDED = 1e-3
 
 
 @dataclass(frozen=True)
 class PvNames:
-    """Names of process variables, what follows the prefix; None for what an IOC does not have.
+    """Names of process variables without the prefix; None for those that an IOC does not have.
 
-    Voltages are in V, times in s; positions in the unit that their record's EGU says, m, mm, um or nm. `wave_period` is
-    seconds a sample. A put to `wave_start` has `count` begin anew before its callback comes, `wave_stop` ends the wave.
-    `error` is a text that stays until it is overwritten by an empty one.
+    Voltages are in V, times in s; positions in the unit of their record's EGU: m, mm, um or nm. `wave_period` is
+    seconds a sample. A put to `wave_start` resets `record_count` before its callback, `wave_stop` ends the wave.
+    `error` is a text that stays until an empty one overwrites it.
     """
 
     voltage: str = "VOLTAGE"
@@ -54,13 +54,13 @@ class PvNames:
 
     @property
     def all(self) -> dict[str, str]:
-        """The names by what they are for, without those that are None."""
-        found = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "joint"}
-        return {what: name for what, name in found.items() if name is not None}
+        """The names by their purpose, without those that are None."""
+        names = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "joint"}
+        return {what: name for what, name in names.items() if name is not None}
 
     @property
     def waves(self) -> dict[str, str]:
-        """Those of wave generator and recorder."""
+        """The names of wave generator and recorder, by their purpose."""
         return {what: name for what, name in self.all.items() if what.startswith(("wave_", "record_"))}
 
     @property
@@ -70,7 +70,7 @@ class PvNames:
         Raises
         ------
         RigError
-            If there are some of the names for that, but not all.
+            If some of the names for that are missing, but not all.
         """
         wanted = [field.name for field in fields(self) if field.name.startswith(("wave_", "record_"))]
         missing = [what for what in wanted if what not in self.waves]
@@ -79,31 +79,31 @@ class PvNames:
         return not missing
 
     def without_waves(self) -> PvNames:
-        """The same of an IOC that plays none."""
-        nothing: dict[str, Any] = dict.fromkeys(self.waves)
-        return replace(self, **nothing)
+        """Return the names for an IOC that plays no waves."""
+        absent: dict[str, Any] = dict.fromkeys(self.waves)
+        return replace(self, **absent)
 
 
 class EpicsRig(AbstractRig):
-    """An IOC's process variables; made by `connect`."""
+    """A rig behind an IOC's process variables; made by `connect`."""
 
     def __init__(
         self, link: ChannelAccess, names: PvNames, *, limits: tuple[float, float] | None, slew_rate: float | None
     ) -> None:
         self._link, self._names, self._plays = link, names, names.plays
         prefix = link.prefix.removesuffix(names.joint)
-        said = "" if names.identity is None else link.text(names.identity).strip()
-        # A record without a unit is in um, as are those of the emulator.
+        identity = "" if names.identity is None else link.text(names.identity).strip()
+        # A record without a unit is in um, as those of the emulator.
         self._metres = link.metres(names.position) or 1e-6
         self._recorded_metres, longest = self._metres, None
         if self._plays:
-            self._recorded_metres = link.metres(self._of("record_position")) or self._metres
+            self._recorded_metres = link.metres(self._pv("record_position")) or self._metres
             tables = ("wave_voltage", "record_time", "record_voltage", "record_position")
-            longest = min(link.length(self._of(table)) for table in tables)
+            longest = min(link.length(self._pv(table)) for table in tables)
         self._last, self._began = 0.0, time.monotonic()
-        name = f"epics://{prefix}" + (f" ({said})" if said else "")
-        super().__init__(name, self._device(limits), limits=limits, slew_rate=slew_rate, longest=longest)
-        self._forget_error()
+        name = f"epics://{prefix}" + (f" ({identity})" if identity else "")
+        super().__init__(name, self._device_limits(limits), limits=limits, slew_rate=slew_rate, longest=longest)
+        self._clear_error()
 
     @classmethod
     def connect(
@@ -120,10 +120,10 @@ class EpicsRig(AbstractRig):
         Parameters
         ----------
         prefix : str
-            What all names begin with, without the colon.
+            Prefix of all names, without the colon.
         limits : (float, float), optional
-            Voltages that the user allows [V]. Those of the device are its own variables, or limits of the voltage's
-            record.
+            Voltages that the user allows [V]. Those of the device come from variables of their own, or from the limits
+            of the voltage's record.
         slew_rate : float, optional
             [V/s].
         timeout : float, optional
@@ -135,28 +135,30 @@ class EpicsRig(AbstractRig):
         LinkError
             If variables are missing; their names are in the message.
         RigError
-            If the device's limits make no sense.
+            If the device's limits are not an interval.
         MissingExtraError
             If aioca is not installed.
 
         Warns
         -----
         UserWarning
-            If none of the variables for waves is there: the host then times every voltage, slowly.
+            If all variables for waves are missing: the host then times every voltage, slowly.
         """
         link = ChannelAccess(prefix + names.joint, timeout)
-        names = _answering(link, names)
+        names = _available(link, names)
         return cls(link, names, limits=limits, slew_rate=slew_rate)
 
     def nearest_rate(self, sample_rate: float) -> float:
-        """The rate [Hz] that the device makes of `sample_rate`; it is set."""
+        """Set `sample_rate` [Hz], and return the rate to which the device rounds it."""
         if not self._plays:
             return min(sample_rate, HIGHEST_RATE)
-        self._link.put(self._of("wave_period"), 1 / sample_rate)
-        self._demand_no_error()
-        (period,) = self._link.numbers(self._of("wave_period"))
+        self._link.put(self._pv("wave_period"), 1 / sample_rate)
+        self._raise_error()
+        (period,) = self._link.numbers(self._pv("wave_period"))
         if not period > 0:
-            raise DeviceError(f"{self.name}: its sample period is {period:.6g} s for {sample_rate:.6g} Hz asked for")
+            raise DeviceError(
+                f"{self.name}: its sample period is {period:.6g} s where {sample_rate:.6g} Hz was requested"
+            )
         return 1 / period
 
     def _read(self) -> Reading:
@@ -166,12 +168,12 @@ class EpicsRig(AbstractRig):
 
     def _put(self, voltage: float) -> None:
         self._link.put(self._names.voltage, voltage)
-        self._demand_no_error()
+        self._raise_error()
         (taken,) = self._link.numbers(self._names.voltage)
         if not abs(taken - voltage) <= _ROUNDED * (self.limits.high - self.limits.low):
             raise DeviceError(
-                f"{self.name}: took {taken:.6g} V when {voltage:.6g} V was sent: its limits are narrower than it says, "
-                "or somebody else sends too"
+                f"{self.name}: took {taken:.6g} V when {voltage:.6g} V was sent: its limits are narrower than it "
+                "reports, or another client sends too"
             )
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
@@ -179,83 +181,89 @@ class EpicsRig(AbstractRig):
             yield from host_timed(self, voltage, rate)
             return
         for what, value in (("wave_voltage", voltage), ("wave_period", 1 / rate), ("wave_start", 1)):
-            self._link.put(self._of(what), value)
-            self._demand_no_error()
-        got, fresh, cost, shift = 0, time.monotonic(), 0.0, None
+            self._link.put(self._pv(what), value)
+            self._raise_error()
+        got, latest, cost, shift = 0, time.monotonic(), 0.0, None
         while got < voltage.size:
-            count, idle = self._progress(got, fresh, max(self._link.timeout, _SILENT / rate))
+            count, idle = self._progress(got, latest, max(self._link.timeout, _SILENT / rate))
             now = time.monotonic()
-            if count > got and (count >= voltage.size or idle or now - fresh >= cost / _SHARE):
+            if count > got and (count >= voltage.size or idle or now - latest >= cost / _SHARE):
                 samples = self._samples(got, min(count, voltage.size))
-                fresh = time.monotonic()
-                cost, got = fresh - now, got + samples.time.size
+                latest = time.monotonic()
+                cost, got = latest - now, got + samples.time.size
                 if shift is None:
-                    # Times of a recorder may begin anew with every wave.
+                    # Times of a recorder may restart with every wave.
                     shift = 0.0 if samples.time[0] > self._last else self._last + 1 / rate - samples.time[0]
                 self._last = float(samples.time[-1] + shift)
                 yield samples._replace(time=samples.time + shift)
-            elif idle and now - fresh > _LATE:
-                raise DeviceError(f"{self.name}: stopped after {got} of {voltage.size} samples; did somebody stop it?")
+            elif idle and now - latest > _LATE:
+                raise DeviceError(
+                    f"{self.name}: stopped after {got} of {voltage.size} samples; did another client stop it?"
+                )
             if got < voltage.size:
-                self._wait(_LOOK)
+                self._wait(_POLL)
 
-    def _progress(self, got: int, fresh: float, patience: float) -> tuple[int, bool]:
-        """Samples recorded, and whether the wave has ended."""
-        # In this order: what was recorded by the end is there when the end is seen.
-        names = self._of("wave_busy"), self._of("record_count")
+    def _progress(self, got: int, latest: float, patience: float) -> tuple[int, bool]:
+        """Return the number of recorded samples, and whether the wave has ended."""
+        # In this order: once the end is read, the count includes all samples recorded by then.
+        names = self._pv("wave_busy"), self._pv("record_count")
         if not self._link.connected(*names):
-            raise LinkError(f"{self.name}: the connection was lost after {got} samples; the IOC may play on")
+            raise LinkError(f"{self.name}: the connection was lost after {got} samples; the IOC may continue to play")
         busy, count = self._link.numbers(*names)
         if not got <= count < float("inf"):
-            raise LinkError(f"{self.name}: its recorder counts {count:g} after {got} samples; who else uses it?")
-        if count == got and busy and time.monotonic() - fresh > patience:
-            raise LinkError(f"{self.name}: no new sample for {patience:.3g} s, {got} so far, though it says it plays")
+            raise LinkError(
+                f"{self.name}: its recorder counts {count:g} after {got} samples; does another client use it?"
+            )
+        if count == got and busy and time.monotonic() - latest > patience:
+            raise LinkError(
+                f"{self.name}: no new sample for {patience:.3g} s, {got} so far, though it reports that it plays"
+            )
         return int(count), not busy
 
     def _samples(self, first: int, stop: int) -> Samples:
-        tables = [self._of(f"record_{column}") for column in ("time", "voltage", "position")]
-        moment, voltage, position = (column[first:] for column in self._link.arrays(*tables, count=stop))
-        return Samples(moment, voltage, self._recorded_metres * position)
+        tables = [self._pv(f"record_{column}") for column in ("time", "voltage", "position")]
+        times, voltage, position = (column[first:] for column in self._link.arrays(*tables, count=stop))
+        return Samples(times, voltage, self._recorded_metres * position)
 
     def _halt(self) -> None:
-        self._forget_error()
+        self._clear_error()
         if not self._plays:
             return
-        self._link.put(self._of("wave_stop"), 1)
+        self._link.put(self._pv("wave_stop"), 1)
         end = time.monotonic() + self._link.timeout
-        while self._link.numbers(self._of("wave_busy"))[0]:
+        while self._link.numbers(self._pv("wave_busy"))[0]:
             if time.monotonic() > end:
-                raise DeviceError(f"{self.name}: plays on {self._link.timeout:g} s after it was told to stop")
-            self._wait(_LOOK)
+                raise DeviceError(f"{self.name}: still plays {self._link.timeout:g} s after the stop command")
+            self._wait(_POLL)
 
     def _close(self) -> None:
-        """Channels belong to the process: another rig may use them."""
+        """Leave the channels open: they belong to the process, and another rig may use them."""
 
-    def _of(self, what: str) -> str:
+    def _pv(self, what: str) -> str:
         return self._names.all[what]
 
     def _host_time(self) -> float:
         return time.monotonic() - self._began
 
-    def _demand_no_error(self) -> None:
-        said = "" if self._names.error is None else self._link.text(self._names.error)
-        if said:
-            raise DeviceError(f"{self.name}: says: {said}")
+    def _raise_error(self) -> None:
+        error = "" if self._names.error is None else self._link.text(self._names.error)
+        if error:
+            raise DeviceError(f"{self.name}: reports: {error}")
 
-    def _forget_error(self) -> None:
-        """An error stays until it is overwritten; what was said before is of no use."""
+    def _clear_error(self) -> None:
+        """Overwrite an earlier error, which would stay."""
         if self._names.error is not None and self._link.text(self._names.error):
             self._link.clear(self._names.error)
 
-    def _device(self, asked: tuple[float, float] | None) -> VoltageLimits:
-        """What the device allows: its variables, and its record's limits where they are narrower."""
+    def _device_limits(self, given: tuple[float, float] | None) -> VoltageLimits:
+        """Return the device's limits: its variables, and its record's limits where they are narrower."""
         names, link = self._names, self._link
         low, high = link.limits(names.voltage)
         if names.low is not None and names.high is not None:
             lowest, highest = link.numbers(names.low, names.high)
             low, high = (max(low, lowest), min(high, highest)) if low < high else (lowest, highest)
-        elif not low < high and asked is not None:
-            low, high = asked
+        elif not low < high and given is not None:
+            low, high = given
         if not low < high:
             raise RigError(
                 f"{link.prefix}{names.voltage}: its limits are {low:g} to {high:g} V; set DRVL and DRVH in its record"
@@ -264,8 +272,8 @@ class EpicsRig(AbstractRig):
         return VoltageLimits(low, high, slew if slew > 0 else None)
 
 
-def _answering(link: ChannelAccess, names: PvNames) -> PvNames:
-    """The names, without those for waves if nobody answers for all of these; refuses any other that is missing."""
+def _available(link: ChannelAccess, names: PvNames) -> PvNames:
+    """Return the names, without those for waves if all of these are missing; refuse any other missing name."""
     absent = link.absent(list(names.all.values()))
     if not absent:
         return names
@@ -279,11 +287,11 @@ def _answering(link: ChannelAccess, names: PvNames) -> PvNames:
     raise LinkError(_missing(link, absent, len(names.all)))
 
 
-def _missing(link: ChannelAccess, absent: Sequence[str], asked: int) -> str:
-    if len(absent) == asked:
+def _missing(link: ChannelAccess, absent: Sequence[str], count: int) -> str:
+    if len(absent) == count:
         return (
-            f"{link.prefix}*: none of {asked} process variables answered within {link.timeout:g} s, not even "
-            f"{link.prefix}{absent[0]}; is the IOC running, and does EPICS_CA_ADDR_LIST lead to it?"
+            f"{link.prefix}*: none of {count} process variables answered within {link.timeout:g} s, not even "
+            f"{link.prefix}{absent[0]}; {HINT}"
         )
     names = ", ".join(link.prefix + name for name in absent)
-    return f"{names}: no such process variable within {link.timeout:g} s; give names=, with None for what there is not"
+    return f"{names}: no such process variable within {link.timeout:g} s; give names=, with None for those it lacks"

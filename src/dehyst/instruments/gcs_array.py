@@ -1,4 +1,4 @@
-"""What a data recorder answers: a GCS array, which is a header of `# KEY = value` lines and rows of numbers."""
+"""The answer of a data recorder: a GCS array, which is a header of `# KEY = value` lines and rows of numbers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class GcsArray(NamedTuple):
     sample_time : float
         [s] from one row to the next.
     names : tuple of str
-        What each column is; empty texts where the header does not say.
+        Name of each column; empty where the header has none.
     columns : (k, n) array
         In the controller's units.
     """
@@ -35,12 +35,12 @@ class GcsArray(NamedTuple):
 
 
 def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
-    """Read an answer of DRR? of so many rows and columns.
+    """Parse an answer of DRR? that has `rows` rows and `columns` columns.
 
     Raises
     ------
     LinkError
-        If the header is not whole, tells other sizes, or a row is not so many finite numbers.
+        If the header is incomplete or has other sizes, or a row is not `columns` finite numbers.
     """
     stripped = [line.strip() for line in lines]
     if _END not in stripped:
@@ -48,9 +48,9 @@ def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
     end = stripped.index(_END)
     header = _header(stripped[:end])
     for key, needed in (("TYPE", 1), ("DIM", columns), ("NDATA", rows)):
-        found = gcs_syntax.integer(header.get(key, ""))
-        if found != needed:
-            raise LinkError(f"got an array with {key} = {found}, need {needed}")
+        size = gcs_syntax.integer(header.get(key, ""))
+        if size != needed:
+            raise LinkError(f"got an array with {key} = {size}, need {needed}")
     sample_time = gcs_syntax.real(header.get("SAMPLE_TIME", ""))
     if sample_time <= 0:
         raise LinkError(f"got an array with SAMPLE_TIME = {sample_time}, need a time above 0 s")
@@ -64,13 +64,13 @@ def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
     return GcsArray(sample_time, names, _numbers(body, columns, chr(separator)))
 
 
-def position_and_voltage(found: GcsArray) -> tuple[Array, Array]:
-    """Return the columns (n,) of position and voltage: as the names tell, else in the order asked for."""
+def position_and_voltage(array: GcsArray) -> tuple[Array, Array]:
+    """Return the columns (n,) of position and voltage: by their names, else in the requested order."""
     position, voltage = 0, 1
-    told = [("position" in name.lower(), "voltage" in name.lower()) for name in found.names]
-    if told[:2] == [(False, True), (True, False)]:
+    kinds = [("position" in name.lower(), "voltage" in name.lower()) for name in array.names]
+    if kinds[:2] == [(False, True), (True, False)]:
         position, voltage = 1, 0
-    return found.columns[position], found.columns[voltage]
+    return array.columns[position], array.columns[voltage]
 
 
 def _header(lines: Sequence[str]) -> dict[str, str]:
@@ -89,11 +89,11 @@ def _header(lines: Sequence[str]) -> dict[str, str]:
 
 
 def _numbers(body: Sequence[str], columns: int, separator: str) -> Array:
-    """Rows of text as numbers (columns, n)."""
-    found = np.empty((len(body), columns))
+    """Return rows of text as numbers (columns, n)."""
+    numbers = np.empty((len(body), columns))
     for index, line in enumerate(body):
         words = line.split(None if separator in " \t" else separator)
         if len(words) != columns:
             raise LinkError(f"got the row {gcs_syntax.shown(line)}, need {columns} numbers")
-        found[index] = [gcs_syntax.real(word.strip()) for word in words]
-    return np.ascontiguousarray(found.T)
+        numbers[index] = [gcs_syntax.real(word.strip()) for word in words]
+    return np.ascontiguousarray(numbers.T)

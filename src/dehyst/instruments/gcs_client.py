@@ -1,4 +1,4 @@
-"""A client of one GCS controller: asks and is answered, sets and looks for an error, and gets back into step."""
+"""A client of one GCS controller: it sends queries and commands, checks for errors, and resynchronises the link."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst.instruments import gcs_errors, gcs_syntax
 from dehyst.instruments.gcs_link import IDENTITY, AbstractGcsLink
 
-_Found = TypeVar("_Found")
-# Who speaks GCS 2 answers up to 2; older devices do not know the question.
+_Answer = TypeVar("_Answer")
+# Controllers of GCS 2 answer CSV? with 2 at most; older ones do not have the command.
 _NEWER = 3.0
 
 
 class GcsClient:
-    """Speaks to a controller over a link; nothing is ever sent twice.
+    """A client of a controller over a link; it sends nothing twice.
 
     Parameters
     ----------
@@ -24,84 +24,84 @@ class GcsClient:
     Attributes
     ----------
     identity : str
-        What it answers to *IDN?.
+        Its answer to *IDN?.
     commands : frozenset of str
-        What it knows.
+        The commands that it supports.
 
     Raises
     ------
     LinkError
-        If it does not answer as a controller does.
+        If the answers are not those of a controller.
     DeviceError
-        If it speaks another version than GCS 2.
+        If its version is not GCS 2.
     """
 
     def __init__(self, link: AbstractGcsLink) -> None:
         self._link = link
         self.where = link.where
-        self._in_step = True
-        self.identity = self._introduced()
-        self.commands = self.ask("HLP?", gcs_syntax.commands)
+        self._synchronised = True
+        self.identity = self._identify()
+        self.commands = self.query("HLP?", gcs_syntax.commands)
         if "CSV?" in self.commands:
-            version = self.ask("CSV?", lambda lines: gcs_syntax.real(gcs_syntax.single(lines)))
+            version = self.query("CSV?", lambda lines: gcs_syntax.real(gcs_syntax.single(lines)))
             if version >= _NEWER:
-                raise DeviceError(f"{self.name}: speaks GCS {version:g}, need GCS 2; try another firmware")
+                raise DeviceError(f"{self.name}: has GCS {version:g}, need GCS 2; try another firmware")
 
     @property
     def name(self) -> str:
         """Identity and address."""
         return f"{self.identity} at {self.where}"
 
-    def ask(self, query: str, parse: Callable[[list[str]], _Found], commands: Sequence[str] = ()) -> _Found:
-        """Send commands that are not answered and a query, and return what `parse` makes of the answer's lines.
+    def query(self, line: str, parse: Callable[[list[str]], _Answer], commands: Sequence[str] = ()) -> _Answer:
+        """Send commands without answers and a query, and return the answer's lines as parsed by `parse`.
 
         Raises
         ------
         LinkError
-            If there is no answer, or `parse` finds that it is none; the next call gets into step first.
+            If there is no answer, or `parse` refuses it; the next call resynchronises first.
         """
-        sent = [*commands, query]
+        sent = [*commands, line]
         try:
-            if not self._in_step:
+            if not self._synchronised:
                 self._settle()
-            # Ctrl-C may come in the middle.
-            self._in_step = False
-            found = parse(self._link.exchange(commands, query))
+            # Ctrl-C may interrupt the exchange.
+            self._synchronised = False
+            answer = parse(self._link.exchange(commands, line))
         except RigError as error:
-            said = str(error).removeprefix(f"{self.where}: ")
-            raise type(error)(f"{self.where}: sent {gcs_syntax.shown(sent)}, {said}") from error
-        self._in_step = True
-        return found
+            reason = str(error).removeprefix(f"{self.where}: ")
+            raise type(error)(f"{self.where}: sent {gcs_syntax.shown(sent)}, {reason}") from error
+        self._synchronised = True
+        return answer
 
     def set(self, *commands: str, expect: frozenset[int] = frozenset()) -> None:
-        """Send commands and ask for the error that they raise.
+        """Send commands and query the error number.
 
         Raises
         ------
         DeviceError
-            If there is one, but those to `expect`.
+            If there is an error that is not in `expect`.
         LinkError
             If the controller does not answer.
         """
-        number = self.ask("ERR?", _error, commands)
+        number = self.query("ERR?", _error, commands)
         if number and number not in expect:
             after = f" after {gcs_syntax.shown(commands)}" if commands else ""
             raise DeviceError(f"{self.name}: {gcs_errors.sentence(number)}{after}")
 
     def clear(self) -> None:
-        """Forget a latched error, and get into step."""
-        self.ask("ERR?", _error)
+        """Clear a latched error, and resynchronise."""
+        self.query("ERR?", _error)
 
     def close(self) -> None:
-        """Let the link go."""
+        """Close the link."""
         self._link.close()
 
     def _settle(self) -> None:
         self._link.settle(self.identity)
-        # What an exchange that went wrong has left behind would be taken for the next one's.
+        # The error of a failed exchange would be taken for that of the next one.
         self._link.exchange([], "ERR?")
 
-    def _introduced(self) -> str:
+    def _identify(self) -> str:
         try:
             lines = self._link.exchange([], IDENTITY)
         except LinkError as error:

@@ -1,11 +1,11 @@
-"""Errors that a GCS controller reports by number, as sentences."""
+"""Error numbers of a GCS controller, as sentences."""
 
 from __future__ import annotations
 
-# The public list's numbers; the common ones in this package's words.
+# Numbers of the public list, the common ones.
 _SENTENCES = {
     1: "the syntax of a parameter is wrong",
-    2: "it does not know the command",
+    2: "it does not have the command",
     3: "the command was too long",
     5: "the move is not allowed with the servo off, or without a reference",
     7: "the position or voltage is out of its limits",
@@ -17,7 +17,7 @@ _SENTENCES = {
     24: "the number of parameters is wrong",
     25: "a number cannot be read",
     26: "a parameter is missing",
-    54: "it does not know the parameter",
+    54: "it does not have the parameter",
     57: "it has no such recorder table",
     58: "it cannot record that",
     60: "the parameter is protected",
@@ -40,7 +40,7 @@ _SENTENCES = {
     333: "its hardware has failed",
     400: "it has no such wave generator or wave table",
     401: "the wave table is empty",
-    402: "it does not know this kind of wave",
+    402: "it does not have this kind of wave",
     403: "the wave is longer than its table",
     404: "the number of a wave's parameters is wrong",
     405: "a wave's value is out of its range",
@@ -48,13 +48,13 @@ _SENTENCES = {
 }
 # Reported for a voltage or wave beyond what the controller allows.
 LIMITS = frozenset({7, 17, 66, 302, 405})
-# Reported after a stop that was asked for.
+# Reported after a requested stop.
 STOPPED = 10
 
 
 def sentence(number: int) -> str:
-    """Return what an error number says, and for limits what to try."""
-    said = _SENTENCES.get(number, "see its manual's list of error codes")
+    """Return the meaning of an error number, and for limits what to try."""
+    text = _SENTENCES.get(number, "see its manual's list of error codes")
     if number in LIMITS:
-        said += "; its limits are narrower than it told, ask for less with limits="
-    return f"error {number}: {said}"
+        text += "; its limits are narrower than it reported, request less with limits="
+    return f"error {number}: {text}"

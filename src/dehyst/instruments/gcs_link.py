@@ -1,4 +1,4 @@
-"""Ways to a GCS controller: a TCP socket, or a device object that somebody has connected."""
+"""Links to a GCS controller: a TCP socket, or a device object that the user has connected."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from dehyst._errors import DeviceError, LinkError
 from dehyst.instruments import gcs_errors, gcs_syntax
 
 IDENTITY = "*IDN?"
-# Bytes of one line, and lines of one answer: no controller's are longer.
+# Most bytes of one line, and lines of one answer.
 _LONGEST = 1 << 16
 _MOST_LINES = 1 << 18
-# A whole answer may take so many times the timeout, however it drips.
-_DRIPPING = 10
-# Between two attempts to come back.
+# Most time of a whole answer, in timeouts, however slowly it arrives.
+_SLOWEST = 10
+# Seconds between two attempts to reconnect.
 _PAUSE = 0.02
-# No command, on any controller: a line that was sent in part must not be taken for a whole one.
+# Not a command of any controller: it makes a line that was sent in part invalid.
 _SPOILED = b" *spoiled*\n"
 
 
 class AbstractGcsLink(ABC):
-    """Carries lines to one controller and its answers back.
+    """A link that carries lines to one controller and its answers back.
 
     Attributes
     ----------
@@ -38,27 +38,27 @@ class AbstractGcsLink(ABC):
 
     @abstractmethod
     def exchange(self, commands: Sequence[str], query: str) -> list[str]:
-        """Send commands, which are not answered, then a query; return its answer's lines without their ends.
+        """Send commands without answers, then a query; return the lines of its answer without line ends.
 
         Raises
         ------
         LinkError
-            If there is no answer, or not a whole one.
+            If there is no answer, or an incomplete one.
         """
 
     @abstractmethod
     def settle(self, identity: str) -> None:
-        """Get back into step after an exchange that did not end well; `identity` is what *IDN? answered before.
+        """Resynchronise after an exchange that failed; `identity` is the earlier answer to *IDN?.
 
         Raises
         ------
         LinkError
-            If it cannot be done.
+            If that fails.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Let the link go; raises nothing."""
+        """Close the link; raises nothing."""
 
 
 class TcpLink(AbstractGcsLink):
@@ -69,12 +69,12 @@ class TcpLink(AbstractGcsLink):
     host : str
     port : int
     timeout : float
-        Seconds without a byte after which an answer is given up.
+        Seconds without a byte after which an answer is abandoned.
 
     Raises
     ------
     LinkError
-        If nobody listens there.
+        If no connection can be made.
     """
 
     def __init__(self, host: str, port: int, timeout: float = 5.0) -> None:
@@ -82,12 +82,12 @@ class TcpLink(AbstractGcsLink):
         self._address, self._timeout = (host, port), timeout
         self._buffer = bytearray()
         self._half_sent = False
-        self._socket: socket.socket | None = self._connected()
+        self._socket: socket.socket | None = self._connect()
 
     def exchange(self, commands: Sequence[str], query: str) -> list[str]:
         """Send and read; see `AbstractGcsLink`."""
         self._send([*commands, query])
-        deadline = time.monotonic() + _DRIPPING * self._timeout
+        deadline = time.monotonic() + _SLOWEST * self._timeout
         lines: list[str] = []
         more = True
         while more:
@@ -98,7 +98,7 @@ class TcpLink(AbstractGcsLink):
         return lines
 
     def settle(self, identity: str) -> None:
-        """Read until the controller says who it is; where it does not, connect once more."""
+        """Read until the controller answers with its identity; if it does not, reconnect."""
         if self._socket is not None and not self._half_sent:
             with suppress(LinkError):
                 self._await(identity)
@@ -107,12 +107,12 @@ class TcpLink(AbstractGcsLink):
         deadline = time.monotonic() + self._timeout
         while True:
             try:
-                self._socket = self._connected()
+                self._socket = self._connect()
                 self._await(identity)
                 return
             except LinkError:
                 self.close()
-                # The controller may not have noticed yet that its only client has gone.
+                # The controller may not have noticed yet that its only client has disconnected.
                 if time.monotonic() + _PAUSE > deadline:
                     raise
             time.sleep(_PAUSE)
@@ -130,15 +130,15 @@ class TcpLink(AbstractGcsLink):
                 link.close()
 
     def _await(self, identity: str) -> None:
-        """Ask who it is, and read past what was still under way."""
+        """Query the identity, and discard what was still on its way."""
         self._send([IDENTITY])
         deadline = time.monotonic() + self._timeout
         wanted = identity.encode("ascii")
-        # What was cut off before has no line feed of its own.
+        # An answer that was cut off before has no line feed of its own.
         while not self._line(deadline).rstrip().endswith(wanted):
             pass
 
-    def _connected(self) -> socket.socket:
+    def _connect(self) -> socket.socket:
         host, port = self._address
         if not 0 < port < 1 << 16:
             raise LinkError(f"{self.where}: got the port {port}, need 1 to 65535 (PI's is 50000)")
@@ -171,7 +171,7 @@ class TcpLink(AbstractGcsLink):
         self._half_sent = False
 
     def _line(self, deadline: float) -> bytes:
-        """One line with its line feed."""
+        """Return one line with its line feed."""
         searched = 0
         while (end := self._buffer.find(b"\n", searched)) < 0:
             searched = len(self._buffer)
@@ -202,18 +202,18 @@ class TcpLink(AbstractGcsLink):
 
 
 class DeviceLink(AbstractGcsLink):
-    """A device object that somebody has connected already; it stays theirs, and open.
+    """A device object that the user has connected; it stays open.
 
     Parameters
     ----------
     device : object
-        With two methods that carry text as it is: `ReadGCSCommand(query)`, which returns the answer, and
+        With two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
         `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`.
 
     Raises
     ------
     LinkError
-        If it has not.
+        If it does not have them.
     """
 
     def __init__(self, device: Any) -> None:
@@ -242,15 +242,15 @@ class DeviceLink(AbstractGcsLink):
         return gcs_syntax.lines_of(answer)
 
     def settle(self, identity: str) -> None:
-        """Ask who it is until that is what is answered."""
+        """Query the identity until that is the answer."""
         for _ in range(3):
             with suppress(LinkError, DeviceError):
                 if self.exchange([], IDENTITY)[-1].endswith(identity):
                     return
-        raise LinkError("it does not say who it is any more; connect it again")
+        raise LinkError("it does not answer with its identity any more; connect it again")
 
     def close(self) -> None:
-        """Nothing: who connected the device disconnects it."""
+        """Leave the device connected: it belongs to the user."""
 
 
 def _translated(error: Exception) -> LinkError | DeviceError:

@@ -1,7 +1,7 @@
-"""The client's half of PI's general command set (GCS 2.0) as pure text: commands to send, answers that came.
+"""The client's half of PI's general command set (GCS 2.0) as pure text: commands to send, answers to parse.
 
 Written from the public command set. An answer is one or more lines; every line but the last ends with a space before
-its line feed. All is strict here: what is not an answer raises `LinkError`, saying what was got.
+its line feed. Parsing is strict: an invalid answer raises `LinkError` with what was got.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 from dehyst._errors import LinkError, RigError
 
-# A controller's input buffer holds a line of some hundreds of characters at least.
+# Every controller's input buffer holds a line of this many characters.
 _LINE = 500
 _DECIMALS = 6
-# Longer answers are cut when they are shown.
+# Longer answers are cut in messages.
 _SHOWN = 60
 
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
@@ -29,7 +29,7 @@ _PARAMETER = re.compile(r"(0[xX][0-9A-Fa-f]{1,8}|\d{1,10})")
 
 
 class Options(NamedTuple):
-    """Which record options [numbers of DRC] are the position of an axis and the voltage of an output channel."""
+    """Record options [numbers of DRC] of an axis' position and an output channel's voltage."""
 
     position: int
     voltage: int
@@ -50,13 +50,13 @@ def volts(value: float, low: float = -math.inf, high: float = math.inf) -> str:
     Raises
     ------
     RigError
-        If it is not a number within `low` and `high`: nothing of the kind may be sent.
+        If it is not a number within `low` and `high`.
     """
     if not low <= value <= high or not math.isfinite(value):
         raise RigError(f"{value} V is not within {low:.6g} to {high:.6g} V; nothing was sent")
     text = f"{value:.{_DECIMALS}f}"
     if not low <= float(text) <= high:
-        # The shortest text that is read back as the same number, without an exponent.
+        # The shortest text that reads back as the same number, without an exponent.
         exact = repr(value)
         text = exact if "e" not in exact else f"{value:.{max(0, 17 - math.floor(math.log10(abs(value))))}f}"
     text = text.rstrip("0").rstrip(".") if "." in text else text
@@ -71,9 +71,9 @@ def wave_points(table: int, points: Sequence[str], longest: int = _LINE) -> Iter
     first = 0
     while first < len(points):
         sign = "&" if first else "X"
-        room = longest - len(f"WAV {table} {sign} PNT 1 {len(points)}")
+        available = longest - len(f"WAV {table} {sign} PNT 1 {len(points)}")
         count = size = 0
-        while first + count < len(points) and (size := size + 1 + len(points[first + count])) <= room:
+        while first + count < len(points) and (size := size + 1 + len(points[first + count])) <= available:
             count += 1
         if not count:
             raise RigError(f"WAV: {points[first]!r} does not fit a line of {longest} characters; allow longer lines")
@@ -87,10 +87,10 @@ def line_of(raw: bytes) -> tuple[str, bool]:
     Raises
     ------
     LinkError
-        If it has no end, or has characters that are not printable ASCII.
+        If it has no line feed, or characters that are not printable ASCII.
     """
     body = raw[:-1].removesuffix(b"\r")
-    # Tabs stand in some controllers' lists.
+    # Some controllers' lists contain tabs.
     if not raw.endswith(b"\n") or any(not 32 <= byte < 127 and byte != 9 for byte in body):
         raise LinkError(f"got {shown(raw)}, need a line of printable ASCII")
     text = body.decode("ascii")
@@ -98,7 +98,7 @@ def line_of(raw: bytes) -> tuple[str, bool]:
 
 
 def lines_of(answer: str) -> list[str]:
-    """Return the lines of a whole answer that somebody else has read; raises LinkError as `line_of` does."""
+    """Return the lines of a whole answer that a device object has read; raises LinkError as `line_of` does."""
     if not answer.endswith("\n"):
         answer += "\n"
     pairs = [line_of(part.encode("utf-8", "replace") + b"\n") for part in answer[:-1].split("\n")]
@@ -130,23 +130,23 @@ def single(lines: Sequence[str]) -> str:
 
 
 def pairs(lines: Sequence[str]) -> dict[str, str]:
-    """Return `key=value` lines as texts; raises LinkError, also for a key that comes twice."""
-    found: dict[str, str] = {}
+    """Return `key=value` lines as texts; raises LinkError, also for a repeated key."""
+    texts: dict[str, str] = {}
     for line in lines:
         key, equals, value = line.partition("=")
         key, value = key.strip(), value.strip()
-        if not (key and equals and value) or key in found:
+        if not (key and equals and value) or key in texts:
             raise LinkError(f"got {shown(lines)}, need lines like 1=12.5, each key once")
-        found[key] = value
-    return found
+        texts[key] = value
+    return texts
 
 
 def values(lines: Sequence[str], keys: Sequence[str]) -> list[float]:
     """Return the finite numbers of exactly these keys, in this order; raises LinkError."""
-    found = pairs(lines)
-    if found.keys() != set(keys):
+    texts = pairs(lines)
+    if texts.keys() != set(keys):
         raise LinkError(f"got {shown(lines)}, need a value of {', '.join(keys)}")
-    return [real(found[key]) for key in keys]
+    return [real(texts[key]) for key in keys]
 
 
 def timer(lines: Sequence[str]) -> float:
@@ -172,29 +172,29 @@ def parameter(lines: Sequence[str], item: str, number: int) -> float:
 
 
 def parameters(lines: Sequence[str]) -> dict[int, str]:
-    """Return what an answer of HPA? lists: a sentence for each number; other lines are left out."""
-    found: dict[int, str] = {}
+    """Return the descriptions in an answer of HPA? by parameter number; other lines are left out."""
+    descriptions: dict[int, str] = {}
     for line in lines:
-        key, equals, sentence = line.partition("=")
+        key, equals, description = line.partition("=")
         if equals and _PARAMETER.fullmatch(key.strip()):
-            found[_decoded(key.strip())] = sentence.strip()
-    return found
+            descriptions[_decoded(key.strip())] = description.strip()
+    return descriptions
 
 
 def names(lines: Sequence[str]) -> list[str]:
     """Return axes, from an answer of SAI?; raises LinkError."""
-    found = [line.strip() for line in lines]
-    if len(set(found)) != len(found) or not found or any(not _NAME.fullmatch(name) for name in found):
+    axes = [line.strip() for line in lines]
+    if len(set(axes)) != len(axes) or not axes or any(not _NAME.fullmatch(name) for name in axes):
         raise LinkError(f"got {shown(lines)}, need the names of axes, one a line")
-    return found
+    return axes
 
 
 def commands(lines: Sequence[str]) -> frozenset[str]:
     """Return the commands that an answer of HLP? lists; raises LinkError if there are none."""
-    found = frozenset(match.group(1) for line in lines if (match := _COMMAND.match(line.strip())))
-    if not found:
+    listed = frozenset(match.group(1) for line in lines if (match := _COMMAND.match(line.strip())))
+    if not listed:
         raise LinkError(f"got {shown(lines)}, need a list of commands")
-    return found
+    return listed
 
 
 def options(lines: Sequence[str]) -> Options | None:
@@ -206,7 +206,7 @@ def options(lines: Sequence[str]) -> Options | None:
 
 
 def shown(got: object) -> str:
-    """Return what came, as Python would write it, cut to a length that fits a message."""
+    """Return the repr of an answer, cut to a length that fits a message."""
     if isinstance(got, Sequence) and not isinstance(got, str | bytes) and len(got) == 1:
         got = got[0]
     text = repr(got[: 4 * _SHOWN] if isinstance(got, str | bytes | list | tuple) else got)
@@ -224,10 +224,10 @@ def _listed(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
 
 def _first(listed: Mapping[int, str], *wanted: str) -> int | None:
     for words in wanted:
-        # A control voltage is one before the amplifier: only where there is nothing better.
-        found = sorted(("control" in text, number) for number, text in listed.items() if words in text)
-        if found:
-            return found[0][1]
+        # A control voltage lies before the amplifier: it comes last.
+        matches = sorted(("control" in text, number) for number, text in listed.items() if words in text)
+        if matches:
+            return matches[0][1]
     return None
 
 

@@ -1,4 +1,4 @@
-"""A wave put out by the host, a voltage at a time, where a device has no wave table: slow, and its steps uneven."""
+"""A wave timed by the host, one voltage at a time, for a device without a wave table: slow, with uneven steps."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.instruments.base import AbstractRig, Reading, Samples
 
-# Hz that a host and a round trip keep.
+# Highest rate [Hz] that a host keeps with one round trip a sample.
 HIGHEST_RATE = 200.0
-# Seconds between two lots.
-_LOT = 0.2
+# Seconds between two batches of samples.
+_BATCH_SECONDS = 0.2
 
 
 def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Samples]:
-    """Put voltages (n,) [V] at `rate` [Hz] or slower, never faster, and read the instrument after each.
+    """Send voltages (n,) [V] at `rate` [Hz] or slower, never faster, and read the instrument after each.
 
-    For the `AbstractRig._wave` of a leaf, whose `nearest_rate` gives no more than `HIGHEST_RATE`. What is yielded has
-    the times at which it was read, by the device's clock.
+    For the `AbstractRig._wave` of a driver whose `nearest_rate` returns at most `HIGHEST_RATE`. The samples have the
+    times at which they were read, by the device's clock.
     """
-    period, lot, shown = 1 / rate, [], time.monotonic()
+    period, readings, yielded = 1 / rate, [], time.monotonic()
     for v in voltage:
         rig._put(float(v))
-        # From when it has surely been put: the next step may come late, but by the slew rate not early.
-        put = time.monotonic()
-        lot.append(rig._read())
+        # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
+        sent = time.monotonic()
+        readings.append(rig._read())
         now = time.monotonic()
-        if now - shown >= _LOT:
-            yield _samples(lot)
-            lot, shown = [], now
-        rig._wait(max(0.0, put + period - time.monotonic()))
-    if lot:
-        yield _samples(lot)
+        if now - yielded >= _BATCH_SECONDS:
+            yield _samples(readings)
+            readings, yielded = [], now
+        rig._wait(max(0.0, sent + period - time.monotonic()))
+    if readings:
+        yield _samples(readings)
 
 
-def _samples(lot: list[Reading]) -> Samples:
-    return Samples(*np.array(lot, dtype=np.float64).T)
+def _samples(readings: list[Reading]) -> Samples:
+    return Samples(*np.array(readings, dtype=np.float64).T)

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and a terminal that goes: the first stops what is played, later ones wait until all is safe."""
+"""Ctrl-C, SIGTERM and SIGHUP: the first signal stops the wave, later ones wait until the voltage is safe."""
 
 from __future__ import annotations
 
@@ -9,92 +9,92 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-_NUMBERS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class Shield:
-    """What becomes of signals; made by `shielded`.
+    """Signal handlers that can defer signals; made by `shielded`.
 
     Attributes
     ----------
-    held : bool
-        Whether they wait. Set by the first that raises an exception.
+    deferring : bool
+        Whether signals wait. The first signal that raises an exception sets it.
     """
 
     def __init__(self) -> None:
-        self.held, self.stopped = True, False
-        self.late: list[int] = []
-        self._before: dict[int, Any] = {}
+        self.deferring, self._stopped = True, False
+        self.deferred: list[int] = []
+        self._handlers: dict[int, Any] = {}
 
-    def raise_(self) -> None:
-        """Put up; signals wait."""
-        # Elsewhere no signal arrives. What is ignored, or not Python's, is left alone.
+    def install(self) -> None:
+        """Replace the handlers; signals wait."""
+        # Other threads receive no signals. Ignored signals, and handlers that are not Python's, are left alone.
         if threading.current_thread() is threading.main_thread():
-            self._before = {
+            self._handlers = {
                 number: handler
-                for number in _NUMBERS
+                for number in _SIGNALS
                 if (handler := signal.getsignal(number)) not in (None, signal.SIG_IGN)
             }
-            for number in self._before:
-                signal.signal(number, self._came)
+            for number in self._handlers:
+                signal.signal(number, self._handle)
 
     def open(self) -> None:
         """Let the first signal through."""
-        self.held = False
-        for number in self._taken():
+        self.deferring = False
+        for number in self._take_deferred():
             signal.raise_signal(number)
 
-    def lower(self) -> None:
-        """Put the handlers back; one of them may raise at once."""
-        self.held = True
+    def restore(self) -> None:
+        """Restore the handlers; one of them may raise at once."""
+        self.deferring = True
         try:
-            while self._before:
-                number, handler = next(iter(self._before.items()))
+            while self._handlers:
+                number, handler = next(iter(self._handlers.items()))
                 signal.signal(number, handler)
-                del self._before[number]
+                del self._handlers[number]
         finally:
-            if self._before:
-                self.lower()
+            if self._handlers:
+                self.restore()
 
     def deliver(self) -> None:
-        """Act on what came late, unless a signal is why all ended."""
-        if not self.stopped:
-            for number in self._taken()[:1]:
+        """Raise a deferred signal, unless a signal has already ended the block."""
+        if not self._stopped:
+            for number in self._take_deferred()[:1]:
                 signal.raise_signal(number)
 
-    def _taken(self) -> list[int]:
-        late, self.late = self.late, []
-        return late
+    def _take_deferred(self) -> list[int]:
+        deferred, self.deferred = self.deferred, []
+        return deferred
 
-    def _came(self, number: int, frame: FrameType | None) -> None:
-        if self.held:
-            self.late.append(number)
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.deferring:
+            self.deferred.append(number)
             return
-        self.held = self.stopped = True
-        handler = self._before[number]
+        self.deferring = self._stopped = True
+        handler = self._handlers[number]
         if not callable(handler):
-            # It would end the process at once, with the voltage where it is.
+            # The system's handler would end the process at once and leave the voltage where it is.
             raise SystemExit(128 + number)
         handler(number, frame)
-        # One that raises nothing does not mean to stop.
-        self.held = self.stopped = False
+        # A handler that raises nothing does not stop the block.
+        self.deferring = self._stopped = False
 
 
 @contextmanager
-def shielded(*, held: bool = False) -> Iterator[Shield]:
-    """Let through the first signal, and let all others wait; with `held` all wait.
+def shielded(*, defer: bool = False) -> Iterator[Shield]:
+    """Let the first signal through and defer all others; with `defer` defer all.
 
-    A signal whose handler is the system's, SIGTERM as a rule, raises SystemExit: what is played is stopped, too.
+    A signal whose handler is the system's, usually SIGTERM, raises SystemExit, so that the wave is stopped too.
     """
     shield = Shield()
-    shield.raise_()
+    shield.install()
     try:
-        if not held:
+        if not defer:
             shield.open()
         yield shield
     except BaseException:
-        shield.lower()
+        shield.restore()
         shield.deliver()
         raise
-    shield.lower()
+    shield.restore()
     shield.deliver()

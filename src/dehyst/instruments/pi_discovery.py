@@ -1,4 +1,4 @@
-"""What a PI controller says of itself: axis, limits, wave table and data recorder. Nothing is known by model."""
+"""Discovery of a PI controller: axis, limits, wave table and data recorder, all queried, none by its model number."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FOR_VOLTAGES = ("SVA", "VOL?", "POS?", "ERR?")
 
 @dataclass(frozen=True)
 class WaveTraits:
-    """What a controller that plays waves and records has.
+    """Properties of a controller that plays and records waves.
 
     Attributes
     ----------
@@ -36,22 +36,22 @@ class WaveTraits:
 
 @dataclass(frozen=True)
 class Traits:
-    """What is needed to know of a controller.
+    """Properties of a controller.
 
     Attributes
     ----------
     axis : str
-        Its name there.
+        Name of the axis.
     channel : str
         Name of its piezo channel.
     generator : str
         Number of its wave generator.
     limits : VoltageLimits
-        Voltages [V] that the controller allows; a slew rate [V/s] if it tells one of open loop.
+        Voltages [V] that the controller allows; a slew rate [V/s] if it reports one of open loop.
     waves : WaveTraits or None
         None if it cannot play and record by itself.
     missing : str
-        What it lacks for that.
+        What it lacks for that, as a sentence.
     """
 
     axis: str
@@ -62,49 +62,49 @@ class Traits:
     missing: str = ""
 
 
-def inquire(client: GcsClient, axis: str | None, limits: tuple[float, float] | None) -> Traits:
-    """Ask a controller what it is.
+def discover(client: GcsClient, axis: str | None, limits: tuple[float, float] | None) -> Traits:
+    """Query the properties of a controller.
 
     Parameters
     ----------
     client : GcsClient
     axis : str, optional
-        Needed where there are several.
+        Needed if the controller has several.
     limits : (float, float), optional
-        Voltages [V] to take where the controller does not tell its own.
+        Voltages [V] to use if the controller does not report its own.
 
     Raises
     ------
     DeviceError
-        If it cannot send a voltage and read a displacement, or does not tell its limits.
+        If it cannot send a voltage and read a displacement, or does not report its limits.
     RigError
         If it has no such axis.
     LinkError
-        If an answer is none.
+        If an answer is not valid.
     """
     absent = [word for word in _FOR_VOLTAGES if word not in client.commands]
     if absent:
         raise DeviceError(
-            f"{client.name}: does not know {', '.join(absent)}, need open-loop voltages and a position; use another one"
+            f"{client.name}: lacks the commands {', '.join(absent)}, need open-loop voltages and a position; use "
+            "another controller"
         )
     client.clear()
     name, number = _axis(client, axis)
     channel = _channel(client, name, number)
     _refuse_offline(client, channel)
-    told = _limits(client, channel, limits)
-    traits = Traits(name, channel, number, told, None)
+    traits = Traits(name, channel, number, _limits(client, channel, limits), None)
     absent = [word for word in _FOR_WAVES if word not in client.commands]
     if absent:
-        return replace(traits, missing=f"does not know {', '.join(absent)}")
+        return replace(traits, missing=f"lacks the commands {', '.join(absent)}")
     waves, missing = _waves(client)
     return replace(traits, waves=waves, missing=missing)
 
 
 def _axis(client: GcsClient, wanted: str | None) -> tuple[str, str]:
-    """The axis, and which one it is, from 1."""
-    axes = client.ask("SAI?", gcs_syntax.names) if "SAI?" in client.commands else ["1"]
+    """Return the name of the axis, and its number from 1."""
+    axes = client.query("SAI?", gcs_syntax.names) if "SAI?" in client.commands else ["1"]
     if wanted is None and len(axes) > 1:
-        raise RigError(f"{client.name}: has the axes {', '.join(axes)}; say which, as in pi://host:port/{axes[0]}")
+        raise RigError(f"{client.name}: has the axes {', '.join(axes)}; choose one, as in pi://host:port/{axes[0]}")
     name = axes[0] if wanted is None else wanted
     if name not in axes:
         raise RigError(f"{client.name}: got the axis {name!r}, it has {', '.join(axes)}; give one of them")
@@ -112,17 +112,17 @@ def _axis(client: GcsClient, wanted: str | None) -> tuple[str, str]:
 
 
 def _channel(client: GcsClient, axis: str, number: str) -> str:
-    """The axis' piezo channel: of its own name, else of its number."""
-    channels = client.ask("VOL?", gcs_syntax.pairs)
-    found = axis if axis in channels else number
-    if found not in channels:
+    """Return the axis' piezo channel: by the name of the axis, else by its number."""
+    channels = client.query("VOL?", gcs_syntax.pairs)
+    channel = axis if axis in channels else number
+    if channel not in channels:
         raise DeviceError(f"{client.name}: has the channels {', '.join(channels)}, need one for the axis {axis}")
-    return found
+    return channel
 
 
 def _refuse_offline(client: GcsClient, channel: str) -> None:
     if "ONL?" in client.commands:
-        (online,) = client.ask(gcs_syntax.command("ONL?", channel), lambda lines: gcs_syntax.counts(lines, [channel]))
+        (online,) = client.query(gcs_syntax.command("ONL?", channel), lambda lines: gcs_syntax.counts(lines, [channel]))
         if not online:
             raise DeviceError(f"{client.name}: channel {channel} is offline; switch it on there (ONL {channel} 1)")
 
@@ -131,41 +131,41 @@ def _limits(client: GcsClient, channel: str, given: tuple[float, float] | None) 
     slew_rate = _slew_rate(client)
     absent = [word for word in ("VMI?", "VMA?") if word not in client.commands]
     if absent and given is None:
-        raise DeviceError(f"{client.name}: does not know {', '.join(absent)}; give the voltages it may have (limits=)")
+        raise DeviceError(f"{client.name}: lacks the commands {', '.join(absent)}; give the allowed voltages (limits=)")
     if absent and given is not None:
         return VoltageLimits(*given, slew_rate)
     low, high = (
-        client.ask(gcs_syntax.command(word, channel), lambda lines: gcs_syntax.values(lines, [channel]))[0]
+        client.query(gcs_syntax.command(word, channel), lambda lines: gcs_syntax.values(lines, [channel]))[0]
         for word in ("VMI?", "VMA?")
     )
     if not low < high:
-        raise LinkError(f"{client.name}: says that {low:g} to {high:g} V are allowed; that is no range")
+        raise LinkError(f"{client.name}: reports limits of {low:g} to {high:g} V, need a range; check its settings")
     return VoltageLimits(low, high, slew_rate)
 
 
 def _slew_rate(client: GcsClient) -> float | None:
-    """The largest abs(dv/dt) [V/s] in open loop, if the controller has a parameter that it calls so."""
+    """Return the largest abs(dv/dt) [V/s] in open loop, if the controller has a parameter with such a description."""
     if not {"HPA?", "SPA?"} <= client.commands:
         return None
-    listed = client.ask("HPA?", gcs_syntax.parameters)
-    found = [number for number, said in listed.items() if "slew" in said.lower() and "open" in said.lower()]
-    rate = _parameter(client, found[0]) if found else None
+    listed = client.query("HPA?", gcs_syntax.parameters)
+    numbers = [number for number, text in listed.items() if "slew" in text.lower() and "open" in text.lower()]
+    rate = _parameter(client, numbers[0]) if numbers else None
     return rate if rate is not None and rate > 0 else None
 
 
 def _waves(client: GcsClient) -> tuple[WaveTraits | None, str]:
-    """What the wave generator and the recorder have, or what is missing."""
-    options = client.ask("HDR?", gcs_syntax.options)
+    """Return the properties of wave generator and recorder, or what is missing."""
+    options = client.query("HDR?", gcs_syntax.options)
     if options is None:
         return None, "cannot record both position and voltage (HDR?)"
-    tables = client.ask("TNR?", lambda lines: gcs_syntax.integer(gcs_syntax.single(lines)))
+    tables = client.query("TNR?", lambda lines: gcs_syntax.integer(gcs_syntax.single(lines)))
     if tables < 2:
         return None, f"has {tables} recorder tables (TNR?), need 2"
-    found = [_parameter(client, number) for number in (_SERVO_PERIOD, _WAVE_POINTS, _RECORD_POINTS)]
-    absent = [f"{n:#010x}" for n, v in zip((_SERVO_PERIOD, _WAVE_POINTS, _RECORD_POINTS), found, strict=True) if not v]
+    values = {number: _parameter(client, number) for number in (_SERVO_PERIOD, _WAVE_POINTS, _RECORD_POINTS)}
+    absent = [f"{number:#010x}" for number, value in values.items() if not value]
     if absent:
-        return None, f"does not tell the parameters {', '.join(absent)} (SPA?)"
-    period, points, recorded = (value or 0.0 for value in found)
+        return None, f"does not report the parameters {', '.join(absent)} (SPA?)"
+    period, points, recorded = (value or 0.0 for value in values.values())
     longest = int(min(points, recorded // tables))
     if not (0 < period <= 1 and longest >= 2):
         return None, f"has a servo update time of {period:g} s and tables of {longest} points (SPA?)"
@@ -173,12 +173,12 @@ def _waves(client: GcsClient) -> tuple[WaveTraits | None, str]:
 
 
 def _parameter(client: GcsClient, number: int) -> float | None:
-    """A parameter's value; None if the controller does not answer with one."""
+    """Return a parameter's value; None if the controller does not answer with one."""
     try:
-        return client.ask(
+        return client.query(
             gcs_syntax.command("SPA?", 1, f"0x{number:08X}"), lambda lines: gcs_syntax.parameter(lines, "1", number)
         )
     except LinkError:
-        # An unknown parameter is not answered.
+        # A controller does not answer a query of an unknown parameter.
         client.clear()
         return None

@@ -1,4 +1,4 @@
-"""What a rig reads, and the look at samples that come before they are believed."""
+"""Readings and samples of a rig, and the check of samples as they arrive."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from dehyst._errors import DeviceError, LinkError, ModelError
 from dehyst._types import Array
 from dehyst._units import plain
 
-# By so much of the range a voltage that is read back may differ from the one that was sent.
-ASTRAY = 0.05
+# A voltage that is read back may differ from the sent one by this share of the range.
+READBACK_TOLERANCE = 0.05
 
 
 class Reading(NamedTuple):
-    """What a rig reads: time [s] of its own clock, voltage [V], displacement [m]."""
+    """One reading of a rig: time [s] of its own clock, voltage [V], displacement [m]."""
 
     time: float
     voltage: float
@@ -25,7 +25,7 @@ class Reading(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Some samples of a record being made, in order: time (n,) [s], voltage (n,) [V], displacement (n,) [m]."""
+    """Consecutive samples of a record: time (n,) [s], voltage (n,) [V], displacement (n,) [m]."""
 
     time: Array
     voltage: Array
@@ -36,7 +36,7 @@ Listener = Callable[[Samples], None]
 
 
 class Inspection:
-    """Looks at the samples of one record, piece by piece.
+    """A check of the samples of one record, piece by piece.
 
     Parameters
     ----------
@@ -50,18 +50,18 @@ class Inspection:
         self._name, self._span, self._last = name, span, -math.inf
 
     def begin(self, voltage: Array) -> None:
-        """A piece begins whose voltages (n,) [V] are sent."""
+        """Begin a piece whose voltages (n,) [V] are sent."""
         self._sent, self._count = voltage, 0
         # A recorder may be a sample or two late.
-        self._slack = max(ASTRAY * self._span, 2 * float(np.abs(np.diff(voltage)).max(initial=0.0)))
+        self._slack = max(READBACK_TOLERANCE * self._span, 2 * float(np.abs(np.diff(voltage)).max(initial=0.0)))
 
     def admit(self, samples: Samples) -> Samples:
-        """The same as arrays.
+        """Return the samples as arrays.
 
         Raises
         ------
         LinkError
-            If they are no samples that can follow those before: too many, not finite, times that do not rise.
+            If they cannot follow the samples before: too many, not finite, or times that do not increase.
         """
         time, voltage, displacement = (self._column(*column) for column in zip(samples, Samples._fields, strict=True))
         sizes = {column.shape for column in (time, voltage, displacement)}
@@ -78,7 +78,7 @@ class Inspection:
             first = int(np.argmax(np.diff(times) <= 0))
             raise LinkError(
                 f"{self._name}: got a sample of {times[first + 1]:.9g} s after one of {times[first]:.9g} s, need "
-                "rising times; check the link and the device's clock"
+                "increasing times; check the link and the device's clock"
             )
         self._last = float(times[-1])
         return Samples(time, voltage, displacement)
@@ -89,19 +89,19 @@ class Inspection:
         except ModelError as error:
             raise LinkError(f"{self._name}: {error}; check the driver") from error
 
-    def judge(self, samples: Samples) -> None:
-        """Compare the voltages that were recorded with those that were sent; raises DeviceError."""
+    def compare(self, samples: Samples) -> None:
+        """Compare recorded with sent voltages; raises DeviceError."""
         sent = self._sent[self._count : self._count + samples.time.size]
         self._count += samples.time.size
-        astray = float(np.abs(samples.voltage - sent).max(initial=0.0))
-        if astray > self._slack:
+        difference = float(np.abs(samples.voltage - sent).max(initial=0.0))
+        if difference > self._slack:
             raise DeviceError(
-                f"{self._name}: its output is {astray:.4g} V away from what was sent; is the amplifier on, the servo "
-                "off and the channel the right one?"
+                f"{self._name}: its output is {difference:.4g} V away from what was sent; is the amplifier on, the "
+                "servo off and the channel the right one?"
             )
 
     def end(self) -> None:
-        """The piece has ended; raises DeviceError if samples are missing."""
+        """End the piece; raises DeviceError if samples are missing."""
         if self._count < self._sent.size:
             raise DeviceError(
                 f"{self._name}: recorded {self._count} of {self._sent.size} samples; check its data recorder"

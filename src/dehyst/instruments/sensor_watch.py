@@ -1,4 +1,4 @@
-"""A look at the sensor while a record is made: whether the displacement still follows the voltage."""
+"""A watch on the sensor during a record: whether the displacement still follows the voltage."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import numpy as np
 from dehyst._errors import SensorError
 from dehyst._types import Array
 
-# No piezo actuator stands still, to the last digit of a reading, while its voltage crosses so much of its range.
+# A reading that is constant to the last digit while the voltage crosses this share of its range is not a piezo's.
 _DEAD = 0.2
 
 
 class SensorWatch:
-    """Sees samples as they come, and raises when the reading stands still while the voltage moves.
+    """A check of samples as they arrive: it raises when the reading is constant while the voltage moves.
 
     Parameters
     ----------
@@ -26,14 +26,14 @@ class SensorWatch:
         self._low = self._high = 0.0
         self._moved = False
 
-    def see(self, voltage: Array, displacement: Array) -> None:
-        """Look at samples (n,) [V], (n,) [m] that follow the ones before.
+    def observe(self, voltage: Array, displacement: Array) -> None:
+        """Check samples (n,) [V], (n,) [m] that follow the ones before.
 
         Raises
         ------
         SensorError
-            If the reading has not changed while the voltage crossed a fifth of its range; whether it moved
-            before makes the message.
+            If the reading has not changed while the voltage crossed a fifth of its range; the message depends on
+            whether it moved before.
         """
         if not displacement.size:
             return
@@ -41,9 +41,9 @@ class SensorWatch:
         for first, stop in zip([0, *starts], [*starts, displacement.size], strict=True):
             if first == stop:
                 continue
-            self._stretch(float(displacement[first]), voltage[first:stop])
+            self._extend(float(displacement[first]), voltage[first:stop])
 
-    def _stretch(self, value: float, voltage: Array) -> None:
+    def _extend(self, value: float, voltage: Array) -> None:
         low, high = float(voltage.min()), float(voltage.max())
         if value == self._value:
             low, high = min(low, self._low), max(high, self._high)
@@ -54,11 +54,11 @@ class SensorWatch:
             self._refuse()
 
     def _refuse(self) -> None:
-        went = f"stays at {1e6 * (self._value or 0.0):.6g} um while the voltage goes from {self._low:.6g} to "
-        went += f"{self._high:.6g} V"
+        what = f"stays at {1e6 * (self._value or 0.0):.6g} um while the voltage goes from {self._low:.6g} to "
+        what += f"{self._high:.6g} V"
         if self._moved:
             raise SensorError(
-                f"the sensor hangs or is saturated: it {went}; shift its range, use less voltage (--limits), or look "
+                f"the sensor hangs or is saturated: it {what}; shift its range, use less voltage (--limits), or look "
                 "at its cable"
             )
-        raise SensorError(f"the sensor does not move: it {went}; is it plugged in, switched on, the right channel?")
+        raise SensorError(f"the sensor does not move: it {what}; is it plugged in, switched on, the right channel?")

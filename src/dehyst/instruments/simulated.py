@@ -1,4 +1,4 @@
-"""A rig without an instrument: a virtual bench in a time of its own, as fast as it computes."""
+"""A rig without an instrument: a virtual bench with its own clock, as fast as it computes."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from dehyst.instruments.base import AbstractRig, Reading, Samples
 from dehyst.model import Actuator
 from dehyst.virtual import ModelledActuator, VirtualActuator, VirtualBench
 
-# A wave comes in so many lots, for progress to be seen.
-_LOTS = 100
+# Batches of samples in one wave, so that progress can be shown.
+_BATCHES = 100
 
 
 class SimulatedRig(AbstractRig):
@@ -22,20 +22,20 @@ class SimulatedRig(AbstractRig):
     Parameters
     ----------
     truth : VirtualActuator or Actuator
-        What is driven, at rest at 0 V; the rig's identity is its `dehyst.virtual.modelled.fingerprint`.
+        The driven actuator, at rest at 0 V; the rig's identity is its `dehyst.virtual.modelled.fingerprint`.
     limits : (float, float), optional
         Voltages that the user allows [V].
     slew_rate : float, optional
         Largest abs(dv/dt) [V/s] that the user allows.
     device_limits : (float, float), optional
-        What the amplifier can put out [V]; default: the actuator's limits, or 0 V to its highest voltage.
+        Output range of the amplifier [V]; default: the actuator's limits, or 0 V to its highest voltage.
     options : optional
-        Of `VirtualBench`, but for its limits, slew rate, clock and speed.
+        Of `VirtualBench`, except its limits, slew rate, clock and speed.
 
     Attributes
     ----------
     instrument : VirtualBench
-        The bench itself: its `log` tells what was put out.
+        The bench itself; its `log` records the output.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class SimulatedRig(AbstractRig):
         )
 
     def nearest_rate(self, sample_rate: float) -> float:
-        """The rate [Hz] nearest to `sample_rate` with a whole number of servo periods between samples."""
+        """Return the rate [Hz] nearest to `sample_rate` with a whole number of servo periods between samples."""
         return 1.0 / (self._divider(sample_rate) * self.instrument.servo_period)
 
     def _divider(self, rate: float) -> int:
@@ -83,16 +83,16 @@ class SimulatedRig(AbstractRig):
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
         bench, divider = self.instrument, self._divider(rate)
         period = divider * bench.servo_period
-        # The last sample of a wave before this one may be of this very moment.
+        # The last sample of the wave before may have been taken at this instant.
         self._wait(period)
         bench.start(voltage, divider)
-        lot = max(1, voltage.size // _LOTS)
-        seen = 0
-        while bench.playing or seen < bench.recorded:
-            yield Samples(*bench.samples(seen))
-            seen = bench.recorded
+        batch = max(1, voltage.size // _BATCHES)
+        count = 0
+        while bench.playing or count < bench.recorded:
+            yield Samples(*bench.samples(count))
+            count = bench.recorded
             if bench.playing:
-                self._wait(min(lot, voltage.size - seen) * period)
+                self._wait(min(batch, voltage.size - count) * period)
 
     def _halt(self) -> None:
         self.instrument.stop()

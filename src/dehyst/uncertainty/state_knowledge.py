@@ -49,8 +49,8 @@ class StateKnowledge:
         seen = known_by_displacement(0.5 * reach, path).first_known
         played = None
         if ordered:
-            bracket = StateBounds.at_rest(stiff, float(record.voltage[0]))
-            played = bracket.drive(stiff, record.voltage).first_known
+            bounds = StateBounds.at_rest(stiff, float(record.voltage[0]))
+            played = bounds.propagate(stiff, record.voltage).first_known
 
         def time(sample: int | None) -> float | None:
             return None if sample is None else float(record.time[sample] - record.time[0])

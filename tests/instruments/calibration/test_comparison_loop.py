@@ -83,7 +83,7 @@ def test_a_cycle_follows_an_earlier_top_and_returns_to_the_lowest_voltage():
 
 
 def test_what_has_no_such_cycle_has_no_replay():
-    assert replay(staircase(200, steps=5, hold=0.1, back=True, drive=PACE.drive())) is None
+    assert replay(staircase(200, steps=5, hold=0.1, back=True, drive=PACE.sampling())) is None
 
 
 @pytest.mark.parametrize("name", ["look", "tops", "others", "homing"])
@@ -111,7 +111,7 @@ def same_actuators():
 def test_the_same_actuator_agrees_whatever_came_between(truth, frequency, left_at, rest):
     truth.relax()
     rig = SimulatedRig(truth)
-    pace = Plan(frequency=frequency).pace(rig)
+    pace = Plan(frequency=frequency).excitations(rig)
     record = rig.play(pace.look())
     rig.set_voltage(left_at)
     rig._wait(rest)
@@ -211,7 +211,7 @@ def test_another_actuator_behind_an_equal_identity_is_refused(folder):
 
 def test_a_calibration_refuses_it_and_leaves_a_safe_voltage(folder):
     rig = rig_of(PreisachActuator())
-    look = Plan().pace(rig).look()
+    look = Plan().excitations(rig).look()
     (folder / "records" / "look.h5").unlink()
     Session(folder, rig_of(PlayActuator()), NullProgress()).record(look, "look")
     before = contents(folder)
@@ -227,7 +227,7 @@ def test_a_calibration_refuses_it_and_leaves_a_safe_voltage(folder):
 
 
 def test_a_record_without_a_loop_is_played_anew_not_trusted(tmp_path):
-    stairs = staircase(200, steps=5, hold=0.1, back=True, drive=PACE.drive())
+    stairs = staircase(200, steps=5, hold=0.1, back=True, drive=PACE.sampling())
     Session(tmp_path, rig_of(PlayActuator()), NullProgress()).record(stairs, "stairs")
     job = Session(tmp_path, rig_of(PlayActuator(stroke=0.6 * STROKE)), NullProgress())
     job.record(stairs, "stairs")
@@ -344,7 +344,7 @@ def test_a_second_actuator_behind_the_emulator_is_refused(tmp_path):
     first_model, second_model = (str(tmp_path / name / "model.json") for name in ("a", "b"))
     with Served("--actuator", first_model, "--speed", "20") as served, open_rig(served.address) as rig:
         first = rig.identity
-        Session(tmp_path / "out", rig, NullProgress()).record(Plan().pace(rig).look(), "look")
+        Session(tmp_path / "out", rig, NullProgress()).record(Plan().excitations(rig).look(), "look")
     before = contents(tmp_path / "out")
     with Served("--actuator", second_model) as served:
         done = calibrated(served.address, tmp_path / "out")
@@ -368,7 +368,7 @@ def test_a_rig_of_ones_own_with_another_actuator_is_refused(tmp_path):
     own = tmp_path / "own.py"
     own.write_text(source.format(stroke=STROKE))
     with open_rig(f"{own}:make") as rig:
-        Session(tmp_path / "out", rig, NullProgress()).record(Plan().pace(rig).look(), "look")
+        Session(tmp_path / "out", rig, NullProgress()).record(Plan().excitations(rig).look(), "look")
     before = contents(tmp_path / "out")
     own.write_text(source.format(stroke=0.6 * STROKE))
     done = calibrated(f"{own}:make", tmp_path / "out")

@@ -221,7 +221,7 @@ def test_no_right_to_read_is_no_record(folder, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(files, "content_of", refuse)
         job = Session(folder, SimulatedRig(PlayActuator()), NullProgress())
-        assert not job.holds(LOOK, "look")
+        assert not job.is_complete(LOOK, "look")
     assert go_on(folder)
 
 

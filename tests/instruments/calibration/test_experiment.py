@@ -155,14 +155,14 @@ def test_a_folder_of_another_instrument_is_refused(finished):
 
 
 def test_a_given_protocol_is_played_as_it_is(tmp_path):
-    given = raised_cosine([200, 150, 100, 50], cycles=2, drive=ExcitationPlan(0, 200, 400.0).drive())
+    given = raised_cosine([200, 150, 100, 50], cycles=2, drive=ExcitationPlan(0, 200, 400.0).sampling())
     found = calibrate(SimulatedRig(PlayActuator()), tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
     assert [one.name for one in found.training] == ["look", "given-1"]
     np.testing.assert_allclose(read(tmp_path / "records" / "given-1.h5").voltage, given.voltage, atol=1e-9)
 
 
 def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
-    given = raised_cosine([150.0], drive=ExcitationPlan(0, 200, 400.0).drive())
+    given = raised_cosine([150.0], drive=ExcitationPlan(0, 200, 400.0).sampling())
     rig = SimulatedRig(PlayActuator(), limits=(0, 100))
     with pytest.raises(RecordError, match=r"raised-cosine: 0 to 150 V, but .* may have 0 to 100 V"):
         calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
@@ -172,7 +172,7 @@ def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
 
 def test_it_retreats_from_what_stops_it_between_records(tmp_path):
     """The given protocol ends at 100 V, where the voltage stays while the model is identified."""
-    rising = raised_cosine([200, 100], cycles=1, drive=ExcitationPlan(0, 200, 400.0).drive())
+    rising = raised_cosine([200, 100], cycles=1, drive=ExcitationPlan(0, 200, 400.0).sampling())
     given = Excitation("rising", rising.voltage[:-200], rising.sample_rate)
     rig = SimulatedRig(PlayActuator())
 
@@ -251,7 +251,7 @@ def test_it_ends_at_a_safe_voltage(finished):
 )
 def test_impossible_plans_are_refused(wrong):
     with pytest.raises(DehystError, match=next(iter(wrong))):
-        Plan(**wrong).pace(SimulatedRig(PlayActuator()))
+        Plan(**wrong).excitations(SimulatedRig(PlayActuator()))
 
 
 @pytest.mark.parametrize("creep", [0.0, 0.002, 0.02])

@@ -1,4 +1,4 @@
-"""Calibration: the whole experiment on an instrument."""
+"""Calibration: the complete experiment on an instrument."""
 
 from dehyst.instruments.calibration.experiment import Calibration, calibrate
 from dehyst.instruments.calibration.plan import Plan

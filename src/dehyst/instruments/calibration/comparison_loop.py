@@ -1,4 +1,4 @@
-"""One loop of a record on disk, played again: whether the actuator is still the one that was recorded."""
+"""The comparison loop: one loop of a record on disk is played again, to check that the actuator is the same."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from dehyst._types import Array
 from dehyst.records import Record
 from dehyst.waveforms import Excitation
 
-# A loop is compared in so many mean values, each over as many samples.
+# Number of mean values of a loop that are compared, each over as many samples.
 _PARTS = 40
-# A voltage this near to an end of the range, as a share of it, is at that end.
+# A voltage this close to an end of the range, as a share of it, is at that end.
 _NEAR = 1e-6
 # Share of the stroke by which the same actuator may differ after hours, by temperature or creep. Two of one type differ
-# by more, and a model of 1 % is of no use if the actuator has changed by more.
+# by more, and a model of 1 % is useless if the actuator has changed by more.
 _LEAST = 0.01
-# What the spread from cycle to cycle may add, in spreads of two cycles, and as a share of the stroke at most.
+# Allowance for the spread from cycle to cycle, in spreads of two cycles, and at most as a share of the stroke.
 _SPREADS, _MOST = 2.0, 0.1
 # Peak to peak of the noise on the mean values of a loop without its drift, in standard deviations, with a margin.
 _DEVIATIONS = 8.0
-# Samples that a cycle must have to be compared.
+# Least samples of a cycle that is compared.
 _FEWEST = 8
 
 
@@ -34,9 +34,9 @@ class Cycle(NamedTuple):
     last: int
 
     def parts(self, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Which of the parts of the cycle each sample of a record is in, and -1 for those outside.
+        """Return the part of the cycle of each sample of a record, and -1 for those outside.
 
-        Of two samples of one voltage, where a device played in pieces, the second one is outside, too.
+        Of two samples of one voltage, where a device played in pieces, the second one is outside too.
         """
         count = min(_PARTS, (self.last - self.first + 1) // 2)
         part = (rows - self.first) * count // (self.last - self.first + 1)
@@ -46,7 +46,7 @@ class Cycle(NamedTuple):
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far a loop that was played again agrees with the record on disk.
+    """The agreement of a loop that was played again with the record on disk.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Agreement:
     difference : float
         Peak to peak, as a share of the stroke of the loop on disk.
     allowed : float
-        What noise, spread from cycle to cycle, creep and temperature may come to, as a share of the stroke.
+        Most that noise, spread from cycle to cycle, creep and temperature may add up to, as a share of the stroke.
     """
 
     record: str
@@ -76,7 +76,7 @@ class Agreement:
 
     @property
     def refusal(self) -> str:
-        """What to raise if the loops differ by more than is allowed."""
+        """The error message for loops that differ by more than is allowed."""
         return (
             f"this looks like another actuator (loop differs by {100 * self.difference:.2g} % of the stroke from the "
             f"record '{self.record}' in this folder, at most {100 * self.allowed:.2g} % is expected of the same one); "
@@ -84,7 +84,7 @@ class Agreement:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Return JSON values."""
         return {
             "record": self.record,
             "difference_percent": 100 * self.difference,
@@ -93,9 +93,9 @@ class Agreement:
 
 
 def cycles(voltage: Array) -> list[Cycle]:
-    """Cycles through the whole range of a voltage (n,) that follow an earlier visit of its highest value.
+    """Return the cycles through the whole range of a voltage (n,) that follow an earlier visit of its highest value.
 
-    What was played before the excitation does not matter to them, only what it went through before.
+    They depend only on the excitation's own earlier samples, not on what was played before it.
     """
     low, high = float(voltage.min()), float(voltage.max())
     near = _NEAR * (high - low)
@@ -104,7 +104,7 @@ def cycles(voltage: Array) -> list[Cycle]:
     if not near or not bottoms.size:
         return []
     pairs = zip(bottoms[:-1].tolist(), bottoms[1:].tolist(), strict=True)
-    # Only between two visits of the lowest voltage with one of the highest between them there is a cycle.
+    # A cycle lies between two visits of the lowest voltage with a visit of the highest between them.
     through = np.searchsorted(tops, bottoms)
     return [
         Cycle(a, b)
@@ -114,17 +114,17 @@ def cycles(voltage: Array) -> list[Cycle]:
 
 
 def replay(excitation: Excitation) -> Excitation | None:
-    """The last whole cycle of an excitation, twice; the first rise depends on what was played before.
+    """Play the last whole cycle of an excitation twice; the first rise depends on what was played before.
 
     Returns
     -------
     Excitation or None
         None if it has no such cycle.
     """
-    found = cycles(excitation.voltage)
-    if not found:
+    whole = cycles(excitation.voltage)
+    if not whole:
         return None
-    cycle = excitation.voltage[found[-1].first : found[-1].last + 1]
+    cycle = excitation.voltage[whole[-1].first : whole[-1].last + 1]
     return Excitation("comparison", np.concatenate([cycle, cycle[1:]]), excitation.sample_rate)
 
 
@@ -142,34 +142,34 @@ def agreement(
     stored_rows, played_rows : (n,) int array
         Which sample of its excitation each sample of a record belongs to, see `AbstractRig.rows`.
     """
-    found = cycles(excitation.voltage)
-    length = found[-1].last - found[-1].first
-    old = _means(stored, found[-1].parts(stored_rows))
+    whole = cycles(excitation.voltage)
+    length = whole[-1].last - whole[-1].first
+    old = _means(stored, whole[-1].parts(stored_rows))
     new = _means(played, Cycle(length, 2 * length).parts(played_rows))
     stroke = float(np.ptp(old))
     if not stroke:
         return Agreement(stored.name, float(np.inf), _LEAST)
     a_mean = float(np.sqrt(old.size / (length + 1)))
     noise = _DEVIATIONS * a_mean * float(np.hypot(stored.noise, played.noise)) / stroke
-    spread = _SPREADS * max(0.0, _spread(stored, found, stored_rows) / stroke - noise)
-    return Agreement(stored.name, _apart(old, new) / stroke, _LEAST + noise + min(spread, _MOST))
+    spread = _SPREADS * max(0.0, _spread(stored, whole, stored_rows) / stroke - noise)
+    return Agreement(stored.name, _difference(old, new) / stroke, _LEAST + noise + min(spread, _MOST))
 
 
-def _spread(stored: Record, found: list[Cycle], rows: NDArray[np.intp]) -> float:
-    """Peak to peak [m] of what the last two cycles of a record differ by, if they were played alike; else 0."""
-    if len(found) < 2 or found[-1].last - found[-1].first != found[-2].last - found[-2].first:
+def _spread(stored: Record, whole: list[Cycle], rows: NDArray[np.intp]) -> float:
+    """Return the peak-to-peak difference [m] of the last two cycles of a record, if they have one length; else 0."""
+    if len(whole) < 2 or whole[-1].last - whole[-1].first != whole[-2].last - whole[-2].first:
         return 0.0
-    return _apart(*(_means(stored, cycle.parts(rows)) for cycle in found[-2:]))
+    return _difference(*(_means(stored, cycle.parts(rows)) for cycle in whole[-2:]))
 
 
 def _means(record: Record, part: NDArray[np.intp]) -> Array:
-    """Mean displacement [m] of each part."""
+    """Return the mean displacement [m] of each part."""
     inside = part >= 0
     return np.bincount(part[inside], record.displacement[inside]) / np.bincount(part[inside])
 
 
-def _apart(one: Array, other: Array) -> float:
-    """Peak to peak [m] of the difference of two loops, without what drifts from the beginning to the end of a cycle."""
-    difference = other - one
+def _difference(first: Array, second: Array) -> float:
+    """Return the peak-to-peak difference [m] of two loops, without its linear drift along the cycle."""
+    difference = second - first
     drift = np.linspace(difference[0], difference[-1], difference.size)
     return float(np.ptp(difference - drift))

@@ -1,4 +1,4 @@
-"""The whole experiment on an instrument: look, excite, record, identify, compensate, and measure what it is worth."""
+"""The complete experiment on an instrument: look, excite, record, identify, compensate, and verify on the bench."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ from dehyst.waveforms import Excitation
 
 __all__ = ["RESULTS", "Calibration", "Plan", "calibrate"]
 
-# Files that are written at the end, beside the records.
+# Files that are written at the end, next to the folder of records.
 RESULTS = ("model.json", "calibration.json")
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a calibration found.
+    """The result of a calibration.
 
     Attributes
     ----------
     fit : Fit
     insight : Insight
     creep : CreepCheck
-        Seen in the first look.
+        Of the first look.
     training, held_out : tuple of Record
     nominal, compensated : TrackedPath
-        What was measured along it, by a constant ratio and by the model.
+        The measured path, by a constant ratio and by the model.
     goal : float
         [% of the stroke].
     unreached : tuple of str
-        What the voltage could not follow, in sentences.
+        Where the voltage could not follow, in sentences.
     instrument : mapping
         Rig, axis, limits.
     kept, played : tuple of str
         Records that were on disk already, and those that were played.
     agreement : Agreement or None
-        Of a loop of those on disk with the same loop played now; None if none was on disk.
+        Of a loop on disk with the same loop played now; None if no record was on disk.
     """
 
     fit: Fit
@@ -74,26 +74,26 @@ class Calibration:
     @property
     def since(self) -> str:
         """When the first of its records began, in UTC."""
-        return min(str(one.meta.get("started", "")) for one in (*self.training, *self.held_out))
+        return min(str(record.meta.get("started", "")) for record in (*self.training, *self.held_out))
 
     @property
     def good(self) -> bool:
-        """Whether the model is of use and the path was followed as well as asked."""
+        """Whether the model is usable and the path was followed to the goal."""
         return self.fit.outcome.good and self.compensated.largest_percent <= self.goal
 
     def warnings(self) -> tuple[str, ...]:
-        """What must be known before the model is used."""
-        missed = self.compensated.largest_percent
-        said = [*self.insight.warnings(), *self.unreached]
-        if missed > self.goal:
-            said.append(
-                f"The path was followed to {missed:.3g} % of the stroke, and {self.goal:g} % was asked for; look at "
-                "the report's residuals, record at the speed of use (--frequency), or allow more with --goal."
+        """Return the warnings to read before the model is used."""
+        error = self.compensated.largest_percent
+        warnings = [*self.insight.warnings(), *self.unreached]
+        if error > self.goal:
+            warnings.append(
+                f"The path was followed to {error:.3g} % of the stroke, the goal is {self.goal:g} %; look at the "
+                "report's residuals, record at the speed of use (--frequency), or allow more with --goal."
             )
-        return tuple(said)
+        return tuple(warnings)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Return JSON values."""
         return {
             "program": __version__,
             **self.instrument,
@@ -103,7 +103,7 @@ class Calibration:
             "creep_percent": 100 * self.creep.share,
             "nominal": self.nominal.as_dict(),
             "compensated": self.compensated.as_dict(),
-            "records": [one.name for one in (*self.training, *self.held_out)],
+            "records": [record.name for record in (*self.training, *self.held_out)],
             "kept": list(self.kept),
             "played": list(self.played),
             "comparison": None if self.agreement is None else self.agreement.as_dict(),
@@ -119,73 +119,73 @@ def calibrate(
     plan: Plan | None = None,
     watcher: ProgressListener | None = None,
 ) -> Calibration:
-    """Do the whole experiment; records, model and numbers are left in a folder, the voltage at a safe value.
+    """Run the complete experiment; records, model and numbers go to a folder, the voltage ends at a safe value.
 
     Parameters
     ----------
     rig : AbstractRig
-        Its limits are what is driven through.
+        The actuator is driven through its limits.
     folder : path
-        Records in it that are whole are not played again, but for one loop that must agree with them.
+        Complete records in it are not played again, except one loop that must agree with them.
     plan : Plan, optional
     watcher : ProgressListener, optional
-        Is told how it goes on, as by `dehyst.cli.live.display`.
+        Receives the progress, like the result of `dehyst.cli.live.display`.
 
     Raises
     ------
     RigError
-        If the instrument fails; what came is on disk.
+        If the instrument fails; the samples that arrived are on disk.
     RecordError, IdentifyError
-        If what was recorded cannot be used, or the records in the folder look like those of another actuator.
+        If the records cannot be used, or those in the folder look like those of another actuator.
     FileFormatError
         If the folder cannot be written.
     """
-    told = watcher or NullProgress()
+    listener = watcher or NullProgress()
     plan = plan or Plan()
     for step in steps(rig, plan):
         if step.excitation is not None:
             rig.check(step.excitation)
-    job = _CalibrationRun(rig, Session(folder, rig, told), plan, told)
+    run = _CalibrationRun(rig, Session(folder, rig, listener), plan, listener)
     with rig.safely():
-        found = job.run()
-        if found.played or found.agreement is not None:
+        calibration = run.calibration()
+        if calibration.played or calibration.agreement is not None:
             rig.retreat()
-    job.write(found)
-    return found
+    run.write(calibration)
+    return calibration
 
 
 class _CalibrationRun:
     """One calibration."""
 
-    def __init__(self, rig: AbstractRig, campaign: Session, plan: Plan, watcher: ProgressListener) -> None:
-        self.rig, self.campaign, self.plan, self.watcher = rig, campaign, plan, watcher
-        self.pace = plan.pace(rig)
+    def __init__(self, rig: AbstractRig, session: Session, plan: Plan, listener: ProgressListener) -> None:
+        self.rig, self.session, self.plan, self.listener = rig, session, plan, listener
+        self.excitations = plan.excitations(rig)
 
-    def run(self) -> Calibration:
-        """Play, identify, play again."""
-        record = self.campaign.record
-        look = record(self.pace.look(), "look")
-        loops, creep = self.pace.loops(look), creep_of(look)
-        training = [look, *(record(one, name) for name, one in self._excitations(loops, creep))]
-        held_out = record(self.pace.others(), "others")
-        fit, told = self._identified(training, held_out)
+    def calibration(self) -> Calibration:
+        """Play, identify, and play the path."""
+        record = self.session.record
+        look = record(self.excitations.look(), "look")
+        loops, creep = self.excitations.loops(look), creep_of(look)
+        training = [look, *(record(excitation, name) for name, excitation in self._training(loops, creep))]
+        held_out = record(self.excitations.others(), "others")
+        fit, assessment = self._identify(training, held_out)
         for i in range(1, self.plan.rounds + 1):
-            if told.trustworthy or self.plan.protocol:
+            if assessment.trustworthy or self.plan.protocol:
                 break
-            training.append(record(self._more(told, i), f"more-{i}"))
-            fit, told = self._identified(training, held_out)
-        planner = PathPlanner(self.pace.homing(), _ends(loops), self.rig.limits, self.pace.leg)
+            training.append(record(self._more(assessment, i), f"more-{i}"))
+            fit, assessment = self._identify(training, held_out)
+        planner = PathPlanner(self.excitations.homing(), _ends(loops), self.rig.limits, self.excitations.leg)
         linear = planner.nominal()
-        before = self._played(linear)
-        modelled = planner.compensated(fit.actuator, self.campaign.sequence)
-        if "nominal" in self.campaign.kept and not self.campaign.holds(modelled.excitation, "compensated"):
-            # What crept meanwhile, only a record just before tells.
-            before = self._played(linear, afresh=True)
-            modelled = planner.compensated(fit.actuator, self.campaign.sequence)
-        nominal, compensated = self._followed(linear, before), self._followed(modelled, self._played(modelled))
+        before = self._play(linear)
+        modelled = planner.compensated(fit.actuator, self.session.sequence)
+        if "nominal" in self.session.kept and not self.session.is_complete(modelled.excitation, "compensated"):
+            # Only a record just before shows what crept meanwhile.
+            before = self._play(linear, afresh=True)
+            modelled = planner.compensated(fit.actuator, self.session.sequence)
+        nominal, compensated = self._tracked(linear, before), self._tracked(modelled, self._play(modelled))
         return Calibration(
             fit,
-            told,
+            assessment,
             creep,
             tuple(training),
             (held_out,),
@@ -194,63 +194,66 @@ class _CalibrationRun:
             self.plan.goal,
             modelled.warnings,
             self._instrument(),
-            tuple(self.campaign.kept),
-            tuple(self.campaign.played),
-            self.campaign.agreement,
+            tuple(self.session.kept),
+            tuple(self.session.played),
+            self.session.agreement,
         )
 
-    def write(self, found: Calibration) -> None:
-        """Leave model and numbers."""
-        folder = self.campaign.folder
-        numbers = finite({**found.as_dict(), "sha256": self.campaign.hashes()})
+    def write(self, calibration: Calibration) -> None:
+        """Write model and numbers."""
+        folder = self.session.folder
+        numbers = finite({**calibration.as_dict(), "sha256": self.session.hashes()})
         model, results = (folder / name for name in RESULTS)
-        found.fit.actuator.save(model)
+        calibration.fit.actuator.save(model)
         write_json(results, {"format": "dehyst-calibration-results", "version": 1, **numbers})
 
-    def _excitations(self, loops: Record, creep: CreepCheck) -> Iterator[tuple[str, Excitation]]:
-        """What is to be recorded, by name."""
+    def _training(self, loops: Record, creep: CreepCheck) -> Iterator[tuple[str, Excitation]]:
+        """Yield the excitations to record for training, by name."""
         if self.plan.protocol:
-            yield from ((f"given-{i}", one) for i, one in enumerate(self.plan.protocol, 1))
+            yield from ((f"given-{i}", excitation) for i, excitation in enumerate(self.plan.protocol, 1))
             return
-        yield "loops", self._chosen(loops)
+        yield "loops", self._most_informative(loops)
         if creep.seen:
-            yield from zip(("fast", "stairs"), self.pace.slowly_and_fast(), strict=True)
+            yield from zip(("fast", "stairs"), self.excitations.creep_pair(), strict=True)
 
-    def _chosen(self, loops: Record) -> Excitation:
-        """What tells most beside the major loop."""
-        self.watcher.tell("choosing what to record")
+    def _most_informative(self, loops: Record) -> Excitation:
+        """Return the excitation that adds most to the major loops."""
+        self.listener.message("choosing what to record")
         try:
             fit = identify(loops, structure="paper", throw=False)
             if fit.actuator is None:
-                return self.pace.tops()
-            told = insight(fit.actuator, loops, limits=(self.pace.low, self.pace.high), repeats=0)
+                return self.excitations.tops()
+            assessment = self._insight(fit, loops)
         except (IdentifyError, ModelError):
-            return self.pace.tops()
-        return self._advised(told) or self.pace.tops()
+            return self.excitations.tops()
+        return self._suggested(assessment) or self.excitations.tops()
 
-    def _more(self, told: Insight, number: int) -> Excitation:
-        return self._advised(told) or self.pace.tops(10 * (number + 1))
+    def _more(self, assessment: Insight, number: int) -> Excitation:
+        return self._suggested(assessment) or self.excitations.tops(10 * (number + 1))
 
-    def _advised(self, told: Insight) -> Excitation | None:
-        if not told.advice:
+    def _suggested(self, assessment: Insight) -> Excitation | None:
+        if not assessment.advice:
             return None
-        return self.pace.kept(told.advice[0].excitation)
+        return self.excitations.within_slew_rate(assessment.advice[0].excitation)
 
-    def _identified(self, training: Sequence[Record], held_out: Record) -> tuple[Fit, Insight]:
-        self.watcher.step("identify")
-        fit = identify(training, validate=held_out, progress=self.watcher.tell)
-        self.watcher.tell("asking what the records tell")
+    def _identify(self, training: Sequence[Record], held_out: Record) -> tuple[Fit, Insight]:
+        self.listener.step("identify")
+        fit = identify(training, validate=held_out, progress=self.listener.message)
+        self.listener.message("assessing what the records determine")
         name = f"{self.rig.identity}, axis {self.rig.axis}"
         fit = replace(fit, actuator=replace(fit.actuator, name=name))
-        return fit, insight(fit.actuator, training, limits=(self.pace.low, self.pace.high), repeats=0)
+        return fit, self._insight(fit, training)
 
-    def _played(self, planned: PlannedRun, *, afresh: bool = False) -> Record:
+    def _insight(self, fit: Fit, records: Record | Sequence[Record]) -> Insight:
+        return insight(fit.actuator, records, limits=(self.excitations.low, self.excitations.high), repeats=0)
+
+    def _play(self, planned: PlannedRun, *, afresh: bool = False) -> Record:
         excitation = planned.excitation
-        return self.campaign.record(
+        return self.session.record(
             excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke, afresh=afresh
         )
 
-    def _followed(self, planned: PlannedRun, record: Record) -> TrackedPath:
+    def _tracked(self, planned: PlannedRun, record: Record) -> TrackedPath:
         return TrackedPath.of(planned, record, self.rig.rows(len(planned.excitation)))
 
     def _instrument(self) -> dict[str, Any]:
@@ -264,7 +267,7 @@ class _CalibrationRun:
 
 
 def _ends(loops: Record) -> tuple[float, float]:
-    """Displacement [m] where the voltage of major loops turns, lowest and highest."""
+    """Return the displacements [m] at the lowest and the highest voltage of major loops."""
     clean, _, _ = remove_glitches(loops)
     v, y = clean.voltage, clean.displacement
     near = 1e-4 * float(np.ptp(v))

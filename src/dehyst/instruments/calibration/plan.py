@@ -1,4 +1,4 @@
-"""What a calibration will do, told before anything is sent."""
+"""The plan of a calibration, known before anything is sent."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dehyst.instruments.calibration.protocol import ExcitationPlan, sample_rate_
 from dehyst.waveforms import Excitation
 from dehyst.waveforms.excitation import positive
 
-# What is known to come, for who watches.
+# Steps of every calibration, for a progress display.
 STEPS = ("look", "loops", "others", "identify", "nominal", "compensated", "report")
 # Cycles that each hold of the look lasts.
 _HOLD = 3.0
@@ -22,20 +22,20 @@ _HOLD = 3.0
 
 @dataclass(frozen=True)
 class Plan:
-    """What a calibration does.
+    """The plan of a calibration.
 
     Parameters
     ----------
     frequency : float
         Cycles a second [Hz] at which loops are recorded.
     hold : float, optional
-        Time [s] at each voltage where creep is looked for; default three cycles.
+        Time [s] at each voltage of the holds that measure creep; default three cycles.
     protocol : tuple of Excitation
-        To be recorded in place of what `insight` would choose.
+        To be recorded instead of those that `insight` would choose.
     rounds : int
-        How often `insight` may ask for more records.
+        How often `insight` may request more records.
     goal : float
-        Largest error along the path [% of the stroke] with which the calibration is good.
+        Largest error along the path [% of the stroke] of a good calibration.
 
     Raises
     ------
@@ -55,15 +55,15 @@ class Plan:
         if not isinstance(self.rounds, int) or self.rounds < 0:
             raise RecordError(f"rounds: got {self.rounds!r}, need a whole number, 0 or more")
 
-    def pace(self, rig: AbstractRig) -> ExcitationPlan:
-        """How this is played on a rig."""
+    def excitations(self, rig: AbstractRig) -> ExcitationPlan:
+        """Return the excitations of this plan on a rig."""
         hold = _HOLD / self.frequency if self.hold is None else self.hold
         rate = rig.nearest_rate(sample_rate_for(self.frequency))
         return ExcitationPlan(rig.limits.low, rig.limits.high, rate, self.frequency, hold, rig.slew_rate)
 
 
 class PlannedStep(NamedTuple):
-    """Something that would be played, and when; `excitation` None where it depends on what is found."""
+    """One step, and when it is played; `excitation` is None if it depends on earlier records."""
 
     name: str
     words: str
@@ -71,34 +71,34 @@ class PlannedStep(NamedTuple):
 
 
 def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
-    """What a calibration would send, for a look before anything is sent.
+    """Return what a calibration would send, without sending it.
 
     Raises
     ------
     RecordError
         If it cannot be played within the rig's limits.
     """
-    pace = plan.pace(rig)
-    # By a ratio, the voltages of a path depend on no displacement.
-    path = PathPlanner(pace.homing(), (0.0, 1.0), rig.limits, pace.leg).nominal().excitation
-    look = pace.look()
+    excitations = plan.excitations(rig)
+    # With a constant ratio the voltages of the path depend on no measured displacement.
+    path = PathPlanner(excitations.homing(), (0.0, 1.0), rig.limits, excitations.leg).nominal().excitation
+    look = excitations.look()
     return (
         PlannedStep("comparison", "if the folder holds records: their loop twice, which must agree", replay(look)),
         PlannedStep("look", "holds at both ends, two major loops", look),
-        *_planned(pace, plan),
-        PlannedStep("others", "loops of other heights, held out", pace.others()),
+        *_training_steps(excitations, plan),
+        PlannedStep("others", "loops of other heights, held out", excitations.others()),
         PlannedStep("nominal", "homing, then a path of nine reversals by a constant ratio", path),
         PlannedStep("compensated", "homing, then the same path by the model; its voltages follow", path),
     )
 
 
-def _planned(pace: ExcitationPlan, plan: Plan) -> Iterator[PlannedStep]:
+def _training_steps(excitations: ExcitationPlan, plan: Plan) -> Iterator[PlannedStep]:
     if plan.protocol:
         for i, given in enumerate(plan.protocol, 1):
             yield PlannedStep(f"given-{i}", f"{given.name}, as given", given)
         return
-    yield PlannedStep("loops", "what insight chooses after the look, e.g. descending tops", pace.tops())
-    for name, excitation in zip(("fast", "stairs"), pace.slowly_and_fast(), strict=True):
+    yield PlannedStep("loops", "what insight chooses after the look, e.g. descending tops", excitations.tops())
+    for name, excitation in zip(("fast", "stairs"), excitations.creep_pair(), strict=True):
         yield PlannedStep(name, "if the look shows creep", excitation)
     for i in range(1, plan.rounds + 1):
-        yield PlannedStep(f"more-{i}", "if insight finds directions open", None)
+        yield PlannedStep(f"more-{i}", "if insight finds undetermined stiffnesses", None)

@@ -1,4 +1,4 @@
-"""A folder of records being made: what is on disk is not played again, and nothing that was recorded is lost."""
+"""A session: a folder of records in which complete records are not played again and no sample is lost."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ FORMAT = "dehyst-calibration"
 
 
 class ProgressListener(Protocol):
-    """Who is told how a calibration goes on."""
+    """A receiver of the progress of a calibration."""
 
     def step(self, name: str, seconds: float = 0.0) -> None:
-        """A step begins, and plays for so long [s]; 0 for one that computes."""
+        """Receive the begin of a step that plays for `seconds` [s]; 0 for one that computes."""
 
     def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
-        """Samples came; `expected` (n,) [m] is the displacement wanted of them, of a stroke [m]."""
+        """Receive samples; `expected` (n,) [m] is their wanted displacement, `stroke` [m] the actuator's stroke."""
 
-    def tell(self, words: str) -> None:
-        """What the step does now."""
+    def message(self, text: str) -> None:
+        """Receive what the step does now."""
 
 
 class NullProgress:
-    """A watcher that tells nobody."""
+    """A listener that ignores the progress."""
 
     def step(self, name: str, seconds: float = 0.0) -> None:
-        """Pass over it."""
+        """Ignore the step."""
 
     def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
-        """Pass over them."""
+        """Ignore the samples."""
 
-    def tell(self, words: str) -> None:
-        """Pass over it."""
+    def message(self, text: str) -> None:
+        """Ignore the message."""
 
 
 class Session:
@@ -56,29 +56,29 @@ class Session:
     Parameters
     ----------
     folder : path
-        Made if it does not exist. One that a calibration of the same instrument left is gone on with.
+        Made if it does not exist. The session continues in the folder of a calibration of the same instrument.
     rig : AbstractRig
-    watcher : ProgressListener
+    listener : ProgressListener
 
     Attributes
     ----------
     sequence : list of Record
-        What was asked for, in order.
+        The requested records, in order.
     played, kept : list of str
         Names of the records that were played, and of those that were on disk.
     agreement : Agreement or None
-        How far a loop of the records on disk, played again, agrees with them; None if none of them was kept.
+        Of a loop on disk, played again; None if no record on disk was kept.
     salvaged : tuple of Path
-        What a killed process had left.
+        Records that a killed process had left incomplete.
 
     Raises
     ------
     FileFormatError
-        If the folder cannot be made, or is one of another instrument.
+        If the folder cannot be made, or belongs to another instrument.
     """
 
-    def __init__(self, folder: PathLike, rig: AbstractRig, watcher: ProgressListener) -> None:
-        self.folder, self.rig, self._watcher = Path(folder), rig, watcher
+    def __init__(self, folder: PathLike, rig: AbstractRig, listener: ProgressListener) -> None:
+        self.folder, self.rig, self._listener = Path(folder), rig, listener
         self.records = self.folder / "records"
         try:
             self.records.mkdir(parents=True, exist_ok=True)
@@ -106,9 +106,9 @@ class Session:
         stroke: float | None = None,
         afresh: bool = False,
     ) -> Record:
-        """Play an excitation and have its record on disk, unless it is there already.
+        """Play an excitation and write its record, unless it is on disk already.
 
-        Before the first record on disk is kept, a loop of it is played again and must agree.
+        Before the first record on disk is kept, one of its loops is played again and must agree.
 
         Parameters
         ----------
@@ -116,11 +116,11 @@ class Session:
         name : str
             Of the record and its file.
         wanted : (n,) array, optional
-            Displacement [m] of each voltage, for who watches; NaN where none is wanted.
+            Wanted displacement [m] at each voltage, for the listener; NaN where none is wanted.
         stroke : float, optional
-            What its error refers to [m].
+            Reference of its error [m].
         afresh : bool
-            Whether to play it though it is on disk.
+            Whether to play it although it is on disk.
 
         Raises
         ------
@@ -130,11 +130,11 @@ class Session:
             If nothing can be written.
         """
         path = self.records / f"{name}.h5"
-        found = None if afresh else self._whole(path, excitation)
-        if found is not None and self._agrees(found.with_name(name), excitation):
+        stored = None if afresh else self._stored(path, excitation)
+        if stored is not None and self._agrees(stored.with_name(name), excitation):
             self.kept.append(name)
-            self.sequence.append(found)
-            return found
+            self.sequence.append(stored)
+            return stored
         self._set_aside(path)
         record = self._play(path, name, excitation, wanted, stroke)
         if name in self.kept:
@@ -152,9 +152,9 @@ class Session:
         """Play an excitation and record it to a file."""
         room(path.parent, len(excitation))
         if not self.played and self.agreement is None:
-            # What a killed process left may still be playing.
+            # The wave of a killed process may still be playing.
             self.rig.retreat()
-        self._watcher.step(name, excitation.duration)
+        self._listener.step(name, excitation.duration)
         meta = {
             "identity": self.rig.identity,
             "axis": self.rig.axis,
@@ -168,9 +168,9 @@ class Session:
             with recording:
 
                 def listen(samples: Samples) -> None:
-                    here = rows[recording.samples : recording.samples + samples.time.size]
+                    indices = rows[recording.samples : recording.samples + samples.time.size]
                     recording.add(samples)
-                    self._watcher.samples(samples, None if wanted is None else wanted[here], stroke)
+                    self._listener.samples(samples, None if wanted is None else wanted[indices], stroke)
 
                 recording.finish(self.rig.play(excitation, listen))
         except BaseException:
@@ -180,7 +180,7 @@ class Session:
         return read(path)
 
     def _agrees(self, stored: Record, excitation: Excitation) -> bool:
-        """Whether a record on disk may be kept; once a session, a loop of it is played again and compared.
+        """Return whether a record on disk may be kept; once a session, play one of its loops again and compare.
 
         False if it has no loop to compare. Raises RecordError if it is of another actuator.
         """
@@ -192,24 +192,24 @@ class Session:
         folder = _folder(self._comparisons)
         played = self._play(numbered(folder / f"{loop.name}.h5"), loop.name, loop)
         rows = self.rig.rows(len(excitation)), self.rig.rows(len(loop))
-        found = agreement(stored, excitation, played, *rows)
-        if not found.good:
-            raise RecordError(f"{self.folder}: {found.refusal}")
-        self._watcher.tell(found.words)
-        self.agreement, self._replayed = found, played
+        result = agreement(stored, excitation, played, *rows)
+        if not result.good:
+            raise RecordError(f"{self.folder}: {result.refusal}")
+        self._listener.message(result.words)
+        self.agreement, self._replayed = result, played
         return True
 
-    def holds(self, excitation: Excitation, name: str) -> bool:
-        """Whether the record of an excitation is on disk, whole."""
-        return self._whole(self.records / f"{name}.h5", excitation) is not None
+    def is_complete(self, excitation: Excitation, name: str) -> bool:
+        """Return whether the complete record of an excitation is on disk."""
+        return self._stored(self.records / f"{name}.h5", excitation) is not None
 
     def hashes(self) -> dict[str, str]:
-        """Sha256 of the file of each record that was asked for."""
+        """Return the SHA-256 of the file of each requested record."""
         paths = [self.records / f"{name}.h5" for name in dict.fromkeys((*self.kept, *self.played))]
         return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
     def _set_aside(self, path: Path) -> None:
-        """Move what stands under a name, cut off or of another excitation, to where it is not taken for a record."""
+        """Move a file that is cut off, damaged or of another excitation to the folder `set-aside`."""
         if os.path.lexists(path):
             aside = numbered(_folder(self.records / "set-aside") / path.name)
             try:
@@ -218,26 +218,26 @@ class Session:
                 raise unwritten(aside, error) from error
 
     def _claim(self) -> None:
-        """Make sure that the folder is of this instrument; raises FileFormatError."""
-        path, mine = self.folder / "campaign.json", self._instrument()
+        """Claim the folder for this instrument; raises FileFormatError if it belongs to another one."""
+        path, instrument = self.folder / "campaign.json", self._instrument()
         if not os.path.lexists(path):
-            write_json(path, {"format": FORMAT, "version": 1, **mine})
+            write_json(path, {"format": FORMAT, "version": 1, **instrument})
             return
         try:
-            found = read_json(path)
+            owner = read_json(path)
         except FileFormatError as error:
             raise FileFormatError(f"{error}; or delete it, if the folder is one of this instrument") from error
-        if {key: found.get(key) for key in mine} != mine:
+        if {key: owner.get(key) for key in instrument} != instrument:
             raise FileFormatError(
-                f"{self.folder}: holds a calibration of {found.get('rig')}, axis {found.get('axis')}, and this is "
-                f"{mine['rig']}, axis {mine['axis']}; give another folder with -o"
+                f"{self.folder}: holds a calibration of {owner.get('rig')}, axis {owner.get('axis')}, and this is "
+                f"{instrument['rig']}, axis {instrument['axis']}; give another folder with -o"
             )
 
     def _instrument(self) -> dict[str, Any]:
         return {"rig": self.rig.identity, "axis": self.rig.axis}
 
-    def _whole(self, path: Path, excitation: Excitation) -> Record | None:
-        """The record in a file if it is whole, undamaged and of this excitation on this instrument."""
+    def _stored(self, path: Path, excitation: Excitation) -> Record | None:
+        """Return the record in a file if it is complete, undamaged and of this excitation on this instrument."""
         try:
             record = read(path)
         except (FileFormatError, RecordError):
@@ -248,13 +248,13 @@ class Session:
         return record if of_this and fits and meta.get("complete") is True else None
 
     def _key(self, excitation: Excitation) -> str:
-        """What tells one excitation on one instrument from any other."""
-        told = f"{self.rig.identity} {self.rig.axis} {excitation.sample_rate!r}".encode()
-        return hashlib.sha256(told + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
+        """Return a digest that identifies this excitation on this instrument."""
+        header = f"{self.rig.identity} {self.rig.axis} {excitation.sample_rate!r}".encode()
+        return hashlib.sha256(header + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
 
 
 def _folder(path: Path) -> Path:
-    """The folder of this name, made if it is not there; raises FileFormatError."""
+    """Return the folder of this name, made if it does not exist; raises FileFormatError."""
     try:
         path.mkdir(exist_ok=True)
     except FileExistsError as error:
