@@ -65,7 +65,7 @@ def approach_to(
     count, gentle = max(_LEAST, ceil(least * rate * (1 - 1e-9))), None
     while count <= _MOST:
         for end in ends:
-            if not kept.hold(Bridge(now, end, count / rate).peaks):
+            if not kept.allow(Bridge(now, end, count / rate).peaks):
                 continue
             found = _sampled(now, end, count, path)
             gentle = gentle or found
