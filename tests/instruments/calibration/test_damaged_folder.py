@@ -17,7 +17,7 @@ from dehyst.instruments.calibration.protocol import ExcitationPlan
 from dehyst.instruments.calibration.session import NullProgress, Session
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import files
-from dehyst.records.hdf5 import digest
+from dehyst.records.hdf5 import sha256_of
 from dehyst.records.recording import salvage
 from dehyst.virtual import PlayActuator
 
@@ -81,7 +81,7 @@ def edit(change, *, sign=False):
         with h5py.File(folder / RECORD, "r+") as file:
             change(file)
             if sign:
-                file.attrs["sha256"] = digest(tuple(file[name][()] for name in COLUMNS))
+                file.attrs["sha256"] = sha256_of(tuple(file[name][()] for name in COLUMNS))
 
     return damage
 
@@ -438,7 +438,7 @@ def test_flipped_bits_in_a_journal_lose_no_other_line(tmp_path):
         paths = salvage(folder)
         kept = list(folder.glob("*.part.damaged.csv"))
         if kept:
-            assert hashlib.sha256(kept[0].read_bytes()).digest() == hashlib.sha256(content).digest()
+            assert hashlib.sha256(kept[0].read_bytes()).sha256_of() == hashlib.sha256(content).digest()
         rows = samples(paths[0])
         assert np.isfinite(rows).all()
         assert (np.diff(rows[0]) > 0).all()
