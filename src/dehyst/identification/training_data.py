@@ -16,12 +16,14 @@ from dehyst.identification.preprocessing.dynamics import remove_dynamics
 from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import RowSource
+from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.nuisances import worthwhile
-from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
-from dehyst.identification.regression.wide_streaming import WideStream
+from dehyst.identification.regression.regression import Regression
+from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure_selection import StructureTrial, held_out_error, select
 from dehyst.model import Structure
+from dehyst.model.structure import Grid
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
 
@@ -62,7 +64,9 @@ class TrainingData:
     widest : int
         Record whose last constant is the spring's.
     can_drift : tuple of int
-        Records that may creep by a logarithm of time since their start, where no branches tell creep.
+        Records that may creep by a logarithm of time since their start, where no branches account for creep.
+    denoised : bool
+        Whether the sensor's noise is taken out of the path that drives the elements.
     """
 
     training: Sequence[Prepared]
@@ -73,6 +77,7 @@ class TrainingData:
     datum: Array
     widest: int = 0
     can_drift: tuple[int, ...] = ()
+    denoised: bool = True
 
     @property
     def times(self) -> tuple[float, float]:
@@ -80,49 +85,50 @@ class TrainingData:
         records = [item.record for item in self.training]
         return min(one.sample_time for one in records), max(float(np.ptp(one.time)) for one in records)
 
-    def regression(self, structure: Structure, most: int = _MOST_ROWS) -> WideRegression:
+    def regression(self, structure: Structure, most: int = _MOST_ROWS) -> Regression:
         """The rows of all records under a structure, thinned to about `most`."""
         return self.stream(structure, most).regression
 
-    def stream(self, structure: Structure, most: int = _MOST_ROWS) -> WideStream:
+    def stream(self, structure: Structure, most: int = _MOST_ROWS) -> Stream:
         """All rows of all records under a structure, about `most` of them in memory."""
         found = self._stream_of(structure, most)
         strained, drifting = (self.strained, ()) if structure.creep else ((), self.drifting)
         return replace(found, regression=replace(found.regression, strained=strained, drifting=drifting))
 
-    def fitted(self, structure: Structure, norm: Norm) -> tuple[WideRegression, WideCoefficients]:
-        """The program of all rows solved, beside the regression of those in memory."""
+    def fit(self, structure: Structure, norm: Norm) -> tuple[Regression, Coefficients]:
+        """Solve the program of all rows; return the regression of those in memory beside its answer."""
         stream = self.stream(structure)
         return stream.regression, stream.fit_weighted(norm)
 
-    def _rows_of(self, structure: Structure, most: int) -> WideRegression:
+    def _rows_of(self, structure: Structure, most: int) -> Regression:
         return self._stream_of(structure, most).regression
 
-    def _stream_of(self, structure: Structure, most: int) -> WideStream:
+    def _stream_of(self, structure: Structure, most: int) -> Stream:
         grid = structure.grid(self.span, self.voltages, self.times)
-        stroke = self.span[1] - self.span[0]
         # No drift where creep branches are there for that: its curves take room.
-        paths = self._drifting_paths if self.can_drift and not self.supports_creep() else self._paths
-        pieces = [(q, path, drift) for q, item in enumerate(self.training) for path, drift in paths(item, stroke)]
+        drifts = bool(self.can_drift) and not self.supports_creep()
+        return self.on_grid(grid, most, smoothing=structure.smoothing, drifts=drifts)
+
+    def on_grid(self, grid: Grid, most: int, *, smoothing: float = 0.0, drifts: bool = True) -> Stream:
+        """Return all rows of all records on a grid, about `most` of them in memory: the only maker of rows."""
+        pieces = [(q, *path) for q, item in enumerate(self.training) for path in self._paths(item, drifts)]
         noise = [self.training[q].noise for q, _, _ in pieces]
 
-        def moved(number: int, piece: Record) -> InternalStates:
+        def internal(number: int, piece: Record) -> InternalStates:
             return InternalStates(grid, piece, self.training[number].lead)
 
-        source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
-        some = WideRegression(source.thinned(most), grid, self.floor, self.datum, smoothing=structure.smoothing)
-        return WideStream(source, some)
+        source = RowSource.of(pieces, grid.breakaway, noise, moved=internal)
+        return Stream(source, Regression(source.thinned(most), grid, self.floor, self.datum, smoothing=smoothing))
 
-    def _paths(self, item: Prepared, stroke: float) -> Iterator[tuple[Record, Array]]:
-        """The pieces of a record as they act, displacements those that hysteresis makes; no drift."""
-        for piece in item.acting(self.inertia.delay, self.inertia.lag):
-            path = remove_jitter(remove_dynamics(piece, self.inertia.dynamics), item.noise, stroke)
-            yield path, np.broadcast_to(0.0, len(path))
-
-    def _drifting_paths(self, item: Prepared, stroke: float) -> Iterator[tuple[Record, Array]]:
-        curves = item.delayed(0, self.inertia.delay)
-        for (path, _), (_, _, curve) in zip(self._paths(item, stroke), curves, strict=True):
-            yield path, curve
+    def _paths(self, item: Prepared, drifts: bool) -> Iterator[tuple[Record, Array]]:
+        """The pieces of a record as they act, displacements those that drive the elements, and their drift curves."""
+        delay, lag, stroke = self.inertia.delay, self.inertia.lag, self.span[1] - self.span[0]
+        curves = [curve for _, _, curve in item.delayed(0, delay)] if drifts else None
+        for k, piece in enumerate(item.acting(delay, lag)):
+            path = piece
+            if self.denoised:
+                path = remove_jitter(remove_dynamics(piece, self.inertia.dynamics), item.noise, stroke)
+            yield path, np.broadcast_to(0.0, len(path)) if curves is None else curves[k]
 
     def with_checked_delay(self, structure: Structure | None = None) -> TrainingData:
         """The same without a delay, if a structure (default: of many parts) then misses held-out cycles by far less.
@@ -142,7 +148,7 @@ class TrainingData:
         if cycle > _SLOWEST * step:
             return self
 
-        def build(inertia: SensedDynamics) -> WideRegression:
+        def build(inertia: SensedDynamics) -> Regression:
             return replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2)
 
         without = build(self.inertia).rms()

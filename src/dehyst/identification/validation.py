@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -16,12 +15,12 @@ from dehyst.identification.preprocessing.dynamics import derivatives, remove_dyn
 from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import Epoch, RowSource
-from dehyst.identification.regression.coefficients import coefficients_of, grid_of
+from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.nuisances import find_datum
-from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
-from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
 from dehyst.model import Actuator, Motion, RecordErrors, State, Trace
+from dehyst.model.structure import Grid
 from dehyst.records import Record
 from dehyst.records.metrics import largest
 
@@ -75,9 +74,9 @@ class RecordComparison:
         resonance.
     measured : list of Record
         The same pieces with the displacements measured.
-    regression : Regression or WideRegression
+    regression : Regression
         Its rows (of a long record some, evenly), with its datum and drift.
-    found : Coefficients or WideCoefficients
+    found : Coefficients
         The model's, with this record's constants and drift [V].
     base : float
         Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
@@ -86,8 +85,8 @@ class RecordComparison:
     record: Prepared
     source: RowSource
     measured: list[Record]
-    regression: Regression | WideRegression
-    found: Coefficients | WideCoefficients
+    regression: Regression
+    found: Coefficients
     base: float
 
     @property
@@ -113,7 +112,7 @@ class RecordComparison:
     @property
     def start(self) -> Array:
         """What creep branches held as the record began (J,) [V]."""
-        return self.found.starts.get(0, np.zeros(0)) if isinstance(self.found, WideCoefficients) else np.zeros(0)
+        return self.found.starts.get(0, np.zeros(0))
 
     @property
     def offsets(self) -> list[float]:
@@ -160,7 +159,7 @@ class RecordComparison:
 
     def state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
         """The state at an epoch's first sample, which the displacement before it tells, on the record's axis."""
-        rho, grid = actuator.slip.breakaway, grid_of(actuator)
+        rho, grid = actuator.slip.breakaway, Grid.of_actuator(actuator)
         y = self.pieces[number][1].displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
         for start in range(0, y.size, _STOPS_AT_A_TIME):
@@ -187,7 +186,7 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> RecordC
     if datum is None:
         datum = find_datum(regression, 0, protocol.stroke, given=model)
     regression = replace(regression, datum=np.array([datum]))
-    found = (regression if actuator.wide else Stream(source, regression)).nuisances_of(model)
+    found = (regression if actuator.wide else Stream(source, regression)).fit_nuisances(model)
     base = float(actuator.spring.voltage[0])
     return RecordComparison(record, source, [piece for _, piece, _ in measured], regression, found, base)
 
@@ -244,21 +243,23 @@ def state_after(actuator: Actuator, lead: Record, stroke: float) -> tuple[State,
 
 def _beside(
     actuator: Actuator, record: Prepared, pieces: list[tuple[int, Record, Array]], drifting: tuple[int, ...]
-) -> tuple[RowSource, Any, Any]:
+) -> tuple[RowSource, Regression, Coefficients]:
     """The samples of a record, their regression on some of them, and an actuator's coefficients in it."""
-    rho, sigma = actuator.slip.breakaway, [record.noise] * len(pieces)
+    grid = Grid.of_actuator(actuator)
+    source = RowSource.of(
+        pieces,
+        grid.breakaway,
+        [record.noise] * len(pieces),
+        moved=lambda _, piece: InternalStates(grid, piece, record.lead),
+    )
+    most, floor = _FEW_ROWS, _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
     if not actuator.wide:
-        source = RowSource.of(pieces, rho, sigma)
-        some = source.thinned(MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS)
-        every = np.ones(rho.size, dtype=bool)
-        regression = Regression(some, actuator.spring.displacement, 0.0, every, np.zeros(1), drifting)
-        model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
-        return source, regression, model
-    grid = grid_of(actuator)
-    source = RowSource.of(pieces, rho, sigma, moved=lambda _, piece: InternalStates(grid, piece, record.lead))
-    floor = _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
-    wide = WideRegression(source.thinned(_FEW_ROWS), grid, floor, np.zeros(1), drifting, (0,))
-    return source, wide, coefficients_of(actuator)
+        # Few columns: more rows fit into memory, and a row's weight needs no bound, for no slope is below the spring's.
+        grid = replace(grid, sliding=np.ones(len(actuator.slip), dtype=bool))
+        most, floor = MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS, 0.0
+    strained = (0,) if grid.time_constants.size else ()
+    regression = Regression(source.thinned(most), grid, floor, np.zeros(1), drifting, strained)
+    return source, regression, Coefficients.from_actuator(actuator)
 
 
 def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
@@ -280,7 +281,7 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
             for played in compared.play(actuator, number, own[-1], offset, _AT_A_TIME):
                 sums.add(played)
     trace = Trace(record.name, protocol.role, *(np.concatenate(column) for column in zip(*sums.drawn, strict=True)))
-    slope = float(np.median(regression.slope(found)))  # type: ignore[arg-type]
+    slope = float(np.median(regression.slope(found)))
     offset = float(np.median(list(found.offsets.values()))) - compared.base
     return RecordErrors(
         record=record.name,

@@ -23,7 +23,6 @@ from dehyst.report.parts_section import made_of
 from dehyst.report.tracking_section import followed_sections
 from dehyst.report.uncertainty_section import sections
 from dehyst.uncertainty import Insight
-from dehyst.uncertainty.wide_insight import WideInsight
 
 if TYPE_CHECKING:
     from dehyst.instruments.calibration import Calibration
@@ -46,7 +45,7 @@ def write_report(
     fit: Fit,
     *,
     command: str | None = None,
-    insight: Insight | WideInsight | None = None,
+    insight: Insight | None = None,
     comparison: ModelComparison | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> None:
@@ -59,7 +58,7 @@ def write_report(
     fit : Fit
     command : str, optional
         The command line that made it, to be shown.
-    insight : Insight or WideInsight, optional
+    insight : Insight, optional
         What the records can and cannot tell, to be shown too.
     comparison : ModelComparison, optional
         Ours and rival models on the same records, to be shown too.
@@ -101,7 +100,7 @@ def write_calibration(path: PathLike, calibration: Calibration, *, command: str 
 def render(
     fit: Fit,
     command: str | None = None,
-    insight: Insight | WideInsight | None = None,
+    insight: Insight | None = None,
     comparison: ModelComparison | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> str:

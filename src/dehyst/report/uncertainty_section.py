@@ -1,31 +1,30 @@
-"""What records tell of an actuator, as a section of the report or as a page of its own."""
+"""What records determine of an actuator, as a section of the report or as a page of its own."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from os import PathLike
 
 import numpy as np
 
-from dehyst._io.drafts import write_atomically
+from dehyst._io.drafts import PathLike, write_atomically
+from dehyst.control import Homing
 from dehyst.report import uncertainty_plots
 from dehyst.report.html import Row, document, escape, figure, length, number, panel, table
-from dehyst.report.trust_section import state, trajectory, verdict
-from dehyst.report.wide_uncertainty_section import wide_sections
 from dehyst.uncertainty import Insight
-from dehyst.uncertainty.wide_insight import WideInsight
+from dehyst.uncertainty.part_identifiability import SHARP
+from dehyst.uncertainty.prediction_band import ERRORS
 
 _MOST_SENTENCES = 24
 
 
-def write_insight(path: str | PathLike[str], found: Insight | WideInsight, *, command: str | None = None) -> None:
+def write_insight(path: PathLike, found: Insight, *, command: str | None = None) -> None:
     """Write a page of its own to one HTML file that asks for nothing from outside.
 
     Parameters
     ----------
     path : path-like
         Replaced if it exists; never left half written.
-    found : Insight or WideInsight
+    found : Insight
     command : str, optional
         The command line that made it, to be shown.
 
@@ -47,23 +46,32 @@ def write_insight(path: str | PathLike[str], found: Insight | WideInsight, *, co
     write_atomically(path, document(f"{found.actuator.name}: insight", parts))
 
 
-def sections(found: Insight | WideInsight) -> list[str]:
-    """The page's sections, to stand in the report too."""
-    if isinstance(found, WideInsight):
-        return wide_sections(found)
-    good = "The records tell every direction of the stiffnesses that loops can tell."
-    parts = (
-        verdict(found, "Determined", good),
-        _told(found),
-        _numbers(found),
-        trajectory(found),
-        _next(found),
-        state(found),
-    )
+def sections(found: Insight) -> list[str]:
+    """Return the page's sections, to stand in the report too."""
+    share = number(100 * found.misfit / found.evidence.stroke)
+    if found.structured:
+        good = f"The model misses these records by {share} % of their range at most; no check speaks against its use."
+        parts = (
+            _verdict(found, "No warnings", good),
+            _parts(found),
+            _part_intervals(found),
+            _trajectory(found),
+            f'<h2>What was not judged</h2>\n<p class="muted">{escape(found.not_judged)}</p>',
+            _state(found),
+        )
+    else:
+        parts = (
+            _verdict(found, "Determined", "The records determine every direction of the stiffnesses that loops can."),
+            _directions(found),
+            _intervals(found),
+            _trajectory(found),
+            _next(found),
+            _state(found),
+        )
     return [part for part in parts if part]
 
 
-def _told(found: Insight) -> str:
+def _directions(found: Insight) -> str:
     told = found.identifiability
     sentences = told.sentences()
     items = [escape(_subscripts(sentence)) for sentence in sentences[:_MOST_SENTENCES]]
@@ -87,7 +95,7 @@ def _subscripts(sentence: str) -> str:
     return " ".join("k" + word[2:].translate(digits) if word.startswith("k_") else word for word in words)
 
 
-def _numbers(found: Insight) -> str:
+def _intervals(found: Insight) -> str:
     if found.intervals is None or found.feasible_set is None:
         return ""
     stiffness = panel(("Stiffnesses", ""), uncertainty_plots.stiffness_intervals(found, name="stiffnesses"), "")
@@ -138,3 +146,104 @@ def _next(found: Insight) -> str:
     ]
     head = ("Excitation", "Known with it", "Weakest (V/V)", "Time")
     return f"<h2>What to record next</h2>\n{table(head, rows, texts=1)}"
+
+
+def _parts(found: Insight) -> str:
+    rows: list[Row] = [
+        (one.part.capitalize(), str(one.of), str(one.known), *_spread(one.deviations)) for one in found.parts
+    ]
+    head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
+    said = (
+        f"The turning points of the records determine {found.identifiability.determined} of {found.identifiability.of} "
+        "directions of plain "
+        "elements: whether there are inner loops enough. "
+        "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
+        f"deviation is {100 * SHARP:g} % of the voltages at most, all other parts being free to make up for it. "
+        "What is not known by itself may be sharp together with other parts: what counts for a motion is the band "
+        "along it."
+    )
+    return f'<h2>What the records tell of each part</h2>\n<p class="muted">{said}</p>\n{table(head, rows, texts=1)}'
+
+
+def _spread(deviations: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[str, str]:
+    best, middle = float(deviations.min()), float(np.median(deviations))
+    return tuple("nothing" if np.isinf(one) else number(one, 2) for one in (best, middle))  # type: ignore[return-value]
+
+
+def _part_intervals(found: Insight) -> str:
+    if found.intervals is None:
+        return ""
+    panels = []
+    if found.loop is not None:
+        panels.append(panel(("The major loop", ""), uncertainty_plots.loop_interval(found, name="loop-interval"), ""))
+    if found.actuator.transformer is not None:
+        panels.append(panel(("Transformer", ""), uncertainty_plots.drive_interval(found, name="drive-interval"), ""))
+    if found.actuator.creep is not None:
+        panels.append(panel(("Creep", ""), uncertainty_plots.creep_intervals(found, name="creep-interval"), ""))
+    level = f"{100 * found.intervals.level:.0f} %"
+    caption = (
+        f"{level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles under the same "
+        "structure, their bias taken off, so that an interval need not hold the model's own value. The largest error "
+        f"on the records, {length(found.misfit)}, comes on top: it is what this structure cannot follow. Single "
+        "stiffnesses and the spring trade with one another, and are sharp only together."
+    )
+    return figure("How sharp the numbers are", caption, panels)
+
+
+def _verdict(found: Insight, word: str, good: str) -> str:
+    """Warnings, or what is good if there are none."""
+    warnings = found.warnings()
+    if not warnings:
+        return f'<p class="outcome green"><strong>{word}</strong> {good}</p>'
+    return f'<p class="outcome amber"><strong>Beware</strong> {"<br>".join(map(escape, warnings))}</p>'
+
+
+def _trajectory(found: Insight) -> str:
+    """The band along a trajectory; nothing without one."""
+    if found.band is None:
+        return ""
+    stroke, errors = found.evidence.stroke, found.band.errors()
+    rows: list[Row] = [
+        (ERRORS[key], f"{number(100 * error / stroke)} %", length(error))
+        for key, error in errors.items()
+        if error or key != "clamped"
+    ]
+    drawn = panel(("Along the trajectory", ""), uncertainty_plots.band(found.band, stroke, name="band"), "")
+    body = (
+        f'<div class="panel"><h3>Largest error to be expected</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
+    )
+    caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
+    return figure("The trajectory", caption, [drawn, body])
+
+
+def _state(found: Insight) -> str:
+    """From when on the state is known, and the homing."""
+
+    def moment(seconds: float | None) -> str:
+        return "never" if seconds is None else f"{number(seconds)} s"
+
+    rows: list[Row] = [
+        (one.record, moment(one.by_displacement), moment(one.by_voltage) if one.judged else "not judged")
+        for one in found.knowledge
+    ]
+    head = ("Record", "to one who sees the displacement", "from the voltage alone")
+    parts = ["<h2>From when on the state is known</h2>", table(head, rows, texts=1)]
+    if found.homing is not None:
+        parts.append(_homing(found.homing, creeps=found.actuator.creep is not None))
+    return "\n".join(parts)
+
+
+def _homing(homing: Homing, *, creeps: bool) -> str:
+    turns = ", ".join(number(v, 6) for v in homing.turns)
+    remarks = escape(" ".join(homing.remarks))
+    if homing.played is None:
+        word = "certified: every state at rest ends in one" if homing.certified else "not certified"
+        return f"<p>Shortest homing: {escape(turns)} V ({word}). {remarks}</p>"
+    word = "certified" if homing.certified else "not certified"
+    way = ", ".join(f"{v:.6g}" for v in homing.turns)
+    said = escape(
+        f"{way} V in {number(homing.played.duration)} s{', with holds at both limits' if creeps else ''} ({word}): "
+        f"whatever was before within the limits, the displacement is known to {length(homing.error)} after it."
+    )
+    items = "\n".join(f"<li>{escape(remark.replace(' um', ' µm'))}</li>" for remark in homing.remarks)
+    return f"<p>Homing: {said}</p>\n<ul>\n{items}\n</ul>"

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,14 +23,12 @@ from dehyst._errors import IdentifyError, ModelError
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.identification import Norm
-from dehyst.identification.regression.regression import Coefficients, Regression
-from dehyst.identification.regression.wide_regression import WideCoefficients
+from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.validation import RecordComparison
 from dehyst.model import Actuator, State
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
 from dehyst.uncertainty.evidence import Evidence
-from dehyst.uncertainty.wide_evidence import WideEvidence
 
 # Fewer models have no tails.
 LEAST_REPEATS = 20
@@ -43,7 +41,6 @@ _FEWER_ROWS = 3000
 # Of a wider model, which has a column for each of hundreds of coefficients.
 _WIDE_ROWS, _WIDE_PAIRS, _WIDE_FEWER = 4000, 10, 2000
 _NORMS: tuple[Norm, ...] = ("l2", "l1")
-Found: TypeAlias = "Coefficients | WideCoefficients"
 # A coefficient whose variance is less than this part of the largest is held by a bound.
 _MOVED = 1e-9
 
@@ -139,7 +136,7 @@ class Intervals:
 
 
 def resample(
-    evidence: Evidence | WideEvidence,
+    evidence: Evidence,
     *,
     level: float = 0.9,
     repeats: int = 100,
@@ -192,12 +189,12 @@ def resample(
 class _Again:
     """Identifies records that were resampled, by least squares."""
 
-    def __init__(self, evidence: Evidence | WideEvidence) -> None:
+    def __init__(self, evidence: Evidence) -> None:
         self._evidence = evidence
         rows = evidence.regression.rows
-        self._most = _MOST_ROWS if isinstance(evidence, Evidence) else _WIDE_ROWS
+        self._most = _WIDE_ROWS if self.wide else _MOST_ROWS
         self._step = max(1, len(rows) // self._most)
-        self._held = _open(evidence) if isinstance(evidence, Evidence) else None
+        self._held = None if self.wide else _open(evidence)
         cut = np.flatnonzero(np.diff(rows.epoch)) + 1
         self._starts = _legs(rows.voltage, cut)
 
@@ -210,12 +207,12 @@ class _Again:
     @property
     def wide(self) -> bool:
         """Whether the model is a wider one."""
-        return isinstance(self._evidence, WideEvidence)
+        return self._evidence.actuator.wide
 
-    def numbers(self, found: Found) -> Array:
+    def numbers(self, found: Coefficients) -> Array:
         """What is compared of two norms: coefficients, of a wider model the displacements that it misses rows by."""
-        if isinstance(found, Coefficients) or isinstance(self._evidence, Evidence):
-            return np.concatenate([found.stiffness, found.slopes])
+        if not self.wide:
+            return np.concatenate([found.stiffness[:, 0], found.slopes])
         step = max(1, len(self._evidence.regression.rows) // _WIDE_FEWER)
         few = self._evidence.regression.thinned(_WIDE_FEWER)
         left = few.model(found)
@@ -232,35 +229,33 @@ class _Again:
         """The actuator that records give; None if the program was not solved or no voltage would have one answer."""
         return self.made(self.identified(pieces))
 
-    def made(self, answer: Found) -> Actuator | None:
+    def made(self, answer: Coefficients) -> Actuator | None:
         """The actuator of coefficients, None as in `actuator`."""
-        if not answer.solution.optimal:
+        if not answer.solved.optimal:
             return None
         try:
-            return self._evidence.actuator_of(answer)  # type: ignore[arg-type]
+            return self._evidence.actuator_of(answer)
         except ModelError:
             return None
 
-    def identified(self, pieces: list[list[Record]], norm: Norm = "l2", most: int | None = None) -> Found:
+    def identified(self, pieces: list[list[Record]], norm: Norm = "l2", most: int | None = None) -> Coefficients:
         """Coefficients of resampled records, of about `most` rows."""
         rows = self._most if most is None else most
         again = self._evidence.with_pieces(pieces)
         step = max(1, len(again.rows) // rows)
         weights = self._evidence.weights[::step]
         few = replace(again, rows=again.rows.thinned(rows))
-        if isinstance(few, Regression):
-            return few.fit(norm, weights, self._held)
-        return few.fit(norm, weights)
+        return few.fit(norm, weights, self._held)
 
-    def slow(self, found: Found) -> float:
+    def slow(self, found: Coefficients) -> float:
         """Mean square of the legs' mean residuals [m2]."""
         weights = self._evidence.weights[:: self._step]
-        weighted = found.solution.residual[: weights.size] * weights
+        weighted = found.solved.residual[: weights.size] * weights
         return float(np.mean(_leg_means(weighted, np.unique(self._starts // self._step)) ** 2))
 
     def slow_of_model(self) -> float:
         """The same of the model itself."""
-        weighted = self._evidence.model.solution.residual * self._evidence.weights
+        weighted = self._evidence.model.solved.residual * self._evidence.weights
         return float(np.mean(_leg_means(weighted, self._starts) ** 2))
 
 
@@ -278,7 +273,7 @@ def _leg_means(values: Array, starts: Any) -> Array:
 def _unexplained(again: _Again, worlds: list[_World], random: np.random.Generator) -> float:
     """The part of the legs' mean residuals, 0 to 1, that resampled noise does not make by itself."""
     found = [again.identified([world.resampled(random, 0.0) for world in worlds]) for _ in range(_TRIALS)]
-    made = float(np.mean([again.slow(one) for one in found if one.solution.optimal] or [0.0]))
+    made = float(np.mean([again.slow(one) for one in found if one.solved.optimal] or [0.0]))
     there = again.slow_of_model()
     return float(np.sqrt(max(0.0, 1 - made / there))) if there else 0.0
 
@@ -352,7 +347,7 @@ def _spread(
     for _ in range(count):
         pieces = [world.resampled(random, share) for world in worlds]
         pair = [again.identified(pieces, norm, rows) for norm in _NORMS]
-        if all(one.solution.optimal for one in pair):
+        if all(one.solved.optimal for one in pair):
             both.append([again.numbers(one) for one in pair])
             own.append(again.made(pair[1]) if again.wide else None)
     kept = tuple(one for one in own if one is not None)

@@ -138,6 +138,6 @@ def _judged(evidence: Evidence, words: str, command: str, excitation: Excitation
     begun = actuator.simulate(excitation.voltage[:1], state=first, extrapolate=True).state
     motion = actuator.simulate(excitation.voltage, state=begun, extrapolate=True)
     record = Record(excitation.time, excitation.voltage, motion.displacement, excitation.name)
-    told = identifiability([*evidence.pieces(), record], actuator.slip.breakaway, evidence.regression)
+    told = identifiability([*evidence.pieces(), record], evidence.regression)
     weakest = float(told.values[told.determined - 1]) if told.determined else float(np.nan)
     return Suggestion(words, command, excitation, told.determined, told.of, weakest)

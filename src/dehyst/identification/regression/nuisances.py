@@ -8,23 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
 from dehyst.records.signals import turning_points
 
 _SEARCH_ROWS = 4000
 
-
 _STEPS = 20
-
-
 # A repair is made only where it makes the RMS residual smaller by this much.
 _WORTH = 0.97
-
-
 # Loops of one height and rate tell a delay from hysteresis only at their turns: it has to explain much more there.
 _WORTH_OF_DELAY = 0.5
-
-
 # A sensor that was zeroed anew shows at once; a small gain is the model bending.
 _WORTH_OF_DATUM = 0.8
 
@@ -150,7 +144,7 @@ def _stroke(regression: Regression) -> float:
 
 def _rms(regression: Regression, given: Coefficients | None = None) -> float:
     """RMS residual [m], of the best model or of the given one."""
-    found = regression.fit("l2") if given is None else regression.nuisances_of(given)
+    found = regression.fit("l2") if given is None else regression.fit_nuisances(given)
     return regression.rms(found)
 
 
