@@ -109,7 +109,7 @@ class Sampling:
         """Voltage [V] at which a record begins."""
         return self.base if self.present is None else self.present
 
-    def approach(self, highest: float) -> list[Leg]:
+    def lead_in(self, highest: float) -> list[Leg]:
         """Return the leg from the present voltage to the base, at the mean speed of a leg of `highest` [V].
 
         It takes half a cycle at most; no leg if the present voltage is the base.

@@ -192,7 +192,7 @@ def staircase(
     up = [levels[i] for i in _places(number, back)]
     path = up + [levels[number - i] for i in _places(number, back)][1:]
     stairs = [part for a, b in pairwise(path) for part in (Leg(a, b, moving), Leg(b, b, waiting))]
-    return drive.play("staircase", drive.approach(top - drive.base) + stairs)
+    return drive.play("staircase", drive.lead_in(top - drive.base) + stairs)
 
 
 def _places(steps: int, back: bool) -> list[int]:
@@ -244,7 +244,7 @@ def _through(name: str, turns: list[float], drive: Sampling) -> Excitation:
     """Return the excitation from the present voltage to the base and on through the turning points."""
     path = [drive.base, *turns]
     legs = drive.legs(path)
-    return drive.play(name, drive.approach(max(path) - min(path)) + legs)
+    return drive.play(name, drive.lead_in(max(path) - min(path)) + legs)
 
 
 def _cycles(cycles: object, what: str, first: float, second: float, *, least: int = 1, rows: int = 1) -> list[float]:
