@@ -368,7 +368,9 @@ def test_a_folder_that_goes_while_recording(tmp_path, monkeypatch):
     (tmp_path / "stick").mkdir()
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     recording = Recording(tmp_path / "stick" / "a.h5")
-    refusal = pytest.raises(FileFormatError, match=r"a\.h5\.part\.csv: was removed while recording; are folder and")
+    refusal = pytest.raises(
+        FileFormatError, match=r"a\.h5\.part\.csv: was removed while recording; check that the folder and"
+    )
     with refusal as caught, recording:
         recording.add(lot(0, 10))
         recording.journal.unlink()

@@ -304,7 +304,7 @@ def test_what_is_no_journal_is_refused_by_its_name(folder, kind):
         os.mkfifo(path)
     else:
         path.symlink_to(folder / "nowhere")
-    with pytest.raises(FileFormatError, match=r"look\.h5\.part\.csv: is no file, but the name is one of a journal"):
+    with pytest.raises(FileFormatError, match=r"look\.h5\.part\.csv: is not a file, but has the name of a journal"):
         go_on(folder)
 
 
