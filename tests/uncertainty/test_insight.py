@@ -12,6 +12,7 @@ from dehyst._io.json_files import finite
 from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
+from dehyst.model.structure import Grid
 from dehyst.uncertainty import insight
 from dehyst.uncertainty.evidence import Evidence
 from dehyst.uncertainty.experiment_design import advise
@@ -39,8 +40,10 @@ TABLE = [
 def told(turns, plant=PLANT, relaxed=False):
     record, rho = plain_records.loops(plant, turns), plant.slip.breakaway
     rows, _ = collect([(0, record, np.zeros(len(record)))], rho, [0.0])
-    regression = Regression(rows, plant.spring.displacement, 1.0, np.ones(rho.size, dtype=bool), np.zeros(1))
-    return identifiability([record], rho, regression, relaxed=(0,) if relaxed else ())
+    regression = Regression(
+        rows, Grid.plain(rho, plant.spring.displacement, np.ones(rho.size, dtype=bool)), 1.0, np.zeros(1)
+    )
+    return identifiability([record], regression, relaxed=(0,) if relaxed else ())
 
 
 @pytest.mark.parametrize(("turns", "determined"), TABLE)

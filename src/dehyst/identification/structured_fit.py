@@ -1,4 +1,4 @@
-"""A wider actuator of a structure: the convex program within searches over what is not convex."""
+"""An actuator of a structure: the convex program within searches over what is not convex."""
 
 from __future__ import annotations
 
@@ -60,16 +60,16 @@ class StructuredFit:
         )
 
     def playback(self) -> SimulationError:
-        """The training records, to be simulated."""
+        """Return the training records, to be simulated."""
         stroke = self.frame.span[1] - self.frame.span[0]
         return SimulationError.of(self.actuator, self.frame.training, self.regression.datum, stroke)
 
-    def tuned(self, tell: Callable[[str], None]) -> StructuredFit:
-        """The same with the dynamics that simulate the records best, if they do so better."""
+    def tune_dynamics(self, report: Callable[[str], None]) -> StructuredFit:
+        """Return the same with the dynamics that simulate the records best, if they do so better."""
         best, playback = self, self.playback()
         error = rms(playback.errors(self.actuator))
         for _ in range(_ROUNDS):
-            tell("tuning the resonance in simulation")
+            report("tuning the resonance in simulation")
             actuator = tune_resonance(best.actuator, playback)
             frame = replace(best.frame, inertia=SensedDynamics.of(actuator))
             trial = StructuredFit.solve(frame, self.structure, self.norm)

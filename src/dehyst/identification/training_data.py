@@ -30,10 +30,11 @@ from dehyst.records.signals import turning_points
 # Rows for a trial, and for the final program.
 _FEW_ROWS = 4000
 _MOST_ROWS = 30_000
-# Cycles of which the slowest lasts this many times the fastest tell creep from hysteresis; a hold of a cycle does, too.
+# Cycles of which the slowest lasts this many times the fastest distinguish creep from hysteresis; a hold of a cycle
+# does, too.
 _SPEEDS = 3.0
 _HELD = 0.005
-# What tells whether a record began at rest, and by how much that must lower the RMS residual.
+# The structure that shows whether a record began at rest, and by how much that must lower the RMS residual.
 _CREEPING = Structure(elements=20, transformer=20, grades=4, creep=9)
 _WORTH_OF_START = 0.9
 # Inertia shows in cycles of fewer samples than this; masses [samples squared] that are tried before it is looked for.
@@ -86,7 +87,7 @@ class TrainingData:
         return min(one.sample_time for one in records), max(float(np.ptp(one.time)) for one in records)
 
     def regression(self, structure: Structure, most: int = _MOST_ROWS) -> Regression:
-        """The rows of all records under a structure, thinned to about `most`."""
+        """Return the rows of all records under a structure, thinned to about `most`."""
         return self.stream(structure, most).regression
 
     def stream(self, structure: Structure, most: int = _MOST_ROWS) -> Stream:
@@ -121,7 +122,7 @@ class TrainingData:
         return Stream(source, Regression(source.thinned(most), grid, self.floor, self.datum, smoothing=smoothing))
 
     def _paths(self, item: Prepared, drifts: bool) -> Iterator[tuple[Record, Array]]:
-        """The pieces of a record as they act, displacements those that drive the elements, and their drift curves."""
+        """Yield the pieces of a record as they act, with the path that drives the elements, and their drift curves."""
         delay, lag, stroke = self.inertia.delay, self.inertia.lag, self.span[1] - self.span[0]
         curves = [curve for _, _, curve in item.delayed(0, delay)] if drifts else None
         for k, piece in enumerate(item.acting(delay, lag)):
@@ -131,9 +132,9 @@ class TrainingData:
             yield path, np.broadcast_to(0.0, len(path)) if curves is None else curves[k]
 
     def with_checked_delay(self, structure: Structure | None = None) -> TrainingData:
-        """The same without a delay, if a structure (default: of many parts) then misses held-out cycles by far less.
+        """Return the same without a delay, if held-out cycles are then missed by far less.
 
-        Where an actuator creeps fast or friction lets go gradually the displacement trails behind at every turn: a
+        Where an actuator creeps fast or friction yields gradually the displacement trails behind at every turn: a
         delay, for plain elements. A true delay fast creep can imitate, but not so much better.
         """
         if not self.inertia.delay:
@@ -143,7 +144,7 @@ class TrainingData:
         return without if prompt < _FALSE_DELAY * late else self
 
     def with_inertia(self) -> TrainingData:
-        """The same with the delay, damping and mass that the records ask for, if they do."""
+        """Return the same with the delay, damping and mass that the records ask for, if they do."""
         step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
         if cycle > _SLOWEST * step:
             return self
@@ -159,7 +160,7 @@ class TrainingData:
 
     @cached_property
     def drifting(self) -> tuple[int, ...]:
-        """Records that drift, seen from plain elements; none if branches can tell creep."""
+        """Records that drift, seen from plain elements; none if branches account for creep."""
         if self.supports_creep():
             return ()
         few, stroke = self._rows_of(Structure(), _FEW_ROWS), self.span[1] - self.span[0]
@@ -187,9 +188,9 @@ class TrainingData:
         return (len(lasting) > 1 and max(lasting) > _SPEEDS * min(lasting)) or any(map(_holds, self.training))
 
     def chosen(
-        self, start: Structure, tell: Callable[[str], None]
+        self, start: Structure, report: Callable[[str], None]
     ) -> tuple[Structure, tuple[StructureTrial, ...], list[str]]:
-        """The structure that the records support, the trials, and what they do not support."""
+        """Return the structure that the records support, the trials, and what they do not support."""
         without: tuple[str, ...] = ()
         remarks = []
         if not self.supports_creep():
@@ -198,7 +199,7 @@ class TrainingData:
                 "Creep was not looked for: the records neither hold still for as long as their cycles last nor have "
                 "loops at two speeds; add a staircase or slower loops."
             )
-        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, tell, without=without)
+        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, report, without=without)
         return best, trials, remarks
 
 

@@ -1,4 +1,4 @@
-"""Measured against simulated: a model played along a record, from a state that the record itself tells."""
+"""Measured against simulated: a model played along a record, from a state that the record itself determines."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class RecordComparison:
-    """A record beside a model: its samples that count, and what it cannot be told without.
+    """A record beside a model: its samples that count, and the constants that it needs.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ class RecordComparison:
             yield piece.time[own], voltage, y[own] + self.datum, one.displacement[again:], other.displacement[again:]
 
     def state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
-        """The state at an epoch's first sample, which the displacement before it tells, on the record's axis."""
+        """Return the state at an epoch's first sample on the record's axis: the displacement before determines it."""
         rho, grid = actuator.slip.breakaway, Grid.of_actuator(actuator)
         y = self.pieces[number][1].displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
@@ -205,7 +205,7 @@ def compare_all(
     options, spans = actuator.provenance, [high - low for low, high in (item.span() for item in prepared)]
     stroke, widest = max(spans), prepared[int(np.argmax(spans))].record
     datum = 0.0 if options.get("shared_datum") else None
-    # Where branches creep, a drift of the record would be told twice.
+    # Where branches creep, a drift of the record would be counted twice.
     drift = bool(options.get("drift", True)) and actuator.creep is None
     with one_thread():
         compared = tuple(
@@ -216,11 +216,11 @@ def compare_all(
 
 
 def state_after(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:
-    """The state at a record's last sample, on the model's axis, and the offset of its voltages [V].
+    """Return the state at a record's last sample, on the model's axis, and the offset of its voltages [V].
 
-    Its displacements tell them, and how far its sensor's zero lies from the model's: the offset by least squares over
-    the samples that count. Where none does, for the record is too short or has no full cycle, the offset is that of its
-    last sample, and what the record does not tell of the carts is none.
+    Its displacements determine them, and how far its sensor's zero lies from the model's: the offset by least squares
+    over the samples that count. Where none does, for the record is too short or has no full cycle, the offset is that
+    of its last sample, and what the record leaves open of the carts is taken as none.
     """
     try:
         record = prepare(lead)
@@ -244,7 +244,7 @@ def state_after(actuator: Actuator, lead: Record, stroke: float) -> tuple[State,
 def _beside(
     actuator: Actuator, record: Prepared, pieces: list[tuple[int, Record, Array]], drifting: tuple[int, ...]
 ) -> tuple[RowSource, Regression, Coefficients]:
-    """The samples of a record, their regression on some of them, and an actuator's coefficients in it."""
+    """Return the samples of a record, their regression on some of them, and an actuator's coefficients in it."""
     grid = Grid.of_actuator(actuator)
     source = RowSource.of(
         pieces,
@@ -263,15 +263,15 @@ def _beside(
 
 
 def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
-    """What drives the elements of an actuator; plain ones take the measured displacement as it is."""
+    """Return what drives the elements of an actuator; plain ones take the measured displacement as it is."""
     return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke) if actuator.wide else piece
 
 
 def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:
     """Simulate a record's last epoch, in which the range of the excitation no longer grows, and compare.
 
-    The state at its start follows from the displacement measured before. What a record cannot be told without, its
-    constant, datum and drift, is found by least squares with the model held fixed.
+    The state at its start follows from the displacement measured before. The constant, datum
+    and drift of a record are fitted by least squares with the model held fixed.
     """
     compared = compare(actuator, record, protocol)
     found, regression = compared.found, compared.regression

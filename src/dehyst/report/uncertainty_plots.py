@@ -1,4 +1,4 @@
-"""Figures of what records tell: singular values, intervals of stiffnesses and spring, a trajectory's error band."""
+"""Figures of what records determine: singular values, intervals of stiffnesses and spring, error bands."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ _FREE = "#BBBBBB"
 _FOOT = 1e-5
 
 
-def singular_values(told: Identifiability, *, name: str) -> str:
-    """Singular value of each direction, filled if the records tell it, hollow if not."""
+def singular_values(directions: Identifiability, *, name: str) -> str:
+    """Singular value of each direction, filled if the records determine it, hollow if not."""
 
     def draw(ax: Axes) -> None:
-        number, known = np.arange(1, told.values.size + 1), np.arange(told.values.size) < told.determined
-        shown = np.maximum(told.values, _FOOT)
+        number, known = (
+            np.arange(1, directions.values.size + 1),
+            np.arange(directions.values.size) < directions.determined,
+        )
+        shown = np.maximum(directions.values, _FOOT)
         for some, face, label in ((known, MEASURED, "known"), (~known, "white", "open")):
             if some.any():
                 ax.plot(
@@ -41,7 +44,7 @@ def singular_values(told: Identifiability, *, name: str) -> str:
                 )
         ax.set(yscale="log", xlabel="direction", ylabel="singular value (V/V)")
         ax.set_ylim(bottom=min(_FOOT, float(shown.min())))
-        ax.set_xlim(0.5, told.values.size + 0.5)
+        ax.set_xlim(0.5, directions.values.size + 0.5)
         ax.legend(loc="lower left")
 
     return inline(name, draw)

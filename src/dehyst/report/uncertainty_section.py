@@ -72,20 +72,21 @@ def sections(found: Insight) -> list[str]:
 
 
 def _directions(found: Insight) -> str:
-    told = found.identifiability
-    sentences = told.sentences()
+    directions = found.identifiability
+    sentences = directions.sentences()
     items = [escape(_subscripts(sentence)) for sentence in sentences[:_MOST_SENTENCES]]
     if len(sentences) > _MOST_SENTENCES:
         items.append(f"and {len(sentences) - _MOST_SENTENCES} more")
     listed = "\n".join(f"<li>{item}</li>" for item in items)
     caption = (
-        f"The turning points of the records tell {told.determined} of {told.of} directions of the stiffnesses, the "
+        f"The turning points of the records determine {directions.determined} of {directions.of} directions of "
+        f"the stiffnesses, the "
         "spring and each record's constant being free. A singular value is the RMS voltage by which one volt of "
         "breakaway voltages in its direction shows, whatever the spring does; hollow ones are open."
     )
-    drawn = panel(("Singular values", ""), uncertainty_plots.singular_values(told, name="singular"), "")
+    drawn = panel(("Singular values", ""), uncertainty_plots.singular_values(directions, name="singular"), "")
     body = f'<div class="panel"><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>'
-    return figure("What the records tell of the stiffnesses", caption, [drawn, body])
+    return figure("What the records determine of the stiffnesses", caption, [drawn, body])
 
 
 def _subscripts(sentence: str) -> str:
@@ -109,7 +110,8 @@ def _intervals(found: Insight) -> str:
     head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "not contradicted")
     caption = (
         f"By noise: {level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles, their "
-        "bias taken off, so that an interval need not hold the model's own value; an open stiffness is not told by "
+        "bias taken off, so that an interval need not hold the model's own value; an open stiffness is not "
+        "determined by "
         "itself, whatever the noise. Not contradicted: the least and the largest value among all models that meet the "
         "records nearly as well as this one. A stiffness may be uncertain "
         "while a sum of neighbours is sharp; what counts for a motion is the band along its trajectory."
@@ -136,10 +138,10 @@ def _pair(ends: Sequence[float] | np.ndarray[tuple[int, ...], np.dtype[np.float6
 
 def _next(found: Insight) -> str:
     if not found.advice:
-        told = found.identifiability
-        if told.determined < told.of:
+        directions = found.identifiability
+        if directions.determined < directions.of:
             return ""
-        return '<h2>What to record next</h2>\n<p class="muted">Nothing: no loop tells more directions.</p>'
+        return '<h2>What to record next</h2>\n<p class="muted">Nothing: no loop determines more directions.</p>'
     rows: list[Row] = [
         ((one.words, one.command), f"{one.determined} of {one.of}", f"{number(one.weakest, 2)}", f"{one.seconds:.4g} s")
         for one in found.advice[:6]
@@ -153,7 +155,7 @@ def _parts(found: Insight) -> str:
         (one.part.capitalize(), str(one.of), str(one.known), *_spread(one.deviations)) for one in found.parts
     ]
     head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
-    said = (
+    caption = (
         f"The turning points of the records determine {found.identifiability.determined} of {found.identifiability.of} "
         "directions of plain "
         "elements: whether there are inner loops enough. "
@@ -162,7 +164,8 @@ def _parts(found: Insight) -> str:
         "What is not known by itself may be sharp together with other parts: what counts for a motion is the band "
         "along it."
     )
-    return f'<h2>What the records tell of each part</h2>\n<p class="muted">{said}</p>\n{table(head, rows, texts=1)}'
+    title = "<h2>What the records determine of each part</h2>"
+    return f'{title}\n<p class="muted">{caption}</p>\n{table(head, rows, texts=1)}'
 
 
 def _spread(deviations: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[str, str]:
@@ -241,9 +244,9 @@ def _homing(homing: Homing, *, creeps: bool) -> str:
         return f"<p>Shortest homing: {escape(turns)} V ({word}). {remarks}</p>"
     word = "certified" if homing.certified else "not certified"
     way = ", ".join(f"{v:.6g}" for v in homing.turns)
-    said = escape(
+    sentence = escape(
         f"{way} V in {number(homing.played.duration)} s{', with holds at both limits' if creeps else ''} ({word}): "
         f"whatever was before within the limits, the displacement is known to {length(homing.error)} after it."
     )
     items = "\n".join(f"<li>{escape(remark.replace(' um', ' µm'))}</li>" for remark in homing.remarks)
-    return f"<p>Homing: {said}</p>\n<ul>\n{items}\n</ul>"
+    return f"<p>Homing: {sentence}</p>\n<ul>\n{items}\n</ul>"

@@ -101,7 +101,7 @@ def _judge_plain(
     seconds: float | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """What is judged of plain elements only: the feasible set, the band with it, and excitations to add."""
+    """Return what is judged of plain elements only: the feasible set, the band with it, and excitations to add."""
     actuator, judged = evidence.actuator, dict[str, Any]()
     if intervals is not None:
         progress("looking for models that the records do not contradict")
@@ -129,7 +129,7 @@ def _judge_structured(
     _: float | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """What is judged of structured models only: their parts, the major loop, and the band in time."""
+    """Return what is judged of structured models only: their parts, the major loop, and the band in time."""
     actuator, judged = evidence.actuator, dict[str, Any]()
     if intervals is not None and limits is not None:
         judged["loop"] = MajorLoopWidth.from_intervals(evidence, intervals, limits)
@@ -153,5 +153,5 @@ def _check(trajectory: bool, repeats: int, level: float) -> None:
         raise ModelError(f"level: got {level}, need a number between 0 and 1, e.g. 0.9")
     if trajectory and not repeats:
         raise ModelError(
-            f"repeats: got 0 and a trajectory, need {LEAST_REPEATS} at least to say how wrong it may come out"
+            f"repeats: got 0 and a trajectory, need {LEAST_REPEATS} at least to estimate how wrong it may come out"
         )

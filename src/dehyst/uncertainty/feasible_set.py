@@ -183,7 +183,7 @@ def _means(evidence: Evidence) -> tuple[Array, Array, Array]:
     regression = evidence.regression
     rows = regression.rows
     columns = _columns(regression, rows.elongation, regression.axis, regression.nuisances())
-    # What cannot move a stiffness is told by the model: stuck elements without a column keep their part.
+    # Stuck elements without a column keep their part.
     still = rows.elongation[:, ~regression.movable] @ evidence.model.stiffness[~regression.movable, 0]
     number = _groups(evidence)
     size = np.bincount(number).astype(float)
@@ -194,7 +194,7 @@ def _means(evidence: Evidence) -> tuple[Array, Array, Array]:
 
 
 def _groups(evidence: Evidence) -> NDArray[np.intp]:
-    """Number of the group of each row: runs of neighbours, cut at epochs and at turning points."""
+    """Return number of the group of each row: runs of neighbours, cut at epochs and at turning points."""
     rows = evidence.regression.rows
     length = max(1, len(rows) // _ROWS)
     cut = np.zeros(len(rows), dtype=bool)

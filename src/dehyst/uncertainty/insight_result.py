@@ -22,8 +22,10 @@ from dehyst.uncertainty.prediction_band import PredictionBand
 from dehyst.uncertainty.state_knowledge import StateKnowledge
 
 _NOT_JUDGED = (
-    "Not judged of a wider model: what other models of its class the records do not contradict, whether its structure "
-    "is the right one, and which excitation would tell most. Delay, inertia and sensor zeros are held where they are."
+    "Not judged of a structured model: what other models of its class the records do not contradict, whether its "
+    "structure "
+    "is the right one, and which excitation would determine most. Delay, inertia and sensor zeros are held where "
+    "they are."
 )
 
 
@@ -125,7 +127,7 @@ class Insight:
         )
 
     def _open_on(self, band: PredictionBand) -> str | None:
-        """What open directions make of a trajectory, where that is more than the rest."""
+        """Return what open directions make of a trajectory, where that is more than the rest."""
         parts = {name: 100 * error / self.evidence.stroke for name, error in band.errors().items()}
         known = max(parts["misfit"], parts["noise"], 0.1)
         if self.structured or self.trustworthy or parts["open"] <= known:

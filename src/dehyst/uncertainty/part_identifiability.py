@@ -1,10 +1,10 @@
-"""What records tell of each part of a wider model: combinations of coefficients that they determine despite noise.
+"""What records determine of each part of a structured model: combinations of coefficients, despite noise.
 
 Coefficients count as what their parts hold in volts: stiffness times breakaway elongation, slope times the length of
 its segment, and so on. Along the paths that the model itself makes of the records' voltages (noise could be taken for
 knowledge), a combination of a part's coefficients shows as an RMS voltage, everything else being free to make up for
 it. With the scatter of the legs' mean residuals that gives its standard deviation. That stiffnesses are not negative is
-left aside: it can only tell more.
+left aside: it can only determine more.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _ROUNDING = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class PartIdentifiability:
-    """What records tell of a part.
+    """What records determine of a part.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class PartIdentifiability:
 
 
 def part_identifiability(evidence: Evidence) -> tuple[PartIdentifiability, ...]:
-    """What records tell of each part of a model; `PartIdentifiability` of the creep before them is left out."""
+    """Return what records determine of each part of a model; creep before the records is left out."""
     regression = evidence.with_pieces(_made(evidence))
     weights = evidence.weights / np.median(evidence.weights)
     columns = regression.bounded / _holds(regression) * weights[:, None]
@@ -109,7 +109,7 @@ def _parts(regression: Regression) -> list[tuple[str, slice]]:
 
 
 def _holds(regression: Regression) -> Array:
-    """What a coefficient of each column must be to hold a volt, over one (q,)."""
+    """Return what a coefficient of each column must be to hold a volt, over one (q,)."""
     grid = regression.grid
     stroke, lengths = float(np.ptp(grid.knots)), np.diff(grid.drive)
     found = np.concatenate(
@@ -125,7 +125,7 @@ def _holds(regression: Regression) -> Array:
 
 
 def _made(evidence: Evidence) -> list[list[Record]]:
-    """The pieces with the displacements that the model makes."""
+    """Return the pieces with the displacements that the model makes."""
     made = []
     for one in evidence.comparisons:
         paths = [piece.displacement.copy() for piece in one.measured]
@@ -136,7 +136,7 @@ def _made(evidence: Evidence) -> list[list[Record]]:
 
 
 def _scatter(evidence: Evidence, weights: Array) -> float:
-    """Standard deviation of a mean over all legs [V]."""
+    """Return standard deviation of a mean over all legs [V]."""
     rows, residual = evidence.regression.rows, evidence.model.solved.residual * weights
     cuts = np.flatnonzero(np.diff(rows.epoch)) + 1
     turns = turning_points(rows.voltage, 0.02 * float(np.ptp(rows.voltage)))
