@@ -68,5 +68,5 @@ def test_seconds_bounds_and_words():
             _validation.seconds(wrong, "delay")
     with pytest.raises(IdentifyError, match=r"spacing: got 4.1, need an exponent between 0.5 and 4"):
         _validation.between(4.1, "spacing", 0.5, 4, "an exponent")
-    with pytest.raises(IdentifyError, match="norm: got 'l3', need one of l1, l2"):
+    with pytest.raises(IdentifyError, match="norm: got 'l3', need 'l1' or 'l2'"):
         _validation.choice("l3", "norm", ("l1", "l2"))
