@@ -60,7 +60,7 @@ class Bench:
     def of(cls, model: dehyst.Actuator) -> Bench:
         """Home the stage, and the model with it."""
         one, voltage = Stage(seed=1), stage.homing()
-        one.drive(voltage)
+        one.play(voltage)
         state = simulated(model, voltage, PERIOD * np.arange(voltage.size)).state
         foresight = Preview.of(model, PERIOD)
         return cls(one, model, state, foresight, gains(model, foresight))
@@ -77,13 +77,13 @@ class Bench:
         fed = np.concatenate([wanted, np.full(ahead, wanted[-1])])[ahead:]
         compensator = dehyst.Compensator(self.model, LIMITS, period=PERIOD, state=self.state, preview=True)
         if kind == "feedforward":
-            return own.drive(compensator.run(fed)) + shaken
+            return own.play(compensator.run(fed)) + shaken
         ratio, gain = HIGHEST / own.stroke, self.gains[kind]
         integral = 0.0 if kind == "both" else compensator.voltage / ratio
         y = np.empty(wanted.size)
         for k in range(wanted.size):
             v = compensator.step(fed[k] + integral) if kind == "both" else float(np.clip(ratio * integral, *LIMITS))
-            y[k] = own.drive(np.array([v]))[0] + shaken[k]
+            y[k] = own.play(np.array([v]))[0] + shaken[k]
             integral += gain * (wanted[k] - own.measured(y[k]))
         return y
 

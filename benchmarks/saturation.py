@@ -38,8 +38,8 @@ def measure() -> dict:
     left = 1 + max(int(np.flatnonzero((v <= LIMITS[0]) | (v >= LIMITS[1]))[-1]) for v in sent.values())
     result = {"allowed_V": LIMITS, "needed_V": float(free.max()), "outside": 0, "after_saturation_percent": {}}
     for name, voltage in sent.items():
-        truth.drive(homing)
-        error = truth.drive(voltage, measured=False) - wanted
+        truth.play(homing)
+        error = truth.play(voltage, measured=False) - wanted
         result["outside"] += int(np.count_nonzero((voltage < LIMITS[0]) | (voltage > LIMITS[1])))
         result["after_saturation_percent"][name] = float(100 * np.abs(error[left:]).max() / truth.stroke)
     steps = np.diff(np.append(dehyst.Compensator(actuator, LIMITS, state=homed).voltage, sent[TRUE]))

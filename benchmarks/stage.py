@@ -30,18 +30,18 @@ class Stage:
         self.sensor = np.random.default_rng(seed)
         self.noise = noise
         self.samples = 0
-        start = float(self.slow.drive(np.zeros(2), time=np.array([-2, -1]) * PERIOD)[-1])
+        start = float(self.slow.play(np.zeros(2), time=np.array([-2, -1]) * PERIOD)[-1])
         self.under_way = [start] * (self.late + 2)
         self.motion = (start, 0.0)
         omega = 2 * np.pi * self.resonance
         free = dehyst.Dynamics(omega, self.damping).transitions(np.array([PERIOD]), 0.0)[0].tolist()
         self.phi, self.before, self.after = free[:4], free[4:6], free[6:]
 
-    def drive(self, voltage: np.ndarray) -> np.ndarray:
+    def play(self, voltage: np.ndarray) -> np.ndarray:
         """Displacement (n,) [m] as it is, for voltages (n,) [V] that follow those before; see `measured`."""
         at = PERIOD * np.arange(self.samples, self.samples + voltage.size)
         self.samples += voltage.size
-        pushed = self.slow.drive(voltage, time=at, measured=False)
+        pushed = self.slow.play(voltage, time=at, measured=False)
         return np.array([self._swung(p) for p in pushed.tolist()])
 
     def measured(self, displacement: np.ndarray) -> np.ndarray:
@@ -71,7 +71,7 @@ def records(seed: int = 0) -> list[dehyst.Record]:
     }
     runs["staircase"] = staircase(HIGHEST, steps=10, hold=HOLD, back=True, drive=driven(SLOW)), 10
     for name, (one, every) in runs.items():
-        y = stage.measured(stage.drive(one.voltage))
+        y = stage.measured(stage.play(one.voltage))
         made.append(dehyst.Record(one.time[::every], one.voltage[::every], y[::every], name))
     return made
 

@@ -10,10 +10,10 @@
     ├── MissingExtraError(ImportError)  an optional dependency that is not installed
     └── RigError(OSError)               an instrument that does not do what is needed
         ├── LinkError(ConnectionError)      its connection: refused, lost, silent, garbled
-        ├── DeviceError                     it says itself that something is wrong
-        └── SensorError                     its reading tells nothing of the displacement
+        ├── DeviceError                     an error that the instrument itself reports
+        └── SensorError                     a reading that cannot be the displacement
 
-Every message says what was got, what is needed and what to try.
+Every message states what was got, what is needed and what to try.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from dehyst._text import escaped
 
 
 class DehystError(Exception):
-    """Root of every exception that dehyst raises on purpose."""
+    """Base class of every exception that dehyst raises on purpose."""
 
     def __str__(self) -> str:
-        """Return the message as one line; names in it may hold what a terminal would obey."""
+        """Return the message as one line, with control characters escaped: names in it may come from files."""
         return escaped(super().__str__())
 
 
@@ -46,7 +46,7 @@ class IdentifyError(DehystError, ValueError):
 
 
 class MissingExtraError(DehystError, ImportError):
-    """An optional dependency is needed and not installed; the message says which extra to install."""
+    """An optional dependency that is not installed; the message names the extra to install."""
 
     @classmethod
     def of(cls, package: str, extra: str, purpose: str) -> MissingExtraError:
@@ -59,12 +59,12 @@ class RigError(DehystError, OSError):
 
 
 class LinkError(RigError, ConnectionError):
-    """The connection to an instrument: refused, lost, silent, or what comes is no answer."""
+    """A failed connection to an instrument: refused, lost, silent, or with an unreadable answer."""
 
 
 class DeviceError(RigError):
-    """An instrument reports an error, or does something else than it was told."""
+    """An instrument that reports an error, or does not do what was commanded."""
 
 
 class SensorError(RigError):
-    """The displacement that an instrument reads cannot be one: it does not move, or no further, with the voltage."""
+    """A reading that cannot be the displacement: it does not follow the voltage, or saturates."""

@@ -1,4 +1,4 @@
-"""Text of others in a line of ours: what a terminal or a page would obey, or not show, is written as an escape."""
+"""Foreign text in messages: control and invisible characters are escaped."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import unicodedata
 def escaped(text: object) -> str:
     r"""Return the text with control characters, line ends, marks of direction and lone surrogates as \x1b, \n, \u202e.
 
-    Printable text, in any script, stays as it is; so does what was escaped before.
+    Printable text, in any script, does not change, nor does text that is escaped already.
     """
-    said = str(text)
-    # Spaces other than ' ' count as not printable, and do no harm.
-    return said if said.isprintable() else "".join(map(_escape, said))
+    string = str(text)
+    # Spaces other than ' ' count as not printable, but are harmless.
+    return string if string.isprintable() else "".join(map(_escape, string))
 
 
-def _escape(one: str) -> str:
-    if one.isprintable() or unicodedata.category(one) == "Zs":
-        return one
-    return one.encode("unicode_escape").decode("ascii")
+def _escape(character: str) -> str:
+    if character.isprintable() or unicodedata.category(character) == "Zs":
+        return character
+    return character.encode("unicode_escape").decode("ascii")
 
 
-def counted(number: int, thing: str) -> str:
-    """Write a number and the thing, in the plural unless it is one: "1 sample", "2 samples"."""
-    return f"{number} {thing}{'' if number == 1 else 's'}"
+def counted(number: int, noun: str) -> str:
+    """Write a number and a noun, in the plural unless the number is 1: "1 sample", "2 samples"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"

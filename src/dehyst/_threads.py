@@ -1,4 +1,4 @@
-"""BLAS on one thread while dehyst solves: its small factorisations gain nothing from more and lose much."""
+"""BLAS on one thread while dehyst solves: more threads make its small factorisations slower."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any
 __all__ = ["one_thread"]
 
 _lock = threading.Lock()
-# The limit is one of the process: the first solver sets it, the last one lifts it.
+# The limit applies to the process: the first solver sets it, the last one removes it.
 _limit: Any = None
 _solvers = 0
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Bound every BLAS library to one thread; usable as a decorator, nested, and in several threads at once."""
+    """Limit every BLAS library to one thread; usable as a decorator, nested, and in several threads at once."""
     _enter()
     try:
         yield
@@ -27,7 +27,7 @@ def one_thread() -> Iterator[None]:
 
 def _enter() -> None:
     global _limit, _solvers  # noqa: PLW0603
-    # Only libraries that are loaded can be bounded, and SciPy brings a BLAS of its own.
+    # Only loaded libraries can be limited, and SciPy brings a BLAS of its own.
     import scipy.linalg  # noqa: F401
     import threadpoolctl
 

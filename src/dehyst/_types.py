@@ -1,4 +1,4 @@
-"""Types that many modules name."""
+"""Types that many modules use."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]
-# Called with a few words at each step of a long computation.
+# Called with a short message at each step of a long computation.
 Progress: TypeAlias = Callable[[str], None]

@@ -1,4 +1,4 @@
-"""Quantities with units: converted to plain numbers in the unit that is computed with, or refused; never stripped."""
+"""Conversion of quantities with units to plain numbers; a unit that cannot be converted raises, none is dropped."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._errors import ModelError
+from dehyst._errors import DehystError, ModelError
 
-# What a value is called where it enters, and its unit. A name that is missing here takes plain numbers only.
+# The name of a value where it enters, and its unit. A name that is missing here takes plain numbers only.
 # Frequencies are missing on purpose: libraries of units convert rad/s to Hz without the factor 2 pi.
 UNITS = {
     **dict.fromkeys(
@@ -76,11 +76,11 @@ UNITS = {
 _PLAIN = frozenset({float, int, bool, str, bytes, type(None), np.float64, np.float32, np.int64, np.int32, np.bool_})
 
 
-def plain(values: Any, what: str, unit: str | None = None) -> Any:
+def plain(values: Any, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError) -> Any:
     """Return values without units: as they are if they have none, otherwise converted.
 
-    An object has units if it has an attribute `units` or `unit`, as those of pint, astropy, unyt and quantities, or if
-    such objects are in it.
+    An object has units if it, or an object in it, has an attribute `units` or `unit`, as those of pint, astropy, unyt
+    and quantities have.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def plain(values: Any, what: str, unit: str | None = None) -> Any:
 
     Raises
     ------
-    ModelError
+    error
         If the unit cannot be converted, none is known for the name, or a value is masked.
     """
     kind = type(values)
@@ -101,54 +101,58 @@ def plain(values: Any, what: str, unit: str | None = None) -> Any:
         return values
     unit = UNITS.get(what) if unit is None else unit
     if isinstance(values, list | tuple):
-        return values if _PLAIN.issuperset(map(type, values)) else [plain(value, what, unit) for value in values]
-    _refuse_masked(values, what)
+        return (
+            values
+            if _PLAIN.issuperset(map(type, values))
+            else [plain(value, what, unit, error=error) for value in values]
+        )
+    _refuse_masked(values, what, error)
     quantity = _quantity(values)
     if quantity is not None:
-        return _converted(quantity, what, unit)
+        return _converted(quantity, what, unit, error)
     if getattr(getattr(values, "dtype", None), "kind", "") == "O":
         objects = np.asarray(values)
-        return plain(objects.tolist(), what, unit) if objects.ndim else values
+        return plain(objects.tolist(), what, unit, error=error) if objects.ndim else values
     return values
 
 
-def _refuse_masked(values: Any, what: str) -> None:
+def _refuse_masked(values: Any, what: str, error: type[DehystError]) -> None:
     mask = getattr(values, "mask", None)
     # That of a table or a series of pandas is a method.
     if isinstance(mask, np.ndarray | np.bool_ | bool) and np.any(mask):
-        raise ModelError(f"{what}: got an array with masked values, need all of them")
+        raise error(f"{what}: got an array with masked values, need all of them")
 
 
 def _quantity(values: Any) -> Any:
-    """What has the units: the object, or what it is wrapped around; None if nothing has."""
+    """Return the object that has units: the values or what they wrap; None if there is none."""
     # Not the memory of an array, which is called `data` too.
     inner = None if isinstance(values, np.ndarray) else getattr(values, "data", None)
-    return next((one for one in (inner, values) if _unit_of(one)), None)
+    return next((candidate for candidate in (inner, values) if _unit_of(candidate)), None)
 
 
 def _unit_of(values: Any) -> str:
-    found = (getattr(values, name, None) for name in ("units", "unit"))
-    return next((str(unit) for unit in found if unit is not None and not isroutine(unit)), "")
+    attributes = (getattr(values, name, None) for name in ("units", "unit"))
+    return next((str(unit) for unit in attributes if unit is not None and not isroutine(unit)), "")
 
 
-def _converted(quantity: Any, what: str, unit: str | None) -> Any:
+def _converted(quantity: Any, what: str, unit: str | None, error: type[DehystError]) -> Any:
     got = _unit_of(quantity)
     if unit is None:
-        raise ModelError(f"{what}: got a quantity in {got}, need plain numbers without a unit")
+        raise error(f"{what}: got a quantity in {got}, need plain numbers without a unit")
     methods = (getattr(quantity, name, None) for name in ("to_value", "to", "rescale"))
     convert = next((method for method in methods if callable(method)), None)
     if convert is None and got == unit:
-        return plain(np.asarray(getattr(quantity, "values", quantity)), what, unit)
+        return plain(np.asarray(getattr(quantity, "values", quantity)), what, unit, error=error)
     refusal = f"{what}: got a quantity in {got}, need one that can be converted to {unit}, or plain numbers in {unit}"
     if convert is None:
-        raise ModelError(refusal)
+        raise error(refusal)
     try:
-        found = convert(unit)
-    except Exception as error:  # Libraries of units have no error in common.
-        raise ModelError(refusal) from error
+        converted = convert(unit)
+    except Exception as cause:  # Libraries of units have no error in common.
+        raise error(refusal) from cause
     for name in ("magnitude", "value"):
-        found = getattr(found, name, found)
-    if _unit_of(found):
-        raise ModelError(refusal)
-    _refuse_masked(found, what)
-    return np.asarray(found)[()]
+        converted = getattr(converted, name, converted)
+    if _unit_of(converted):
+        raise error(refusal)
+    _refuse_masked(converted, what, error)
+    return np.asarray(converted)[()]

@@ -1,4 +1,7 @@
-"""Numbers, arrays and options that come from outside, checked: each error states what was got and what is needed."""
+"""Checks of numbers, arrays and options from outside; each error states what was got and what is needed.
+
+Every check raises the class that its argument `error` names.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._computable import MOST_ADDED, demand_magnitudes
-from dehyst._errors import IdentifyError, ModelError
+from dehyst._errors import DehystError, IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._units import plain
 
 
 def untimely(time: Array, samples: int) -> str:
-    """Why times are none of so many samples: how many there are, or where they do not increase."""
+    """Describe what is wrong with the times of so many samples: their number, or where they do not increase."""
     if time.size != samples:
         return f"time: got {time.size} values for {samples} samples, need one a sample"
     first = int(np.argmax(np.diff(time) <= 0)) + 1
@@ -25,34 +28,36 @@ def untimely(time: Array, samples: int) -> str:
     return f"time: got {after:.9g} s after {before:.9g} s at value {first}, need strictly increasing times"
 
 
-def vector(values: ArrayLike, what: str, unit: str | None = None) -> Array:
+def vector(values: ArrayLike, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError) -> Array:
     """Return `values` as a contiguous one-dimensional array of finite doubles; quantities in `unit`, see `plain`.
 
     Raises
     ------
-    ModelError
+    error
         If it has another number of dimensions, is not numeric, has another unit, or holds NaN or infinity.
     """
-    return spanned(values, what, unit)[0]
+    return spanned(values, what, unit, error=error)[0]
 
 
-def spanned(values: ArrayLike, what: str, unit: str | None = None) -> tuple[Array, float, float]:
-    """Return what `vector` does, and its least and its largest value, which are finite only if all are; NaN of none."""
-    array = _doubles(values, what, unit)
+def spanned(
+    values: ArrayLike, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError
+) -> tuple[Array, float, float]:
+    """Return the array that `vector` returns, its smallest and its largest value; both are NaN if it is empty."""
+    array = _doubles(values, what, unit, error)
     if array.ndim != 1:
-        raise ModelError(f"{what}: got an array of shape {array.shape}, need one dimension")
+        raise error(f"{what}: got an array of shape {array.shape}, need one dimension")
     if not array.size:
         return array, math.nan, math.nan
     low, high = float(np.minimum.reduce(array)), float(np.maximum.reduce(array))
     if not (math.isfinite(low) and math.isfinite(high)):
         bad = np.flatnonzero(~np.isfinite(array))
-        raise ModelError(f"{what}: {bad.size} of {array.size} values are not finite, the first at index {bad[0]}")
+        raise error(f"{what}: {bad.size} of {array.size} values are not finite, the first at index {bad[0]}")
     return array, low, high
 
 
 def matrix(values: ArrayLike, what: str, unit: str | None = None) -> Array:
-    """Return `values` as a contiguous two-dimensional array of finite doubles; raises as `vector` does."""
-    array = _doubles(values, what, unit)
+    """Return `values` as a contiguous two-dimensional array of finite doubles; raise as `vector` does."""
+    array = _doubles(values, what, unit, ModelError)
     if array.ndim != 2:
         raise ModelError(f"{what}: got an array of shape {array.shape}, need two dimensions")
     if not np.isfinite(array).all():
@@ -60,102 +65,92 @@ def matrix(values: ArrayLike, what: str, unit: str | None = None) -> Array:
     return array
 
 
-def _doubles(values: ArrayLike, what: str, unit: str | None) -> Array:
-    numbers = plain(values, what, unit)
+def _doubles(values: ArrayLike, what: str, unit: str | None, error: type[DehystError]) -> Array:
+    numbers = plain(values, what, unit, error=error)
     try:
         given = np.asarray(numbers)
         if given.dtype.kind not in "iuf" and given.size:
             raise TypeError
         return np.array(given, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"{what}: got {type(values).__name__}, need an array of numbers") from error
+    except (TypeError, ValueError) as cause:
+        raise error(f"{what}: got {type(values).__name__}, need an array of numbers") from cause
 
 
-def number(value: object, what: str, unit: str | None = None) -> float:
+def number(value: object, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError) -> float:
     """Return `value` as a finite float; a quantity in `unit`, see `plain`.
 
     Raises
     ------
-    ModelError
+    error
         If it is no number, has another unit, or is NaN or infinite.
     """
-    found = plain(value, what, unit)
-    if isinstance(found, Real) and not isinstance(found, bool):
+    bare = plain(value, what, unit, error=error)
+    if isinstance(bare, Real) and not isinstance(bare, bool):
         try:
-            as_float = float(found)
+            as_float = float(bare)
         except OverflowError:
             as_float = math.inf
         if math.isfinite(as_float):
             return as_float
-    raise ModelError(f"{what}: got {value!r}, need a finite number")
+    raise error(f"{what}: got {value!r}, need a finite number")
 
 
-def interval(limits: Sequence[float]) -> tuple[float, float]:
-    """Check voltage limits [V].
+def interval(limits: Sequence[float], *, error: type[DehystError] = ModelError) -> tuple[float, float]:
+    """Return voltage limits [V] as two floats.
 
     Raises
     ------
-    ModelError
+    error
         If they are not two finite numbers, the lower one first.
     """
-    pair = plain(limits, "limits")
-    ends = [number(end, "limits") for end in pair] if isinstance(pair, Sequence | np.ndarray) else []
+    pair = plain(limits, "limits", error=error)
+    ends = [number(end, "limits", error=error) for end in pair] if isinstance(pair, Sequence | np.ndarray) else []
     if len(ends) != 2 or ends[0] >= ends[1]:
-        raise ModelError(f"limits: got {limits}, need two finite voltages, the lower one first")
-    demand_magnitudes(ends, "limits [V]", MOST_ADDED)
+        raise error(f"limits: got {limits}, need two finite voltages, the lower one first, such as (0, 200)")
+    demand_magnitudes(ends, "limits [V]", MOST_ADDED, error=error)
     return ends[0], ends[1]
 
 
-def demand(holds: bool, name: str, got: object, needed: str) -> None:
-    """Refuse an option, in the words of every refusal here, unless something holds.
-
-    Raises
-    ------
-    IdentifyError
-    """
+def demand(holds: bool, name: str, got: object, needed: str, *, error: type[DehystError] = IdentifyError) -> None:
+    """Raise `error`, with the option's name, what was got and what is needed, unless `holds`."""
     if not holds:
-        raise IdentifyError(f"{name}: got {got!r}, need {needed}")
+        raise error(f"{name}: got {got!r}, need {needed}")
 
 
-def count(value: object, name: str, least: int = 1, most: int | None = 500) -> int:
-    """Return a whole number from `least` to `most`, or without end; refuse anything else with `IdentifyError`."""
+def count(
+    value: object, name: str, least: int = 1, most: int | None = 500, *, error: type[DehystError] = IdentifyError
+) -> int:
+    """Return a whole number from `least` to `most`, without an upper bound if that is None; else raise `error`."""
     if isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) <= (most or inf):
         return int(value)
-    raise IdentifyError(f"{name}: got {value!r}, need a whole number from {least}{f' to {most}' if most else ''}")
+    raise error(f"{name}: got {value!r}, need a whole number from {least}{f' to {most}' if most else ''}")
 
 
 def fraction(value: object, name: str, least: float | None = None) -> float:
-    """Return a number below 1 and above 0, or from `least`; refuse anything else with `IdentifyError`."""
+    """Return a number above 0, or from `least` on, and below 1; raise `IdentifyError` for anything else."""
     holds = 0 < _real(value) < 1 if least is None else least <= _real(value) < 1
     demand(holds, name, value, "a fraction between 0 and 1" if least is None else f"a number from {least:g} to below 1")
     return _real(value)
 
 
 def between(value: object, name: str, least: float, most: float, what: str = "a number") -> float:
-    """Return a number from `least` to `most`; refuse anything else with `IdentifyError`, asking for `what`."""
+    """Return a number from `least` to `most`; raise `IdentifyError`, which asks for `what`, for anything else."""
     demand(least <= _real(value) <= most, name, value, f"{what} between {least:g} and {most:g}")
     return _real(value)
 
 
 def seconds(value: object, name: str) -> float:
-    """Return seconds, 0 or more; refuse anything else with `IdentifyError`."""
+    """Return seconds, 0 or more; raise `IdentifyError` for anything else."""
     demand(0 <= _real(value) < inf, name, value, "a number of seconds, 0 or more")
     return _real(value)
 
 
-def numbers(values: ArrayLike, name: str) -> Array:
-    """Return finite numbers (n,); refuse anything else with `IdentifyError`."""
-    try:
-        return vector(values, name)
-    except ModelError as error:
-        raise IdentifyError(str(error)) from error
-
-
-def choice(value: object, name: str, among: Collection[str]) -> None:
-    """Refuse with `IdentifyError` what is none of these words."""
-    demand(value in among, name, value, f"one of {', '.join(among)}")
+def choice(value: object, name: str, among: Collection[str], *, error: type[DehystError] = IdentifyError) -> None:
+    """Raise `error` unless `value` is one of the words."""
+    words = " or ".join(map(repr, among)) if len(among) < 3 else f"one of {', '.join(among)}"
+    demand(value in among, name, value, words, error=error)
 
 
 def _real(value: object) -> float:
-    """Return a number as it is, and anything else as none."""
+    """Return a number as a float, and NaN for anything else."""
     return float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan

@@ -174,9 +174,9 @@ def test_as_good_as_their_literature(fit, own, other):
         standard.raised_cosine([200, 150, 90], cycles=2, drive=drive),
     )
     for truth, most in ((BoucWenActuator(seed=2), own), (PlayActuator(seed=2), other)):
-        model = fit(Record(tops.time, tops.voltage, truth.drive(tops.voltage, time=tops.time)))
+        model = fit(Record(tops.time, tops.voltage, truth.play(tops.voltage, time=tops.time)))
         truth.relax()
-        true = truth.drive(others.voltage, time=others.time, measured=False)
+        true = truth.play(others.voltage, time=others.time, measured=False)
         miss = (true - model.simulate(others.voltage).displacement)[400:]
         assert 100 * largest(miss) / truth.stroke < most
         assert 100 * rms(miss) / truth.stroke < 0.5 * most
@@ -184,7 +184,7 @@ def test_as_good_as_their_literature(fit, own, other):
 
 def test_a_lag_that_the_model_explains_is_not_taken_for_a_delay():
     truth, tops = BoucWenActuator(seed=2), standard.descending_tops(200, drive=Sampling(sample_rate=4.0))
-    record = Record(tops.time, tops.voltage, truth.drive(tops.voltage, time=tops.time))
+    record = Record(tops.time, tops.voltage, truth.play(tops.voltage, time=tops.time))
     assert BoucWen.fit(record, starts=30).delay == 0.0
 
 

@@ -60,15 +60,15 @@ def missed(found, truth, seed=1, seconds=0.05):
     voltage = wander(seed)
     time = seconds * np.arange(1, home.size + 1)
     later = time[-1] + seconds * np.arange(1, voltage.size + 1)
-    truth.drive(home, time=time)
+    truth.play(home, time=time)
     start = found.simulate(home, time=time).state
-    y = truth.drive(voltage, time=later, measured=False)
+    y = truth.play(voltage, time=later, measured=False)
     free = y - found.simulate(voltage, state=start, time=later).displacement
     start = found.simulate(voltage, state=start, time=later).state
     after = later[-1] + seconds * np.arange(1, voltage.size + 1)
     path = 0.03 * STROKE + 0.93 * STROKE / VOLTS * wander(seed + 1)
     sent = found.compensate(path, state=start, time=after).voltage
-    track = truth.drive(sent, time=after, measured=False) - path
+    track = truth.play(sent, time=after, measured=False) - path
     return [
         100 * norm / truth.stroke
         for e in (free - free.mean(), track - track.mean())
@@ -230,7 +230,7 @@ def test_a_delay_is_found_and_the_voltage_is_delayed_by_it():
     truth, voltage, seconds = PlayActuator(), through(TOPS), 0.05
     time = seconds * np.arange(1, voltage.size + 1)
     late = np.interp(time - 0.08, time, voltage)
-    record = Record(time, voltage, truth.drive(late), "late")
+    record = Record(time, voltage, truth.play(late), "late")
     assert made_ready(record).delay == pytest.approx(0.08, abs=0.1 * seconds)
     assert made_ready(recorded(PlayActuator().drive, voltage)).delay == 0.0
 
@@ -242,7 +242,7 @@ def test_a_resonance_does_not_shift_the_axis(kind):
     one = TRIALS["boucwen"]
     found = kind.fit(one.records(), delay=2e-4)
     slow = standard.raised_cosine(VOLTS, cycles=2, drive=standard.Sampling(frequency=1.0, sample_rate=2000.0))
-    y = one.truth(3).drive(slow.voltage, time=slow.time, measured=False)
+    y = one.truth(3).play(slow.voltage, time=slow.time, measured=False)
     error = (found.simulate(slow.voltage, time=slow.time).displacement - y)[slow.time.size // 2 :] / STROKE
     assert np.abs(error).max() < 0.03
     assert abs(error.mean()) < 0.01

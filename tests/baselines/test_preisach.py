@@ -156,7 +156,7 @@ def plays():
     truth = PlayActuator(seed=1)
     tops = standard.descending_tops(truth.highest, drive=Sampling(sample_rate=4.0))
     others = standard.raised_cosine([200, 150, 90, 120], cycles=2, drive=Sampling(sample_rate=4.0))
-    return (Record(tops.time, tops.voltage, truth.drive(tops.voltage)), others, truth)
+    return (Record(tops.time, tops.voltage, truth.play(tops.voltage)), others, truth)
 
 
 @pytest.mark.parametrize(("fit", "most"), [(Preisach.fit, 0.3), (Preisach.from_reversal_curves, 0.6)])
@@ -164,9 +164,9 @@ def test_as_good_as_its_literature_on_plays_and_relays(plays, fit, most):
     for truth in (plays[2], PreisachActuator()):
         tops = plays[0].voltage
         truth.relax()
-        model = fit(Record(plays[0].time, tops, truth.drive(tops)))
+        model = fit(Record(plays[0].time, tops, truth.play(tops)))
         voltage = plays[1].voltage
-        miss = (truth.drive(voltage, measured=False) - model.simulate(voltage).displacement)[400:]
+        miss = (truth.play(voltage, measured=False) - model.simulate(voltage).displacement)[400:]
         assert 100 * largest(miss) / truth.stroke < most
         assert 100 * rms(miss) / truth.stroke < most / 3
 
@@ -174,7 +174,7 @@ def test_as_good_as_its_literature_on_plays_and_relays(plays, fit, most):
 def test_smoothing_fills_what_tops_leave_open(plays):
     voltage = plays[1].voltage
     plays[2].relax()
-    true = plays[2].drive(voltage, measured=False)[400:]
+    true = plays[2].play(voltage, measured=False)[400:]
     bare, smooth = (Preisach.fit(plays[0], smoothing=s).simulate(voltage).displacement[400:] for s in (0, 1e-5))
     assert rms(true - smooth) < 0.5 * rms(true - bare)
 

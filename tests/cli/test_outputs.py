@@ -463,7 +463,7 @@ def test_a_model_of_gigabytes_is_refused_by_its_size(folder):
     with (folder / "huge.json").open("wb") as stream:
         stream.truncate(4_000_000_000)
     status, _, err = run("simulate", "huge.json", "voltage.csv", "-o", "o.csv", cwd=folder)
-    assert status == 2 and "huge.json: has 4000 MB, but such a file has 100 MB at most" in err
+    assert status == 2 and "huge.json: has 4000 MB, need 100 MB at most" in err
 
 
 # Names

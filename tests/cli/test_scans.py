@@ -154,7 +154,7 @@ def test_what_is_clamped_ends_with_status_1(folder):
         ),
         ((*TRIANGLE, "--slew", -2), "--slew: got -2.0, need"),
         ((*TRIANGLE, "--cycles", -1), "--cycles: got -1, need a whole number, 0 or more"),
-        ((*TRIANGLE, "--cycle", "t.csv", "--start-up", -1), "--start-up: got -1, need a whole number, 0 or more"),
+        ((*TRIANGLE, "--cycle", "t.csv", "--start-up", -1), "--start-up: got -1, need a whole number from 0 to"),
         ((*TRIANGLE, "--cycle", "t.csv", "--tolerance", -1), "--tolerance: got -1, need a length above 0 in um"),
         ((*TRIANGLE, "--cycle", "t.csv", "--approach", -1), "--approach: got -1, need a number above 0"),
         ((*TRIANGLE, "--cycle", "t.csv", "--homing", "--present", 900), "--present: got 900 V, but the limits are -50"),

@@ -91,7 +91,7 @@ def smooth():
 def fitted(kind, **options):
     """Return a rival identified from loops of falling tops up to 100 V."""
     voltage = standard.descending_tops(VOLTS, steps=5, drive=standard.Sampling(sample_rate=1.0)).voltage
-    y = PlayActuator(highest=VOLTS).drive(voltage)
+    y = PlayActuator(highest=VOLTS).play(voltage)
     return kind.fit(Record(np.arange(y.size), voltage, y), delay=0.0, **options)
 
 

@@ -236,7 +236,7 @@ def test_a_short_homing_is_sampled_as_the_scan_is():
     "options, said",
     [
         ({"axis": "y"}, "axis: got 'y', need 'x'"),
-        ({"cycles": -1}, "cycles: got -1, need a whole number, 0 or more, 10000000 at most"),
+        ({"cycles": -1}, "cycles: got -1, need a whole number from 0 to 10000000"),
         ({"state": None, "present": 900.0}, "present: got 900 V, but the limits are -50 to 250 V; ramp there first"),
         ({"cycles": 10**7}, "cycles: got 10000000, 4e[+]09 samples of start-up, need 12500 at most"),
         ({"tolerance": 0.0}, "tolerance: got 0, need a number above 0"),

@@ -60,13 +60,13 @@ def test_seconds_bounds_and_words():
     assert _validation.seconds(0, "delay") == 0.0
     assert _validation.between(np.float64(4), "spacing", 0.5, 4) == 4.0
     _validation.choice("l1", "norm", ("l1", "l2"))
-    np.testing.assert_array_equal(_validation.numbers((1, 2.5), "breakaway"), [1, 2.5])
+    np.testing.assert_array_equal(_validation.vector((1, 2.5), "breakaway", error=IdentifyError), [1, 2.5])
     with pytest.raises(IdentifyError, match=r"breakaway: got an array of shape \(1, 1\), need one dimension"):
-        _validation.numbers([[1.0]], "breakaway")
+        _validation.vector([[1.0]], "breakaway", error=IdentifyError)
     for wrong in (-1e-9, float("inf")):
         with pytest.raises(IdentifyError, match=r"delay: got .*, need a number of seconds, 0 or more"):
             _validation.seconds(wrong, "delay")
     with pytest.raises(IdentifyError, match=r"spacing: got 4.1, need an exponent between 0.5 and 4"):
         _validation.between(4.1, "spacing", 0.5, 4, "an exponent")
-    with pytest.raises(IdentifyError, match="norm: got 'l3', need one of l1, l2"):
+    with pytest.raises(IdentifyError, match="norm: got 'l3', need 'l1' or 'l2'"):
         _validation.choice("l3", "norm", ("l1", "l2"))

@@ -152,7 +152,7 @@ def test_friction_that_lets_go_gradually_is_no_delay():
     """A Bouc-Wen actuator at 0.01 Hz: plain elements take it to be seconds late, wider ones know better."""
     truth = BoucWenActuator()
     tops = descending_tops(truth.highest, drive=Sampling(frequency=0.01, sample_rate=4.0))
-    record = Record(tops.time, tops.voltage, truth.drive(tops.voltage, time=tops.time), "slow")
+    record = Record(tops.time, tops.voltage, truth.play(tops.voltage, time=tops.time), "slow")
     frame = wide.frame([record], delay=0.9)
     assert frame.with_checked_delay().inertia.delay == 0
     late = wide.frame([record.delayed(-0.9)], delay=0.9)

@@ -225,7 +225,7 @@ def test_limits_narrower_than_told_over_a_socket():
     bench = VirtualBench(PlayActuator(), limits=(-20.0, 40.0), speed=10.0)
     wave = Excitation("too far", 27 * (1 - np.cos(np.linspace(0, 6, 2000))), 1000.0)
     with (
-        Server(Controller(bench, told=DEVICE), port=0) as server,
+        Server(Controller(bench, reported_limits=DEVICE), port=0) as server,
         PiRig.connect("127.0.0.1", server.port, limits=ALLOWED) as rig,
     ):
         for act_ in (lambda: rig.set_voltage(55.0), lambda: rig.play(wave)):

@@ -109,7 +109,7 @@ def test_a_record_is_what_the_actuator_did():
     with IocProcess() as fresh, EpicsRig.connect(fresh.prefix) as rig:
         excitation, came = cosine(), Breaks(lambda: None)
         record = rig.play(excitation, came)
-    truth = PlayActuator(noise=0.0).drive(excitation.voltage)
+    truth = PlayActuator(noise=0.0).play(excitation.voltage)
     assert np.array_equal(record.voltage, excitation.voltage)
     assert np.abs(record.displacement - truth).max() < 1e-15
     assert np.allclose(np.diff(record.time), 1 / excitation.sample_rate, rtol=1e-6)

@@ -32,7 +32,7 @@ def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
 def test_the_displacement_is_the_truths_own():
     protocol = standard.raised_cosine(120.0, cycles=2, drive=Sampling(sample_rate=100, frequency=0.5))
     record = SimulatedRig(PlayActuator(noise=0)).play(protocol)
-    np.testing.assert_array_equal(record.displacement, PlayActuator(noise=0).drive(protocol.voltage))
+    np.testing.assert_array_equal(record.displacement, PlayActuator(noise=0).play(protocol.voltage))
 
 
 def test_the_rate_is_one_of_whole_servo_periods():

@@ -17,7 +17,7 @@ MY_LAB = """
 from dehyst.virtual import PlayActuator
 truth, sent = PlayActuator(), [0.0]
 def write_volts(v): sent.append(v)
-def read_micrometres(): return 1e6 * float(truth.drive(sent[-1:])[0])
+def read_micrometres(): return 1e6 * float(truth.play(sent[-1:])[0])
 def disconnect(): sent.append(None)
 """
 
@@ -51,7 +51,7 @@ def test_a_rig_of_fifty_lines_plays_and_keeps_its_limits(my_rig):
     assert len(record) == len(excitation)
     assert (min(sent), max(sent), sent[-1]) == (0, 100, 0)
     alone = PlayActuator(noise=0.0)
-    np.testing.assert_allclose(record.displacement, alone.drive(excitation.voltage), atol=20e-9)
+    np.testing.assert_allclose(record.displacement, alone.play(excitation.voltage), atol=20e-9)
     assert np.abs(np.diff(record.voltage) / np.diff(record.time)).max() <= 400 * 1.05
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, IdentifyError, MaxwellSlip, ModelError, RecordError, Spring
 from dehyst._units import plain
-from dehyst._validation import numbers
+from dehyst._validation import vector
 from dehyst.cli import main
 from dehyst.control import wave_table
 from dehyst.instruments import Samples
@@ -341,7 +341,7 @@ def test_voltages_limits_and_times_are_converted():
     with pytest.raises(RecordError, match="peaks: got a quantity in micrometer"):
         standard.raised_cosine(100 * U.um)
     with pytest.raises(IdentifyError, match="breakaway: got a quantity in volt"):
-        numbers([1, 2] * U.V, "breakaway")
+        vector([1, 2] * U.V, "breakaway", error=IdentifyError)
 
 
 def test_a_compensator_takes_quantities():

@@ -242,7 +242,7 @@ def test_json_paths(tmp_path):
 )
 def test_write_json_refuses(tmp_path, value):
     path = text(tmp_path, "old", "a.json")
-    with pytest.raises(FileFormatError, match=r"a\.json: cannot be told in JSON \(.*\); use text, finite numbers"):
+    with pytest.raises(FileFormatError, match=r"a\.json: cannot be written as JSON \(.*\); use text, finite numbers"):
         write_json(path, {"a": value})
     assert path.read_text() == "old"
 
@@ -250,5 +250,5 @@ def test_write_json_refuses(tmp_path, value):
 def test_write_json_refuses_circles(tmp_path):
     circle = {}
     circle["a"] = circle
-    with pytest.raises(FileFormatError, match=r"cannot be told in JSON \(Circular"):
+    with pytest.raises(FileFormatError, match=r"cannot be written as JSON \(Circular"):
         write_json(tmp_path / "a.json", circle)

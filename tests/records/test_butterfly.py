@@ -92,5 +92,5 @@ def test_loops_of_virtual_actuators_are_none(truth):
     else:
         v = np.interp(np.arange(20_000), np.arange(0, 20_001, 500), np.resize([0, 100, 0, 60, 20, 100], 41))
         time = np.arange(v.size) * 1e-4
-        record = Record(time, v, truth().drive(v, time=time))
+        record = Record(time, v, truth().play(v, time=time))
     assert butterfly_of(record.voltage, record.displacement) is None

@@ -98,7 +98,7 @@ def test_refusals(tmp_path, monkeypatch):
     with pytest.raises(FileFormatError, match=r"a\.csv: HDF5 needs the suffix \.h5 or \.hdf5"):
         write_hdf5(tmp_path / "a.csv", a_record())
     for bad in (np.nan, np.inf, object(), {1, 2}):
-        with pytest.raises(FileFormatError, match=r"a\.h5: meta cannot be told in JSON"):
+        with pytest.raises(FileFormatError, match=r"a\.h5: meta cannot be written as JSON"):
             write_hdf5(tmp_path / "a.h5", a_record(meta={"x": bad}))
     with pytest.raises(FileFormatError, match=r"the folder .*absent does not exist"):
         write_hdf5(tmp_path / "absent" / "a.h5", a_record())

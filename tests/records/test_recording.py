@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from dehyst._errors import FileFormatError, MissingExtraError, RecordError
 from dehyst.records import Record, Recording, read
-from dehyst.records.recording import numbered, room, salvage
+from dehyst.records.recording import demand_disk_space, salvage, unused_path
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals, locks and limits of POSIX")
 
@@ -52,7 +52,7 @@ CHILD = """
 import sys, h5py, numpy as np
 from pathlib import Path
 from typing import NamedTuple
-from dehyst.recording import Recording, salvage
+from dehyst.records.recording import Recording, salvage
 class Lot(NamedTuple):
     time: object
     voltage: object
@@ -151,7 +151,7 @@ def test_refusals(tmp_path, monkeypatch):
         Recording(tmp_path / "a.csv")
     with pytest.raises(FileFormatError, match=r"absent does not exist; create it first"):
         Recording(tmp_path / "absent" / "a.h5")
-    with pytest.raises(FileFormatError, match="meta cannot be told in JSON"):
+    with pytest.raises(FileFormatError, match="meta cannot be written as JSON"):
         Recording(tmp_path / "a.h5", meta={"x": np.nan})
     with Recording(tmp_path / "a.h5") as recording:
         with pytest.raises(FileFormatError, match=r"a\.h5\.part\.csv: is there already: another process records to it"):
@@ -263,7 +263,7 @@ def test_nothing_is_overwritten(tmp_path):
         salvage(tmp_path)
     assert names(tmp_path) == ["a-2.h5", "a-3.h5", "a.h5"]
     assert [read(tmp_path / name).voltage[0] for name in ("a.h5", "a-2.h5", "a-3.h5")] == [1.0, 2.0, 3.0]
-    assert numbered(tmp_path / "a.h5").name == "a-4.h5"
+    assert unused_path(tmp_path / "a.h5").name == "a-4.h5"
 
 
 def test_a_journal_beside_its_finished_file_only_goes(tmp_path):
@@ -343,7 +343,7 @@ def test_a_full_disk(tmp_path, monkeypatch):
             salvage(folder)
         assert names(folder) == ["a.h5.part.csv"]
         with pytest.raises(FileFormatError, match=r"1000 samples need up to 1\.1 MB, but 0\.0 MB are free; make room"):
-            room(folder, 1000)
+            demand_disk_space(folder, 1000)
 
 
 def test_no_lot_goes_behind_one_that_failed(tmp_path):
@@ -368,7 +368,9 @@ def test_a_folder_that_goes_while_recording(tmp_path, monkeypatch):
     (tmp_path / "stick").mkdir()
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     recording = Recording(tmp_path / "stick" / "a.h5")
-    refusal = pytest.raises(FileFormatError, match=r"a\.h5\.part\.csv: was removed while recording; are folder and")
+    refusal = pytest.raises(
+        FileFormatError, match=r"a\.h5\.part\.csv: was removed while recording; check that the folder and"
+    )
     with refusal as caught, recording:
         recording.add(lot(0, 10))
         recording.journal.unlink()
@@ -450,11 +452,11 @@ def test_room_is_what_is_needed_at_most(tmp_path):
         )
         journal = recording.journal.stat().st_size
     assert journal + (tmp_path / "a.h5").stat().st_size <= 99 * n + 10_000
-    room(tmp_path, n)
+    demand_disk_space(tmp_path, n)
     with pytest.raises(FileFormatError, match=r"samples need up to 99000001\.0 MB, but"):
-        room(tmp_path, 10**12)
+        demand_disk_space(tmp_path, 10**12)
     with pytest.raises(FileFormatError, match=r"absent: cannot be written \(No such file"):
-        room(tmp_path / "absent", 1)
+        demand_disk_space(tmp_path / "absent", 1)
 
 
 def test_a_lot_takes_little_time(tmp_path):

@@ -49,7 +49,7 @@ def test_no_identified_model_comes_below_the_floor(asymmetric, least, norm):
     assert floor >= least
     t = np.arange(1201)
     voltage = 100 - 100 * np.cos(2 * np.pi * t / 400)
-    y = truth.drive(voltage)
+    y = truth.play(voltage)
     fit = identify(
         Record(t / 4, voltage, y, "major"), elements=60, norm=norm, shared_datum=True, delay=0.0, drift=False
     )

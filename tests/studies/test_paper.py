@@ -251,8 +251,8 @@ def test_tracking_is_what_the_truth_does_with_the_voltage(result):
     assert tracking.voltage.max() <= 200.0
     truth = experiment.virtual_actuator()
     homing = 100 - 100 * np.cos(2 * np.pi * np.arange(501) / 500)
-    truth.drive(homing, measured=False)
-    reached = truth.drive(tracking.voltage, measured=False) - found.runs["relaxed"].zero
+    truth.play(homing, measured=False)
+    reached = truth.play(tracking.voltage, measured=False) - found.runs["relaxed"].zero
     np.testing.assert_allclose(reached, tracking.reached, atol=1e-15)
     assert isinstance(found.trials["goldfarb"].actuator, Actuator)
 

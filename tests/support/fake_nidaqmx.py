@@ -60,7 +60,7 @@ class Card:
 
     def put(self, volts):
         assert min(self.ranges) - 1e-12 <= volts <= max(self.ranges) + 1e-12
-        self.log.see(GAIN * np.array([self.output, volts]), np.array([1e-3]))
+        self.log.update(GAIN * np.array([self.output, volts]), np.array([1e-3]))
         self.output = float(volts)
 
     def seen(self, channel):

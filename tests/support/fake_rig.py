@@ -20,7 +20,7 @@ class FakeInstrument:
 
     def put(self, voltage):
         assert self.limits[0] <= voltage <= self.limits[1]
-        self.log.see(np.array([self.voltage, voltage]), np.array([1e-3]))
+        self.log.update(np.array([self.voltage, voltage]), np.array([1e-3]))
         self.sent.append(float(voltage))
 
     def displacement(self, voltage):

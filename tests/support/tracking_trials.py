@@ -44,7 +44,7 @@ def records(truth, step, fast, slow, hold, steps=20):
     found, begin = [], 0.0
     for name, v in zip(("fast", "slow", "staircase"), played, strict=True):
         time = begin + np.arange(v.size) * step
-        found.append(Record(time, v, truth.drive(v, time=time), name))
+        found.append(Record(time, v, truth.play(v, time=time), name))
         begin = time[-1] + step
     return found
 
@@ -71,7 +71,7 @@ def tracked(actuator, truth, learnt, step, period, seed=3):
     truth.relax()
     homing = cosine([0, VOLTS, 0, VOLTS, VOLTS / 2], slow * samples)
     time = np.arange(homing.size) * step
-    truth.drive(homing, time=time, measured=False)
+    truth.play(homing, time=time, measured=False)
     state = actuator.simulate(homing, time=time, state=actuator.relaxed()).state
     path = wanted(lowest, stroke, samples, seed)
     now = state.motion[0] if state.motion.size else state.displacement
@@ -79,6 +79,6 @@ def tracked(actuator, truth, learnt, step, period, seed=3):
     time = time[-1] + np.arange(path.size) * step
     ahead = CubicSpline(time, path)(np.minimum(time + actuator.delay, time[-1]))
     v = actuator.compensate(ahead, time=time, state=state).voltage
-    made = truth.drive(np.clip(v, 0, VOLTS)[1:], time=time[1:], measured=False)
+    made = truth.play(np.clip(v, 0, VOLTS)[1:], time=time[1:], measured=False)
     error = 100 * (made - path[1:]) / stroke
     return float(np.abs(error).max()), float(np.sqrt(np.mean(error**2)))

@@ -144,7 +144,7 @@ def test_the_first_advice_closes_what_is_open():
 def trapped(truth, cycles):
     drive = Sampling(sample_rate=4.0)
     made = raised_cosine([truth.highest], cycles=cycles, drive=drive)
-    return Record(made.time, made.voltage, truth.drive(made.voltage), "major")
+    return Record(made.time, made.voltage, truth.play(made.voltage), "major")
 
 
 @pytest.mark.parametrize("noise", [0.0, 2e-9])
@@ -158,8 +158,8 @@ def test_the_newcomers_trap_is_caught(noise):
     wanted = truth.stroke * np.interp(np.arange(0, 6.01, 0.02), np.arange(7), turns)
     found = insight(fit.actuator, record, trajectory=wanted, repeats=20)
     assert "directions of the stiffnesses are open" in found.warnings()[0]
-    truth.drive([0.0, truth.highest, 0.0, truth.highest], measured=False)
-    reached = truth.drive(found.band.voltage, measured=False)
+    truth.play([0.0, truth.highest, 0.0, truth.highest], measured=False)
+    reached = truth.play(found.band.voltage, measured=False)
     # The sensor read zero at the record's first sample, where the truth was relaxed and not at its own zero.
     assert np.all(found.band.lowest <= reached)
     assert np.all(reached <= found.band.highest)

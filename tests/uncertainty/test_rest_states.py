@@ -346,13 +346,13 @@ def test_an_actuator_that_is_no_instance_of_the_model():
 
     loops = raised_cosine([200.0, 200.0, *np.arange(180, 0, -20)])
     stage = PlayActuator()
-    fit = dehyst.identify(Record(np.arange(loops.size) / 4, loops, stage.drive(loops)), structure="paper")
+    fit = dehyst.identify(Record(np.arange(loops.size) / 4, loops, stage.play(loops)), structure="paper")
     v, found, truth = raised_cosine([200.0, 200.0]), {}, {}
     for before in (0.0, 50.0, 100.0):
         stage = PlayActuator(noise=0.0)
         if before:
-            stage.drive(raised_cosine([before]))
-        y = stage.drive(v)
+            stage.play(raised_cosine([before]))
+        y = stage.play(v)
         truth[before] = y[0]
         found[before] = state_from_first_rise(fit.actuator, Record(np.arange(v.size) / 4, v, y - y[0]))
         assert percent(found[before].rms, np.ptp(y)) < 0.3

@@ -14,7 +14,7 @@ from dehyst.waveforms import standard
 
 def test_the_major_loop_spans_the_stroke_and_closes():
     truth = PlayActuator(noise=0)
-    y = truth.drive(standard.raised_cosine(truth.highest, cycles=3).voltage)
+    y = truth.play(standard.raised_cosine(truth.highest, cycles=3).voltage)
     loop = y[400:]
     assert loop.min() == pytest.approx(0, abs=1e-12)
     assert loop.max() == pytest.approx(truth.stroke, rel=1e-9)
@@ -23,7 +23,7 @@ def test_the_major_loop_spans_the_stroke_and_closes():
 
 def test_descending_lies_above_ascending_and_the_loop_is_not_antisymmetric():
     truth = PlayActuator(noise=0)
-    y = truth.drive(standard.raised_cosine(truth.highest, cycles=2).voltage)[400:]
+    y = truth.play(standard.raised_cosine(truth.highest, cycles=2).voltage)[400:]
     up, down = y[1:200], y[201:400][::-1]
     assert np.all(down[5:-5] > up[5:-5])
     middle = 0.5 * (up + down) - 0.5 * truth.stroke
@@ -33,9 +33,9 @@ def test_descending_lies_above_ascending_and_the_loop_is_not_antisymmetric():
 def test_noise_is_seeded_and_of_the_stated_size():
     one, two = PlayActuator(seed=3), PlayActuator(seed=3)
     voltage = standard.raised_cosine(150.0, cycles=2).voltage
-    first = one.drive(voltage)
-    np.testing.assert_array_equal(first, two.drive(voltage))
-    clean = PlayActuator(noise=0).drive(voltage)
+    first = one.play(voltage)
+    np.testing.assert_array_equal(first, two.play(voltage))
+    clean = PlayActuator(noise=0).play(voltage)
     assert np.std(first - clean) == pytest.approx(2e-9, rel=0.1)
 
 
@@ -50,7 +50,7 @@ TIMELESS = [PlayActuator, PreisachActuator]
 
 def slowly(truth, voltage, seconds=1.0):
     """Displacement [m] without noise, a sample each `seconds`."""
-    return truth.drive(voltage, time=seconds * np.arange(1, len(voltage) + 1), measured=False)
+    return truth.play(voltage, time=seconds * np.arange(1, len(voltage) + 1), measured=False)
 
 
 def legs(turns, samples=200):
@@ -77,9 +77,9 @@ def test_a_drive_goes_on_where_the_last_one_ended(kind):
     options = {"creep": 0.02} if kind is PlayActuator else {}
     voltage = legs([0, 200, 30, 120, 0, 170], 37)
     time = np.cumsum(np.random.default_rng(1).uniform(1e-4, 2e-3, voltage.size))
-    whole = kind(**options).drive(voltage, time=time)
+    whole = kind(**options).play(voltage, time=time)
     parts = kind(**options)
-    cut = [parts.drive(voltage[a:b], time=time[a:b]) for a, b in pairwise([0, 2, 50, 51, voltage.size])]
+    cut = [parts.play(voltage[a:b], time=time[a:b]) for a, b in pairwise([0, 2, 50, 51, voltage.size])]
     np.testing.assert_allclose(np.concatenate(cut), whole, rtol=0, atol=1e-11 * parts.stroke)
     parts.relax()
     np.testing.assert_allclose(
@@ -90,7 +90,7 @@ def test_a_drive_goes_on_where_the_last_one_ended(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_at_rest_it_rests(kind):
     truth = kind(**({"creep": 0.02} if kind is PlayActuator else {}))
-    y = truth.drive(np.zeros(50), time=np.arange(50) * 1e-3, measured=False)
+    y = truth.play(np.zeros(50), time=np.arange(50) * 1e-3, measured=False)
     np.testing.assert_allclose(y, y[0], rtol=0, atol=1e-14)
 
 
@@ -99,8 +99,8 @@ def test_at_rest_it_rests(kind):
 @given(SEEDS)
 def test_rate_independence(kind, seed):
     turns = np.random.default_rng(seed).uniform(-20, 220, 12)
-    fine = kind().drive(legs(turns, 7), measured=False)
-    np.testing.assert_allclose(fine[::7], kind().drive(turns, measured=False), rtol=0, atol=1e-12 * 16e-6)
+    fine = kind().play(legs(turns, 7), measured=False)
+    np.testing.assert_allclose(fine[::7], kind().play(turns, measured=False), rtol=0, atol=1e-12 * 16e-6)
 
 
 @settings(max_examples=20)
@@ -113,8 +113,8 @@ def test_wiping_out(kind, seed):
     within = rng.uniform(low, high, 9)
     after = rng.uniform(0, 200, 15)
     start = [250.0, low, high]
-    one = kind().drive([*start, *within, low, high, *after], measured=False)[-15:]
-    other = kind().drive([*start, *after], measured=False)[-15:]
+    one = kind().play([*start, *within, low, high, *after], measured=False)[-15:]
+    other = kind().play([*start, *after], measured=False)[-15:]
     np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * 16e-6)
 
 
@@ -128,7 +128,7 @@ def test_relays_switched_one_by_one_on_a_grid_say_the_same():
     truth = PreisachActuator(noise=0)
     rng = np.random.default_rng(4)
     voltage = np.concatenate([[-90.0, 290.0, -90.0], rng.uniform(-90, 290, 60)])
-    y = truth.drive(voltage)
+    y = truth.play(voltage)
     edges = np.linspace(-0.5, 1.5, 801)
     middle = 0.5 * (edges[1:] + edges[:-1])
     alpha, beta = np.meshgrid(middle, middle, indexing="ij")
@@ -152,8 +152,8 @@ def test_relays_switched_one_by_one_on_a_grid_say_the_same():
 def test_creep_adds_the_stated_share_of_a_step_in_each_decade(creep):
     truth = PlayActuator(creep=creep, noise=0)
     time = np.concatenate([np.arange(1, 11) * 1e-3, 0.01 + np.geomspace(1e-3, 600, 4000)])
-    y = truth.drive(np.where(time <= 0.01, 0.0, 150.0), time=time)
-    step = PlayActuator(noise=0).drive([0.0, 150.0])
+    y = truth.play(np.where(time <= 0.01, 0.0, 150.0), time=time)
+    step = PlayActuator(noise=0).play([0.0, 150.0])
     decades = np.interp([0.2, 2.0, 20.0, 200.0], time - 0.011, y) / np.diff(step)
     np.testing.assert_allclose(np.diff(decades), creep, rtol=0.06)
 
@@ -166,15 +166,15 @@ def test_creep_in_a_ramp_is_exact_whatever_the_time_step():
     # One play, threshold 50 V: it moves from 50 V on, so that y is straight on both legs.
     turns, times = np.array([0.0, 50, 200, 100, 0]), np.array([1.0, 2, 7, 8, 30])
     many = np.unique(np.concatenate([np.linspace(1, 30, 2901), times]))
-    y = fine.drive(np.interp(many, times, turns), time=many)
-    np.testing.assert_allclose(coarse.drive(turns, time=times)[-1], y[-1], rtol=1e-3)
+    y = fine.play(np.interp(many, times, turns), time=many)
+    np.testing.assert_allclose(coarse.play(turns, time=times)[-1], y[-1], rtol=1e-3)
 
 
 def response(frequency, *, rate=20e3, cycles=400, **options):
     """Gain and phase lag [rad] at a frequency [Hz], after it has settled, with next to no hysteresis."""
     truth = BoucWenActuator(slope=1e-9, asymmetry=0, bend=0, noise=0, **options)
     time = np.arange(1, int(rate * cycles / frequency)) / rate
-    y = truth.drive(50 * np.sin(2 * np.pi * frequency * time), time=time)
+    y = truth.play(50 * np.sin(2 * np.pi * frequency * time), time=time)
     last = time > time[-1] - 20 / frequency
     carrier = np.column_stack([np.sin(2 * np.pi * frequency * time), np.cos(2 * np.pi * frequency * time)])[last]
     inside, across = np.linalg.lstsq(carrier, y[last] / (50 / truth.highest * truth.stroke), rcond=None)[0]
@@ -202,11 +202,11 @@ def test_the_resonance_and_the_delay_are_where_stated(frequency):
         (lambda: BoucWenActuator(asymmetry=2.0), "the map must increase"),
         (lambda: BoucWenActuator(slope=1.0), "2 slope closing below 1"),
         (lambda: BoucWenActuator(damping=0.0), "need hertz above 0"),
-        (lambda: BoucWenActuator().drive([0, 1]), "swings: it needs the time of each sample"),
-        (lambda: PlayActuator(creep=0.01).drive([0, 1]), "creeps: it needs the time of each sample"),
-        (lambda: BoucWenActuator().drive([0, 1], time=[0]), "time: got 1 samples, the voltage has 2"),
-        (lambda: BoucWenActuator().drive([0, 1], time=[0, 0]), "does not increase at sample 1"),
-        (lambda: BoucWenActuator().drive([0], time=[0]), "got one sample that does not go on"),
+        (lambda: BoucWenActuator().play([0, 1]), "swings: it needs the time of each sample"),
+        (lambda: PlayActuator(creep=0.01).play([0, 1]), "creeps: it needs the time of each sample"),
+        (lambda: BoucWenActuator().play([0, 1], time=[0]), "time: got 1 samples, the voltage has 2"),
+        (lambda: BoucWenActuator().play([0, 1], time=[0, 0]), "does not increase at sample 1"),
+        (lambda: BoucWenActuator().play([0], time=[0]), "got one sample that does not go on"),
     ],
 )
 def test_impossible_truths_and_times_are_refused(build, message):

@@ -47,7 +47,7 @@ def test_a_recorded_wave_is_what_the_truth_does_with_its_voltages_and_times(kind
         hand.wait(0.0131)
     at, voltage, displacement = bench.samples()
     truth = TRUTHS[kind]()
-    expected = truth.drive(wave, time=at, measured=False)
+    expected = truth.play(wave, time=at, measured=False)
     np.testing.assert_allclose(at, 7 * PERIOD * np.arange(wave.size), rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(voltage, wave)
     # A jump takes a thousandth of a servo period, of which only what swings and creeps knows.
@@ -254,7 +254,7 @@ def test_a_stalled_generator_plays_no_more_and_does_not_end(hand):
 
 def test_extremes_count_steps_by_the_time_between_them():
     log = Extremes(0.0, 0.0)
-    log.see(np.array([0.0, 2.0, -1.0]), np.array([1.0, 0.5]))
+    log.update(np.array([0.0, 2.0, -1.0]), np.array([1.0, 0.5]))
     assert log == Extremes(-1.0, 2.0, 3.0, 6.0)
 
 
@@ -262,20 +262,20 @@ def test_a_model_of_time_is_driven_on_from_its_state():
     actuator = plant()
     wide = Actuator(actuator.slip, actuator.spring, creep=Creep([0.1, 10.0], [2e7, 2e7]), dynamics=Dynamics(2e3, 0.05))
     at, voltage = 1e-3 * np.arange(1, 801), cosine(samples=400)[:800]
-    whole = ModelledActuator(wide).drive(voltage, time=at)
+    whole = ModelledActuator(wide).play(voltage, time=at)
     pieces = ModelledActuator(wide)
-    parts = [pieces.drive(voltage[a:b], time=at[a:b]) for a, b in pairwise([0, 2, 3, 300, 800])]
+    parts = [pieces.play(voltage[a:b], time=at[a:b]) for a, b in pairwise([0, 2, 3, 300, 800])]
     np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-12 * pieces.stroke)
     direct = wide.simulate(np.r_[0.0, voltage], time=np.r_[0.0, at], state=wide.relaxed()).displacement[1:]
     np.testing.assert_allclose(whole, direct, atol=1e-12 * pieces.stroke)
     with pytest.raises(ModelError, match="needs the time"):
-        pieces.drive([1.0])
+        pieces.play([1.0])
 
 
 def test_a_modelled_actuator_spans_its_stroke():
     model = ModelledActuator(plant())
     assert model.highest == pytest.approx(200)
-    loop = model.drive(cosine(cycles=3))[800:]
+    loop = model.play(cosine(cycles=3))[800:]
     assert np.ptp(loop) == pytest.approx(model.stroke, rel=1e-3)
 
 

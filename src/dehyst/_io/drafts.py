@@ -1,4 +1,4 @@
-"""Writing a file wholly or not at all: under another name in its folder first, on the disk, then renamed."""
+"""Writing a file completely or not at all: first a draft in its folder, then, once on the disk, renamed."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from dehyst._errors import FileFormatError
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
-# Short, so that any name that the file system takes can be written, and the same for all: a name's own length is free.
+# Short and of one length, so that the draft of every valid file name has a valid name.
 _DRAFT = re.compile(r"\.dehyst-[0-9a-f]{8}\.tmp")
-# What a file system without the call answers.
+# Errors of file systems that cannot sync.
 _NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
 
 
 def draft_of(target: Path) -> Path:
-    """Return a new name beside the target, hidden, for what is not whole yet; what a killed process leaves is inert."""
+    """Return a new hidden name beside the target for an incomplete file; one left by a killed process does no harm."""
     return target.with_name(f".dehyst-{secrets.token_hex(4)}.tmp")
 
 
 def is_draft(name: str) -> bool:
-    """Whether a file or folder of this name is a draft."""
+    """Return whether a file or folder of this name is a draft."""
     return _DRAFT.fullmatch(name) is not None
 
 
 def unwritten(path: PathLike, error: OSError) -> FileFormatError:
-    """What to raise of a file or a folder that cannot be written, with advice that fits."""
+    """Return the error for a file or a folder that cannot be written, with advice that fits."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         advice = "make room there, or name a place that has some"
     elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
@@ -45,10 +45,10 @@ def unwritten(path: PathLike, error: OSError) -> FileFormatError:
 
 
 def write_atomically(path: PathLike, data: str | bytes) -> None:
-    """Write a file wholly or not at all: a draft in its folder first, on the disk, then renamed.
+    """Write a file completely or not at all: first a draft in its folder, then, once on the disk, renamed.
 
-    Text is UTF-8, a lone surrogate in it an escape. A file that is there is replaced, whoever wrote it, and keeps its
-    mode; commands look at it before (`dehyst.marks`).
+    Text is written as UTF-8, a lone surrogate as an escape. An existing file is replaced, whoever wrote it, and keeps
+    its mode; commands check it before (`dehyst._io.marks`).
 
     Raises
     ------
@@ -103,7 +103,7 @@ def _write_through(draft: Path, content: bytes, mode: int | None) -> None:
 
 
 def settle(descriptor: int) -> None:
-    """Wait until an open file is on the disk, where the file system can promise that; raises OSError if it is not."""
+    """Wait until an open file is on the disk, if the file system can sync; raise OSError on failure."""
     try:
         os.fsync(descriptor)
     except OSError as error:
@@ -130,8 +130,8 @@ def settle_file(path: Path) -> None:
 
 
 def settle_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on the disk, where that can be had."""
-    # Windows opens no folders, and some file systems settle none.
+    """Wait until the names in a folder are on the disk, if the system can sync folders."""
+    # Windows opens no folders, and some file systems cannot sync them.
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -141,7 +141,7 @@ def settle_folder(folder: Path) -> None:
 
 
 def path_of(value: object) -> Path:
-    """A path, or FileFormatError if it is none."""
+    """Return a path; raise FileFormatError for anything else."""
     if not isinstance(value, str | os.PathLike) or not isinstance(name := os.fspath(value), str) or "\0" in name:
         raise FileFormatError(f"got {value!r}, need the name of a file or a folder; give a path")
     return Path(name)

@@ -19,13 +19,13 @@ _MOST_JSON = 100_000_000
 
 
 def read_json(path: PathLike) -> dict[str, Any]:
-    """Read a JSON object, strictly: what `write_json` wrote comes back exactly, and nothing is guessed.
+    """Read a JSON object strictly: exactly what `write_json` wrote, without guesses.
 
     Raises
     ------
     FileFormatError
-        No such file, a device or a pipe, more than 100 MB, not UTF-8, no valid JSON, another thing than an object, a
-        key that is there twice in one object, NaN, Infinity, or a number too large for a float.
+        No such file, a device or a pipe, more than 100 MB, not UTF-8, no valid JSON, no object, a key that is there
+        twice in one object, NaN, Infinity, or a number too large for a float.
     """
     path = Path(path)
 
@@ -65,18 +65,22 @@ def read_json(path: PathLike) -> dict[str, Any]:
 
 
 def write_json(path: PathLike, data: Mapping[str, Any]) -> None:
-    """Write an object as JSON with its keys in the order given; raises FileFormatError for NaN, inf and other types."""
+    """Write an object as JSON with its keys in the order given; raise FileFormatError for NaN, inf and other types."""
+    write_atomically(path, to_json(data, f"{path}:", indent=1) + "\n")
+
+
+def to_json(data: Mapping[str, Any], what: str, indent: int | None = None) -> str:
+    """Return an object as JSON in ASCII, by default on one line; raise FileFormatError for NaN, inf and other types."""
     try:
-        text = json.dumps(dict(data), indent=1, allow_nan=False)
+        return json.dumps(dict(data), indent=indent, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
         raise FileFormatError(
-            f"{path}: cannot be told in JSON ({error}); use text, finite numbers, booleans, None, lists and dicts"
+            f"{what} cannot be written as JSON ({error}); use text, finite numbers, booleans, None, lists and dicts"
         ) from error
-    write_atomically(path, text + "\n")
 
 
 def finite(value: Any) -> Any:
-    """The same with null for numbers that JSON has not."""
+    """Replace numbers that JSON does not have by None, in lists and dicts too."""
     if isinstance(value, dict):
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, list):
@@ -85,13 +89,13 @@ def finite(value: Any) -> Any:
 
 
 def _demand_regular(path: Path, most: int) -> None:
-    """Refuse what may never end, before it is opened, and a file of more bytes than `most`."""
-    found = path.stat()
-    if stat.S_ISDIR(found.st_mode):
+    """Refuse a device or a pipe before it is opened, and a file of more bytes than `most`."""
+    status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise FileFormatError(f"{path}: is a device, a pipe or a socket; give the name of a file")
-    if found.st_size > most:
+    if status.st_size > most:
         raise FileFormatError(
-            f"{path}: has {found.st_size / 1e6:.0f} MB, but such a file has {most / 1e6:g} MB at most; check the name"
+            f"{path}: has {status.st_size / 1e6:.0f} MB, need {most / 1e6:g} MB at most; check the name"
         )

@@ -1,8 +1,8 @@
-"""What dehyst wrote, recognised by its content: it may be replaced, any other file only by force.
+"""Marks of files written by dehyst: a marked file may be replaced, any other file only by force.
 
 JSON begins with a format that begins with dehyst, HTML names its generator, an FMU its generating tool. CSV has no
-place for a word that every reader skips: the first number is written with the exponent e0, the same number to all,
-and no other program writes one such number and then others without.
+place for a word that every reader skips: the first number is written with the exponent e0, which does not change it,
+and no other program writes one such number before numbers without.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _TOOL = re.compile(rb'generationTool="dehyst [^"]*"')
 
 
 def marked(cell: str) -> str:
-    """Return the first number of a table as only dehyst writes it: every digit, and the exponent e0."""
+    """Return the first number of a table as only dehyst writes it: all digits, and the exponent e0."""
     number = float(cell)
     if not isfinite(number):
         return cell
@@ -38,13 +38,13 @@ def marked(cell: str) -> str:
 
 
 def format_of(path: PathLike) -> str | None:
-    """Return the format that a JSON file of dehyst begins with; None for any other file."""
-    found = _JSON.match(_head(path))
-    return found[1].decode() if found else None
+    """Return the format at the beginning of a JSON file of dehyst; None for any other file."""
+    match = _JSON.match(_head(path))
+    return match[1].decode() if match else None
 
 
 def written_by_dehyst(path: PathLike) -> bool:
-    """Whether a command of dehyst wrote this file."""
+    """Return whether a command of dehyst wrote this file."""
     head = _head(path)
     if head.startswith(b"PK\3\4"):
         return _is_own_fmu(path)
@@ -52,7 +52,7 @@ def written_by_dehyst(path: PathLike) -> bool:
 
 
 def demand_replaceable(path: PathLike, *, force: bool = False) -> None:
-    """Refuse to write where a file lies that dehyst did not write, unless forced; an empty one may be replaced.
+    """Refuse to replace a file that dehyst did not write, unless forced; an empty file may be replaced.
 
     Raises
     ------
@@ -81,23 +81,23 @@ def demand_own_folder(folder: PathLike, marker: str, kind: str) -> None:
     FileFormatError
     """
     try:
-        there = sorted(path.name for path in Path(folder).iterdir() if not is_draft(path.name))
+        names = sorted(path.name for path in Path(folder).iterdir() if not is_draft(path.name))
     except FileNotFoundError:
         return
     except NotADirectoryError as error:
         raise FileFormatError(f"{folder}: cannot be made a folder (it is a file); give another one with -o") from error
     except OSError as error:
         raise unwritten(folder, error) from error
-    if there and format_of(Path(folder) / marker) != kind:
-        more = f" and {len(there) - 3} more" if len(there) > 3 else ""
+    if names and format_of(Path(folder) / marker) != kind:
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
         raise FileFormatError(
-            f"{folder}: holds other files ({', '.join(there[:3])}{more}); give the name of a new or an empty folder "
+            f"{folder}: holds other files ({', '.join(names[:3])}{more}); give the name of a new or an empty folder "
             "with -o"
         )
 
 
 def make_own_folder(folder: PathLike, marker: str, kind: str) -> Path:
-    """Return a folder that may be written to, made if it is not there; raises as `demand_own_folder` does."""
+    """Return a folder that may be written to, created if necessary; raise as `demand_own_folder` does."""
     demand_own_folder(folder, marker, kind)
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
@@ -109,7 +109,7 @@ def make_own_folder(folder: PathLike, marker: str, kind: str) -> Path:
 
 
 def _head(path: PathLike) -> bytes:
-    """Return how a regular file begins; nothing of one that cannot be read."""
+    """Return the first bytes of a regular file; none if it cannot be read."""
     try:
         if not Path(path).is_file():
             return b""

@@ -11,7 +11,7 @@ from dehyst._errors import DehystError, FileFormatError
 
 @contextmanager
 def reading_errors(path: Path, kind: str) -> Iterator[None]:
-    """Turn what goes wrong while a file of this kind is read into FileFormatError."""
+    """Raise FileFormatError for any error while a file of this kind is read."""
     try:
         yield
     except DehystError:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
-from dehyst._validation import count, fraction, numbers
+from dehyst._validation import count, fraction, vector
 from dehyst.baselines.fitting import least_missing
 from dehyst.baselines.nonnegative_fit import differences
 from dehyst.baselines.play_bank import PlayBank
@@ -136,7 +136,7 @@ def _times(ready: Training) -> Array:
 
 
 def _given(lowpasses: ArrayLike) -> Array:
-    times = numbers(lowpasses, "lowpasses")
+    times = vector(lowpasses, "lowpasses", error=IdentifyError)
     if np.any(times <= 0):
         raise IdentifyError(f"lowpasses: got {times}, need time constants above 0, in seconds")
     return times

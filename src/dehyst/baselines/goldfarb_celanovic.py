@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
-from dehyst._validation import count, numbers
+from dehyst._validation import count, vector
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.identification.diagnostics.branches import Branch, voltage_at
 from dehyst.identification.preprocessing.cleaning import remove_glitches
@@ -135,7 +135,7 @@ def _equal_parts(elements: int, height: float) -> Array:
 
 
 def _given(breakaway: ArrayLike, height: float, name: str) -> Array:
-    rho = numbers(breakaway, "breakaway")
+    rho = vector(breakaway, "breakaway", error=IdentifyError)
     if not rho.size or rho[0] <= 0 or np.any(np.diff(rho) <= 0):
         raise IdentifyError(
             f"breakaway: got {rho}, need one or more positive, strictly increasing elongations in metres"

@@ -85,7 +85,7 @@ class TrackingTrial:
         wanted = truth.stroke * self.path(seed)
         time = np.arange(homing.size + wanted.size) / self._rate
         voltage = self._sent(model, homing, wanted, time)
-        reached = truth.drive(np.concatenate([homing, voltage]), time=time, measured=False)[homing.size :]
+        reached = truth.play(np.concatenate([homing, voltage]), time=time, measured=False)[homing.size :]
         error = (wanted - reached)[_first_leg(wanted) :]
         beyond = max(float(voltage.max()) - truth.highest, -float(voltage.min()), 0.0)
         missed = percent(largest(error), truth.stroke), percent(rms(error), truth.stroke)
@@ -134,7 +134,7 @@ class TrackingTrial:
         truth = self.truth(seed)
         found = []
         for i, excitation in enumerate(kinds(truth.highest)):
-            y = truth.drive(excitation.voltage, time=excitation.time)
+            y = truth.play(excitation.voltage, time=excitation.time)
             found.append(Record(excitation.time, excitation.voltage, y, f"{self.name}-{seed}{'abc'[i]}"))
         return tuple(found)
 

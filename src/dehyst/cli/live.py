@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._text import escaped
-from dehyst.records.recording import Lot
+from dehyst.records.recording import SampleBlock
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -111,12 +111,12 @@ class Live:
         self._present, self.words = waiting, ""
         self._face.begin(self, waiting)
 
-    def samples(self, samples: Lot, expected: ArrayLike | None = None, stroke: float | None = None) -> None:
+    def samples(self, samples: SampleBlock, expected: ArrayLike | None = None, stroke: float | None = None) -> None:
         """Show samples that came.
 
         Parameters
         ----------
-        samples : Lot
+        samples : SampleBlock
         expected : (n,) array_like, optional
             The displacement wanted of each [m]; NaN where none is.
         stroke : float, optional

@@ -97,8 +97,8 @@ def serve(
 
     rehearsed = [Fault.parse(text) for text in faults]
     instrument, told = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
-    lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, tell=lambda words: echo(f"fault: {words}"))
-    controller = Controller(instrument, told=told)
+    lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, report=lambda words: echo(f"fault: {words}"))
+    controller = Controller(instrument, reported_limits=told)
     server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
     if epics is not None:
         _serve_epics(instrument, epics, lock)
@@ -106,7 +106,7 @@ def serve(
         echo(f"serving {actuator}, {told[0]:g} to {told[1]:g} V, on pi://{host}:{server.port}")
         sys.stdout.flush()
         server.serve(seconds)
-    echo(f"{_tally(instrument)}, {controller.recorder.told} samples told")
+    echo(f"{_tally(instrument)}, {controller.recorder.rows_sent} samples told")
 
 
 def _instrument(
@@ -121,7 +121,7 @@ def _instrument(
     """The virtual bench, and the limits [V] that it tells."""
     from dehyst.model import Actuator
     from dehyst.virtual import ModelledActuator, VirtualBench
-    from dehyst.virtual.emulator.faults import narrowed
+    from dehyst.virtual.emulator.faults import actual_limits
     from dehyst.virtual.modelled import virtual_actuator
 
     found = virtual_actuator(actuator)
@@ -130,7 +130,7 @@ def _instrument(
     told = limits or (0.0, found.highest)
     made = VirtualBench(
         found,
-        limits=narrowed(told, faults),
+        limits=actual_limits(told, faults),
         slew_rate=slew,
         wave_points=wave_points,
         record_points=wave_points,

@@ -65,7 +65,7 @@ def approach_to(
     count, shortest = max(_LEAST, ceil(least * rate * (1 - 1e-9))), None
     while count <= _MOST:
         for end in ends:
-            if not motion.hold(Bridge(now, end, count / rate).peaks):
+            if not motion.allow(Bridge(now, end, count / rate).peaks):
                 continue
             way = _sampled(now, end, count, path)
             shortest = shortest or way

@@ -8,6 +8,7 @@ from math import ceil, log
 import numpy as np
 
 from dehyst._errors import RecordError
+from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
 from dehyst.control.lead_in import follow
@@ -15,7 +16,7 @@ from dehyst.control.steady_state import steady_state
 from dehyst.control.trajectory import Command
 from dehyst.model import Actuator, State
 from dehyst.waveforms import ScanPath
-from dehyst.waveforms.scan import counted, whole
+from dehyst.waveforms.scan import whole
 
 # Most difference of two steady cycles, as a share of the voltage range.
 _REPEATS = 1e-9

@@ -58,7 +58,7 @@ class Settings:
             self._check_breakaway(self.breakaway)
 
     def _check_breakaway(self, breakaway: ArrayLike) -> None:
-        rho = _validation.numbers(breakaway, "breakaway")
+        rho = _validation.vector(breakaway, "breakaway", error=IdentifyError)
         if self.elements is not None:
             raise IdentifyError("got both elements and breakaway, need only one of them")
         if self.method != "record":

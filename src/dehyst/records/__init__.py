@@ -1,4 +1,4 @@
-"""Records: what was measured, and its files."""
+"""Records: measurements of an actuator, and their files."""
 
 from dehyst.records.files import read, read_table, write_columns, write_hdf5, write_record
 from dehyst.records.record import Record

@@ -1,4 +1,4 @@
-"""Loops of which the displacement both falls and rises with rising voltage: those of a switching ferroelectric."""
+"""Butterfly loops, in which the displacement both falls and rises with rising voltage: a switching ferroelectric."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.records.signals import turning_points, white_noise
 
-# Legs of this part of the range of the voltage are looked at, in so many bins of it.
+# Only legs over this share of the range of the voltage count, in so many bins of it.
 _WHOLE = 0.9
 _BINS = 32
-# Of the stroke, and of the noise of a bin's mean: a fall or a rise that counts.
+# A fall or a rise counts from this share of the stroke on, and from so many times the noise of a bin's mean on.
 _LEAST, _LOUD = 0.1, 8.0
 
 
 class Butterfly(NamedTuple):
-    """How far the displacement falls and rises with rising voltage [m], and the voltages between which it rises [V]."""
+    """Fall and rise of the displacement with rising voltage [m], and the voltages between which it rises [V]."""
 
     fall: float
     rise: float
@@ -28,7 +28,7 @@ class Butterfly(NamedTuple):
 
 
 def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
-    """Look for a fall and a rise on the line midway between the rising and the falling legs; None if not both.
+    """Find a fall and a rise on the line midway between the rising and the falling legs; return None without both.
 
     On that line hysteresis, a delay, creep and a drift from leg to leg take opposite signs and cancel.
     """
@@ -37,7 +37,7 @@ def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
     legs = [slice(begin, end + 1) for begin, end in pairwise([0, *turns.tolist(), len(voltage) - 1])]
     rises = [float(voltage[leg.stop - 1] - voltage[leg.start]) for leg in legs]
     edges = np.linspace(voltage.min(), voltage.max(), _BINS + 1)
-    (up, some), (down, others) = (
+    (up, up_counts), (down, down_counts) = (
         _means(
             voltage,
             displacement,
@@ -46,12 +46,12 @@ def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
         )
         for sign in (1, -1)
     )
-    seen = (some > 0) & (others > 0)
-    if np.count_nonzero(seen) < _BINS // 2:
+    filled = (up_counts > 0) & (down_counts > 0)
+    if np.count_nonzero(filled) < _BINS // 2:
         return None
-    up, down, places = up[seen], down[seen], (0.5 * (edges[1:] + edges[:-1]))[seen]
+    up, down, places = up[filled], down[filled], (0.5 * (edges[1:] + edges[:-1]))[filled]
     middle = 0.5 * (up + down)
-    noise = white_noise(displacement) / sqrt(min(some[seen].min(), others[seen].min()))
+    noise = white_noise(displacement) / sqrt(min(up_counts[filled].min(), down_counts[filled].min()))
     least = max(_LEAST * float(np.ptp(displacement)), _LOUD * noise)
     fall = float(np.max(np.maximum.accumulate(middle) - middle))
     climbed = middle - np.minimum.accumulate(middle)
@@ -67,7 +67,7 @@ def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
 
 
 def _means(voltage: Array, displacement: Array, edges: Array, legs: list[slice]) -> tuple[Array, Array]:
-    """Mean displacement [m] of legs in bins of the voltage, and how many samples each has."""
+    """Return the mean displacement [m] of legs in bins of the voltage, and the number of samples in each bin."""
     if not legs:
         return np.zeros(_BINS), np.zeros(_BINS)
     bins = np.concatenate([np.clip(np.searchsorted(edges, voltage[leg]) - 1, 0, _BINS - 1) for leg in legs])

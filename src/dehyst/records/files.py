@@ -1,4 +1,4 @@
-"""Files: measurements are read in every format of `loaders`, written as CSV or HDF5; JSON is read and written."""
+"""Reading of measurements in every format of `loaders`, and writing of CSV and HDF5."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def read(
     Parameters
     ----------
     path : path
-        .csv .tsv .txt .dat .mat .h5 .hdf5 .parquet .tdms or .npz; a named pipe is read once, and without a suffix its
-        first bytes decide.
+        .csv .tsv .txt .dat .mat .h5 .hdf5 .parquet .tdms or .npz. A named pipe is read once; without a suffix its first
+        bytes determine the format.
     time, voltage, displacement : str, optional
         Columns, see `Table.column`.
     sample_rate : float, optional
@@ -48,19 +48,19 @@ def read(
     name : str, optional
         The record's name; by default the one that `write_hdf5` wrote, else the file's, without suffix.
     max_bytes : float
-        What the file may have, and what the numbers in it may take in memory; headers that declare more are refused
-        before anything is read.
+        Largest size of the file, and of its numbers in memory; a header that declares more is refused before the data
+        are read.
 
     Raises
     ------
     FileFormatError
-        The file or a column cannot be read, or both a time column and a sample rate are there.
+        The file or a column cannot be read, or both a time column and a sample rate are given.
     RecordError
         The columns make no record.
     MissingExtraError
         The library for this kind of file is not installed.
     """
-    table, stored = _loaded(Path(path), max_bytes, own=True)
+    table, stored = _load(Path(path), max_bytes, with_meta=True)
     v, y = table.column("voltage", voltage), table.column("displacement", displacement)
     meta: dict[str, Any] = {"source": table.source, "sha256": table.sha256}
     meta["columns"] = {"voltage": table.find("voltage", voltage)[0].name}
@@ -68,8 +68,8 @@ def read(
     meta["columns"]["time"] = (
         table.find("time", time)[0].name if sample_rate is None else f"index / {sample_rate:.9g} Hz"
     )
-    called = stored.name if stored else Path(path).stem
-    return Record(time_of(table, len(v), time, sample_rate), v, y, name or called, stored.meta if stored else meta)
+    stored_name = stored.name if stored else Path(path).stem
+    return Record(time_of(table, len(v), time, sample_rate), v, y, name or stored_name, stored.meta if stored else meta)
 
 
 def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> Array:
@@ -77,26 +77,26 @@ def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float |
     if sample_rate is None:
         return table.column("time", wanted)
     if wanted is not None or (table.has("time") and table.find("time")[1] in UNITS["time"]):
-        which = wanted or table.find("time")[0].name
-        raise FileFormatError(f"{table.source}: got sample_rate= and the time column '{which}'; leave one of them out")
+        column = wanted or table.find("time")[0].name
+        raise FileFormatError(f"{table.source}: got sample_rate= and the time column '{column}'; leave one of them out")
     if not 0 < sample_rate < float("inf"):
         raise FileFormatError(f"{table.source}: sample_rate is {sample_rate} Hz; give a number above 0")
     return np.arange(samples) / sample_rate
 
 
 def read_table(path: PathLike, *, max_bytes: float = MOST) -> Table:
-    """Read all numeric columns of a file whose kind follows from its suffix; raises as `read` does."""
-    return _loaded(Path(path), max_bytes, own=False)[0]
+    """Read all numeric columns of a file whose kind follows from its suffix; raise as `read` does."""
+    return _load(Path(path), max_bytes, with_meta=False)[0]
 
 
-def _loaded(path: Path, max_bytes: float, own: bool) -> tuple[Table, hdf5.Stored | None]:
-    """Read a file once; its columns and, if `own` is asked for and dehyst wrote it, name and meta."""
+def _load(path: Path, max_bytes: float, with_meta: bool) -> tuple[Table, hdf5.Stored | None]:
+    """Read a file once; return its columns and, if `with_meta` and dehyst wrote the file, name and meta."""
     most = bytes_allowed(max_bytes)
     with reading_errors(path, path.suffix):
         if path.suffix.lower() not in LOADERS and not path.is_fifo() and not path.is_dir():
             raise FileFormatError(f"{path}: unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}")
         content = content_of(path, most)
-    columns, stored = load(content, most, own)
+    columns, stored = load(content, most, with_meta)
     if not columns:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
     return Table(path.name, hashlib.sha256(content.data).hexdigest(), tuple(columns)), stored
@@ -105,14 +105,14 @@ def _loaded(path: Path, max_bytes: float, own: bool) -> tuple[Table, hdf5.Stored
 def write_record(path: PathLike, record: Record) -> None:
     """Write a record as CSV with the columns time_s, voltage_V and displacement_um, at full precision.
 
-    A file that is there is replaced. It is a measurement, not an output: no command replaces it without --force.
+    An existing file is replaced. The new file is a measurement, not an output: no command replaces it without --force.
     """
     columns = {"time_s": record.time, "voltage_V": record.voltage, "displacement_um": record.displacement * 1e6}
     write_atomically(path, "\n".join([*_lines(path, columns), ""]))
 
 
 def write_hdf5(path: PathLike, record: Record) -> None:
-    """Write a record as HDF5, atomically: `read` gives back every bit of its samples, its name and its meta.
+    """Write a record as HDF5, atomically: `read` returns every bit of its samples, its name and its meta.
 
     The file holds the datasets time_s, voltage_V and displacement_m, as an attribute ``sha256`` the hash of the three,
     one after the other as little-endian doubles, and as an attribute ``dehyst`` name and meta in JSON.
@@ -120,7 +120,7 @@ def write_hdf5(path: PathLike, record: Record) -> None:
     Raises
     ------
     FileFormatError
-        Another suffix than .h5 or .hdf5, a meta that cannot be told in JSON, or the file cannot be written.
+        The suffix is not .h5 or .hdf5, the meta cannot be written as JSON, or the file cannot be written.
     MissingExtraError
         If h5py is not installed.
     """
@@ -131,12 +131,12 @@ def write_hdf5(path: PathLike, record: Record) -> None:
 
 
 def write_columns(path: PathLike, columns: Mapping[str, ArrayLike]) -> None:
-    """Write named (n,) arrays as CSV, at full precision, marked as an output of dehyst (`dehyst.marks`).
+    """Write named (n,) arrays as CSV, at full precision, marked as an output of dehyst (`dehyst._io.marks`).
 
     Raises
     ------
     FileFormatError
-        Another suffix than one of text, columns of several lengths, or the file cannot be written.
+        The suffix is not one of text, the columns differ in length, or the file cannot be written.
     """
     lines = _lines(path, columns)
     if len(lines) > 1:

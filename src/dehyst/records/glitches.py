@@ -1,9 +1,9 @@
 """Isolated glitches of a measured voltage: short excursions that neither its slew nor the displacement explains.
 
-A glitch goes away and comes back at once, within five samples. It is larger than the voltage's own steps nearby, than
-its noise, than its resolution and than what most excursions of the record are; and the displacement, now or somewhat
-later, does not go along. Where the sensor is too noisy to show that, the voltage is taken as it is. A large excursion
-may last longer, up to a quarter of a cycle.
+A glitch goes away and comes back at once, within five samples. It is larger than the voltage's steps nearby, its noise,
+its resolution and most excursions of the record; and the displacement does not follow, now or somewhat later. If the
+sensor is too noisy to show that, the voltage is not changed. A large excursion may last longer, up to a quarter of a
+cycle.
 """
 
 from __future__ import annotations
@@ -25,13 +25,12 @@ _WIDEST, _NEAR = 5, 8
 _LEAST, _SIGMAS, _DIGITS, _TIMES = 0.02, 8.0, 1.5, 1.5
 # A glitch is larger than so many steps nearby.
 _STEPS = 1.5
-# At an end of the record, where nothing comes back, than so many of the largest steps elsewhere.
+# At an end of the record, where the voltage cannot come back, a glitch is larger than so many of the largest steps.
 _STEPS_AT_END = 3.0
 # The displacement follows with this part of its mean gain at least: a small excursion moves an actuator by half of
-# what the mean slope gives, and half of that can fall between two samples. A noise of which so many standard
-# deviations are larger hides it.
+# the mean slope, and half of that can fall between two samples. Noise hides it if so many deviations are larger.
 _FOLLOWS, _SEEN = 0.2, 2.0
-# Beside a turn an actuator moves by so many times what its mean gain gives.
+# Next to a turn an actuator moves by so many times its mean gain.
 _STEEP = 2.0
 # The displacement may lag by this part of a cycle, and by so many samples.
 _LAG, _LAGS = 0.05, (8, 64)
@@ -40,9 +39,9 @@ _SHORTEST = 20
 _COARSEST = 0.1
 _PASSES = 20
 _SHOWN = 5
-# Longer excursions, of a channel that drops out for one: most samples, part of a cycle, least part of the range.
+# Longer excursions, such as a channel that drops out: most samples, share of a cycle, least share of the range.
 _LONGEST, _LONGEST_PART, _LEAST_LONG = 200, 0.25, 0.2
-# Candidates looked at a time.
+# Candidates processed at a time.
 _BLOCK = 1 << 14
 
 Indices = NDArray[np.intp]
@@ -55,11 +54,11 @@ class Glitch:
     Attributes
     ----------
     voltage : float
-        The farthest away [V].
+        The voltage farthest away [V].
     neighbours : tuple of float
-        Voltages [V] of the samples before and after; one of them at an end of the record.
+        Voltages [V] of the samples before and after; only one at an end of the record.
     time : float
-        Of its first sample [s].
+        Time of its first sample [s].
     """
 
     start: int
@@ -70,7 +69,7 @@ class Glitch:
 
     @property
     def words(self) -> str:
-        """Where it is, and how far away."""
+        """Its place and its voltage in words."""
         last = f"s {self.start} to {self.stop - 1}" if self.stop - self.start > 1 else f" {self.start}"
         ends = " and ".join(f"{volts:.6g}" for volts in self.neighbours)
         beside = f"between {ends} V" if len(self.neighbours) > 1 else f"beside {ends} V"
@@ -88,7 +87,7 @@ def glitches(time: Array, voltage: Array, displacement: Array) -> tuple[Glitch, 
     Returns
     -------
     tuple of Glitch
-        In order; none below 20 samples.
+        In order; empty below 20 samples.
     """
     bad = np.zeros(len(voltage), dtype=bool)
     if len(voltage) < _SHORTEST:
@@ -104,23 +103,23 @@ def glitches(time: Array, voltage: Array, displacement: Array) -> tuple[Glitch, 
             break
         for start, stop in runs:
             bad[start:stop] = True
-        # In between a straight line, so that the next pass sees what was hidden.
+        # A straight line in place of the glitches, so that the next pass finds hidden ones.
         places = np.arange(len(voltage))
         clean = np.where(bad, np.interp(places, places[~bad], voltage[~bad]), voltage)
-    return tuple(_described(time, voltage, clean, bad))
+    return tuple(_glitches(time, voltage, clean, bad))
 
 
-def glitch_sentences(found: tuple[Glitch, ...]) -> tuple[str, ...]:
-    """A sentence for each glitch; beyond five, for four of them and the range of the rest."""
-    shown, rest = (found, ()) if len(found) <= _SHOWN else (found[: _SHOWN - 1], found[_SHOWN - 1 :])
-    said = [f"{one.words}; the displacement does not follow: left out." for one in shown]
+def glitch_sentences(items: tuple[Glitch, ...]) -> tuple[str, ...]:
+    """Return a sentence for each glitch; beyond five, for four of them and for the range of the rest."""
+    shown, rest = (items, ()) if len(items) <= _SHOWN else (items[: _SHOWN - 1], items[_SHOWN - 1 :])
+    sentences = [f"{glitch.words}; the displacement does not follow: left out." for glitch in shown]
     if rest:
-        volts = [one.voltage for one in rest]
-        said.append(f"{len(rest)} more voltage glitches, of {min(volts):.6g} to {max(volts):.6g} V: left out.")
-    return tuple(said)
+        volts = [glitch.voltage for glitch in rest]
+        sentences.append(f"{len(rest)} more voltage glitches, of {min(volts):.6g} to {max(volts):.6g} V: left out.")
+    return tuple(sentences)
 
 
-def _described(time: Array, voltage: Array, clean: Array, bad: Mask) -> Iterator[Glitch]:
+def _glitches(time: Array, voltage: Array, clean: Array, bad: Mask) -> Iterator[Glitch]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(np.int8), [0]])))
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         far = start + int(np.argmax(np.abs(voltage[start:stop] - clean[start:stop])))
@@ -130,18 +129,18 @@ def _described(time: Array, voltage: Array, clean: Array, bad: Mask) -> Iterator
 
 @dataclass(frozen=True)
 class _Scale:
-    """What is large in a record.
+    """The scales of a record: what counts as large.
 
     Attributes
     ----------
     least : float
         Excursion [V] that noise, resolution or usual excursions explain.
     gain : float
-        Displacement for a volt, over the range.
+        Displacement per volt, over the range.
     sensor : float
         Displacement that noise or resolution of the sensor explains.
     lag : int
-        Samples by which the displacement may come late.
+        Samples by which the displacement may lag.
     span : float
         Range of the voltage [V].
     longest : int
@@ -157,7 +156,7 @@ class _Scale:
 
     @classmethod
     def of(cls, v: Array, y: Array) -> _Scale | None:
-        """By what glitches do not move: quantiles; None of a voltage that stands still."""
+        """Return the scales from quantiles, which glitches do not move; None for a constant voltage."""
         low, middle, high = np.quantile(v, [0.01, 0.5, 0.99]).tolist()
         if not low < high:
             return None
@@ -171,30 +170,30 @@ class _Scale:
         return cls(least, stroke / (high - low), sensor, lag, high - low, longest)
 
     def inner(self, v: Array, y: Array) -> list[tuple[int, int]]:
-        """First sample, and the one after the last, of glitches with neighbours on both sides."""
+        """Return start and stop of glitches with neighbours on both sides."""
         jumps = _jumps(v, self.least)
         if jumps.size < 2:
             return []
-        found: list[tuple[float, int, int]] = []
+        candidates: list[tuple[float, int, int]] = []
         for width in range(1, _WIDEST + 1):
             usual = _TIMES * _usual_excursion(v, width)
             before = np.intersect1d(jumps, jumps - width, assume_unique=True)
             for begin in range(0, before.size, _BLOCK):
-                found += self._followed_not(v, y, before[begin : begin + _BLOCK], width, usual)
-        return _apart(found)
+                candidates += self._not_followed(v, y, before[begin : begin + _BLOCK], width, usual)
+        return _separate(candidates)
 
-    def _followed_not(
+    def _not_followed(
         self, v: Array, y: Array, before: Indices, width: int, usual: float
     ) -> list[tuple[float, int, int]]:
-        """How far away they go, start and stop of glitches so wide, among the excursions after samples `before`."""
+        """Return size, start and stop of glitches of this width, among the excursions after samples `before`."""
         after = before + width + 1
         around = _around(before, after, len(v))
         slew = _slew(v, around, 0.75)
         away = _from_chord(v, before, width)
         size = np.abs(away).min(axis=1)
-        # At an edge of the voltage, by half of it.
+        # At an edge of the voltage, within half of the excursion.
         comes_back = np.abs(v[after] - v[before]) <= np.maximum(self.least + _STEPS * (width + 1) * slew, 0.5 * size)
-        # The top of a staircase is wide and as high as the stairs beside it; a lone sample is not.
+        # The top of a staircase is wide and as high as the neighbouring steps; a single sample is not.
         stair = _STEPS * _slew(v, around, 1.0) if width > 1 else 0.0
         large = comes_back & (size > np.maximum(usual, self.least + np.maximum(_STEPS / 2 * (width + 1) * slew, stair)))
         large &= _FOLLOWS * self.gain * size > self.sensor
@@ -202,14 +201,14 @@ class _Scale:
         still = ~self._follows(v, y, before, away, slew)
         before, size, level = before[still], size[large][still], np.median(v[around[still]], axis=1)
         inside = v[before[:, None] + np.arange(1, width + 1)]
-        # Of two that differ in nothing else, the one farther from what is around.
+        # Of two equal candidates, the one farther from its surroundings.
         far = size + 0.1 * np.abs(inside - level[:, None]).min(axis=1)
         return [(d, a + 1, a + 1 + width) for d, a in zip(far.tolist(), before.tolist(), strict=True)]
 
     def _follows(self, v: Array, y: Array, before: Indices, away: Array, slew: Array) -> Mask:
-        """Whether the displacement goes along with excursions (k, width) that start after the samples `before`.
+        """Return whether the displacement follows excursions (k, width) that start after the samples `before`.
 
-        The part of the excursion in it, now or later, beyond what a corner of the voltage nearby makes.
+        It follows if its part along the excursion, now or later, exceeds the effect of a nearby corner of the voltage.
         """
         width, follows = away.shape[1], np.full(before.size, -np.inf)
         power = np.square(away).sum(axis=1)
@@ -222,7 +221,7 @@ class _Scale:
         return np.asarray(follows * size > self.gain * (_FOLLOWS * size + _STEEP * corner), dtype=np.bool_)
 
     def _corner(self, v: Array, before: Indices, width: int, beyond: int = -1) -> Array:
-        """What the voltage lies off chords (k,) [V], more than so many samples away."""
+        """Return the largest deviation of the voltage from chords (k,) [V] more than so many samples away."""
         corner = np.zeros(before.size)
         for shift in range(-self.lag, self.lag + 1):
             if abs(shift) > beyond:
@@ -231,18 +230,18 @@ class _Scale:
         return corner
 
     def long(self, v: Array, y: Array) -> list[tuple[int, int]]:
-        """First sample, and the one after the last, of longer excursions: from one large jump to the next."""
+        """Return start and stop of longer excursions, from one large jump to the next."""
         jumps = _jumps(v, max(self.least, _LEAST_LONG * self.span)).tolist()
-        found = []
+        candidates = []
         for before, last in pairwise(jumps):
-            if _WIDEST < last - before <= self.longest and self._stands(v, y, before, last):
+            if _WIDEST < last - before <= self.longest and self._stays(v, y, before, last):
                 around = v[max(before - self.longest, 0) : last + self.longest]
                 far = abs(float(np.median(v[before + 1 : last + 1])) - float(np.median(around)))
-                found.append((far, before + 1, last + 1))
-        return _apart(found)
+                candidates.append((far, before + 1, last + 1))
+        return _separate(candidates)
 
-    def _stands(self, v: Array, y: Array, before: int, last: int) -> bool:
-        """Whether the displacement moves far less than a voltage would have it move that goes away and comes back."""
+    def _stays(self, v: Array, y: Array, before: int, last: int) -> bool:
+        """Return whether the displacement moves far less than a real excursion of the voltage would move it."""
         width, where = last - before, np.array([before])
         away = _from_chord(v, where, width)[0]
         side, size = float(np.sign(away[0])), float(np.abs(away).min())
@@ -254,25 +253,25 @@ class _Scale:
         return comes_back and large and seen and along <= _FOLLOWS * self.gain * size
 
     def outer(self, v: Array, y: Array) -> Iterator[tuple[int, int]]:
-        """The same of glitches at the record's first or last samples, which come from nowhere or go nowhere.
+        """Yield start and stop of glitches at the record's first or last samples, with neighbours on one side only.
 
-        They are beyond all other steps of the record: a step at its end may be one that the displacement, a little
-        late, has not followed yet.
+        They exceed all other steps of the record: a step at its end may be one that the displacement, which lags, has
+        not followed yet.
         """
         if _jumps(v, self.least).size:
             yield from ((0, width) for width in self._at_start(v, y))
             yield from ((len(v) - width, len(v)) for width in self._at_start(v[::-1], y[::-1]))
 
     def _at_start(self, v: Array, y: Array) -> list[int]:
-        """How many samples at the start are a glitch, if any are."""
+        """Return the number of samples of a glitch at the start, if there is one."""
         steps = np.abs(np.diff(v))
         first = [int(k) + 1 for k in _jumps(v[: _WIDEST + 1], self.least)]
         for width in reversed(first):
             usual = float(steps[width + 1 : -_WIDEST].max())
             size = float(np.abs(v[:width] - v[width]).min())
-            alone = size > self.least + _STEPS_AT_END * usual and steps[width] <= _STEPS * usual
-            large = alone and _FOLLOWS * self.gain * size > self.sensor
-            # Over so many samples the displacement moves by this without an excursion.
+            isolated = size > self.least + _STEPS_AT_END * usual and steps[width] <= _STEPS * usual
+            large = isolated and _FOLLOWS * self.gain * size > self.sensor
+            # The displacement moves by this over so many samples without an excursion.
             span, near = width + 1, y[1 : 4 * _NEAR]
             moves = np.quantile(np.abs(near[span:] - near[:-span]), 0.75)
             moved = float((np.sign(v[width] - v[0]) * (y[span] - y[:width])).max())
@@ -282,24 +281,24 @@ class _Scale:
 
 
 def _noise(values: Array) -> float:
-    """White noise [in their unit]; where slopes, corners or steps are many, by what feels least of them."""
+    """Return the white noise, in the unit of the values: the least of three estimates (slopes, corners, steps)."""
     spreads = ((float(np.median(np.abs(np.diff(values, k)))), comb(2 * k, k)) for k in (1, 2))
     return min(white_noise(values), *(spread / 0.6745 / sqrt(parts) for spread, parts in spreads))
 
 
 def _digit(values: Array) -> float:
-    """The resolution, in the unit of the values; a signal that moves in few large steps is not told by its digits."""
+    """Return the resolution, in the unit of the values; 0 for a signal of few large steps, which does not show it."""
     step, part = resolution(values)
     return step if part <= _COARSEST else 0.0
 
 
 def _jumps(v: Array, least: float) -> Indices:
-    """Samples from which the voltage steps by more than that."""
+    """Return the samples from which the voltage steps by more than `least`."""
     return np.flatnonzero(np.abs(np.diff(v)) > least)
 
 
 def _usual_excursion(v: Array, width: int) -> float:
-    """How far runs of so many samples go away and come back; one of fifty goes farther."""
+    """Return the excursion that all but one in fifty runs of so many samples stay within."""
     steps = np.diff(v)
     there, back = steps[:-width], steps[width:]
     far: Array = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
@@ -307,26 +306,26 @@ def _usual_excursion(v: Array, width: int) -> float:
 
 
 def _without_pulses(v: Array) -> Array:
-    """The voltage with its steps, but without what comes back within the width of a glitch."""
+    """Return the voltage with its steps, but without excursions as short as a glitch."""
     from scipy.ndimage import median_filter
 
     return np.asarray(median_filter(v, 2 * _WIDEST + 1, mode="nearest"), dtype=np.float64)
 
 
 def _around(before: Indices, after: Indices, size: int) -> Indices:
-    """Samples next to excursions, on both sides (k, 2 _NEAR + 2); the first and last of a record again and again."""
+    """Return the samples next to excursions, on both sides (k, 2 _NEAR + 2); the ends of a record are repeated."""
     offsets = np.arange(_NEAR + 1)
     return np.clip(np.hstack([before[:, None] - offsets[::-1], after[:, None] + offsets]), 0, size - 1)
 
 
 def _slew(v: Array, around: Indices, share: float) -> Array:
-    """Step of the voltage beside excursions (k,) [V] that this share of the steps does not surpass."""
+    """Return the step of the voltage next to excursions (k,) [V] that this share of the steps does not exceed."""
     steps = np.abs(np.diff(v[around], axis=1))
-    # Not the step across, nor those that the ends of the record repeat.
-    own = np.diff(around, axis=1) == 1
-    own[:, _NEAR] = False
+    # Neither the step across the excursion, nor repeated samples at the ends of the record.
+    valid = np.diff(around, axis=1) == 1
+    valid[:, _NEAR] = False
     # As `numpy.nanquantile` interpolates, which goes row by row and takes most of an identification's time.
-    ordered, count = np.sort(np.where(own, steps, np.nan), axis=1), own.sum(axis=1)
+    ordered, count = np.sort(np.where(valid, steps, np.nan), axis=1), valid.sum(axis=1)
     at = (count - 1) * share
     first = np.floor(at).astype(np.intp)
     nearest = np.column_stack([first, np.minimum(first + 1, count - 1)])
@@ -336,7 +335,7 @@ def _slew(v: Array, around: Indices, share: float) -> Array:
 
 
 def _from_chord(values: Array, before: Indices, width: int, beside: int = 0) -> Array:
-    """What samples (k, width) after those `before` lie off the chord over them, or over so many more on each side."""
+    """Return deviations (k, width) of samples after `before` from a chord over them and `beside` more on each side."""
     last, span = len(values) - 1, width + 1 + 2 * beside
     # The minimum of the maximum is `numpy.clip` in a third of its time.
     left, right = (values[np.minimum(np.maximum(i, 0), last)] for i in (before - beside, before + width + 1 + beside))
@@ -345,11 +344,11 @@ def _from_chord(values: Array, before: Indices, width: int, beside: int = 0) -> 
     return np.asarray(values[np.minimum(np.maximum(before[:, None] + inside, 0), last)] - chord)
 
 
-def _apart(found: list[tuple[float, int, int]]) -> list[tuple[int, int]]:
-    """The farthest ones, no two of which touch: what lies between two glitches looks like one until they are gone."""
+def _separate(candidates: list[tuple[float, int, int]]) -> list[tuple[int, int]]:
+    """Return the largest candidates, no two of which touch: the gap between two glitches looks like a glitch."""
     taken: set[int] = set()
     kept = []
-    for _, start, stop in sorted(found, reverse=True):
+    for _, start, stop in sorted(candidates, reverse=True):
         if taken.isdisjoint(range(start - 1, stop + 1)):
             taken.update(range(start, stop))
             kept.append((start, stop))

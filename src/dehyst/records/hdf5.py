@@ -1,9 +1,8 @@
-"""A record as HDF5: three datasets in SI units, and beside them its name, its meta and a hash of its samples."""
+"""A record as HDF5: three datasets in SI units, with its name, its meta and a hash of its samples."""
 
 from __future__ import annotations
 
 import hashlib
-import importlib
 import io
 import json
 from collections.abc import Mapping
@@ -13,21 +12,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst._errors import FileFormatError
+from dehyst._io.json_files import to_json
 from dehyst._text import counted
+from dehyst.records.formats.containers import library
 from dehyst.records.formats.file_content import MOST, Allowance
 from dehyst.records.formats.hdf5_nodes import own_samples
 
 SUFFIXES = (".h5", ".hdf5")
 DATASETS = {"time_s": "s", "voltage_V": "V", "displacement_m": "m"}
-# Attribute of the file that holds name and meta as JSON; a file without it is somebody else's.
+# Attribute of the file with name and meta as JSON; a file without it was written by another program.
 _MARK = "dehyst"
 
 Columns = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 class Stored(NamedTuple):
-    """What a file tells beside its samples: name, meta, how many samples, and their hash."""
+    """Name, meta, number of samples and their hash, as stored in a file."""
 
     name: str
     meta: dict[str, Any]
@@ -35,91 +36,78 @@ class Stored(NamedTuple):
     sha256: str
 
 
-def library(extra: str = "bench", purpose: str = "Writing .h5 files") -> Any:
-    """The package h5py, or MissingExtraError."""
-    try:
-        return importlib.import_module("h5py")
-    except ImportError as error:
-        raise MissingExtraError.of("h5py", extra, purpose) from error
+def demand_writer() -> Any:
+    """Return the package h5py; raise MissingExtraError if it is not installed."""
+    return library("h5py", "Writing .h5 files", "bench")
 
 
-def digest(columns: Columns) -> str:
-    """SHA-256 of time, voltage and displacement (n,), one after the other, as little-endian doubles."""
-    found = hashlib.sha256()
+def sha256_of(columns: Columns) -> str:
+    """Return the SHA-256 of time, voltage and displacement (n,), one after the other, as little-endian doubles."""
+    digest = hashlib.sha256()
     for column in columns:
-        found.update(np.ascontiguousarray(column, dtype="<f8").tobytes())
-    return found.hexdigest()
+        digest.update(np.ascontiguousarray(column, dtype="<f8").tobytes())
+    return digest.hexdigest()
 
 
 def pack(columns: Columns, name: str, meta: Mapping[str, Any], where: object) -> bytes:
-    """The file's bytes.
+    """Return the bytes of the file.
 
     Parameters
     ----------
     columns : three (n,) arrays
         Time [s], voltage [V], displacement [m]; n may be 0.
     name, meta
-        Told in JSON.
+        Written as JSON.
     where : object
-        What a message calls the file.
+        Name of the file in messages.
 
     Raises
     ------
     FileFormatError
-        If name or meta cannot be told in JSON.
+        If name or meta cannot be written as JSON.
     MissingExtraError
         If h5py is not installed.
     """
-    h5py = library()
-    text = in_json({"name": name, "meta": dict(meta)}, where)
+    h5py = demand_writer()
+    text = to_json({"name": name, "meta": dict(meta)}, f"{where}: meta")
     buffer = io.BytesIO()
-    # A long meta is more than an attribute of the oldest version holds.
+    # A long meta does not fit into an attribute of the oldest version.
     with h5py.File(buffer, "w", libver=("v108", "v110")) as file:
         for (dataset, unit), column in zip(DATASETS.items(), columns, strict=True):
             file.create_dataset(dataset, data=np.ascontiguousarray(column, dtype="<f8")).attrs["unit"] = unit
         file.attrs[_MARK] = text
-        file.attrs["sha256"] = digest(columns)
+        file.attrs["sha256"] = sha256_of(columns)
     return buffer.getvalue()
 
 
-def in_json(data: Mapping[str, Any], where: object) -> str:
-    """One line of ASCII; raises FileFormatError for NaN, inf and what JSON does not know."""
-    try:
-        return json.dumps(dict(data), allow_nan=False)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise FileFormatError(
-            f"{where}: meta cannot be told in JSON ({error}); use text, finite numbers, booleans, None, lists and dicts"
-        ) from error
-
-
 def decode(path: Path, least: int = 0, content: bytes | None = None, most: int = MOST) -> Stored | None:
-    """What a file tells of its record; None if there is none, or one that `pack` did not make.
+    """Return what a file stores of its record; None without a file, or if `pack` did not make it.
 
     Parameters
     ----------
     path : path
     least : int
-        Samples that it must hold.
+        Least number of samples.
     content : bytes, optional
-        The file's, if it was read already.
+        The bytes of the file, if they are read already.
     most : int
-        Memory that its samples may take [bytes], or as much as the file has.
+        Memory that its samples may take [bytes]; the size of the file if that is larger.
 
     Raises
     ------
     FileFormatError
-        If it is damaged, its samples are not those it was made of or lie elsewhere, or they are fewer than `least`.
+        If it is damaged, its samples do not have the stored hash or lie in another file, or are fewer than `least`.
     """
     if content is None and (path.suffix.lower() not in SUFFIXES or not path.is_file() or not path.stat().st_size):
         return None
     size = path.stat().st_size if content is None else len(content)
     allowance = Allowance(path, max(most, size))
-    h5py = library("files", f"Reading {path.suffix} files")
+    h5py = library("h5py", f"Reading {path.suffix} files")
     try:
         with h5py.File(path if content is None else io.BytesIO(content), "r") as file:
             if _MARK not in file.attrs or not all(dataset in file for dataset in DATASETS):
                 return None
-            name, meta = _marked(file.attrs[_MARK])
+            name, meta = _parse(file.attrs[_MARK])
             time, voltage, displacement = (own_samples(file, h5py, dataset, allowance) for dataset in DATASETS)
             stored = Stored(name, meta, int(time.size), str(file.attrs["sha256"]))
     except (OSError, FileFormatError):
@@ -129,22 +117,22 @@ def decode(path: Path, least: int = 0, content: bytes | None = None, most: int =
         raise FileFormatError(
             f"{path}: this record of dehyst is damaged ({type(error).__name__}: {error}); take the file from a copy"
         ) from error
-    found = digest((time, voltage, displacement))
-    if found != stored.sha256:
+    sha256 = sha256_of((time, voltage, displacement))
+    if sha256 != stored.sha256:
         raise FileFormatError(
-            f"{path}: its samples are not those that were written (sha256 {found[:12]}..., need "
+            f"{path}: its samples are not those that were written (sha256 {sha256[:12]}..., need "
             f"{stored.sha256[:12]}...): damaged or edited; take the file from a copy"
         )
     if stored.samples < least:
         raise FileFormatError(
             f"{path}: holds {counted(stored.samples, 'sample')} of a record that ended early "
-            f"({stored.meta.get('ended_because', 'no reason is known')}), need {least} at least; record it again"
+            f"({stored.meta.get('ended_because', 'the reason is unknown')}), need {least} at least; record it again"
         )
     return stored
 
 
-def _marked(mark: Any) -> tuple[str, dict[str, Any]]:
-    """Name and meta as `pack` wrote them; raises ValueError if they are of other types, RecursionError if too deep."""
+def _parse(mark: Any) -> tuple[str, dict[str, Any]]:
+    """Return name and meta as `pack` wrote them; raise ValueError for other types, RecursionError if too deep."""
     content = json.loads(mark)
     name, meta = (content.get("name"), content.get("meta")) if isinstance(content, dict) else (None, None)
     if not isinstance(name, str) or not isinstance(meta, dict):

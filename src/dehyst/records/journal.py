@@ -1,4 +1,4 @@
-"""A journal: samples appended to a CSV file, each lot on the disk before the next; what is left of one is read back."""
+"""A journal: samples appended to a CSV file, each block on the disk before the next; a journal left behind is read."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._io.drafts import PathLike, settle_folder, unwritten
-from dehyst.records.hdf5 import DATASETS, Columns, in_json
+from dehyst._io.json_files import to_json
+from dehyst.records.hdf5 import DATASETS, Columns
 
-# Behind the name of the file that is to be.
+# Appended to the name of the final file.
 SUFFIX = ".part.csv"
 _DAMAGED = ".part.damaged.csv"
 _HEADER = ",".join(DATASETS)
-# Bytes a sample: three numbers of 24 characters at most, each with a comma or a line's end, and three doubles.
-_A_SAMPLE = 3 * 25 + 3 * 8
+# Bytes a sample: three numbers of 24 characters at most, each with a comma or a line end, and three doubles.
+_SAMPLE_BYTES = 3 * 25 + 3 * 8
 _MARGIN = 1_000_000
-# A last line longer than this [characters] is none that was cut off.
+# A last line longer than this [characters] was not merely cut off.
 _LONGEST_LINE = 10_000
 
 _Row = tuple[float, float, float]
 
 
 class JournalContents(NamedTuple):
-    """What a journal holds: name, meta and start as it was begun, samples, a last line cut off, unusable lines."""
+    """Contents of a journal: name, meta and start, samples, a last line cut off, number of unusable lines."""
 
     name: str
     meta: dict[str, Any]
@@ -43,29 +44,29 @@ class JournalContents(NamedTuple):
 
     @property
     def samples(self) -> int:
-        """How many."""
+        """Number of samples."""
         return int(self.columns[0].size)
 
 
 class Journal:
-    """A journal that this process holds, by a lock that ends with the process.
+    """A journal that this process has locked; the lock ends with the process.
 
     Attributes
     ----------
     path : Path
     samples : int
-        Whole lines on the disk, of those that were appended here.
+        Appended samples that are whole lines on the disk.
     """
 
     def __init__(self, path: Path, descriptor: int) -> None:
         self.path, self.samples = path, 0
         self._descriptor: int | None = descriptor
         self._size = os.fstat(descriptor).st_size
-        self._fault: FileFormatError | None = None
+        self._failure: FileFormatError | None = None
 
     @classmethod
-    def begin(cls, target: Path, head: str) -> Self:
-        """Begin the journal of a file that is to be, with one line of JSON at its head; raises FileFormatError."""
+    def create(cls, target: Path, head: str) -> Self:
+        """Create the journal of a future file, with one line of JSON at its head; raise FileFormatError on failure."""
         path = target.with_name(target.name + SUFFIX)
         flags = os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_APPEND | getattr(os, "O_BINARY", 0)
         try:
@@ -73,7 +74,7 @@ class Journal:
         except FileExistsError as error:
             raise FileFormatError(
                 f"{path}: is there already: another process records to it, or was killed; salvage() makes a file of "
-                "what it left"
+                "its samples"
             ) from error
         except FileNotFoundError as error:
             raise FileFormatError(f"{path}: the folder {path.parent} does not exist; create it first") from error
@@ -91,10 +92,10 @@ class Journal:
         return journal
 
     @classmethod
-    def found(cls, path: Path) -> Self | None:
-        """A journal that was left behind; None if another process still holds it. Raises FileFormatError."""
+    def reopen(cls, path: Path) -> Self | None:
+        """Open a journal left behind; return None if another process locked it, raise FileFormatError on failure."""
         if not path.is_file():
-            raise FileFormatError(f"{path}: is no file, but the name is one of a journal; move it to another folder")
+            raise FileFormatError(f"{path}: is not a file, but has the name of a journal; move it to another folder")
         try:
             descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
         except OSError as error:
@@ -108,13 +109,13 @@ class Journal:
         return journal
 
     @property
-    def there(self) -> bool:
-        """Whether the file can still be found by its name."""
+    def exists(self) -> bool:
+        """Whether the file still exists under its name."""
         try:
-            now, then = self.path.stat(), self._identity
+            status, identity = self.path.stat(), self._identity
         except OSError:
             return False
-        return (now.st_dev, now.st_ino) == then
+        return (status.st_dev, status.st_ino) == identity
 
     def append(self, columns: Columns) -> None:
         """Append samples; they are on the disk when this returns.
@@ -122,17 +123,18 @@ class Journal:
         Raises
         ------
         FileFormatError
-            If not all of them are: whole lines stay. No more can be appended then, there would be a gap.
+            If not all of them are written: whole lines stay. Nothing more can be appended, because of the gap.
         """
-        if self._fault is not None:
-            raise self._fault
+        if self._failure is not None:
+            raise self._failure
         rows = zip(*(map(repr, column.tolist()) for column in columns), strict=True)
         self._write("".join(f"{','.join(row)}\n" for row in rows).encode())
 
     def read(self) -> JournalContents:
-        """Read what the file holds, line by line.
+        """Read the file, line by line.
 
-        Lines that are no three finite numbers, and the fewest that keep the time from rising, are left out and counted.
+        Lines without three finite numbers, and the fewest lines that keep the time from rising, are left out and
+        counted.
 
         Raises
         ------
@@ -143,7 +145,7 @@ class Journal:
             data = self.path.read_bytes()
         except OSError as error:
             raise unwritten(self.path, error) from error
-        # After a power cut a file system may have added zeros to a file whose end it had not written.
+        # After a power cut a file system may have added zeros to a file whose end was not written.
         *lines, cut_off = data.rstrip(b"\0").decode("utf-8", "replace").split("\n")
         name, meta, started = "", dict[str, Any](), None
         if lines and lines[0].startswith("# {") and (head := _head(lines[0][2:])) is not None:
@@ -156,36 +158,36 @@ class Journal:
         return JournalContents(name, meta, started, (time, voltage, displacement), cut_off[:_LONGEST_LINE], damaged)
 
     def close(self) -> None:
-        """Let the file go; it stays. May be called twice."""
+        """Close the file, which stays; may be called twice."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
 
     def remove(self) -> None:
-        """Take the file away."""
-        if self.there:
+        """Delete the file."""
+        if self.exists:
             with contextlib.suppress(OSError):
                 self.path.unlink()
         self.close()
 
-    def keep(self) -> None:
-        """Give the file a name under which it is not found again; raises FileFormatError."""
-        other = numbered(self.path.with_name(self.path.name.removesuffix(SUFFIX) + _DAMAGED))
+    def set_aside(self) -> None:
+        """Rename the file so that it is not salvaged again; raise FileFormatError if it cannot be renamed."""
+        target = unused_path(self.path.with_name(self.path.name.removesuffix(SUFFIX) + _DAMAGED))
         try:
-            self.path.rename(other)
+            self.path.rename(target)
         except OSError as error:
-            raise unwritten(other, error) from error
+            raise unwritten(target, error) from error
         self.close()
 
     @property
     def _identity(self) -> tuple[int, int]:
-        # A name is all that is left of a file that was closed.
-        found = self.path.stat() if self._descriptor is None else os.fstat(self._descriptor)
-        return found.st_dev, found.st_ino
+        # Of a closed file only the name is left.
+        status = self.path.stat() if self._descriptor is None else os.fstat(self._descriptor)
+        return status.st_dev, status.st_ino
 
     def _write(self, data: bytes) -> None:
         if self._descriptor is None:
-            raise FileFormatError(f"{self.path}: this journal is closed; begin another")
+            raise FileFormatError(f"{self.path}: this journal is closed; create another")
         done = 0
         try:
             while done < len(data):
@@ -195,48 +197,50 @@ class Journal:
             done = data.rfind(b"\n", 0, done) + 1
             with contextlib.suppress(OSError):
                 os.ftruncate(self._descriptor, self._size + done)
-            self._fault = unwritten(self.path, error)
-            raise self._fault from error
+            self._failure = unwritten(self.path, error)
+            raise self._failure from error
         finally:
             self._size += done
             self.samples += data.count(b"\n", 0, done)
-        if not self.there:
+        if not self.exists:
             self.samples = 0
-            self._fault = FileFormatError(f"{self.path}: was removed while recording; are folder and disk still there?")
-            raise self._fault
+            self._failure = FileFormatError(
+                f"{self.path}: was removed while recording; check that the folder and the disk still exist"
+            )
+            raise self._failure
 
 
-def room(folder: PathLike, samples: int) -> None:
-    """Refuse a record before it begins if the disk has no room for its journal and its file.
+def demand_disk_space(folder: PathLike, samples: int) -> None:
+    """Refuse a record, before it begins, if the disk has no space for its journal and its file.
 
     Raises
     ------
     FileFormatError
-        Naming the bytes that are needed and those that are free.
+        With the bytes needed and those free.
     """
-    need = samples * _A_SAMPLE + _MARGIN
+    needed = samples * _SAMPLE_BYTES + _MARGIN
     try:
         free = shutil.disk_usage(folder).free
     except OSError as error:
         raise unwritten(folder, error) from error
-    if free < need:
+    if free < needed:
         raise FileFormatError(
-            f"{folder}: {samples} samples need up to {need / 1e6:.1f} MB, but {free / 1e6:.1f} MB are free; make room "
-            "there, or name a place that has some"
+            f"{folder}: {samples} samples need up to {needed / 1e6:.1f} MB, but {free / 1e6:.1f} MB are free; make "
+            "room there, or name a place that has some"
         )
 
 
-def numbered(path: Path) -> Path:
-    """The path, or where it is taken the first free of path-2, path-3, ..."""
-    # A link that leads nowhere is a name that is taken, too: what is written to it would land elsewhere.
+def unused_path(path: Path) -> Path:
+    """Return the path or, if it exists, the first unused one of path-2, path-3, ..."""
+    # A dangling link counts as existing: data written to it would go to another place.
     if not os.path.lexists(path):
         return path
     names = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in itertools.count(2))
-    return next(other for other in names if not os.path.lexists(other))
+    return next(name for name in names if not os.path.lexists(name))
 
 
 def _lock(descriptor: int) -> None:
-    """Hold a file until this process ends; raises BlockingIOError if another one does."""
+    """Lock a file until this process ends; raise BlockingIOError if another process has locked it."""
     try:
         import fcntl
     except ImportError:
@@ -251,10 +255,10 @@ def _lock(descriptor: int) -> None:
 
 
 def _head(text: str) -> tuple[str, dict[str, Any], str | None] | None:
-    """Name, meta and start in the first line of a journal; None if they are of other types or cannot be written."""
+    """Return name, meta and start from the first line of a journal; None for other types or if not writable as JSON."""
     try:
         head = json.loads(text)
-        in_json(head, "head")
+        to_json(head, "head")
     except (ValueError, RecursionError):
         return None
     name, meta, started = head.get("name", ""), head.get("meta", {}), head.get("started")
@@ -273,7 +277,7 @@ def _row(line: str) -> _Row | None:
 
 
 def _rising(rows: list[_Row]) -> list[_Row]:
-    """The most rows whose times rise strictly, in their order: one wrong time does not cost those after it."""
+    """Return the most rows whose times rise strictly: one wrong time does not remove those after it."""
     ends: list[float] = []
     length = []
     for time, _, _ in rows:

@@ -1,4 +1,4 @@
-"""What looks wrong with a record: what forbids it, or its use, and what the user should only know."""
+"""Checks of the quality of a record: errors that refuse it or its use, and remarks."""
 
 from __future__ import annotations
 
@@ -18,57 +18,57 @@ from dehyst.records.signals import noise_span, resolution, white_noise
 if TYPE_CHECKING:
     from dehyst.records.record import Record, Span
 
-# Larger numbers [V, m, s] and shorter steps of time [s] are no measurement, and computing with them overflows.
+# Larger numbers [V, m, s] and shorter time steps [s] are no measurement, and computations with them overflow.
 LARGEST, SHORTEST = 1e30, 1e-30
-# A stroke [m] that no sensor shows: an atomic nucleus.
+# A stroke [m] below any sensor's resolution: the size of an atomic nucleus.
 _LEAST_STROKE = 1e-15
-# Part of the time step that rounding of large times may be, unsaid.
+# Share of the time step up to which the rounding of large times is not reported.
 _ROUNDED = 0.02
 
 
 def problems(record: Record) -> tuple[str, ...]:
-    """Sentences about what is suspicious but allowed, see `Record.problems`."""
-    found = []
+    """Return sentences about what is suspicious but allowed, see `Record.problems`."""
+    sentences = []
     steps, gaps = np.diff(record.time), record.gaps()
     if gaps:
         i, length = gaps[0]
-        found.append(f"{counted(len(gaps), 'gap')} in time, the first of {length:.4g} s after sample {i}.")
+        sentences.append(f"{counted(len(gaps), 'gap')} in time, the first of {length:.4g} s after sample {i}.")
     lost = rounding(record.time)
     if lost > _ROUNDED * record.sample_time:
-        found.append(
-            f"Times this large are kept to {lost:.2g} s only, {100 * lost / record.sample_time:.2g} % of the time "
-            "step; count them from the record's first sample before they are saved."
+        sentences.append(
+            f"Times this large have a resolution of {lost:.2g} s only, {100 * lost / record.sample_time:.2g} % of the "
+            "time step; count them from the record's first sample before they are saved."
         )
     jitter = float(np.std(steps[steps <= 1.5 * record.sample_time])) / record.sample_time
     if jitter > 0.01:
-        found.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; resample the record.")
+        sentences.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; resample the record.")
     cycles = record.cycles()
     points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
     if points < 50:
-        found.append(f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners.")
+        sentences.append(f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners.")
     for column, unit in (("voltage", "V"), ("displacement", "m")):
         step, part = resolution(getattr(record, column))
         if part > 0.005:
-            found.append(
+            sentences.append(
                 f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
             )
     spikes = _spikes(record)
     if len(spikes):
-        found.append(
+        sentences.append(
             f"The displacement jumps away and back at {counted(len(spikes), 'sample')}, the first at "
-            f"{record.time[spikes[0]]:.6g} s: take such spikes out, they spoil range and fit."
+            f"{record.time[spikes[0]]:.6g} s: remove such spikes, they distort range and fit."
         )
-    said = glitch_sentences(glitches(record.time, record.voltage, record.displacement))
-    found += [one[0].upper() + one[1:] for one in said]
+    glitch_remarks = glitch_sentences(glitches(record.time, record.voltage, record.displacement))
+    sentences += [remark[0].upper() + remark[1:] for remark in glitch_remarks]
     if not 1e-9 <= record.stroke <= 1e-3:
-        found.append(
+        sentences.append(
             f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check the displacement's unit."
         )
-    return tuple(found)
+    return tuple(sentences)
 
 
 def _spikes(record: Record) -> NDArray[np.intp]:
-    """Samples far from both neighbours, which are near one another."""
+    """Find samples far from both neighbours, which are near one another."""
     y = record.displacement
     steps = np.abs(np.diff(y))
     away = np.minimum(steps[:-1], steps[1:])
@@ -77,7 +77,7 @@ def _spikes(record: Record) -> NDArray[np.intp]:
 
 
 def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
-    """Raise when no hysteresis loop can be learnt from the record, see `Record.check_usable`."""
+    """Raise when no hysteresis loop can be identified from the record, see `Record.check_usable`."""
     if len(record) < min_samples:
         raise RecordError(f"record '{record.name}': {len(record)} samples, {min_samples} are needed; record for longer")
     refuse_constant(record)
@@ -123,14 +123,14 @@ def refuse_not_rising(time: Array, name: str) -> None:
     i = int(bad[0])
     if steps[i] > 0.0:
         raise RecordError(
-            f"record '{name}': time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock tells apart, need "
+            f"record '{name}': time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock resolves, need "
             f"{SHORTEST:g} s at least; drop one of the two rows, or check the time's unit"
         )
     advice = "sort the rows, drop repeated ones, or check the time unit's digits"
     if (lost := rounding(time)) > 1e-9:
         advice = (
-            f"times as large as these are kept to {lost:.2g} s only: count them from the record's first sample before "
-            "they are saved, or give sample_rate="
+            f"times as large as these have a resolution of {lost:.2g} s only: count them from the record's first "
+            "sample before they are saved, or give sample_rate="
         )
     raise RecordError(
         f"record '{name}': time must rise strictly, but time[{i + 1}] = {time[i + 1]:.9g} s follows "
@@ -139,7 +139,7 @@ def refuse_not_rising(time: Array, name: str) -> None:
 
 
 def rounding(time: Array) -> float:
-    """What the largest of these times is rounded to [s]."""
+    """Return the rounding of the largest of these times [s]."""
     return float(np.spacing(max(-time.min(), time.max())))
 
 
@@ -160,12 +160,12 @@ def refuse_constant(record: Record) -> None:
 
 def refuse_butterfly(record: Record) -> None:
     """Raise when the displacement falls on one part of the range of the voltage and rises on another."""
-    found = butterfly_of(record.voltage, record.displacement)
-    if found is not None:
+    loop = butterfly_of(record.voltage, record.displacement)
+    if loop is not None:
         raise RecordError(
-            f"record '{record.name}': the displacement both rises, by {found.rise * 1e6:.3g} um, and falls, by "
-            f"{found.fall * 1e6:.3g} um, with rising voltage: a butterfly loop, of an actuator driven beyond its "
-            f"coercive field, or a sensor that folds over; record between {found.low:.3g} and {found.high:.3g} V"
+            f"record '{record.name}': the displacement both rises, by {loop.rise * 1e6:.3g} um, and falls, by "
+            f"{loop.fall * 1e6:.3g} um, with rising voltage: a butterfly loop, of an actuator driven beyond its "
+            f"coercive field, or a sensor that folds over; record between {loop.low:.3g} and {loop.high:.3g} V"
         )
 
 

@@ -37,13 +37,13 @@ class Record:
     name : str
         Used in messages.
     meta : mapping
-        Where the record comes from: source file, sha256, columns.
+        Origin of the record: source file, sha256, columns.
 
     Raises
     ------
     RecordError
-        Not one-dimensional, not numbers, masked, of another unit, different lengths, fewer than 2 samples, NaN, inf or
-        beyond 1e30, time not rising.
+        Not one-dimensional, not numbers, masked, of another unit, of different lengths, fewer than 2 samples, NaN, inf
+        or beyond 1e30, or the time does not rise.
     """
 
     time: Array
@@ -112,7 +112,7 @@ class Record:
         return white_noise(self.displacement)
 
     def gaps(self) -> list[tuple[int, float]]:
-        """Where samples are missing: index i and time[i + 1] - time[i] [s], if above 1.5 sample times."""
+        """Return the places of missing samples: index i and time[i + 1] - time[i] [s], if above 1.5 sample times."""
         steps = np.diff(self.time)
         return [(int(i), float(steps[i])) for i in np.flatnonzero(steps > 1.5 * np.median(steps))]
 
@@ -123,8 +123,8 @@ class Record:
         ----------
         signal : {"voltage", "displacement"}
         band : float, optional
-            Way back [V or m] that makes a turning point of an extreme; by default the larger of 2 % of the
-            signal's range and what its noise spans: 6 standard deviations, more in a long record.
+            Way back [V or m] after which an extreme counts as a turning point; by default the larger of 2 % of the
+            signal's range and the range of its noise: 6 standard deviations, more in a long record.
 
         Returns
         -------
@@ -146,22 +146,22 @@ class Record:
         return turning_points(values, band)
 
     def cycles(self, band: float | None = None) -> list[Span]:
-        """Full cycles between successive voltage minima, or maxima if these give more.
+        """Return the full cycles between successive voltage minima, or maxima if these give more.
 
         The record's start and end count as extremes when their leg covers 0.9 of the leg next to it, so that one
-        excursion up and down is one cycle. A slice holds both its turning points: neighbours share one sample.
+        excursion up and down is one cycle. A slice includes both its turning points: neighbours share one sample.
         """
         turns = self.reversals("voltage", band)
         if not len(turns):
             return []
-        ends = [outer_extreme(self.voltage[turns[0] :: -1]), outer_extreme(self.voltage[turns[-1] :])]
-        points = np.concatenate(([turns[0] - ends[0]], turns, [turns[-1] + ends[1]]))
+        before, after = outer_extreme(self.voltage[turns[0] :: -1]), outer_extreme(self.voltage[turns[-1] :])
+        points = np.concatenate(([turns[0] - before], turns, [turns[-1] + after]))
         legs = np.abs(np.diff(self.voltage[points]))
         points = points[int(legs[0] < 0.9 * legs[1]) : len(points) - int(legs[-1] < 0.9 * legs[-2])]
-        # An odd number has one more of the outer kind; otherwise minima are as many as maxima and are taken.
+        # An odd number has one more of the outer kind; otherwise there are as many minima as maxima, and minima count.
         first = int(len(points) % 2 == 0 and self.voltage[points[0]] > self.voltage[points[1]])
-        best = points[first::2]
-        return [slice(int(a), int(b) + 1) for a, b in pairwise(best)]
+        ends = points[first::2]
+        return [slice(int(a), int(b) + 1) for a, b in pairwise(ends)]
 
     def slice(self, start: int | None, stop: int | None) -> Record:
         """Return samples start to stop - 1, counted as Python slices are."""
@@ -177,7 +177,7 @@ class Record:
         return replace(self, name=name)
 
     def resample(self, dt: float, kind: str = "linear") -> Record:
-        """Put the record on a uniform grid of step dt [s] from its first sample; kind is "linear" or "pchip"."""
+        """Resample the record on a uniform grid of step dt [s] from its first sample; kind is "linear" or "pchip"."""
         span = float(self.time[-1] - self.time[0])
         if not 0.0 < dt <= span:
             raise RecordError(
@@ -190,18 +190,18 @@ class Record:
         return replace(self, time=grid, voltage=v, displacement=interpolate(self.time, self.displacement, grid, kind))
 
     def delayed(self, delay: float) -> Record:
-        """Replace the voltage by voltage(t - delay), delay in s, shape-preserving; constant beyond the ends."""
+        """Return the record with voltage(t - delay), delay in s: shape-preserving, constant beyond the ends."""
         if not isfinite(delay):
             raise RecordError(f"record '{self.name}': delay is {delay} s; give a finite number of seconds")
-        asked = np.clip(self.time - delay, self.time[0], self.time[-1])
-        return replace(self, voltage=interpolate(self.time, self.voltage, asked, "pchip"))
+        times = np.clip(self.time - delay, self.time[0], self.time[-1])
+        return replace(self, voltage=interpolate(self.time, self.voltage, times, "pchip"))
 
     def problems(self) -> tuple[str, ...]:
-        """Sentences about everything suspicious that does not forbid the record's use; empty when all is well."""
+        """Return sentences about everything suspicious that does not prevent the record's use; empty if nothing is."""
         return problems(self)
 
     def check_usable(self, min_samples: int = 20, min_cycles: int = 1) -> None:
-        """Refuse a record from which no hysteresis loop can be learnt.
+        """Refuse a record from which no hysteresis loop can be identified.
 
         Parameters
         ----------
@@ -218,11 +218,11 @@ class Record:
 
 def _frozen_column(raw: object, column: str, name: str) -> Array:
     try:
-        given = plain(raw, column)
+        bare = plain(raw, column)
     except ModelError as error:
         raise RecordError(f"record '{name}': {error}") from error
     try:
-        values = given if _is_frozen(given) else np.array(given, dtype=np.float64)
+        values = bare if _is_frozen(bare) else np.array(bare, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise RecordError(f"record '{name}': {column} is no array of numbers ({error}); give (n,) floats") from error
     if values.ndim != 1:
@@ -232,7 +232,7 @@ def _frozen_column(raw: object, column: str, name: str) -> Array:
 
 
 def _is_frozen(raw: object) -> TypeGuard[Array]:
-    """Whether nobody can write to an array, as to another record's: a long record is not copied with every slice."""
+    """Return whether an array is read-only, as another record's: then a slice of a long record needs no copy."""
     if not isinstance(raw, np.ndarray) or raw.dtype != np.float64 or raw.flags.writeable:
         return False
     return raw.base is None or (isinstance(raw.base, np.ndarray) and not raw.base.flags.writeable)

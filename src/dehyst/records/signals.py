@@ -1,4 +1,4 @@
-"""What one sampled signal tells by itself: its noise, its turning points, its resolution, its values in between."""
+"""Properties of one sampled signal: noise, turning points, resolution, interpolation."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from dehyst._types import Array
 
 # A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
 _ORDER = 6
-# Samples gone through at a time, lest what a long record makes fill the memory; and neighbours of those interpolated.
+# Samples processed at a time, to bound the memory of a long record; and neighbours of interpolated samples.
 _BLOCK = 1 << 19
 _NEIGHBOURS = 4
-# What a long signal's noise is told from.
+# Number and length of the stretches from which the noise of a long signal is estimated.
 _STRETCHES, _STRETCH = 16, 1 << 17
 
 
 def white_noise(values: Array) -> float:
     """Estimate the standard deviation of white noise on a smooth, evenly sampled signal.
 
-    The median absolute difference of order 6, so that the signal itself, its corners and outliers do not count; of a
-    long signal, in stretches spread evenly over it.
+    The estimate is the median absolute difference of order 6, so that the signal itself, its corners and outliers have
+    no effect. A long signal is sampled in stretches spread evenly over it.
 
     Parameters
     ----------
     values : (n,) float array
-        In any unit; below 8 samples nothing can be said and 0 is returned.
+        In any unit; below 8 samples there is no estimate, and 0 is returned.
 
     Returns
     -------
@@ -46,28 +46,28 @@ def white_noise(values: Array) -> float:
 
 
 def noise_span(values: Array) -> float:
-    """Return what the white noise on a signal spans from peak to peak, with some margin; in its unit."""
-    # White noise spans 2 sqrt(2 ln n) deviations: 6 of them are surpassed again and again in a long record.
+    """Return the range of the white noise on a signal from peak to peak, with some margin; in its unit."""
+    # White noise spans 2 sqrt(2 ln n) deviations: a long record exceeds 6 of them repeatedly.
     return max(6.0, 2.2 * sqrt(2.0 * log(len(values)))) * white_noise(values)
 
 
-def interpolate(x: Array, y: Array, asked: Array, kind: str) -> Array:
-    """Return the signal y(x) at the places `asked`; kind is "linear" or "pchip"."""
+def interpolate(x: Array, y: Array, places: Array, kind: str) -> Array:
+    """Return the signal y(x) at places (m,); kind is "linear" or "pchip"."""
     if kind == "linear":
-        return np.interp(asked, x, y)
-    if len(asked) <= _BLOCK:
-        return _pchip(x, y, asked)
-    parts = [_pchip(x, y, asked[start : start + _BLOCK]) for start in range(0, len(asked), _BLOCK)]
+        return np.interp(places, x, y)
+    if len(places) <= _BLOCK:
+        return _pchip(x, y, places)
+    parts = [_pchip(x, y, places[start : start + _BLOCK]) for start in range(0, len(places), _BLOCK)]
     return np.concatenate(parts)
 
 
-def _pchip(x: Array, y: Array, asked: Array) -> Array:
-    """Interpolate by those samples only that bear on the places asked: its slopes know a neighbour on each side."""
+def _pchip(x: Array, y: Array, places: Array) -> Array:
+    """Interpolate from the samples near the places only: a slope depends on one neighbour on each side."""
     from scipy.interpolate import PchipInterpolator
 
-    first = max(int(np.searchsorted(x, asked.min())) - _NEIGHBOURS, 0)
-    last = int(np.searchsorted(x, asked.max(), side="right")) + _NEIGHBOURS
-    return np.asarray(PchipInterpolator(x[first:last], y[first:last])(asked), dtype=np.float64)
+    first = max(int(np.searchsorted(x, places.min())) - _NEIGHBOURS, 0)
+    last = int(np.searchsorted(x, places.max(), side="right")) + _NEIGHBOURS
+    return np.asarray(PchipInterpolator(x[first:last], y[first:last])(places), dtype=np.float64)
 
 
 def turning_points(values: Array, band: float) -> NDArray[np.intp]:
@@ -93,25 +93,25 @@ def turning_points(values: Array, band: float) -> NDArray[np.intp]:
 
 
 def _extremes(values: Array) -> Iterator[NDArray[np.intp]]:
-    """Inner local extremes and samples of plateaus: only they can be turning points or complete a way back."""
+    """Yield inner local extremes and samples of plateaus: only they can be turning points or complete a way back."""
     for begin in range(0, len(values) - 2, _BLOCK):
         steps = np.sign(np.diff(values[begin : begin + _BLOCK + 2]))
         yield np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + begin + 1
 
 
 def _numbered(values: Array, places: NDArray[np.intp]) -> Iterator[tuple[int, float]]:
-    """Values at places, with their number; Python's numbers take four times the room of NumPy's: some at a time."""
+    """Yield values at places with their numbers, in blocks: Python numbers take four times the memory of NumPy's."""
     for begin in range(0, len(places), _BLOCK):
         yield from enumerate(values[places[begin : begin + _BLOCK]].tolist(), begin)
 
 
 def outer_extreme(leg: Array) -> int:
-    """Offset of the sample of a leg that lies farthest from its first one, a turning point."""
+    """Return the offset of the sample of a leg that is farthest from its first sample, a turning point."""
     return int(np.argmax(np.abs(leg - leg[0])))
 
 
 def resolution(values: Array) -> tuple[float, float]:
-    """Return the smallest step between neighbours and its part of the range; zeros unless many neighbours are equal."""
+    """Return the smallest step between neighbours and its share of the range; 0 unless many neighbours are equal."""
     steps, span = np.abs(np.diff(values)), float(np.ptp(values))
     moving = steps[steps > 1e-12 * span]
     if not len(moving) or len(moving) > 0.8 * len(steps):

@@ -68,8 +68,8 @@ def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
     tops = descending_tops(truth.highest, drive=drive)
     others = raised_cosine([0.75 * truth.highest, 0.45 * truth.highest], cycles=2, drive=drive)
     return (
-        Record(tops.time, tops.voltage, truth.drive(tops.voltage), name="loops"),
-        Record(others.time, others.voltage, truth.drive(others.voltage), name="other-loops"),
+        Record(tops.time, tops.voltage, truth.play(tops.voltage), name="loops"),
+        Record(others.time, others.voltage, truth.play(others.voltage), name="other-loops"),
     )
 
 
@@ -86,10 +86,10 @@ def run(progress: Callable[[str], None] = lambda _: None) -> Demo:
     actuator = fit.actuator
     homed = actuator.simulate(homing, time=np.arange(homing.size) / _RATE).state
     command = Compensator(actuator, (0.0, truth.highest), period=1 / _RATE).trajectory(wanted, state=homed)
-    truth.drive(homing)
-    compensated = truth.drive(command.voltage, measured=False)
-    truth.drive(homing)
-    linear = truth.drive(wanted * truth.highest / truth.stroke, measured=False)
+    truth.play(homing)
+    compensated = truth.play(command.voltage, measured=False)
+    truth.play(homing)
+    linear = truth.play(wanted * truth.highest / truth.stroke, measured=False)
     return Demo(
         records, fit, np.arange(wanted.size) / _RATE, wanted, linear, compensated, command.voltage, truth.stroke
     )

@@ -1,11 +1,11 @@
 """Virtual actuators that no model of this package is an instance of: for the demo, tests, benchmarks and emulators.
 
-They share no code with the models. Two are limits of rivals, and so hard ground for ours: `PlayActuator` without creep
-is what Kuhnen's model becomes with ever more plays and segments, `PreisachActuator` what Preisach's,
-Krasnosel'skii's and plays times ramps (Krejci's form of Preisach's operator) become on ever finer grids.
+They share no code with the models. Two of them are limits of baseline models, and so hard for ours: with ever more
+plays and segments Kuhnen's model approaches `PlayActuator` without creep; on ever finer grids the models of Preisach
+and of Krasnosel'skii, and plays times ramps (Krejci's form of Preisach's operator), approach `PreisachActuator`.
 
-Each has a `stroke` [m] at its `highest` voltage [V] on the major loop, and is driven by
-`drive(voltage, *, time=None, measured=True)`, which goes on from where the last one ended; `relax` forgets.
+Each has a `stroke` [m] at its `highest` voltage [V] on the major loop. `play(voltage, *, time=None, measured=True)`
+continues from the state that the last call reached; `relax` resets the state.
 """
 
 from dehyst.virtual.base import VirtualActuator

@@ -1,4 +1,4 @@
-"""What every virtual actuator shares: its interface, its clock, its sensor."""
+"""The interface of virtual actuators, and the clock and the sensor that they share."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from dehyst._validation import vector
 
 
 class VirtualActuator(Protocol):
-    """A virtual actuator."""
+    """A simulated actuator that keeps its state from one voltage to the next."""
 
     stroke: float
     highest: float
 
     def relax(self) -> None:
-        """Forget: at rest at 0 V, without residual strain."""
+        """Reset to rest at 0 V, without residual strain."""
 
-    def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V] at the times (n,) [s]; returns the displacement (n,) [m]."""
+    def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
+        """Play a voltage (n,) [V] at the times (n,) [s]; return the displacement (n,) [m]."""
         ...
 
 
 class Clock:
-    """Turns the times of one drive after another into time steps."""
+    """Converter of the times of successive calls into time steps."""
 
     def __init__(self) -> None:
         self._last: float | None = None
 
     def steps(self, time: ArrayLike | None, count: int, why: str) -> Array:
-        """Seconds (n,) that pass before each of `count` samples.
+        """Return the seconds (n,) that pass before each of `count` samples.
 
-        A time that begins after the last drive's end goes on from there. One that begins anew follows it, or the rest
-        at 0 V, by its own first interval.
+        Times that begin after the end of the last call continue from there. Other times begin anew: one of their own
+        first intervals after the last call, or after the rest at 0 V.
 
         Raises
         ------
         ModelError
-            If there is no time, it has another length or does not increase, or it tells no first interval.
+            If there is no time, it has another length or does not increase, or it has no first interval.
         """
         if time is None:
             raise ModelError(f"this actuator {why}: it needs the time of each sample; give time=, in seconds")
@@ -64,7 +64,7 @@ class Clock:
 
 
 class Sensor:
-    """White noise on a displacement, seeded.
+    """A sensor with seeded white noise.
 
     Raises
     ------
@@ -79,5 +79,16 @@ class Sensor:
         self._random = np.random.default_rng(seed)
 
     def read(self, y: Array) -> Array:
-        """The displacement (n,) [m] as measured."""
+        """Return the displacement (n,) [m] as measured."""
         return y + self._random.normal(0.0, self._noise, y.size) if self._noise else y
+
+
+def cubic_map(w: Array, asymmetry: float, bend: float) -> Array:
+    """Return ``w + asymmetry w (w - 1) + bend w (w - 1)(w - 1/2)``, which maps 0 to 0 and 1 to 1."""
+    return w + asymmetry * w * (w - 1) + bend * w * (w - 1) * (w - 0.5)
+
+
+def refuse_falling_map(asymmetry: float, bend: float) -> None:
+    """Raise ModelError unless the cubic map increases from -0.1 to 1.1."""
+    if np.any(np.diff(cubic_map(np.linspace(-0.1, 1.1, 400), asymmetry, bend)) <= 0):
+        raise ModelError(f"asymmetry {asymmetry} and bend {bend}: the map must increase; try less")

@@ -20,52 +20,52 @@ from dehyst.virtual.modelled import fingerprint
 
 __all__ = ["Extremes", "VirtualBench"]
 
-# The servo looks this often [s], follows with this time constant [s], and looks so many times at most after a pause.
-_LOOK, _FOLLOW, _LOOKS = 1e-3, 0.02, 400
-# Of what is missing the servo makes up so much at once: no actuator's loop is twice as steep as its end points' line.
-_CAREFUL = 0.5
+# Period of the servo [s], its time constant [s], and the most updates after a pause.
+_UPDATE_PERIOD, _TIME_CONSTANT, _MOST_UPDATES = 1e-3, 0.02, 400
+# The servo corrects this share of its error at once: no actuator's loop is twice as steep as its end points' line.
+_CORRECTION = 0.5
 # Share of the stroke within which a move has arrived.
 _ARRIVED = 1e-3
 
 
 class VirtualBench:
-    """A piezo controller without a face: no input or output, no thread; its time is the clock's.
+    """A piezo controller without a protocol: no input or output, no thread; its time is the clock's.
 
-    Every method brings all up to the present first. Not thread-safe: who serves it holds a lock.
+    Every method first brings the bench up to the present. It is not thread-safe: a server must hold a lock.
 
     Parameters
     ----------
-    truth : VirtualActuator or Actuator
-        What is driven, at rest at 0 V.
+    actuator : VirtualActuator or Actuator
+        The connected actuator, at rest at 0 V.
     limits : (float, float), optional
-        Voltages [V] that are put out, ever.
+        Lowest and highest voltage [V] that the amplifier puts out.
     slew_rate : float, optional
-        The amplifier's own [V/s]: a voltage is reached at that rate, a wave followed no faster. Default: at once.
+        Slew rate of the amplifier [V/s], for voltages and waves. Default: a voltage is reached at once.
     servo_period : float, optional
-        Seconds; samples of a wave are whole numbers of them apart.
+        [s]; samples of a wave are whole numbers of it apart.
     wave_points, record_points : int, optional
-        Samples that the wave generator takes, and that the recorder holds.
+        Sizes of the wave generator's and of the recorder's memory.
     sensor_range : (float, float), optional
-        Displacements [m] that the sensor can tell; it saturates beyond them.
+        Lowest and highest displacement [m] of the sensor; it saturates beyond them.
     clock : callable, optional
-        Seconds, never falling.
+        Returns seconds, which never fall.
     speed : float, optional
         Seconds of the device in each second of the clock.
     noise, seed : float, int, optional
-        Standard deviation [m] of the sensor, and where its noise begins; default: those of the truth, or none.
+        Standard deviation [m] and seed of the sensor's noise; default: those of the actuator, or no noise.
 
     Attributes
     ----------
     log : Extremes
-        What was ever put out.
+        Extremes of the output so far.
     unplugged : bool
-        Whether the sensor's cable hangs loose: it reads one number.
+        Whether the sensor's cable is disconnected: the reading is constant.
     stalled : bool
-        Whether the wave generator hangs: it plays no more, and does not end.
+        Whether the wave generator has stalled: it plays nothing more, and does not end.
     stroke : float
-        Of the actuator [m].
+        Stroke of the actuator [m].
     serial : str
-        Serial number: the actuator's `fingerprint`, whatever it is called and whoever serves it.
+        Serial number: the actuator's `fingerprint`, which depends on neither its name nor the server.
 
     Raises
     ------
@@ -75,7 +75,7 @@ class VirtualBench:
 
     def __init__(
         self,
-        truth: VirtualActuator | Actuator,
+        actuator: VirtualActuator | Actuator,
         *,
         limits: tuple[float, float] = (0.0, 200.0),
         slew_rate: float | None = None,
@@ -88,18 +88,18 @@ class VirtualBench:
         noise: float | None = None,
         seed: int | None = None,
     ) -> None:
-        self._amplifier = Amplifier(truth, VoltageLimits(*limits, slew_rate), servo_period)
+        self._amplifier = Amplifier(actuator, VoltageLimits(*limits, slew_rate), servo_period)
         allowed = self._amplifier.limits
         self.limits, self.slew_rate, self.servo_period = (allowed.low, allowed.high), slew_rate, servo_period
         self.wave_points, self.record_points = wave_points, record_points
         self.sensor_range = None if sensor_range is None else interval(sensor_range)
         self.unplugged = self.stalled = False
         self.stroke, self.log = self._amplifier.stroke, self._amplifier.log
-        self.serial = fingerprint(truth)
-        self._deviation = float(getattr(truth, "noise", 0.0)) if noise is None else noise
-        self._sensor = Sensor(self._deviation, int(getattr(truth, "seed", 0)) if seed is None else seed)
+        self.serial = fingerprint(actuator)
+        self._deviation = float(getattr(actuator, "noise", 0.0)) if noise is None else noise
+        self._sensor = Sensor(self._deviation, int(getattr(actuator, "seed", 0)) if seed is None else seed)
         self._clock, self._speed, self._began = clock, speed, clock()
-        self._servo, self._wanted, self._missing = False, 0.0, 0.0
+        self._servo, self._wanted, self._error = False, 0.0, 0.0
         self._wave, self._played, self._first, self._period = np.zeros(0), 0, 0.0, servo_period
         self._record, self._rows = np.zeros((3, 0)), 0
 
@@ -110,13 +110,13 @@ class VirtualBench:
 
     @property
     def voltage(self) -> float:
-        """What the amplifier puts out now [V]."""
+        """Present output of the amplifier [V]."""
         self.advance()
         return self._amplifier.voltage
 
     @property
     def target(self) -> float:
-        """The voltage that the output goes to [V]."""
+        """Voltage that the output moves to [V]."""
         self.advance()
         return self._amplifier.target
 
@@ -128,15 +128,15 @@ class VirtualBench:
 
     @property
     def moving(self) -> bool:
-        """Whether the output is on its way, or the servo not where it should be."""
+        """Whether the output is moving, or the servo is off its target."""
         self.advance()
         return self._busy or self._amplifier.moving or not self.arrived
 
     @property
     def arrived(self) -> bool:
-        """Whether the servo, if it is on, is where it should be."""
+        """Whether the servo, if it is on, is at its target."""
         self.advance()
-        return not self._servo or self._missing <= max(_ARRIVED * self.stroke, 5 * self._deviation)
+        return not self._servo or self._error <= max(_ARRIVED * self.stroke, 5 * self._deviation)
 
     @property
     def servo(self) -> bool:
@@ -149,11 +149,11 @@ class VirtualBench:
         if on == self._servo:
             return
         if on and self._busy:
-            raise DeviceError("servo: a wave is being played, which is for an open loop; stop it first")
+            raise DeviceError("servo: a wave is being played, which needs the servo off; stop it first")
         self._servo = on
         self._amplifier.rest()
         if on:
-            self._wanted, self._missing = self.displacement(), 0.0
+            self._wanted, self._error = self.displacement(), 0.0
 
     @property
     def recorded(self) -> int:
@@ -167,12 +167,12 @@ class VirtualBench:
         return self._wave.size
 
     def displacement(self) -> float:
-        """What the sensor reads now [m]; while a wave is played, what it saw at the last sample."""
+        """Return the sensor's reading [m]: the present one, or while a wave is played that of the last sample."""
         self.advance()
         return self._reading()
 
     def set_voltage(self, voltage: float) -> bool:
-        """Put out a voltage [V]; with a slew rate, go there. Outside of the limits nothing is done, and False returned.
+        """Put out a voltage [V], at the slew rate; return False, and do nothing, if it is outside the limits.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class VirtualBench:
         return True
 
     def move(self, target: float) -> None:
-        """Go to a displacement [m] as the sensor reads it, and hold it against creep.
+        """Move to a displacement [m] of the sensor, and hold it against creep.
 
         Raises
         ------
@@ -196,8 +196,10 @@ class VirtualBench:
         """
         self.advance()
         if not self._servo or not math.isfinite(target):
-            raise DeviceError(f"move: got {target} m, servo {'on' if self._servo else 'off'}; need a number and it on")
-        self._wanted, self._missing = float(target), math.inf
+            raise DeviceError(
+                f"move: got {target} m with the servo {'on' if self._servo else 'off'}; need a number, and the servo on"
+            )
+        self._wanted, self._error = float(target), math.inf
 
     def start(self, wave: ArrayLike, divider: int = 1) -> None:
         """Play voltages (n,) [V]: sample k at the present + k divider servo_period, and recorded just after.
@@ -205,14 +207,14 @@ class VirtualBench:
         Parameters
         ----------
         wave : (n,) array_like
-            [V]; from one to the next the output goes in a straight line, to the first in a jump.
+            [V]; the output moves in straight lines from one to the next, and to the first in a jump.
         divider : int, optional
             Servo periods from one to the next.
 
         Raises
         ------
         DeviceError
-            If one lies outside of the limits, there are too many or none, another wave is played or the servo is on.
+            If one lies outside the limits, there are too many or none, another wave is played or the servo is on.
         """
         self.advance()
         self._demand_open("start")
@@ -228,7 +230,7 @@ class VirtualBench:
         self.advance()
 
     def stop(self) -> None:
-        """Stop the wave, or the output on its way; the voltage stays. A servo holds where it is."""
+        """Stop the wave, or the moving output; the voltage stays. A servo holds the present displacement."""
         self.advance()
         self._wave = self._wave[: self._played]
         self._amplifier.rest()
@@ -236,17 +238,17 @@ class VirtualBench:
             self._wanted = self.displacement()
 
     def samples(self, first: int = 0, count: int | None = None) -> tuple[Array, Array, Array]:
-        """Time [s], voltage [V] and displacement [m], (n,) each, of the present or last wave, from sample `first` on.
+        """Return time [s], voltage [V] and displacement [m], (n,) each, of the present or last wave.
 
-        As many as there are, `count` at most.
+        They begin with sample `first` and are those recorded so far, `count` at most.
         """
         self.advance()
         stop = self._rows if count is None else min(self._rows, first + count)
-        found = self._record[:, max(first, 0) : max(stop, 0)].copy()
-        return found[0], found[1], found[2]
+        time, voltage, displacement = self._record[:, max(first, 0) : max(stop, 0)].copy()
+        return time, voltage, displacement
 
     def advance(self) -> None:
-        """Bring all up to now: play what is due of the wave, fill the recorder, let the actuator creep."""
+        """Bring the bench up to now: play the due samples of the wave, fill the recorder, let the actuator creep."""
         now = self.now
         if self._busy:
             self._play(now)
@@ -269,7 +271,7 @@ class VirtualBench:
 
     def _play(self, now: float) -> None:
         """Put out the samples that are due, and record them."""
-        # Rounding must not lose the sample that is due at this very moment.
+        # Rounding must not lose a sample that is due now.
         due = min(self._wave.size, math.floor((now - self._first) / self._period + 1e-6) + 1)
         if due <= self._played or self.stalled:
             return
@@ -277,29 +279,29 @@ class VirtualBench:
         voltage, displacement = self._amplifier.follow(self._wave[self._played : due], at)
         self._played = due
         rows = slice(self._rows, min(due, self._record.shape[1]))
-        kept = max(0, rows.stop - rows.start)
-        self._record[:, rows] = np.stack([at, voltage, self._seen(displacement)])[:, :kept]
-        self._rows += kept
+        count = max(0, rows.stop - rows.start)
+        self._record[:, rows] = np.stack([at, voltage, self._sensed(displacement)])[:, :count]
+        self._rows += count
 
     def _hold(self, now: float) -> None:
-        """Integrate what the sensor misses: coarser after a pause, so that an idle hour costs little."""
+        """Integrate the servo's error: in longer periods after a pause, so that an idle hour costs little."""
         amplifier = self._amplifier
         begin, span = amplifier.at, now - amplifier.at
-        looks = min(_LOOKS, max(1, math.ceil(span / _LOOK)))
-        each = span / looks
-        gain = _CAREFUL * -math.expm1(-each / _FOLLOW) / amplifier.gain
-        most = (self.slew_rate or math.inf) * each
-        for look in range(1, looks + 1):
-            missing = self._wanted - self._reading()
-            wished = amplifier.voltage + min(max(gain * missing, -most), most)
-            amplifier.drive(np.array([amplifier.limits.nearest(wished)]), np.array([begin + look * each]))
-            self._missing = abs(missing)
+        updates = min(_MOST_UPDATES, max(1, math.ceil(span / _UPDATE_PERIOD)))
+        period = span / updates
+        gain = _CORRECTION * -math.expm1(-period / _TIME_CONSTANT) / amplifier.gain
+        most = (self.slew_rate or math.inf) * period
+        for update in range(1, updates + 1):
+            error = self._wanted - self._reading()
+            voltage = amplifier.voltage + min(max(gain * error, -most), most)
+            amplifier.play(np.array([amplifier.limits.nearest(voltage)]), np.array([begin + update * period]))
+            self._error = abs(error)
 
     def _reading(self) -> float:
-        return float(self._seen(np.array([self._amplifier.position]))[0])
+        return float(self._sensed(np.array([self._amplifier.position]))[0])
 
-    def _seen(self, displacement: Array) -> Array:
-        """What the sensor reads of displacements (n,) [m]."""
+    def _sensed(self, displacement: Array) -> Array:
+        """Return the sensor's reading of displacements (n,) [m]."""
         low, high = self.sensor_range or (-math.inf, math.inf)
         if self.unplugged:
             return np.full(displacement.size, low if math.isfinite(low) else 0.0)

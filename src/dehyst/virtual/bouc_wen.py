@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import vector
-from dehyst.virtual.base import Clock, Sensor
+from dehyst.virtual.base import Clock, Sensor, cubic_map, refuse_falling_map
 
-# Share of the highest voltage that one step of the Runge-Kutta rule goes.
+# Largest step of the Runge-Kutta rule, as a share of the highest voltage.
 _FINEST = 1e-3
 
 
@@ -33,11 +33,12 @@ class BoucWenActuator:
     Parameters
     ----------
     stroke : float
-        Displacement [m] at the highest voltage, driven slowly.
+        Displacement [m] at the highest voltage, reached slowly.
     highest : float
         Highest voltage [V].
     lag, slope, power, closing : float
-        Largest z, its first slope, how sharply it levels off, and how much a reversal undoes; 2 slope closing < 1.
+        Largest z, its initial slope, the sharpness of its levelling off, and the share that a reversal undoes;
+        2 slope closing < 1.
     asymmetry, bend : float
         Of the map; it must stay increasing.
     resonance : float
@@ -79,28 +80,28 @@ class BoucWenActuator:
         self._ends = (0.0, 1.0)
         self._lagging = 0.0
         turns = np.concatenate([np.linspace(a, b, 1001)[1:] for a, b in pairwise([0.0, 1.0] * 4 + [0.0])])
-        w = self._lagged(np.concatenate([[0.0], turns]))
+        w = self._follow(np.concatenate([[0.0], turns]))
         self._ends = float(w[-1]), float(w[-1001])
         self.relax()
 
     def relax(self) -> None:
-        """Forget: no residual strain, at rest at 0 V."""
+        """Reset to rest at 0 V, without residual strain."""
         self._lagging = 0.0
-        self._motion = self.stroke * float(self._mapped(self._lagged(np.zeros(2)))[0]), 0.0
+        self._motion = self.stroke * float(self._map(self._follow(np.zeros(2)))[0]), 0.0
         self._now = 0.0
         self._sent = np.array([self.delay]), np.zeros(1)
         self._clock = Clock()
 
-    def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V]; returns the displacement (n,) [m], with sensor noise if `measured`.
+    def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
+        """Play a voltage (n,) [V]; return the displacement (n,) [m], with sensor noise if `measured`.
 
         Parameters
         ----------
         voltage : (n,) array_like
             [V].
         time : (n,) array_like
-            [s], increasing; needed. A time after the last drive's goes on from there, one that begins anew follows the
-            last drive by its own first interval.
+            [s], increasing; required. Times after those of the last call continue from there; other times begin anew,
+            one of their own first intervals after the last call.
         measured : bool, optional
             Whether to add the sensor's noise.
 
@@ -113,16 +114,14 @@ class BoucWenActuator:
         at = self._now + np.cumsum(self._clock.steps(time, v.size, "swings"))
         if not v.size:
             return v
-        grid, u = self._arriving(at, v / self.highest)
-        pushed = self.stroke * self._mapped(self._lagged(u))
-        y = self._swung(grid, pushed)[np.searchsorted(grid, at)]
+        grid, u = self._delayed(at, v / self.highest)
+        target = self.stroke * self._map(self._follow(u))
+        y = self._respond(grid, target)[np.searchsorted(grid, at)]
         self._now = float(at[-1])
         return self._sensor.read(y) if measured else y
 
     def _check(self) -> None:
-        w = np.linspace(-0.1, 1.1, 400)
-        if np.any(np.diff(self._mapped(w)) <= 0):
-            raise ModelError(f"asymmetry {self.asymmetry} and bend {self.bend}: the map must increase; try less")
+        refuse_falling_map(self.asymmetry, self.bend)
         if min(self.lag, self.slope, self.closing) <= 0 or self.power < 1 or 2 * self.slope * self.closing >= 1:
             raise ModelError(
                 f"lag {self.lag}, slope {self.slope}, power {self.power}, closing {self.closing}: need all above 0, "
@@ -134,8 +133,8 @@ class BoucWenActuator:
                 "damping between 0 and 1, and seconds, 0 or more"
             )
 
-    def _arriving(self, at: Array, u: Array) -> tuple[Array, Array]:
-        """Times, from now to the last of `at`, and the delayed voltage at them, in steps of little voltage."""
+    def _delayed(self, at: Array, u: Array) -> tuple[Array, Array]:
+        """Return times from now to the last of `at`, and the delayed voltage at them, in small steps of voltage."""
         when, sent = (np.concatenate(pair) for pair in zip(self._sent, (at + self.delay, u), strict=True))
         knots = np.union1d(np.concatenate([[self._now], at]), when[(when > self._now) & (when < at[-1])])
         level = np.interp(knots, when, sent)
@@ -145,47 +144,47 @@ class BoucWenActuator:
         whole = part == 1
         times = np.where(whole, knots[1:][index], knots[index] + part * np.diff(knots)[index])
         levels = np.where(whole, level[1:][index], level[index] + part * np.diff(level)[index])
-        # What is still under way, and the last that arrived.
+        # Voltages that have not arrived yet, and the last that has.
         first = max(0, int(np.searchsorted(when, at[-1], side="right")) - 1)
         self._sent = when[first:], sent[first:]
         return np.concatenate([knots[:1], times]), np.concatenate([level[:1], levels])
 
-    def _lagged(self, u: Array) -> Array:
-        """W (n,) along a path of voltages (n,), the first of which is where the last path ended."""
+    def _follow(self, u: Array) -> Array:
+        """Return w (n,) along a path of voltages (n,) that begins where the last path ended."""
         z, steps = self._lagging, np.diff(u).tolist()
-        out = [z]
+        states = [z]
         for h in steps:
             a = self._rate(z, h)
             b = self._rate(z + 0.5 * h * a, h)
             c = self._rate(z + 0.5 * h * b, h)
             z += h / 6 * (a + 2 * b + 2 * c + self._rate(z + h * c, h))
-            out.append(z)
+            states.append(z)
         self._lagging = z
         low, high = self._ends
-        return np.asarray((u - np.array(out) - low) / (high - low))
+        return np.asarray((u - np.array(states) - low) / (high - low))
 
     def _rate(self, z: float, h: float) -> float:
         forward = self.closing if z * h > 0 else -self.closing
         return self.slope * (1 - float(abs(z / self.lag) ** self.power) * (forward + 1 - self.closing))
 
-    def _mapped(self, w: Array) -> Array:
-        return w + self.asymmetry * w * (w - 1) + self.bend * w * (w - 1) * (w - 0.5)
+    def _map(self, w: Array) -> Array:
+        return cubic_map(w, self.asymmetry, self.bend)
 
-    def _swung(self, times: Array, pushed: Array) -> Array:
-        """Displacement (n,) at the times, exact where `pushed` is linear between them."""
+    def _respond(self, times: Array, target: Array) -> Array:
+        """Return the displacement (n,) at the times, exact if `target` is linear between them."""
         omega, zeta = 2 * np.pi * self.resonance, self.damping
         steps = np.diff(times)
         damped = omega * np.sqrt(1 - zeta**2)
         decay = np.exp(-zeta * omega * steps)
         sine, cosine = decay * np.sin(damped * steps) / damped, decay * np.cos(damped * steps)
-        speed = np.diff(pushed) / steps
+        speed = np.diff(target) / steps
         y, rate = self._motion
-        out = [y]
-        behind = 2 * zeta / omega
-        for c, s, v, a, b in zip(*(x.tolist() for x in (cosine, sine, speed, pushed[:-1], pushed[1:])), strict=True):
-            e, f = y - a + behind * v, rate - v
-            y = b - behind * v + e * (c + zeta * omega * s) + f * s
+        displacement = [y]
+        lag = 2 * zeta / omega
+        for c, s, v, a, b in zip(*(x.tolist() for x in (cosine, sine, speed, target[:-1], target[1:])), strict=True):
+            e, f = y - a + lag * v, rate - v
+            y = b - lag * v + e * (c + zeta * omega * s) + f * s
             rate = v + f * (c - zeta * omega * s) - e * omega**2 * s
-            out.append(y)
+            displacement.append(y)
         self._motion = y, rate
-        return np.array(out)
+        return np.array(displacement)

@@ -1,4 +1,4 @@
-"""Virtual actuators by name, or from a model file: what an emulated instrument is put around."""
+"""Virtual actuators by name, or from a model file, for emulated instruments."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from dehyst.virtual.bouc_wen import BoucWenActuator
 from dehyst.virtual.plays import PlayActuator
 from dehyst.virtual.preisach import PreisachActuator
 
-# Share of a step that the creeping one adds in each decade of time.
+# Share of a step that the actuator "creep" adds in each decade of time.
 _CREEP = 0.01
-# What a model file holds beside the actuator itself.
+# Keys of a model file that do not describe the actuator itself.
 _NOT_THE_ACTUATOR = {"format", "version", "name", "provenance", "state", "limits"}
 _DIGITS = 12
 
 
 class ModelledActuator:
-    """An identified actuator as a `VirtualActuator`: driven on and on, with its state carried along.
+    """An identified actuator as a `VirtualActuator`, which keeps its state from call to call.
 
     Parameters
     ----------
@@ -38,16 +38,16 @@ class ModelledActuator:
     Attributes
     ----------
     highest : float
-        Upper limit of the actuator [V], or where its spring ends.
+        Upper limit of the actuator [V], or the voltage at the end of its spring.
     stroke : float
-        Between 0 V and `highest` on the major loop [m].
+        Displacement between 0 V and `highest` on the major loop [m].
     """
 
     def __init__(self, actuator: Actuator) -> None:
         self.actuator = actuator
         spring = actuator.spring.displacement
-        held = actuator.voltage(actuator.turned(float(spring[-1])))
-        self.highest = float(held if actuator.limits is None else actuator.limits[1])
+        end = actuator.voltage(actuator.turned(float(spring[-1])))
+        self.highest = float(end if actuator.limits is None else actuator.limits[1])
         if not self.highest > 0:
             raise ModelError(f"{actuator.name}: its highest voltage is {self.highest:.6g} V, need one above 0 V")
         swing = np.array([0.0, self.highest, 0.0, self.highest, 0.0])
@@ -57,12 +57,12 @@ class ModelledActuator:
         self.relax()
 
     def relax(self) -> None:
-        """Forget: at rest at 0 V, without residual strain."""
+        """Reset to rest at 0 V, without residual strain."""
         self._state: State = self.actuator.relaxed()
         self._voltage, self._time = 0.0, -np.inf
 
-    def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V] as `VirtualActuator.drive`; without a sensor, `measured` makes no difference.
+    def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
+        """Play a voltage (n,) [V] as `VirtualActuator.play`; without a sensor, `measured` has no effect.
 
         Raises
         ------
@@ -104,12 +104,12 @@ VIRTUAL: dict[str, Callable[[], VirtualActuator]] = {
 
 
 def virtual_actuator(name: str) -> VirtualActuator | Actuator:
-    """A virtual actuator: one of `VIRTUAL`, or the path of a model file.
+    """Return a virtual actuator: one of `VIRTUAL`, or the model in a file.
 
     Raises
     ------
     ModelError
-        If it is no name, and no file of that name is there.
+        If it is no such name, and no such file exists.
     FileFormatError
         If the file cannot be read.
     """
@@ -120,23 +120,23 @@ def virtual_actuator(name: str) -> VirtualActuator | Actuator:
     return Actuator.load(name)
 
 
-def fingerprint(truth: VirtualActuator | Actuator) -> str:
-    """Kind and hash of a virtual actuator: equal for equal parameters, from whatever name or file they come.
+def fingerprint(actuator: VirtualActuator | Actuator) -> str:
+    """Return kind and hash of a virtual actuator: equal for equal parameters, whatever its name or file.
 
     Name, provenance, state and limits of a model do not count: the same actuator may have others.
     """
-    if isinstance(truth, ModelledActuator):
-        truth = truth.actuator
-    kind = "model" if isinstance(truth, Actuator) else type(truth).__name__.removesuffix("Actuator").lower()
-    text = json.dumps(_parameters(truth), sort_keys=True, default=float)
+    if isinstance(actuator, ModelledActuator):
+        actuator = actuator.actuator
+    kind = "model" if isinstance(actuator, Actuator) else type(actuator).__name__.removesuffix("Actuator").lower()
+    text = json.dumps(_parameters(actuator), sort_keys=True, default=float)
     return f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}"
 
 
-def _parameters(truth: VirtualActuator | Actuator) -> dict[str, Any]:
-    """What a virtual actuator is made of, by name."""
-    if isinstance(truth, Actuator):
-        parts = truth.as_dict().items()
+def _parameters(actuator: VirtualActuator | Actuator) -> dict[str, Any]:
+    """Return the parameters of a virtual actuator by name."""
+    if isinstance(actuator, Actuator):
+        parts = actuator.as_dict().items()
         return {key: value for key, value in parts if key not in _NOT_THE_ACTUATOR and value is not None}
-    if is_dataclass(truth):
-        return {field.name: getattr(truth, field.name) for field in fields(truth) if field.init}
-    return {"stroke": truth.stroke, "highest": truth.highest}
+    if is_dataclass(actuator):
+        return {field.name: getattr(actuator, field.name) for field in fields(actuator) if field.init}
+    return {"stroke": actuator.stroke, "highest": actuator.highest}

@@ -1,4 +1,4 @@
-"""A virtual actuator of play operators. Where a model says v = stops(y) + eta(y), it says y = map(plays(v)) + creep."""
+"""A virtual actuator of play operators: y = map(plays(v)) + creep, where a model has v = stops(y) + eta(y)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import vector
-from dehyst.virtual.base import Clock, Sensor
+from dehyst.virtual.base import Clock, Sensor, cubic_map, refuse_falling_map
 
 # Times [s] of the first-order branches that together creep by a logarithm of time.
 _CREEP_TIMES = np.geomspace(0.05, 1000.0, 12)
@@ -18,7 +18,7 @@ _CREEP_TIMES = np.geomspace(0.05, 1000.0, 12)
 
 @dataclass(eq=False)
 class PlayActuator:
-    """Play operators of the voltage, summed and seen through an asymmetric map.
+    """Play operators of the voltage, summed and mapped asymmetrically.
 
     ``w = (1 - width) v / highest + width sum_j p_j play_{r_j}[v]``, 0 and 1 at the ends of the major loop, then
     ``y = stroke (w + asymmetry w (w - 1) + bend w (w - 1)(w - 1/2))``: the loop is not anti-symmetric and its width
@@ -32,7 +32,7 @@ class PlayActuator:
     highest : float
         Highest voltage [V]; displacement is 0 at 0 V after a long descent.
     width : float
-        Share of w that the plays hold, 0 to 1.
+        Share of the plays in w, 0 to 1.
     asymmetry, bend : float
         Of the map; it must stay increasing.
     plays : int
@@ -42,7 +42,7 @@ class PlayActuator:
     seed : int
         Of the noise.
     creep : float
-        Share of a step that is added in each decade of time; 0.01 is 1 %. With it, `drive` needs the time.
+        Share of a step that is added in each decade of time; 0.01 is 1 %. With creep, `play` needs the time.
     """
 
     stroke: float = 16.152e-6
@@ -65,9 +65,7 @@ class PlayActuator:
     def __post_init__(self) -> None:
         if not 0 <= self.creep < 1:
             raise ModelError(f"creep: got {self.creep}, need a share of the step for each decade, 0 to 1")
-        w = np.linspace(-0.1, 1.1, 400)
-        if np.any(np.diff(self._mapped(w)) <= 0):
-            raise ModelError(f"asymmetry {self.asymmetry} and bend {self.bend}: the map must increase; try less")
+        refuse_falling_map(self.asymmetry, self.bend)
         self._thresholds = 0.5 * self.highest * (np.arange(self.plays) + 0.5) / self.plays
         density = np.exp(-2.5 * self._thresholds / (0.5 * self.highest))
         reach = self.highest - 2 * self._thresholds
@@ -76,22 +74,22 @@ class PlayActuator:
         self.relax()
 
     def relax(self) -> None:
-        """Forget: no residual strain, 0 V."""
+        """Reset to rest at 0 V, without residual strain."""
         self._outputs = np.zeros(self.plays)
         self._crept = np.zeros(_CREEP_TIMES.size)
         self._before = 0.0
         self._clock = Clock()
 
-    def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V]; returns the displacement (n,) [m], with sensor noise if `measured`.
+    def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
+        """Play a voltage (n,) [V]; return the displacement (n,) [m], with sensor noise if `measured`.
 
         Parameters
         ----------
         voltage : (n,) array_like
             [V].
         time : (n,) array_like, optional
-            [s], increasing; only creep needs it. A time after the last drive's goes on from there, so that a pause
-            creeps too; one that begins anew follows the last drive by its own first interval.
+            [s], increasing; only creep needs it. Times after those of the last call continue from there, so that the
+            actuator creeps in a pause; other times begin anew, one of their own first intervals after the last call.
         measured : bool, optional
             Whether to add the sensor's noise.
 
@@ -102,12 +100,12 @@ class PlayActuator:
         """
         v = vector(voltage, "voltage")
         steps = self._clock.steps(time, v.size, "creeps") if self.creep else None
-        y = self.stroke * self._mapped(self._played(v))
+        y = self.stroke * self._map(self._sum_plays(v))
         if steps is not None:
-            y = y + self._creeping(y - self.stroke * self._mapped(self._level(np.zeros(1))), steps)
+            y = y + self._creep(y - self.stroke * self._map(self._level(np.zeros(1))), steps)
         return self._sensor.read(y) if measured else y
 
-    def _played(self, v: Array) -> Array:
+    def _sum_plays(self, v: Array) -> Array:
         outputs, low, high = self._outputs, -self._thresholds, self._thresholds
         summed = np.empty(v.size)
         for t, now in enumerate(v):
@@ -116,16 +114,16 @@ class PlayActuator:
         return (1 - self.width) * v / self.highest + self._level(summed)
 
     def _level(self, summed: Array) -> Array:
-        # A long descent to 0 V leaves each play at its threshold, a long rise to the highest voltage that far below it.
+        # A long descent to 0 V leaves each play at its threshold, a long rise that far below the highest voltage.
         rest = float(self._weights @ self._thresholds)
         span = float(self._weights @ (self.highest - 2 * self._thresholds))
         return self.width * (summed - rest) / span
 
-    def _creeping(self, y: Array, steps: Array) -> Array:
-        """What the branches add to a displacement (n,) since rest, exact where it is linear within a time step."""
+    def _creep(self, y: Array, steps: Array) -> Array:
+        """Return the creep (n,) for a displacement (n,) since rest, exact if it is linear within a time step."""
         ratio = steps[:, None] / _CREEP_TIMES
         kept = np.exp(-ratio)
-        # Of a linear rise over the step: what the branch has of it at the step's end.
+        # The share of a linear rise over the step that a branch has followed at the step's end.
         followed = 1 + np.expm1(-ratio) / ratio
         start = np.concatenate([[self._before], y[:-1]]) if y.size else y
         pushed = start[:, None] * -np.expm1(-ratio) + (y - start)[:, None] * followed
@@ -138,5 +136,5 @@ class PlayActuator:
         decades = np.log10(_CREEP_TIMES[1] / _CREEP_TIMES[0])
         return np.asarray(self.creep * decades * added)
 
-    def _mapped(self, w: Array) -> Array:
-        return w + self.asymmetry * w * (w - 1) + self.bend * w * (w - 1) * (w - 0.5)
+    def _map(self, w: Array) -> Array:
+        return cubic_map(w, self.asymmetry, self.bend)

@@ -1,4 +1,4 @@
-"""A virtual actuator of Preisach's relays with a smooth density, summed exactly over the staircase of its memory.
+"""A virtual actuator of Preisach relays with a smooth density, summed exactly over the staircase of its memory.
 
 I. D. Mayergoyz, Mathematical Models of Hysteresis, Springer 1991, chapter 1 (Everett's integral, the staircase).
 """
@@ -36,9 +36,9 @@ class PreisachActuator:
     highest : float
         Highest voltage [V].
     reversible : float
-        Share of the stroke that relays do not hold, above 0 and below 1.
+        Share of the stroke without relays, above 0 and below 1.
     bend : float
-        Of the reversible share.
+        Curvature of the reversible share.
     ridge, centre, spread, uniform : float
         Of the density, in units of the highest voltage; `uniform` relative to its peak.
     noise : float
@@ -79,15 +79,15 @@ class PreisachActuator:
         self.relax()
 
     def relax(self) -> None:
-        """Forget: an alternating voltage that decayed to 0 V."""
+        """Reset to the state after an alternating voltage that decayed to 0 V."""
         self._links = [(_LOWEST, 0.0)]
         decay = 0.5 * (1 - np.arange(2 * _CYCLES_TO_RELAX + 1) / (2 * _CYCLES_TO_RELAX))
-        self._switched(decay * (-1.0) ** np.arange(decay.size))
+        self._relays(decay * (-1.0) ** np.arange(decay.size))
 
-    def drive(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V]; returns the displacement (n,) [m], with sensor noise if `measured`.
+    def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
+        """Play a voltage (n,) [V]; return the displacement (n,) [m], with sensor noise if `measured`.
 
-        `time` is not looked at: relays know none.
+        `time` is ignored: relays do not depend on it.
 
         Raises
         ------
@@ -95,26 +95,26 @@ class PreisachActuator:
             If the voltage is not finite.
         """
         u = vector(voltage, "voltage") / self.highest
-        relays = (self._switched(np.clip(u, _LOWEST, _UPPERMOST)) - self._bottom) / self._span
+        relays = (self._relays(np.clip(u, _LOWEST, _UPPERMOST)) - self._bottom) / self._span
         free = u + self.bend * np.where((u > 0) & (u < 1), u * (u - 1), np.where(u > 0, u - 1, -u))
         y = self.stroke * (self.reversible * free + (1 - self.reversible) * relays)
         return self._sensor.read(y) if measured else y
 
-    def _switched(self, u: Array) -> Array:
-        """Integral of the density over the relays that are up, for each voltage of a path (n,).
+    def _relays(self, u: Array) -> Array:
+        """Return the integral of the density over the relays that are up, for each voltage of a path (n,).
 
-        A link is an extreme of the memory and the integral when the voltage stood there; they alternate between minima
-        (the first is the plane's corner) and maxima, each nested within the one before.
+        A link is an extreme of the memory, with the integral at that extreme. Links alternate between minima (the first
+        is the plane's corner) and maxima, each nested within the one before.
         """
         links = self._links
-        turn, held, up = np.empty(u.size), np.empty(u.size), np.empty(u.size, dtype=bool)
-        # The last link is the voltage itself; the one before it is where the present branch began.
+        turn, base, up = np.empty(u.size), np.empty(u.size), np.empty(u.size, dtype=bool)
+        # The last link is the present voltage; the present branch began at the one before it.
         for t, now in enumerate(u.tolist()):
             self._follow(links, now)
             (begin, level), rising = links[-2] if len(links) > 1 else links[-1], len(links) % 2 == 0
-            turn[t], held[t], up[t] = begin, level, rising
-        moved = self._everett(np.where(up, u, turn), np.where(up, turn, u))
-        return held + np.where(up, moved, -moved)
+            turn[t], base[t], up[t] = begin, level, rising
+        change = self._everett(np.where(up, u, turn), np.where(up, turn, u))
+        return base + np.where(up, change, -change)
 
     def _follow(self, links: list[tuple[float, float]], now: float) -> None:
         """Move the last link to `now`: a reversal adds a link, passing an older extreme wipes two out."""
@@ -135,12 +135,12 @@ class PreisachActuator:
             links.append((now, 0.0))
 
     def _level(self, links: list[tuple[float, float]]) -> float:
-        (a, held), (b, _) = links[-2], links[-1]
-        moved = float(self._everett(np.array([max(a, b)]), np.array([min(a, b)]))[0])
-        return held + (moved if b > a else -moved)
+        (a, base), (b, _) = links[-2], links[-1]
+        change = float(self._everett(np.array([max(a, b)]), np.array([min(a, b)]))[0])
+        return base + (change if b > a else -change)
 
     def _everett(self, high: Array, low: Array) -> Array:
-        """Integral of the density over the triangle low <= beta <= alpha <= high, by Gauss's rule in alpha - beta."""
+        """Return the integral of the density over low <= beta <= alpha <= high, by Gauss's rule in alpha - beta."""
         from scipy.special import ndtr
 
         reach = (high - low)[:, None]

@@ -1,8 +1,10 @@
-"""A voltage to play, on uniform samples, and what a voltage to play may be."""
+"""A voltage to play, on uniform samples, and the checks of its numbers."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +15,7 @@ from dehyst._types import Array
 from dehyst._validation import number, vector
 
 _MOST_SAMPLES = 50_000_000
-# No actuator, amplifier or patience goes beyond; within them nothing overflows.
+# No actuator or amplifier goes beyond, and within them nothing overflows.
 _MOST_VOLTS = 1e6
 _LEAST, _MOST = 1e-12, 1e12
 
@@ -31,7 +33,7 @@ class Excitation:
     sample_rate : float
         Samples a second [Hz].
     warnings : tuple of str
-        What takes longer than asked for, in sentences; empty if nothing does.
+        Sentences about what takes longer than requested; empty if nothing does.
 
     Raises
     ------
@@ -50,7 +52,7 @@ class Excitation:
             raise RecordError(f"voltage: got {counted(voltage.size, 'sample')}, need 2 at least; give a longer one")
         voltage.flags.writeable = False
         object.__setattr__(self, "voltage", voltage)
-        object.__setattr__(self, "sample_rate", positive(self.sample_rate, "sample_rate"))
+        set_checked(self, positive, "sample_rate")
 
     def __len__(self) -> int:
         return self.voltage.size
@@ -66,7 +68,7 @@ class Excitation:
 
     @property
     def duration(self) -> float:
-        """From the first sample to the last [s]."""
+        """Time from the first sample to the last [s]."""
         return (len(self) - 1) / self.sample_rate
 
     @property
@@ -84,17 +86,17 @@ class Excitation:
         return self.voltage[[0, *turning, -1]]
 
     def then(self, other: Excitation) -> Excitation:
-        """Put another one behind this one, without a pause.
+        """Append another excitation to this one, without a pause.
 
         Raises
         ------
         RecordError
-            If the other one has another sample rate, begins at another voltage, or makes it too long.
+            If the other one has another sample rate, begins at another voltage, or makes the result too long.
         """
         if other.sample_rate != self.sample_rate:
             raise RecordError(
                 f"sample rates: got {self.sample_rate:.9g} and then {other.sample_rate:.9g} Hz, need one; "
-                "make both with the same drive"
+                "make both with the same sampling"
             )
         end, begin = float(self.voltage[-1]), float(other.voltage[0])
         if begin != end:
@@ -108,16 +110,16 @@ class Excitation:
 
 
 def refuse_long(samples: int, rate: float) -> None:
-    """Raise RecordError for more samples than anyone can mean; `rate` [Hz] is for the message."""
+    """Raise RecordError for more than 5e7 samples; `rate` [Hz] is for the message."""
     if samples > _MOST_SAMPLES:
         raise RecordError(
             f"got {samples:.4g} samples, {samples / rate:.4g} s at {rate:g} Hz, need {_MOST_SAMPLES:g} at most; lower "
-            "the sample rate, or ask for fewer or faster legs"
+            "the sample rate, or request fewer or faster legs"
         )
 
 
 def voltages(values: ArrayLike, what: str) -> Array:
-    """Return `values` as a copy of finite voltages (n,) [V]; raises RecordError."""
+    """Return `values` as a copy of finite voltages (n,) [V]; raise RecordError if they are none."""
     try:
         array = vector(values, what, "V")
     except ModelError as error:
@@ -128,20 +130,20 @@ def voltages(values: ArrayLike, what: str) -> Array:
 
 
 def volts(value: object, what: str) -> float:
-    """Return `value` as a finite voltage [V]; raises RecordError."""
-    return float(voltages([_number(value, what, "V")], what)[0])
+    """Return `value` as a finite voltage [V]; raise RecordError if it is none."""
+    return float(voltages([number(value, what, "V", error=RecordError)], what)[0])
 
 
 def positive(value: object, what: str) -> float:
-    """Return `value` as a number above 0 that can be meant; raises RecordError."""
-    found = _number(value, what)
-    if not _LEAST <= found <= _MOST:
-        raise RecordError(f"{what}: got {found:g}, need a number above 0, {_LEAST:g} to {_MOST:g}")
-    return found
+    """Return `value` as a number from 1e-12 to 1e12; raise RecordError if it is none."""
+    result = number(value, what, error=RecordError)
+    if not _LEAST <= result <= _MOST:
+        raise RecordError(f"{what}: got {result:g}, need a number above 0, {_LEAST:g} to {_MOST:g}")
+    return result
 
 
-def _number(value: object, what: str, unit: str | None = None) -> float:
-    try:
-        return number(value, what, unit)
-    except ModelError as error:
-        raise RecordError(str(error)) from error
+def set_checked(owner: object, check: Callable[[Any, str], object], *names: str, optional: Sequence[str] = ()) -> None:
+    """Replace fields of a frozen dataclass by what ``check(value, name)`` returns; an optional one may be None."""
+    for name in (*names, *optional):
+        if name in names or getattr(owner, name) is not None:
+            object.__setattr__(owner, name, check(getattr(owner, name), name))

@@ -10,9 +10,9 @@ from math import gcd, pi
 import numpy as np
 
 from dehyst._errors import RecordError
-from dehyst.waveforms.excitation import positive
+from dehyst.waveforms.excitation import positive, set_checked
 from dehyst.waveforms.profiles import Travel
-from dehyst.waveforms.scan import CYCLE_SAMPLES, MotionLimits, Scan, length, samples_of, set_positive, whole
+from dehyst.waveforms.scan import CYCLE_SAMPLES, MotionLimits, Scan, length, samples_of, whole
 
 
 @dataclass(frozen=True)
@@ -24,12 +24,12 @@ class Lissajous(Scan):
     amplitude, centre : (float, float)
         a and c along x and y [m].
     frequency : float
-        f, times a second that the whole figure is gone round [Hz].
+        f, periods of the whole figure a second [Hz].
     ratio : (int, int)
         p and q, without a common factor.
     phase : float, optional
-        [rad]; by default that at which the lines of the figure lie farthest apart. At those halfway between two such,
-        which are pi/p apart, the figure comes back on its own line.
+        [rad]; by default the phase at which the lines of the figure lie farthest apart. Such phases are pi/p apart;
+        halfway between two of them the figure retraces its own line.
     speed, acceleration : float, optional
         Largest abs(dx/dt) [m/s] and abs(d2x/dt2) [m/s^2] allowed, of either axis.
     sample_rate : float, optional
@@ -38,7 +38,7 @@ class Lissajous(Scan):
     Raises
     ------
     RecordError
-        If a number is impossible, or the limits cannot be kept: with what can be done.
+        If a number is impossible, or the limits cannot be kept; the message states what can be done.
     """
 
     amplitude: tuple[float, float]
@@ -51,7 +51,7 @@ class Lissajous(Scan):
     sample_rate: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frequency", positive(self.frequency, "frequency"))
+        set_checked(self, positive, "frequency")
         for name in ("amplitude", "centre", "ratio"):
             if not isinstance(getattr(self, name), Sequence) or len(getattr(self, name)) != 2:
                 raise RecordError(f"{name}: got {getattr(self, name)!r}, need a pair, for x and y")
@@ -65,11 +65,11 @@ class Lissajous(Scan):
                 f"ratio: got {p} and {q}, need whole numbers without a common factor; try {p // gcd(p, q)} and "
                 f"{q // gcd(p, q)} at {self.frequency * gcd(p, q):.6g} Hz"
             )
-        set_positive(self, "speed", "acceleration", "sample_rate")
+        set_checked(self, positive, optional=("speed", "acceleration", "sample_rate"))
         # Backwards from c/2 on, c an odd multiple of pi/p, x is the same; so is y if q c + 2 phase is one of pi.
         widest = 0.5 * pi * (1 + (1 - q) / p)
         object.__setattr__(self, "phase", widest if self.phase is None else _angle(self.phase))
-        # The harder axis first, so that what is said to be possible is possible for both.
+        # The harder axis first, so that the values in a message are possible for both.
         for axis in sorted((0, 1), key=lambda i: -self.amplitude[i] * self.ratio[i] ** 2):
             turning, a = 2 * pi * self.ratio[axis] / self.period, self.amplitude[axis]
             limits = MotionLimits(self.speed, self.acceleration)
@@ -87,17 +87,17 @@ class Lissajous(Scan):
 
     @cached_property
     def samples(self) -> int:
-        """Of a period."""
+        """Samples of a period."""
         _ = samples_of(0.5 / self.frequency / max(self.ratio), self.rate)
         return samples_of(1 / self.frequency, self.rate)
 
     def travel(self, axis: str) -> Travel:
-        """Displacement, velocity and acceleration at each sample."""
+        """Return displacement, velocity and acceleration at each sample."""
         i = int(axis == "y")
         turning, a = 2 * pi * self.ratio[i] / self.period, self.amplitude[i]
-        # Whole turns are taken off before they are multiplied by 2 pi: that keeps the digits.
-        gone = np.arange(self.samples) * self.ratio[i] % self.samples / self.samples
-        angle = 2 * pi * gone + (self.phase or 0.0 if i else 0.0)
+        # Whole turns are subtracted before the factor 2 pi: that keeps the digits.
+        share = np.arange(self.samples) * self.ratio[i] % self.samples / self.samples
+        angle = 2 * pi * share + (self.phase or 0.0 if i else 0.0)
         sin = a * np.sin(angle)
         return Travel(self.centre[i] + sin, a * turning * np.cos(angle), -(turning**2) * sin)
 

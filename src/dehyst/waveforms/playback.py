@@ -1,4 +1,4 @@
-"""How a voltage is played: sampling, legs between turning points, limits and slew rate."""
+"""Sampling of a voltage: legs between turning points, limits and slew rate."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from dehyst._errors import ModelError, RecordError
+from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._units import plain
-from dehyst.waveforms.excitation import Excitation, positive, refuse_long, volts
+from dehyst._validation import choice, interval
+from dehyst.waveforms.excitation import Excitation, positive, refuse_long, set_checked, volts
 
 Shape: TypeAlias = Literal["cosine", "triangle"]
 Pace: TypeAlias = Literal["frequency", "rate"]
@@ -22,24 +22,24 @@ _CYCLE_SAMPLES = 400
 _LEG_SAMPLES = 4
 # Largest slope of a leg over its mean slope.
 _STEEPEST = {"cosine": math.pi / 2, "triangle": 1.0}
-# What rounding may add to a step, over the largest voltage: mostly the cosine's argument, up to 2 pi, rounded twice.
+# The share of the largest voltage that rounding may add to a step: the cosine's argument, up to 2 pi, rounded twice.
 _ROUNDING = 32 * float(np.finfo(np.float64).eps)
-# By this much of it a slew rate may be surpassed, so that a leg that meets it exactly is left alone.
+# A slew rate may be exceeded by this share, so that a leg that meets it exactly is not changed.
 _SLACK = 9e-10
 
 
 class Leg(NamedTuple):
-    """A monotone stretch of a voltage [V], a hold if it ends where it starts; `asked` unless its time [s] is free."""
+    """A monotone stretch of a voltage [V], or a hold if its ends are equal; `requested` unless its time [s] is free."""
 
     start: float
     end: float
     seconds: float
-    asked: bool = True
+    requested: bool = True
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a voltage is played; the same options for every kind of excitation.
+    """How a voltage is sampled; the same options for every kind of excitation.
 
     Parameters
     ----------
@@ -48,13 +48,13 @@ class Sampling:
     sample_rate : float, optional
         Samples a second [Hz]; by default 400 a cycle.
     base : float
-        Voltage [V] that a protocol starts from and comes back to.
+        Voltage [V] at which a protocol starts and ends.
     present : float, optional
-        Voltage [V] on the actuator now, if that is not the base: a ramp of half a cycle at most leads from there.
+        Voltage [V] on the actuator now, if that is not the base: a ramp of half a cycle at most leads to the base.
     limits : (float, float), optional
-        Lowest and highest voltage [V] allowed. What lies outside is refused: clipped tops would make another protocol.
+        Lowest and highest voltage [V] allowed. A voltage outside raises: clipped tops would make another protocol.
     slew_rate : float, optional
-        Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, and a warning says so.
+        Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning.
     shape : {"cosine", "triangle"}
         Half a cosine for each leg (the paper's, Sec. 3), or a straight line.
     pace : {"frequency", "rate"}
@@ -65,7 +65,7 @@ class Sampling:
     ------
     RecordError
         If a number is not finite, frequency, sample rate or slew rate are not positive, there are fewer than 8 samples
-        a cycle, the limits are no interval or do not hold base and present voltage, or a word is unknown.
+        a cycle, the limits are no interval or do not include base and present voltage, or a word is unknown.
     """
 
     frequency: float = 0.01
@@ -78,22 +78,20 @@ class Sampling:
     pace: Pace = "frequency"
 
     def __post_init__(self) -> None:
-        for name in ("frequency", "sample_rate", "slew_rate"):
-            if getattr(self, name) is not None or name == "frequency":
-                object.__setattr__(self, name, positive(getattr(self, name), name))
-        for name, words in (("shape", get_args(Shape)), ("pace", get_args(Pace))):
-            if getattr(self, name) not in words:
-                raise RecordError(f"{name}: got {getattr(self, name)!r}, need {' or '.join(map(repr, words))}")
+        set_checked(self, positive, "frequency", optional=("sample_rate", "slew_rate"))
+        choice(self.shape, "shape", get_args(Shape), error=RecordError)
+        choice(self.pace, "pace", get_args(Pace), error=RecordError)
         if self.rate < 2 * _LEG_SAMPLES * self.frequency:
             raise RecordError(
                 f"sample_rate: got {self.rate:g} Hz for {self.frequency:g} Hz, need 8 samples a cycle at least; "
                 f"try {_CYCLE_SAMPLES * self.frequency:g} Hz"
             )
         if self.limits is not None:
-            object.__setattr__(self, "limits", _interval(self.limits))
+            low, high = interval(self.limits, error=RecordError)
+            object.__setattr__(self, "limits", (volts(low, "limits"), volts(high, "limits")))
+        set_checked(self, volts, "base", optional=("present",))
         for name in ("base", "present"):
-            if getattr(self, name) is not None or name == "base":
-                object.__setattr__(self, name, volts(getattr(self, name), name))
+            if getattr(self, name) is not None:
                 self._refuse_outside([getattr(self, name)], name)
 
     @property
@@ -111,13 +109,16 @@ class Sampling:
         """Voltage [V] at which a record begins."""
         return self.base if self.present is None else self.present
 
-    def approach(self, highest: float) -> list[Leg]:
-        """From the present voltage to the base at the mean speed of a leg of `highest` [V]; half a cycle at most."""
+    def lead_in(self, highest: float) -> list[Leg]:
+        """Return the leg from the present voltage to the base, at the mean speed of a leg of `highest` [V].
+
+        It takes half a cycle at most; no leg if the present voltage is the base.
+        """
         way = abs(self.start - self.base)
-        return [Leg(self.start, self.base, self.half * way / max(way, highest), asked=False)] if way else []
+        return [Leg(self.start, self.base, self.half * way / max(way, highest), requested=False)] if way else []
 
     def legs(self, path: Sequence[float]) -> list[Leg]:
-        """Legs between the voltages of a path (m,) [V], m >= 2, at the drive's pace.
+        """Return the legs between the voltages of a path (m,) [V], m >= 2, at the chosen pace.
 
         Raises
         ------
@@ -134,7 +135,7 @@ class Sampling:
         return [Leg(a, b, self.half * share) for (a, b), share in zip(pairwise(path), shares, strict=True)]
 
     def play(self, name: str, legs: Sequence[Leg]) -> Excitation:
-        """Sample legs that follow one another; refuses before memory is taken.
+        """Sample legs that follow one another; all checks are made before memory is taken.
 
         Raises
         ------
@@ -145,30 +146,32 @@ class Sampling:
         ends = [legs[0].start, *(leg.end for leg in legs)]
         self._refuse_outside(ends, name)
         step = self._largest_step(max(map(abs, ends)))
-        asked = [self._asked(leg) for leg in legs]
-        counts = [max(n, self._needed(leg, step)) for n, leg in zip(asked, legs, strict=True)]
+        requested = [self._requested(leg) for leg in legs]
+        counts = [max(n, self._needed(leg, step)) for n, leg in zip(requested, legs, strict=True)]
         refuse_long(1 + sum(counts), self.rate)
         voltage = np.empty(1 + sum(counts))
         voltage[0], at = ends[0], 1
         for leg, count in zip(legs, counts, strict=True):
             voltage[at : at + count] = _sampled(leg, count, self.shape)
             at += count
-        longer = [(n, m) for leg, n, m in zip(legs, asked, counts, strict=True) if leg.asked and m > 1.000001 * n]
-        moving = sum(leg.asked and leg.start != leg.end for leg in legs)
+        longer = [
+            (n, m) for leg, n, m in zip(legs, requested, counts, strict=True) if leg.requested and m > 1.000001 * n
+        ]
+        moving = sum(leg.requested and leg.start != leg.end for leg in legs)
         return Excitation(name, voltage, self.rate, self._stretched(longer, moving, sum(counts)))
 
-    def _asked(self, leg: Leg) -> int:
-        """Samples for the time that was asked for."""
+    def _requested(self, leg: Leg) -> int:
+        """Return the number of samples for the requested time."""
         if leg.start == leg.end:
             return max(1, math.ceil(leg.seconds * self.rate * (1 - 1e-12)))
         return max(_LEG_SAMPLES, math.floor(leg.seconds * self.rate + 0.5))
 
     def _needed(self, leg: Leg, step: float) -> int:
-        """Samples that keep the slew rate."""
+        """Return the number of samples that keeps the slew rate."""
         return math.ceil(_STEEPEST[self.shape] * abs(leg.end - leg.start) / step)
 
     def _largest_step(self, highest: float) -> float:
-        """Largest step [V] from one sample to the next, of voltages up to `highest`."""
+        """Return the largest step [V] from one sample to the next, for voltages up to `highest`."""
         if self.slew_rate is None:
             return math.inf
         step, lost = self.slew_rate / self.rate, _ROUNDING * highest
@@ -191,33 +194,17 @@ class Sampling:
     def _stretched(self, longer: Sequence[tuple[int, int]], legs: int, samples: int) -> tuple[str, ...]:
         if not longer:
             return ()
-        asked, taken = max(longer, key=lambda pair: pair[1] / pair[0])
+        requested, taken = max(longer, key=lambda pair: pair[1] / pair[0])
         extra = sum(m - n for n, m in longer)
         return (
             f"{len(longer)} of {legs} legs take longer to keep {self.slew_rate:g} V/s, up to {taken / self.rate:.4g} s "
-            f"for {asked / self.rate:.4g} s; the whole takes {samples / self.rate:.5g} s for "
+            f"for {requested / self.rate:.4g} s; the whole takes {samples / self.rate:.5g} s for "
             f"{(samples - extra) / self.rate:.5g} s",
         )
 
 
-def _interval(limits: object) -> tuple[float, float]:
-    pair = _pair(limits)
-    if isinstance(pair, Sequence | np.ndarray) and len(pair) == 2:
-        low, high = (volts(limit, "limits") for limit in pair)
-        if low < high:
-            return low, high
-    raise RecordError(f"limits: got {limits!r}, need the lowest and the highest voltage, such as (0, 200)")
-
-
-def _pair(limits: object) -> object:
-    try:
-        return plain(limits, "limits")
-    except ModelError as error:
-        raise RecordError(str(error)) from error
-
-
 def _sampled(leg: Leg, count: int, shape: Shape) -> Array:
-    """Voltages of a leg after its start [V]: monotone, between its ends and at the end exactly."""
+    """Return the voltages of a leg after its start [V]: monotone, within its ends, and exact at its end."""
     if leg.start == leg.end:
         return np.full(count, leg.end)
     rising = leg.end > leg.start
@@ -229,5 +216,5 @@ def _sampled(leg: Leg, count: int, shape: Shape) -> Array:
         share = (k if rising else count - k) / count
     values = np.clip(low + (high - low) * share, low, high)
     values[-1] = leg.end
-    # Rounding makes neighbours near a turning point change places.
+    # Near a turning point rounding can swap neighbours.
     return np.maximum.accumulate(values) if rising else np.minimum.accumulate(values)

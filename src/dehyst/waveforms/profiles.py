@@ -1,4 +1,4 @@
-"""Ways from one displacement to another: straight with rounded ends, or a polynomial that joins two motions."""
+"""Motion profiles: a straight edge with rounded ends, and a polynomial that joins two motions."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from dehyst._types import Array
 
 Rounding: TypeAlias = Literal["parabola", "cosine"]
 
-# The way through a rounded end over speed times time, and its largest acceleration over speed per time.
+# Of a rounded end: its displacement over speed times time, and its largest acceleration over speed per time.
 _ROUNDED: dict[str, tuple[float, float]] = {"parabola": (0.5, 1.0), "cosine": (0.5 + 2 / pi**2, 2.0)}
 
 
 class Travel(NamedTuple):
-    """Displacement [m], velocity [m/s] and acceleration [m/s^2]: numbers, or a row of each."""
+    """Displacement [m], velocity [m/s] and acceleration [m/s^2] (n,)."""
 
     displacement: Array
     velocity: Array
@@ -34,19 +34,19 @@ class PathPoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Edge:
-    """From rest to rest: at constant speed but for both ends, where it speeds up and slows down.
+    """A motion from rest to rest: at constant speed except at both ends, where it speeds up and slows down.
 
     Attributes
     ----------
     start, end : float
         [m].
     seconds : float
-        How long it takes.
+        Duration.
     blend : float
-        Seconds of it at either end that are not at constant speed; 0 to half of them.
+        Duration of each end [s], where the speed changes; 0 to half of `seconds`.
     rounding : {"parabola", "cosine"}
-        Constant acceleration there, or one that falls to nothing like half a cosine where the straight part begins: it
-        goes through a turn between two edges without a jump.
+        Constant acceleration at the ends, or one that falls to 0 like half a cosine where the straight part begins:
+        then it has no jump in the turn between two edges.
     """
 
     start: float
@@ -57,7 +57,7 @@ class Edge:
 
     @property
     def speed(self) -> float:
-        """Velocity [m/s] on the straight part; falling, it is negative."""
+        """Velocity on the straight part [m/s]; negative if the edge falls."""
         way = _ROUNDED[self.rounding][0]
         return (self.end - self.start) / (self.seconds - 2 * (1 - way) * self.blend)
 
@@ -67,24 +67,24 @@ class Edge:
         return _ROUNDED[self.rounding][1] * abs(self.speed) / self.blend if self.blend else inf
 
     def at(self, time: Array) -> Travel:
-        """The motion at times (n,) [s] from its start."""
-        # From the nearer end, so that both ends are met exactly.
+        """Return the motion at times (n,) [s] from its start."""
+        # Counted from the nearer end, so that both ends are met exactly.
         late = time > 0.5 * self.seconds
         since = np.clip(np.where(late, self.seconds - time, time), 0.0, None)
         share, v = np.clip(since / self.blend, 0.0, 1.0), self.speed
         if self.rounding == "parabola":
-            way, pace, push = 0.5 * share**2, share, np.where(share < 1, 1.0, 0.0)
+            way, speed, push = 0.5 * share**2, share, np.where(share < 1, 1.0, 0.0)
         else:
             way = 0.5 * share**2 + (1 - np.cos(pi * share)) / pi**2
-            pace = np.where(share < 1, share + np.sin(pi * share) / pi, 1.0)
+            speed = np.where(share < 1, share + np.sin(pi * share) / pi, 1.0)
             push = np.where(share < 1, 1 + np.cos(pi * share), 0.0)
-        gone = v * (self.blend * way + np.clip(since - self.blend, 0.0, None))
-        y = np.where(late, self.end - gone, self.start + gone)
-        return Travel(y, v * pace, np.where(late, -1.0, 1.0) * push * v / self.blend)
+        moved = v * (self.blend * way + np.clip(since - self.blend, 0.0, None))
+        y = np.where(late, self.end - moved, self.start + moved)
+        return Travel(y, v * speed, np.where(late, -1.0, 1.0) * push * v / self.blend)
 
 
 def least_seconds(height: float, speed: float | None, acceleration: float | None, rounding: Rounding) -> float:
-    """Shortest time [s] of an edge of `height` [m] within the limits [m/s, m/s^2]; 0 without any."""
+    """Return the shortest time [s] of an edge of `height` [m] within the limits [m/s, m/s^2]; 0 without limits."""
     way, most = _ROUNDED[rounding]
     v, a = speed or inf, acceleration or inf
     if 2 * way * most * v * (v / a) <= height:
@@ -93,7 +93,7 @@ def least_seconds(height: float, speed: float | None, acceleration: float | None
 
 
 def highest(seconds: float, speed: float | None, acceleration: float | None, rounding: Rounding) -> float:
-    """Highest edge [m] that takes so many seconds within the limits [m/s, m/s^2]."""
+    """Return the height [m] of the highest edge that takes so many seconds within the limits [m/s, m/s^2]."""
     way, most = _ROUNDED[rounding]
     v, a = speed or inf, acceleration or inf
     rounded = way * a * seconds**2 / (2 * most)
@@ -103,27 +103,27 @@ def highest(seconds: float, speed: float | None, acceleration: float | None, rou
 
 
 def least_blend(height: float, seconds: float, acceleration: float, rounding: Rounding) -> float:
-    """Shortest rounded end [s] that keeps the acceleration [m/s^2]; half of the seconds at most, kept or not.
+    """Return the shortest rounded end [s] that keeps the acceleration [m/s^2], or half of the seconds if none does.
 
     From ``acceleration blend (seconds - 2 (1 - way) blend) = most height``.
     """
     way, most = _ROUNDED[rounding]
     square = seconds**2 - 8 * (1 - way) * most * height / acceleration
-    # The smaller root without the difference of two near numbers.
-    found = 2 * most * height / acceleration / (seconds + sqrt(max(square, 0.0)))
-    return min(found, 0.5 * seconds)
+    # The smaller root, without a difference of two nearly equal numbers.
+    blend = 2 * most * height / acceleration / (seconds + sqrt(max(square, 0.0)))
+    return min(blend, 0.5 * seconds)
 
 
 @dataclass(frozen=True)
 class Bridge:
-    """The polynomial of fifth degree that joins two motions; of all that begin and end at rest the least jerk.
+    """The polynomial of fifth degree that joins two motions; from rest to rest it has the least jerk.
 
     Attributes
     ----------
     start, end : PathPoint
         Displacement, velocity and acceleration at its ends.
     seconds : float
-        How long it takes.
+        Duration.
     """
 
     start: PathPoint
@@ -132,23 +132,23 @@ class Bridge:
 
     @property
     def coefficients(self) -> Array:
-        """Of the powers 0 to 5 of the share of time gone (6,) [m], after the start's displacement."""
+        """Coefficients (6,) [m] of the powers 0 to 5 of time / `seconds`, relative to the start's displacement."""
         t, (y, v, a), (y1, v1, a1) = self.seconds, self.start, self.end
         way = (y1 - y) - v * t - 0.5 * a * t**2
-        pace, push = (v1 - v) * t - a * t**2, (a1 - a) * t**2
+        speed, push = (v1 - v) * t - a * t**2, (a1 - a) * t**2
         return np.array(
             [
                 0.0,
                 v * t,
                 0.5 * a * t**2,
-                10 * way - 4 * pace + 0.5 * push,
-                -15 * way + 7 * pace - push,
-                6 * way - 3 * pace + 0.5 * push,
+                10 * way - 4 * speed + 0.5 * push,
+                -15 * way + 7 * speed - push,
+                6 * way - 3 * speed + 0.5 * push,
             ]
         )
 
     def at(self, time: Array) -> Travel:
-        """The motion at times (n,) [s] from its start."""
+        """Return the motion at times (n,) [s] from its start."""
         polynomial = np.polynomial.Polynomial(self.coefficients)
         s, t = np.asarray(time) / self.seconds, self.seconds
         y, v, a = polynomial(s), polynomial.deriv(1)(s) / t, polynomial.deriv(2)(s) / t**2
@@ -158,10 +158,10 @@ class Bridge:
     def peaks(self) -> tuple[float, float]:
         """Largest abs(velocity) [m/s] and abs(acceleration) [m/s^2]."""
         polynomial = np.polynomial.Polynomial(self.coefficients)
-        found = []
+        peaks = []
         for order in (1, 2):
             part = polynomial.deriv(order)
             roots = part.deriv().trim().roots()
             inside = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0) & (roots.real < 1)]
-            found.append(float(np.abs(part(np.concatenate([[0.0, 1.0], inside]))).max()) / self.seconds**order)
-        return found[0], found[1]
+            peaks.append(float(np.abs(part(np.concatenate([[0.0, 1.0], inside]))).max()) / self.seconds**order)
+        return peaks[0], peaks[1]

@@ -1,4 +1,4 @@
-"""The raster: a fast triangle along x, and along y one line after the other, in steps or on a ramp."""
+"""The raster: a fast triangle along x, and along y from line to line, in steps or on a ramp."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from dehyst._errors import RecordError
+from dehyst._text import counted
 from dehyst._types import Array
+from dehyst._validation import choice
 from dehyst.waveforms.excitation import refuse_long
 from dehyst.waveforms.profiles import Bridge, PathPoint, Rounding, Travel
-from dehyst.waveforms.scan import MotionLimits, Scan, between, counted, one_of, whole
+from dehyst.waveforms.scan import MotionLimits, Scan, between, whole
 from dehyst.waveforms.triangle import Triangle
 
 Slow: TypeAlias = Literal["staircase", "ramp"]
@@ -20,30 +22,30 @@ Slow: TypeAlias = Literal["staircase", "ramp"]
 
 @dataclass(frozen=True)
 class Raster(Scan):
-    """Lines along x, each forth and back, at places along y that go from `y_low` to `y_high`; then back to the first.
+    """Lines along x, each forth and back, at places along y from `y_low` to `y_high`; then back to the first line.
 
     Parameters
     ----------
     low, high, frequency, turns, speed, acceleration, rising, rounding, sample_rate
         Of the triangle along x, as in `Triangle`; the frequency is that of lines [Hz]. The limits of speed and
-        acceleration hold along y too.
+        acceleration apply along y too.
     lines : int
         2 or more.
     y_low, y_high : float, optional
-        Places of the first and the last line [m]; by default `low` and `high`. A ramp begins the first line and ends
-        the last one there.
+        Places of the first and the last line [m]; by default `low` and `high`. A ramp is there at the beginning of the
+        first line and at the end of the last.
     slow : {"staircase", "ramp"}
-        Whether y stands still on the way forth and goes on to the next line on the way back, with the least jerk; or
-        goes on at constant speed.
+        Whether y stands still on the way forth and goes to the next line on the way back, with the least jerk; or
+        moves at constant speed.
     back : int, optional
-        Periods of x that pass after the last line while y goes back to the first; by default the fewest that keep the
-        limits of speed and acceleration, or where these are not given, go no harder than x does. A staircase takes
-        the way back of the last line besides. A ramp is joined smoothly, and overshoots a little on its way.
+        Periods of x after the last line, while y goes back to the first; by default the fewest that keep the limits of
+        speed and acceleration, or, where these are not given, the largest speed and acceleration of x. A staircase
+        also uses the way back of the last line. A ramp is joined smoothly, and overshoots a little on its way.
 
     Raises
     ------
     RecordError
-        If a number is impossible, or the limits cannot be kept: with what can be done.
+        If a number is impossible, or the limits cannot be kept; the message states what can be done.
     """
 
     low: float
@@ -68,7 +70,7 @@ class Raster(Scan):
         for name, end in zip(("y_low", "y_high"), between(*ends, ("y_low", "y_high")), strict=True):
             object.__setattr__(self, name, end)
         object.__setattr__(self, "lines", whole(self.lines, "lines", 2))
-        one_of(self.slow, "slow", get_args(Slow))
+        choice(self.slow, "slow", get_args(Slow), error=RecordError)
         self._refuse_steep()
         if self.back is not None:
             object.__setattr__(self, "back", whole(self.back, "back", 0 if self.slow == "staircase" else 1))
@@ -82,7 +84,7 @@ class Raster(Scan):
 
     @cached_property
     def fast(self) -> Triangle:
-        """What x does."""
+        """The triangle along x."""
         return Triangle(
             self.low,
             self.high,
@@ -110,14 +112,14 @@ class Raster(Scan):
         """Periods of x after the last line, for the way back."""
         if self.back is not None:
             return self.back
-        own = max(abs(edge.speed) for edge in self.fast.edges), max(edge.acceleration for edge in self.fast.edges)
-        kept = MotionLimits(self.speed or own[0], self.acceleration or own[1])
+        speed, acceleration = self.fast.peaks
+        limits = MotionLimits(self.speed or speed, self.acceleration or acceleration)
         # The longer it takes, the gentler it is.
         low, high = 0 if self.slow == "staircase" else 1, 100 * self.lines - 1
-        if kept.hold(self._return(high).peaks):
+        if limits.allow(self._return(high).peaks):
             while low < high:
                 middle = (low + high) // 2
-                low, high = (low, middle) if kept.hold(self._return(middle).peaks) else (middle + 1, high)
+                low, high = (low, middle) if limits.allow(self._return(middle).peaks) else (middle + 1, high)
             return low
         raise RecordError(
             f"back: got none, and y does not come back within {100 * self.lines} lines; give the number of lines that "
@@ -126,16 +128,16 @@ class Raster(Scan):
 
     @property
     def samples(self) -> int:
-        """Of a frame."""
+        """Samples of a frame."""
         return (self.lines + self.pause) * self.fast.samples
 
     @property
-    def asked(self) -> float | None:
-        """Seconds that a frame was asked to take."""
+    def requested_period(self) -> float | None:
+        """Requested duration of a frame [s]."""
         return (self.lines + self.pause) / self.frequency
 
     def travel(self, axis: str) -> Travel:
-        """Displacement, velocity and acceleration at each sample of a frame."""
+        """Return displacement, velocity and acceleration at each sample of a frame."""
         if axis == "x":
             return Travel(*(np.tile(row, self.lines + self.pause) for row in self.fast.travel("x")))
         parts = self._stairs() if self.slow == "staircase" else [self._ramp()]
@@ -144,7 +146,7 @@ class Raster(Scan):
         return Travel(*(np.concatenate(rows) for rows in zip(*parts, strict=True)))
 
     def _stairs(self) -> list[Travel]:
-        """All but the step back to the first line."""
+        """Return y on all lines, without the way back to the first."""
         forth, retrace = self.fast.legs
         levels, still = self.levels, np.zeros(forth)
         step = Bridge(PathPoint(0.0), PathPoint(self._height / (self.lines - 1)), retrace / self.rate).at(
@@ -166,7 +168,7 @@ class Raster(Scan):
         return Travel(y, np.full(count, self._slope), np.zeros(count))
 
     def _return(self, back: int) -> Bridge:
-        """Y on its way back to the first line, in so many periods of x and what is left of the last line."""
+        """Return y on its way back to the first line, in so many periods of x and the rest of the last line."""
         (low, high), line = self._ends, self.fast.samples
         if self.slow == "staircase":
             return Bridge(PathPoint(high), PathPoint(low), (back * line + self.fast.legs[1]) / self.rate)
@@ -182,7 +184,7 @@ class Raster(Scan):
 
     @property
     def _slope(self) -> float:
-        """Of a ramp [m/s]."""
+        """Speed of a ramp [m/s]."""
         return self._height * self.rate / (self.lines * self.fast.samples)
 
     @property

@@ -1,4 +1,4 @@
-"""What every scan is: a wanted path for each axis, sampled so that a period is a whole number of samples."""
+"""The base of all scans: a wanted path for each axis, with a whole number of samples a period."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ from dataclasses import dataclass
 from math import ceil, floor, inf, log10, sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError, RecordError
+from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._validation import number, vector
-from dehyst.waveforms.excitation import positive, refuse_long
+from dehyst._validation import choice, count, number, vector
+from dehyst.waveforms.excitation import positive, refuse_long, set_checked
 from dehyst.waveforms.profiles import PathPoint, Travel
 
-# As many samples a period as `Drive` takes, and the fewest for each part of one.
+# Samples a period, as `Sampling` has by default, and the fewest for each part of a period.
 CYCLE_SAMPLES = 400
 LEG_SAMPLES = 4
-# By this much a limit may be surpassed, so that what meets it exactly is let pass.
+# A limit may be exceeded by this share, so that a motion that meets it exactly passes.
 SLACK = 1e-9
 _MOST_METRES = 1.0
 _MOST_WHOLE = 10**7
@@ -31,7 +30,7 @@ class ScanPath:
     Parameters
     ----------
     displacement, velocity, acceleration : (n,) array_like
-        [m], [m/s], [m/s^2], the latter two the true derivatives; kept as read-only copies.
+        [m], [m/s], [m/s^2]; velocity and acceleration are the true derivatives. Kept as read-only copies.
     sample_rate : float
         Samples a second [Hz].
     periodic : bool
@@ -51,7 +50,7 @@ class ScanPath:
 
     def __post_init__(self) -> None:
         for name in ("displacement", "velocity", "acceleration"):
-            row = _row(getattr(self, name), name)
+            row = vector(getattr(self, name), name, error=RecordError)
             if not row.size or row.size != np.size(self.displacement):
                 raise RecordError(
                     f"{name}: got {row.size} values for {np.size(self.displacement)} displacements, need as many, and "
@@ -59,7 +58,7 @@ class ScanPath:
                 )
             row.flags.writeable = False
             object.__setattr__(self, name, row)
-        object.__setattr__(self, "sample_rate", positive(self.sample_rate, "sample_rate"))
+        set_checked(self, positive, "sample_rate")
 
     def __len__(self) -> int:
         return self.displacement.size
@@ -91,7 +90,7 @@ class ScanPath:
         return ScanPath(y, v, a, self.sample_rate, periodic=False)
 
     def repeated(self, cycles: int) -> ScanPath:
-        """So many periods and the sample that closes the last one; of no period the first sample.
+        """Return so many periods and the sample that closes the last one; for 0 periods the first sample.
 
         Raises
         ------
@@ -106,7 +105,7 @@ class ScanPath:
         return ScanPath(y, v, a, self.sample_rate, periodic=False)
 
     def then(self, other: ScanPath) -> ScanPath:
-        """Put another one behind this one."""
+        """Append another path to this one."""
         y, v, a = (np.concatenate(pair) for pair in zip(self.rows, other.rows, strict=True))
         return ScanPath(y, v, a, self.sample_rate, periodic=False)
 
@@ -114,7 +113,7 @@ class ScanPath:
 class Scan(ABC):
     """A path for each axis.
 
-    A period takes as many samples as it needs, to the next whole one: it is never faster than asked for.
+    The number of samples of a period is rounded up: a scan is never faster than requested.
     """
 
     frequency: float | None
@@ -138,43 +137,43 @@ class Scan(ABC):
     @property
     @abstractmethod
     def samples(self) -> int:
-        """Of a period."""
+        """Samples of a period."""
 
     @property
     def period(self) -> float:
-        """Seconds that a period really takes."""
+        """Duration of a period in whole samples [s]."""
         return self.samples / self.rate
 
     @property
-    def asked(self) -> float | None:
-        """Seconds that a period was asked to take; None if nothing was asked."""
+    def requested_period(self) -> float | None:
+        """Requested duration of a period [s]; None if none was requested."""
         return None if self.frequency is None else 1 / self.frequency
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is not quite as asked for, in sentences."""
-        if self.asked is None or abs(self.period / self.asked - 1) <= 1e-9:
+        """Sentences about what differs from the request."""
+        requested = self.requested_period
+        if requested is None or abs(self.period / requested - 1) <= 1e-9:
             return ()
         return (
             f"a period takes {self.samples} samples at {self.rate:.9g} Hz: {1 / self.period:.9g} Hz for "
-            f"{1 / self.asked:.9g} Hz",
+            f"{1 / requested:.9g} Hz",
         )
 
     def path(self, axis: str = "x") -> ScanPath:
-        """One period of an axis, or all of a scan that has none.
+        """Return one period of an axis, or the whole scan if it is not periodic.
 
         Raises
         ------
         RecordError
             If there is no such axis.
         """
-        if axis not in self.axes:
-            raise RecordError(f"axis: got {axis!r}, need {' or '.join(map(repr, self.axes))}")
+        choice(axis, "axis", self.axes, error=RecordError)
         return ScanPath(*self.travel(axis), self.rate, self.periodic)
 
     @abstractmethod
     def travel(self, axis: str) -> Travel:
-        """Displacement, velocity and acceleration at each sample of the axis (n,)."""
+        """Return displacement, velocity and acceleration at each sample of the axis (n,)."""
 
 
 @dataclass(frozen=True)
@@ -185,9 +184,10 @@ class MotionLimits:
     acceleration: float | None = None
 
     def refuse(self, what: str, peaks: tuple[float, float], frequency: float, height: float) -> None:
-        """Raise RecordError if a shape at this frequency [Hz] and height [m] goes beyond; speed and acceleration given.
+        """Raise RecordError if a shape of this frequency [Hz] and height [m] exceeds a limit.
 
-        The one grows with the frequency, the other with its square, both with the height.
+        `peaks` are its largest speed [m/s], which grows with the frequency, and its largest acceleration [m/s^2], which
+        grows with the square of the frequency; both grow with the height.
         """
         v, a = (self.speed or inf) / peaks[0], (self.acceleration or inf) / peaks[1]
         if min(v, a) >= 1 - SLACK:
@@ -201,12 +201,12 @@ class MotionLimits:
 
     @property
     def words(self) -> str:
-        """Those that are given."""
+        """The limits that are given, in words."""
         given = (self.acceleration, "m/s^2"), (self.speed, "m/s")
         return " and ".join(_both(value, unit) for value, unit in given if value is not None)
 
-    def hold(self, peaks: tuple[float, float]) -> bool:
-        """Whether these speed and acceleration keep them."""
+    def allow(self, peaks: tuple[float, float]) -> bool:
+        """Return whether this speed and this acceleration are within the limits."""
         return all(
             limit is None or peak <= limit * (1 + SLACK)
             for peak, limit in zip(peaks, (self.speed, self.acceleration), strict=True)
@@ -218,7 +218,7 @@ def _both(value: float, unit: str) -> str:
 
 
 def below(value: float) -> str:
-    """Write a positive number with four digits, rounded down: what is said to be possible shall be."""
+    """Write a positive number with four digits, rounded down, so that the value in a message is possible."""
     unit = 10.0 ** (floor(log10(value)) - 3)
     return f"{floor(value * (1 - 1e-6) / unit) * unit:.6g}"
 
@@ -230,18 +230,15 @@ def above(value: float) -> str:
 
 
 def length(value: object, what: str) -> float:
-    """Return `value` as a displacement [m]; raises RecordError."""
-    try:
-        found = number(value, what, "m")
-    except ModelError as error:
-        raise RecordError(str(error)) from error
-    if abs(found) > _MOST_METRES:
-        raise RecordError(f"{what}: got {found:g} m, need {_MOST_METRES:g} m at most; give metres, such as 5e-6")
-    return found
+    """Return `value` as a displacement [m]; raise RecordError if it is none."""
+    metres = number(value, what, "m", error=RecordError)
+    if abs(metres) > _MOST_METRES:
+        raise RecordError(f"{what}: got {metres:g} m, need {_MOST_METRES:g} m at most; give metres, such as 5e-6")
+    return metres
 
 
 def between(low: object, high: object, names: tuple[str, str] = ("low", "high")) -> tuple[float, float]:
-    """Return two displacements [m], the lower one first; raises RecordError."""
+    """Return two displacements [m], the lower one first; raise RecordError for anything else."""
     bottom, top = length(low, names[0]), length(high, names[1])
     if not bottom < top:
         raise RecordError(f"{names[0]}, {names[1]}: got {bottom:g} and {top:g} m, need the lower one first")
@@ -249,59 +246,32 @@ def between(low: object, high: object, names: tuple[str, str] = ("low", "high"))
 
 
 def share(value: object, what: str, most: float = 1.0) -> float:
-    """Return `value` as a share above 0; raises RecordError."""
-    found = positive(value, what)
-    if found > most:
-        raise RecordError(f"{what}: got {found:g}, need a share above 0 and up to {most:g}")
-    return found
+    """Return `value` as a share above 0 and up to `most`; raise RecordError for anything else."""
+    result = positive(value, what)
+    if result > most:
+        raise RecordError(f"{what}: got {result:g}, need a share above 0 and up to {most:g}")
+    return result
 
 
 def whole(value: object, what: str, least: int = 1) -> int:
-    """Return `value` as a whole number; raises RecordError."""
-    if isinstance(value, int | np.integer) and not isinstance(value, bool) and least <= value <= _MOST_WHOLE:
-        return int(value)
-    raise RecordError(f"{what}: got {value!r}, need a whole number, {least} or more, {_MOST_WHOLE} at most")
-
-
-def counted(number: int, noun: str) -> str:
-    """Write so many of a noun, plural if that is right."""
-    return f"{number} {noun}{'s' * (number != 1)}"
-
-
-def one_of(value: object, what: str, words: tuple[str, ...]) -> None:
-    """Raise RecordError unless `value` is one of the words."""
-    if value not in words:
-        raise RecordError(f"{what}: got {value!r}, need {' or '.join(map(repr, words))}")
+    """Return `value` as a whole number from `least` to 1e7; raise RecordError for anything else."""
+    return count(value, what, least, _MOST_WHOLE, error=RecordError)
 
 
 def samples_of(seconds: float, rate: float) -> int:
-    """Samples that so many seconds take, to the next whole one.
+    """Return the number of samples that so many seconds take, rounded up.
 
     Raises
     ------
     RecordError
         If they are fewer than a leg needs, or more than 5e7.
     """
-    count = seconds * rate * (1 - 1e-12)
-    if count > LEG_SAMPLES - 1:
-        refuse_long(int(min(count, 1e15)) + 1, rate)
-        return int(np.ceil(count))
-    few = f"{count:.3g}"
+    samples = seconds * rate * (1 - 1e-12)
+    if samples > LEG_SAMPLES - 1:
+        refuse_long(int(min(samples, 1e15)) + 1, rate)
+        return int(np.ceil(samples))
+    few = f"{samples:.3g}"
     raise RecordError(
         f"sample_rate: got {rate:g} Hz, {few} sample{'s' * (few != '1')} for {seconds:.4g} s, need {LEG_SAMPLES} at "
         f"least; try {LEG_SAMPLES / seconds:.4g} Hz"
     )
-
-
-def set_positive(scan: object, *names: str) -> None:
-    """Check the fields that are given; raises RecordError."""
-    for name in names:
-        if getattr(scan, name) is not None:
-            object.__setattr__(scan, name, positive(getattr(scan, name), name))
-
-
-def _row(values: ArrayLike, what: str) -> Array:
-    try:
-        return vector(values, what)
-    except ModelError as error:
-        raise RecordError(str(error)) from error

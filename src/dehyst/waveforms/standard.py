@@ -1,4 +1,4 @@
-"""Excitation: kinds of voltage that make an actuator show its loops, forget its past, or creep."""
+"""Standard excitations: voltages that show the loops or the creep of an actuator, or home it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import RecordError
+from dehyst._validation import count
 from dehyst.waveforms.excitation import Excitation, positive, voltages, volts
 from dehyst.waveforms.playback import Leg, Sampling
 
@@ -29,37 +30,37 @@ _MOST_TURNS = 1_000_000
 
 
 def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
-    """Cycles base -> peak -> base, ``v = base + (peak - base) (1 - cos(2 pi f t)) / 2`` (the paper's, Sec. 3).
+    """Return cycles base -> peak -> base, ``v = base + (peak - base) (1 - cos(2 pi f t)) / 2`` (paper, Sec. 3).
 
     Parameters
     ----------
     peaks : float or (m,) array_like
         [V], above the base.
     cycles : int
-        Of each peak, before the next peak's.
+        Cycles of each peak, before those of the next peak.
     drive : Sampling
-        How it is played.
+        How it is sampled.
 
     Raises
     ------
     RecordError
-        If a peak is no number above the base or lies outside of the limits, `cycles` is no number of cycles, the record
+        If a peak is no number above the base or lies outside the limits, `cycles` is no number of cycles, the record
         would have more than 5e7 samples, or the slew rate is too low for the sample rate.
     """
-    alone = isinstance(peaks, Real) or getattr(peaks, "ndim", None) == 0
-    given: Any = [peaks] if alone else peaks
-    tops = voltages(given, "peaks")
+    single = isinstance(peaks, Real) or getattr(peaks, "ndim", None) == 0
+    several: Any = [peaks] if single else peaks
+    tops = voltages(several, "peaks")
     if not tops.size or np.any(tops <= drive.base):
         raise RecordError(f"peaks: got {tops}, need voltages above the base {drive.base:g} V")
-    turns = [v for top in tops.tolist() for v in _cycles(cycles, "cycles", top, drive.base, of=tops.size)]
+    turns = [v for top in tops.tolist() for v in _cycles(cycles, "cycles", top, drive.base, rows=tops.size)]
     return _through("raised-cosine" if drive.shape == "cosine" else "triangle", turns, drive)
 
 
 def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: Sampling = _PAPER) -> Excitation:
-    """Major cycles, then cycles with tops falling from `highest` to 1/steps of it in equal steps, all to the base.
+    """Return major cycles, then cycles with tops that fall from `highest` to 1/steps of it in equal steps.
 
-    As many tops as elements tell every stiffness that loops can tell. The first cycle makes the state known, whatever
-    it was.
+    All cycles go down to the base. As many tops as elements determine every stiffness that loops can determine. The
+    first cycle homes the actuator, whatever its state was.
 
     Parameters
     ----------
@@ -70,15 +71,15 @@ def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: 
     majors : int
         Cycles up to `highest` before them.
     drive : Sampling
-        How it is played.
+        How it is sampled.
 
     Raises
     ------
     RecordError
         As `raised_cosine`.
     """
-    top, count = _top(highest, drive), _count(steps, "steps")
-    tops = drive.base + (top - drive.base) * np.linspace(1, 1 / count, count)
+    top, number = _top(highest, drive), _count(steps, "steps")
+    tops = drive.base + (top - drive.base) * np.linspace(1, 1 / number, number)
     tops[0] = top
     falling = [v for peak in tops.tolist() for v in (peak, drive.base)]
     return _through("descending-tops", _cycles(majors, "majors", top, drive.base, least=0) + falling, drive)
@@ -87,20 +88,20 @@ def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: 
 def reversal_curves(
     highest: float, *, lowest: float | None = None, count: int = 10, majors: int = 1, drive: Sampling = _PAPER
 ) -> Excitation:
-    """First-order reversal curves: major cycles, then highest -> a -> highest for falling a, then back to the base.
+    """Return first-order reversal curves: major cycles, then highest -> a -> highest for falling a, then the base.
 
     Parameters
     ----------
     highest : float
         [V], above the base.
     lowest : float, optional
-        The last a [V], below `highest`; by default the base. Major cycles go down to it if it lies below the base.
+        The last a [V], below `highest`; by default the base. If it is below the base, major cycles go down to it too.
     count : int
-        Number of curves; from `highest` on, each a lies lower than the last by the same step.
+        Number of curves; a falls from `highest` in equal steps.
     majors : int
-        Cycles before them.
+        Number of major cycles.
     drive : Sampling
-        How it is played.
+        How it is sampled.
 
     Raises
     ------
@@ -113,29 +114,29 @@ def reversal_curves(
         raise RecordError(f"lowest: got {bottom:g} V, need a voltage below the highest, {top:g} V")
     levels = np.linspace(top, bottom, _count(count, "count") + 1)[1:]
     curves = [top, *(v for level in levels.tolist() for v in (level, top)), drive.base]
-    majority = _cycles(majors, "majors", top, min(bottom, drive.base), least=0)
-    return _through("reversal-curves", majority + curves, drive)
+    major_cycles = _cycles(majors, "majors", top, min(bottom, drive.base), least=0)
+    return _through("reversal-curves", major_cycles + curves, drive)
 
 
 def minor_loop(
     low: float, high: float, *, highest: float, cycles: int = 1, majors: int = 2, drive: Sampling = _PAPER
 ) -> Excitation:
-    """Major cycles, then a minor loop with its approach: base -> high -> low -> high ... -> base.
+    """Return major cycles, then a minor loop with its lead-in: base -> high -> low -> high ... -> base.
 
-    The first major cycle makes the state known, the second one is the major loop.
+    The first major cycle homes the actuator, the second one is the major loop.
 
     Parameters
     ----------
     low, high : float
-        Where the minor loop turns [V], base <= low < high <= highest.
+        Turning points of the minor loop [V], base <= low < high <= highest.
     highest : float
         Top [V] of the major cycles.
     cycles : int
-        Times that the minor loop is gone round.
+        Cycles of the minor loop.
     majors : int
-        Cycles before it.
+        Number of major cycles.
     drive : Sampling
-        How it is played.
+        How it is sampled.
 
     Raises
     ------
@@ -161,7 +162,7 @@ def staircase(
     back: bool = False,
     drive: Sampling = _PAPER,
 ) -> Excitation:
-    """Equal steps from the base up to `highest` and down again, a hold after each: creep shows there.
+    """Return equal steps from the base up to `highest` and down again; a hold after each step shows creep.
 
     Parameters
     ----------
@@ -174,28 +175,28 @@ def staircase(
     ramp : float, optional
         Time from one voltage to the next [s], at least four samples; by default all steps up take half a cycle.
     back : bool
-        Whether each two steps are followed by one back: these inner loops, at all levels, tell what tops that all fall
-        back to the base leave open.
+        Whether one step back follows each two steps: these inner loops, at all levels, determine what tops that all
+        fall back to the base leave open.
     drive : Sampling
-        How it is played; its pace does not matter.
+        How it is played; its pace has no effect.
 
     Raises
     ------
     RecordError
         As `raised_cosine`, or if `hold` or `ramp` is not positive.
     """
-    top, count = _top(highest, drive), _count(steps, "steps")
+    top, number = _top(highest, drive), _count(steps, "steps")
     waiting = positive(hold, "hold")
-    moving = drive.half / count if ramp is None else positive(ramp, "ramp")
-    levels = np.linspace(drive.base, top, count + 1).tolist()
-    up = [levels[i] for i in _places(count, back)]
-    path = up + [levels[count - i] for i in _places(count, back)][1:]
+    moving = drive.half / number if ramp is None else positive(ramp, "ramp")
+    levels = np.linspace(drive.base, top, number + 1).tolist()
+    up = [levels[i] for i in _places(number, back)]
+    path = up + [levels[number - i] for i in _places(number, back)][1:]
     stairs = [part for a, b in pairwise(path) for part in (Leg(a, b, moving), Leg(b, b, waiting))]
-    return drive.play("staircase", drive.approach(top - drive.base) + stairs)
+    return drive.play("staircase", drive.lead_in(top - drive.base) + stairs)
 
 
 def _places(steps: int, back: bool) -> list[int]:
-    """Numbers of the levels that a climb visits."""
+    """Return the indices of the levels on the way up."""
     if not back:
         return list(range(steps + 1))
     places = [0]
@@ -207,22 +208,22 @@ def _places(steps: int, back: bool) -> list[int]:
 
 
 def homing(highest: float | None = None, *, turns: ArrayLike | None = None, drive: Sampling = _PAPER) -> Excitation:
-    """Bring an actuator into a known state: base -> highest -> base, or straight through given turning points.
+    """Return a voltage that homes an actuator: base -> highest -> base, or straight through given turning points.
 
     Parameters
     ----------
     highest : float, optional
         [V], above the base.
     turns : (m,) array_like, optional
-        Instead of it: voltages [V] to visit in this order, from the present one (the base, unless the drive says
-        otherwise). The record ends at the last of them.
+        Instead of it: voltages [V] to visit in this order, from the present one (by default the base). The record
+        ends at the last of them.
     drive : Sampling
-        How it is played.
+        How it is sampled.
 
     Raises
     ------
     RecordError
-        As `raised_cosine`, or unless one of `highest` and `turns` is given.
+        As `raised_cosine`, or unless exactly one of `highest` and `turns` is given.
     """
     if (turns is None) == (highest is None):
         got = "neither" if turns is None else "both"
@@ -240,15 +241,15 @@ def homing(highest: float | None = None, *, turns: ArrayLike | None = None, driv
 
 
 def _through(name: str, turns: list[float], drive: Sampling) -> Excitation:
-    """From the present voltage to the base and on through the turning points."""
+    """Return the excitation from the present voltage to the base and on through the turning points."""
     path = [drive.base, *turns]
     legs = drive.legs(path)
-    return drive.play(name, drive.approach(max(path) - min(path)) + legs)
+    return drive.play(name, drive.lead_in(max(path) - min(path)) + legs)
 
 
-def _cycles(count: object, what: str, first: float, second: float, *, least: int = 1, of: int = 1) -> list[float]:
-    """The two turning points as often as `count` says, for one of `of` such rows."""
-    return [first, second] * _count(count, what, least, _MOST_TURNS // (2 * of))
+def _cycles(cycles: object, what: str, first: float, second: float, *, least: int = 1, rows: int = 1) -> list[float]:
+    """Return the two turning points as many times as there are cycles, for one of several such rows."""
+    return [first, second] * _count(cycles, what, least, _MOST_TURNS // (2 * rows))
 
 
 def _top(highest: object, drive: Sampling) -> float:
@@ -259,6 +260,4 @@ def _top(highest: object, drive: Sampling) -> float:
 
 
 def _count(value: object, what: str, least: int = 1, most: int = _MOST_TURNS // 4) -> int:
-    if isinstance(value, int | np.integer) and not isinstance(value, bool) and least <= value <= most:
-        return int(value)
-    raise RecordError(f"{what}: got {value!r}, need a whole number, {least} to {most}")
+    return count(value, what, least, most, error=RecordError)

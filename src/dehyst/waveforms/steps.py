@@ -1,4 +1,4 @@
-"""Steps between levels."""
+"""The scan of steps between levels."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from dehyst._errors import RecordError
-from dehyst.waveforms.excitation import positive, refuse_long
+from dehyst._validation import choice
+from dehyst.waveforms.excitation import positive, refuse_long, set_checked
 from dehyst.waveforms.profiles import Bridge, Edge, PathPoint, Travel, least_blend, least_seconds
-from dehyst.waveforms.scan import MotionLimits, Scan, above, length, one_of, samples_of, set_positive
+from dehyst.waveforms.scan import MotionLimits, Scan, above, length, samples_of
 
 Shape: TypeAlias = Literal["minimum-jerk", "trapezoid"]
 _EDGE_SAMPLES = 50
@@ -24,7 +25,7 @@ _FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
 
 @dataclass(frozen=True)
 class Steps(Scan):
-    """From level to level, standing still on each; begins at rest, on the first.
+    """A path from level to level that rests on each; it begins at rest, on the first.
 
     Parameters
     ----------
@@ -33,22 +34,22 @@ class Steps(Scan):
     dwell : float
         Time on each level [s], to the next sample.
     seconds : float, optional
-        Time from one level to the next; by default as short as the limits allow, each edge of its own.
+        Time from one level to the next; by default each edge is as short as the limits allow.
     shape : {"minimum-jerk", "trapezoid"}
-        Polynomials of least jerk, or straight with ends of constant acceleration: the whole of the edge if no
-        acceleration is given.
+        Polynomials of least jerk, or straight lines with ends of constant acceleration, which take the whole edge if
+        no acceleration is given.
     speed, acceleration : float, optional
         Largest abs(dy/dt) [m/s] and abs(d2y/dt2) [m/s^2] allowed.
     closed : bool
-        Whether it goes back to the first level at the end, and so can be repeated.
+        Whether it goes back to the first level at the end, so that it can be repeated.
     sample_rate : float, optional
         Samples a second [Hz]; by default 50 in the shortest edge.
 
     Raises
     ------
     RecordError
-        If a number is impossible, neither seconds nor an acceleration is given, or the limits cannot be kept: with
-        what can be done.
+        If a number is impossible, neither seconds nor an acceleration is given, or the limits cannot be kept; the
+        message states what can be done.
     """
 
     levels: tuple[float, ...]
@@ -64,22 +65,21 @@ class Steps(Scan):
         if not isinstance(self.levels, Sequence | np.ndarray) or len(self.levels) < 2:
             raise RecordError(f"levels: got {self.levels!r}, need two displacements at least")
         object.__setattr__(self, "levels", tuple(length(level, "levels") for level in self.levels))
-        object.__setattr__(self, "dwell", positive(self.dwell, "dwell"))
-        set_positive(self, "seconds", "speed", "acceleration", "sample_rate")
-        one_of(self.shape, "shape", get_args(Shape))
+        set_checked(self, positive, "dwell", optional=("seconds", "speed", "acceleration", "sample_rate"))
+        choice(self.shape, "shape", get_args(Shape), error=RecordError)
         if self.seconds is None and self.acceleration is None:
             raise RecordError("seconds: got none, and no acceleration; give the time of an edge, or the limit")
-        ways = self._ways
-        if any(a == b for a, b in ways):
-            at = next(a for a, b in ways if a == b)
-            raise RecordError(f"levels: got {at:.9g} m twice in a row, need different levels; leave one out")
-        for a, b in ways:
+        ends = self._ends
+        repeated = next((a for a, b in ends if a == b), None)
+        if repeated is not None:
+            raise RecordError(f"levels: got {repeated:.9g} m twice in a row, need different levels; leave one out")
+        for a, b in ends:
             self._refuse_hard(abs(b - a))
         refuse_long(self.samples, self.rate)
 
     @property
     def frequency(self) -> float | None:  # type: ignore[override]
-        """None is asked for: the levels take as long as they take."""
+        """None: the duration follows from the levels."""
         return None
 
     @property
@@ -92,49 +92,49 @@ class Steps(Scan):
         """Samples a second [Hz]."""
         if self.sample_rate is not None:
             return self.sample_rate
-        return _EDGE_SAMPLES / min(self._needed(abs(b - a)) for a, b in self._ways)
+        return _EDGE_SAMPLES / min(self._needed(abs(b - a)) for a, b in self._ends)
 
     @property
     def samples(self) -> int:
-        """Of all levels and edges."""
-        return sum(self._counts) + len(self.levels) * self._waits
+        """Samples of all levels and edges."""
+        return sum(self._counts) + len(self.levels) * self._dwell_samples
 
     def travel(self, axis: str) -> Travel:
-        """Displacement, velocity and acceleration at each sample."""
-        parts, still = [], np.zeros(self._waits)
+        """Return displacement, velocity and acceleration at each sample."""
+        parts, still = [], np.zeros(self._dwell_samples)
         for k, level in enumerate(self.levels):
             parts.append(Travel(still + level, still, still))
-            if k < len(self._ways):
+            if k < len(self._ends):
                 count = self._counts[k]
-                edge = self._edge(*self._ways[k], count / self.rate)
+                edge = self._edge(*self._ends[k], count / self.rate)
                 parts.append(edge.at(np.arange(count) / self.rate))
         return Travel(*(np.concatenate(rows) for rows in zip(*parts, strict=True)))
 
     @property
-    def _ways(self) -> list[tuple[float, float]]:
-        """From where to where each edge goes."""
+    def _ends(self) -> list[tuple[float, float]]:
+        """Start and end of each edge [m]."""
         return list(pairwise([*self.levels, self.levels[0]] if self.closed else self.levels))
 
     @property
-    def _waits(self) -> int:
+    def _dwell_samples(self) -> int:
         return max(1, ceil(self.dwell * self.rate * (1 - 1e-12)))
 
     @cached_property
     def _counts(self) -> list[int]:
         """Samples of each edge."""
-        return [samples_of(self._needed(abs(b - a)), self.rate) for a, b in self._ways]
+        return [samples_of(self._needed(abs(b - a)), self.rate) for a, b in self._ends]
 
     def _needed(self, height: float) -> float:
-        """Seconds of an edge."""
+        """Return the seconds of an edge of this height [m]."""
         return self._least(height) if self.seconds is None else self.seconds
 
     def _least(self, height: float) -> float:
-        """Seconds that the limits ask for."""
+        """Return the least seconds that the limits allow for an edge of this height [m]."""
         if self.shape == "trapezoid":
             return least_seconds(height, self.speed, self.acceleration, "parabola")
         by_speed = 0.0 if self.speed is None else _FASTEST * height / self.speed
-        by_push = 0.0 if self.acceleration is None else sqrt(_HARDEST * height / self.acceleration)
-        return max(by_speed, by_push)
+        by_acceleration = 0.0 if self.acceleration is None else sqrt(_HARDEST * height / self.acceleration)
+        return max(by_speed, by_acceleration)
 
     def _edge(self, start: float, end: float, seconds: float) -> Edge | Bridge:
         if self.shape == "minimum-jerk":

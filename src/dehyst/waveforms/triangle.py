@@ -9,31 +9,22 @@ from typing import get_args
 import numpy as np
 
 from dehyst._errors import RecordError
-from dehyst.waveforms.excitation import positive
+from dehyst._validation import choice
+from dehyst.waveforms.excitation import positive, set_checked
 from dehyst.waveforms.profiles import Edge, Rounding, Travel, highest, least_blend, least_seconds
-from dehyst.waveforms.scan import (
-    CYCLE_SAMPLES,
-    MotionLimits,
-    Scan,
-    below,
-    between,
-    one_of,
-    samples_of,
-    set_positive,
-    share,
-)
+from dehyst.waveforms.scan import CYCLE_SAMPLES, MotionLimits, Scan, below, between, samples_of, share
 
 _TURNS = 0.1
 
 
 @dataclass(frozen=True)
 class Triangle(Scan):
-    """Up and down between two displacements; begins at rest, at the lower one.
+    """A path up and down between two displacements; it begins at rest, at the lower one.
 
     Parameters
     ----------
     low, high : float
-        Where it turns [m], exactly.
+        Turning points [m], met exactly.
     frequency : float
         Cycles a second [Hz].
     turns : float, optional
@@ -42,7 +33,7 @@ class Triangle(Scan):
     speed, acceleration : float, optional
         Largest abs(dy/dt) [m/s] and abs(d2y/dt2) [m/s^2] allowed.
     rising : float
-        Share of the time that it rises; another than 1/2 makes a saw-tooth.
+        Share of the time that it rises; a share other than 1/2 makes a saw-tooth.
     rounding : {"parabola", "cosine"}
         Turns of constant acceleration, or of one without jumps and twice as high, see `dehyst.waveforms.profiles.Edge`.
     sample_rate : float, optional
@@ -51,7 +42,7 @@ class Triangle(Scan):
     Raises
     ------
     RecordError
-        If a number is impossible, or the limits cannot be kept: with what can be done.
+        If a number is impossible, or the limits cannot be kept; the message states what can be done.
     """
 
     low: float
@@ -68,23 +59,20 @@ class Triangle(Scan):
         low, high = between(self.low, self.high)
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
-        object.__setattr__(self, "frequency", positive(self.frequency, "frequency"))
-        set_positive(self, "speed", "acceleration", "sample_rate")
-        if self.turns is not None:
-            object.__setattr__(self, "turns", share(self.turns, "turns"))
-        object.__setattr__(self, "rising", share(self.rising, "rising"))
+        set_checked(self, positive, "frequency", optional=("speed", "acceleration", "sample_rate"))
+        set_checked(self, share, "rising", optional=("turns",))
         if self.rising == 1:
-            raise RecordError("rising: got 1, need a share below 1, for the way back takes time; try 0.9")
-        one_of(self.rounding, "rounding", get_args(Rounding))
+            raise RecordError("rising: got 1, need a share below 1, because the way back takes time; try 0.9")
+        choice(self.rounding, "rounding", get_args(Rounding), error=RecordError)
         _ = self.legs
         if self.turns is None and self.acceleration is not None:
             self._refuse_impossible()
-        peaks = max(abs(edge.speed) for edge in self.edges), max(edge.acceleration for edge in self.edges)
-        MotionLimits(self.speed, self.acceleration).refuse(f"a {self.what}", peaks, self.frequency, self.height)
+        limits = MotionLimits(self.speed, self.acceleration)
+        limits.refuse(f"a {self.what}", self.peaks, self.frequency, self.height)
 
     @property
     def height(self) -> float:
-        """From the lower turn to the higher [m]."""
+        """Displacement from the lower turn to the higher [m]."""
         return self.high - self.low
 
     @property
@@ -106,7 +94,7 @@ class Triangle(Scan):
 
     @property
     def samples(self) -> int:
-        """Of a period."""
+        """Samples of a period."""
         return sum(self.legs)
 
     @cached_property
@@ -116,13 +104,18 @@ class Triangle(Scan):
         return self._edge(self.low, self.high, up), self._edge(self.high, self.low, down)
 
     @property
+    def peaks(self) -> tuple[float, float]:
+        """Largest abs(velocity) [m/s] and abs(acceleration) [m/s^2]."""
+        return max(abs(edge.speed) for edge in self.edges), max(edge.acceleration for edge in self.edges)
+
+    @property
     def straight(self) -> tuple[float, float]:
         """Share of the time of each leg at constant speed, rising and falling."""
         up, down = (1 - 2 * edge.blend / edge.seconds for edge in self.edges)
         return up, down
 
     def travel(self, axis: str) -> Travel:
-        """Displacement, velocity and acceleration at each sample."""
+        """Return displacement, velocity and acceleration at each sample."""
         parts = [edge.at(np.arange(count) / self.rate) for edge, count in zip(self.edges, self.legs, strict=True)]
         return Travel(*(np.concatenate(rows) for rows in zip(*parts, strict=True)))
 
@@ -134,7 +127,7 @@ class Triangle(Scan):
         return Edge(start, end, seconds, blend, self.rounding)
 
     def _refuse_impossible(self) -> None:
-        """With turns as long as they need be, only so much can be done."""
+        """Raise RecordError if no turn, however long, keeps the acceleration."""
         part = min(self.rising, 1 - self.rising)
         needed = least_seconds(self.height, self.speed, self.acceleration, self.rounding)
         seconds = min(self.legs) / self.rate

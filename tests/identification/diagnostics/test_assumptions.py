@@ -56,7 +56,7 @@ def driven(truth, tops, samples=400):
     """The record of raised cosines from 0 V, by a truth of `dehyst.virtual`."""
     shape = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(1, samples + 1) / samples)
     voltage = np.concatenate([[0.0], *(truth.highest * top * shape for top in tops)])
-    return Record(np.arange(voltage.size) / 4.0, voltage, truth.drive(voltage), "play")
+    return Record(np.arange(voltage.size) / 4.0, voltage, truth.play(voltage), "play")
 
 
 def shifted(record, by):

@@ -23,7 +23,7 @@ def made(seed, *, noise=0.0, samples=40, hold=0):
     rng = np.random.default_rng(seed)
     v = plain_records.VOLTS / plain_records.STROKE * wide.wandering(12, int(rng.integers(1000)), samples, hold)
     truth = PlayActuator(noise=0.0, plays=300)
-    y = truth.drive(v)
+    y = truth.play(v)
     sensed = y + noise * rng.normal(size=y.size)
     return Record(np.arange(v.size) / 200.0, v, sensed, "made"), y
 

@@ -32,8 +32,8 @@ STROKE = PlayActuator().stroke
 class Inverted(PlayActuator):
     """A play actuator whose sensor is mounted the other way round."""
 
-    def drive(self, voltage, **options):
-        return -super().drive(voltage, **options)
+    def play(self, voltage, **options):
+        return -super().play(voltage, **options)
 
 
 def rig_of(truth, identity="one and the same", **options):
@@ -306,7 +306,7 @@ def test_an_identity_is_of_what_is_driven_not_of_its_name(tmp_path):
     assert len(named | options) == len(VIRTUAL) + 3
     assert fingerprint(PlayActuator(creep=0.01)) == fingerprint(virtual_actuator("creep"))
     driven = PlayActuator()
-    driven.drive(np.linspace(0, 200, 50))
+    driven.play(np.linspace(0, 200, 50))
     assert fingerprint(driven) == fingerprint(PlayActuator())
 
 

@@ -17,7 +17,7 @@ from dehyst.instruments.calibration.protocol import ExcitationPlan
 from dehyst.instruments.calibration.session import NullProgress, Session
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import files
-from dehyst.records.hdf5 import digest
+from dehyst.records.hdf5 import sha256_of
 from dehyst.records.recording import salvage
 from dehyst.virtual import PlayActuator
 
@@ -81,7 +81,7 @@ def edit(change, *, sign=False):
         with h5py.File(folder / RECORD, "r+") as file:
             change(file)
             if sign:
-                file.attrs["sha256"] = digest(tuple(file[name][()] for name in COLUMNS))
+                file.attrs["sha256"] = sha256_of(tuple(file[name][()] for name in COLUMNS))
 
     return damage
 
@@ -304,7 +304,7 @@ def test_what_is_no_journal_is_refused_by_its_name(folder, kind):
         os.mkfifo(path)
     else:
         path.symlink_to(folder / "nowhere")
-    with pytest.raises(FileFormatError, match=r"look\.h5\.part\.csv: is no file, but the name is one of a journal"):
+    with pytest.raises(FileFormatError, match=r"look\.h5\.part\.csv: is not a file, but has the name of a journal"):
         go_on(folder)
 
 

@@ -177,7 +177,7 @@ def with_declared(path, kind):
 )
 def test_declared_sizes_are_checked_first(tmp_path, kind, name, what):
     path = with_declared(tmp_path / name, kind)
-    refused(path, f"{re.escape(name)}: {what}.*500 MB that are read.*max_bytes=")
+    refused(path, f"{re.escape(name)}: {what}.*500 MB that a file may take.*max_bytes=")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".h5", ".mat", ".parquet"])
@@ -206,7 +206,7 @@ def test_an_array_with_less_than_it_declares(tmp_path):
     np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (1000,)})
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
         archive.writestr("time_s.npy", head.getvalue() + bytes(100))
-    refused(tmp_path / "a.npz", r"array 'time_s' declares 1000 numbers, but only \d+ bytes are there")
+    refused(tmp_path / "a.npz", r"array 'time_s' declares 1000 numbers, but has only \d+ bytes")
 
 
 # For ever
@@ -376,7 +376,9 @@ def test_a_pipe_that_never_ends(tmp_path):
     endless = subprocess.Popen(["sh", "-c", f"exec cat /dev/zero > '{tmp_path / 'a.csv'}'"])
     try:
         refused(
-            tmp_path / "a.csv", r"a\.csv: the file has at least 10 MB, more than the 10 MB that are read", max_bytes=1e7
+            tmp_path / "a.csv",
+            r"a\.csv: the file has at least 10 MB, more than the 10 MB that are allowed",
+            max_bytes=1e7,
         )
     finally:
         endless.kill()
@@ -408,7 +410,7 @@ def test_the_command_line_takes_pipes_and_limits(tmp_path):
         )
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
-    assert "more than the 1000 bytes that are read" in done.stderr
+    assert "more than the 1000 bytes that are allowed" in done.stderr
     for name in ("identify", "simulate", "compensate", "insight", "compare", "calibrate"):
         help_text = subprocess.run([*program, name, "--help"], capture_output=True, text=True, check=True, timeout=60)
         assert "--max-size MB" in help_text.stdout
@@ -436,7 +438,7 @@ def test_numbers_that_are_no_measurement(column, value):
 def test_times_that_no_clock_tells_apart():
     time = T.copy()
     time[1] = 5e-324
-    with pytest.raises(RecordError, match=r"time\[1\] is 4.94e-324 s after time\[0\], which no clock tells apart"):
+    with pytest.raises(RecordError, match=r"time\[1\] is 4.94e-324 s after time\[0\], which no clock resolves"):
         Record(time, V, Y)
 
 
@@ -445,10 +447,10 @@ def test_times_since_1970_in_nanoseconds(tmp_path):
         lines = (f"{1763780000000000000 + i * step},{v},{y}" for i, (v, y) in enumerate(zip(V, Y, strict=True)))
         return "time_ns,voltage_V,displacement_m\n" + "\n".join(lines)
 
-    with pytest.raises(RecordError, match=r"kept to 2.4e-07 s only: count them from the record's first sample"):
+    with pytest.raises(RecordError, match=r"resolution of 2.4e-07 s only: count them from the record's first sample"):
         read(text(tmp_path, rows(1)))
     coarse = read(text(tmp_path, rows(3000)))
-    assert any("kept to 2.4e-07 s only" in sentence for sentence in coarse.problems())
+    assert any("resolution of 2.4e-07 s only" in sentence for sentence in coarse.problems())
     assert not any("kept to" in sentence for sentence in read(text(tmp_path, rows(1_000_000))).problems())
 
 

@@ -102,7 +102,7 @@ def test_the_position_is_the_actuators():
         for voltage in (90.0, 10.0, float(wave[0])):
             put(fresh, "VOLTAGE", voltage)
         _, sent, position = played(fresh, wave)
-        expected = truth.drive(np.concatenate([[90.0, 10.0, wave[0]], wave]))[3:]
+        expected = truth.play(np.concatenate([[90.0, 10.0, wave[0]], wave]))[3:]
     assert np.array_equal(sent, wave)
     assert np.abs(1e-6 * position - expected).max() < 1e-15
 
@@ -119,7 +119,7 @@ def test_what_is_beyond_the_limits_is_never_put_out(at_rest):
 def test_no_number_is_refused_and_the_error_stays(at_rest):
     put(at_rest, "VOLTAGE", 20.0)
     put(at_rest, "VOLTAGE", np.nan)
-    assert text(at_rest, "ERROR") == "VOLTAGE: got nan V, which is out of the amplifier's range; nothing was sent"
+    assert text(at_rest, "ERROR") == "VOLTAGE: got nan V, which is outside the amplifier's range; nothing was sent"
     assert (get(at_rest, "VOLTAGE"), get(at_rest, "VOLTAGE:RBV")) == (20.0, 20.0)
     put(at_rest, "VOLTAGE", 25.0)
     assert text(at_rest, "ERROR")

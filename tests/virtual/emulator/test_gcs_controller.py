@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dehyst.virtual import PlayActuator, VirtualBench
 from dehyst.virtual.emulator import Controller
-from dehyst.virtual.emulator.gcs_controller import _WORDS
+from dehyst.virtual.emulator.gcs_controller import _DESCRIPTIONS
 from examples import examples
 
 
@@ -56,9 +56,9 @@ def test_all_lines_but_the_last_end_with_a_space(controller):
 
 
 def test_help_lists_every_command(controller):
-    assert set(_WORDS) == set(controller._does) | set(controller._asks)
+    assert set(_DESCRIPTIONS) == set(controller._actions) | set(controller._queries)
     listed = {line.split()[0] for line in controller.answer("HLP?").splitlines()[1:-1]}
-    assert listed == {"#5", "#7", "#9", "#24", *_WORDS}
+    assert listed == {"#5", "#7", "#9", "#24", *_DESCRIPTIONS}
 
 
 def test_an_unknown_query_has_no_answer_and_its_error_stays_until_asked_for(controller):
@@ -234,13 +234,13 @@ def test_a_table_too_long_for_the_generator_is_refused_and_stays_as_it_was(hand)
 
 def test_a_controller_may_tell_wider_limits_than_it_has(hand):
     bench = VirtualBench(PlayActuator(plays=20), clock=hand, limits=(0, 80))
-    controller = Controller(bench, told=(0, 100))
+    controller = Controller(bench, reported_limits=(0, 100))
     assert controller.answer("VMA?") == "1=100\n"
     assert error_after(controller, "SVA 1 90") == 302
     assert wave(controller, 90, 91) == 302
 
 
-COMMANDS = st.sampled_from([*sorted(_WORDS), "", "\x05", "FOO", "PNT"])
+COMMANDS = st.sampled_from([*sorted(_DESCRIPTIONS), "", "\x05", "FOO", "PNT"])
 ARGUMENTS = st.sampled_from(
     [
         "1",

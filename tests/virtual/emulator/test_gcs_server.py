@@ -17,7 +17,7 @@ from dehyst._errors import ModelError
 from dehyst.instruments import LinkError
 from dehyst.virtual import PlayActuator, VirtualBench
 from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
-from dehyst.virtual.emulator.faults import narrowed
+from dehyst.virtual.emulator.faults import actual_limits
 
 SOON = 60.0
 
@@ -54,8 +54,8 @@ class Line:
 @contextmanager
 def served(*faults, speed=1.0, limits=(0.0, 120.0), **options):
     rehearsed = [Fault.parse(fault) for fault in faults]
-    bench = VirtualBench(PlayActuator(plays=20), limits=narrowed(limits, rehearsed), speed=speed, **options)
-    with Server(Controller(bench, told=limits), port=0, rehearsal=Rehearsal(rehearsed)) as server:
+    bench = VirtualBench(PlayActuator(plays=20), limits=actual_limits(limits, rehearsed), speed=speed, **options)
+    with Server(Controller(bench, reported_limits=limits), port=0, rehearsal=Rehearsal(rehearsed)) as server:
         yield server
 
 
@@ -200,7 +200,7 @@ def struck(*faults, wait=0.3):
         with served(*faults) as server, connect(server) as line:
             start_wave(line)
             end = time.monotonic() + SOON
-            while not server.rehearsal.said and time.monotonic() < end:
+            while not server.rehearsal.occurred and time.monotonic() < end:
                 time.sleep(0.01)
             yield server, line
 
@@ -266,7 +266,7 @@ def test_the_sensor_saturates_or_is_unplugged():
     with served("unplug@0.1s") as server, connect(server) as line:
         line.send("SVA 1 100")
         time.sleep(0.3)
-        assert server.rehearsal.said == ["unplug: the sensor is unplugged"]
+        assert server.rehearsal.occurred == ["unplug: the sensor is unplugged"]
         assert line.ask("POS?") == "1=0\n"
 
 

@@ -17,8 +17,8 @@ from dehyst._version import __version__
 from dehyst.instruments.base import AbstractRig, Samples
 from dehyst.instruments.calibration.comparison_loop import Agreement, agreement, replay
 from dehyst.records import Record, Recording, read
-from dehyst.records.hdf5 import digest
-from dehyst.records.recording import numbered, room, salvage
+from dehyst.records.hdf5 import sha256_of
+from dehyst.records.recording import demand_disk_space, salvage, unused_path
 from dehyst.waveforms import Excitation
 
 FORMAT = "dehyst-calibration"
@@ -150,7 +150,7 @@ class Session:
         self, path: Path, name: str, excitation: Excitation, wanted: Array | None = None, stroke: float | None = None
     ) -> Record:
         """Play an excitation and record it to a file."""
-        room(path.parent, len(excitation))
+        demand_disk_space(path.parent, len(excitation))
         if not self.played and self.agreement is None:
             # The wave of a killed process may still be playing.
             self.rig.retreat()
@@ -190,7 +190,7 @@ class Session:
         if loop is None:
             return False
         folder = _folder(self._comparisons)
-        played = self._play(numbered(folder / f"{loop.name}.h5"), loop.name, loop)
+        played = self._play(unused_path(folder / f"{loop.name}.h5"), loop.name, loop)
         rows = self.rig.rows(len(excitation)), self.rig.rows(len(loop))
         result = agreement(stored, excitation, played, *rows)
         if not result.good:
@@ -211,7 +211,7 @@ class Session:
     def _set_aside(self, path: Path) -> None:
         """Move a file that is cut off, damaged or of another excitation to the folder `set-aside`."""
         if os.path.lexists(path):
-            aside = numbered(_folder(self.records / "set-aside") / path.name)
+            aside = unused_path(_folder(self.records / "set-aside") / path.name)
             try:
                 path.rename(aside)
             except OSError as error:
@@ -243,7 +243,7 @@ class Session:
         except (FileFormatError, RecordError):
             return None
         meta, samples = record.meta, (record.time, record.voltage, record.displacement)
-        of_this = meta.get("key") == self._key(excitation) and meta.get("sha256") == digest(samples)
+        of_this = meta.get("key") == self._key(excitation) and meta.get("sha256") == sha256_of(samples)
         fits = len(record) == self.rig.rows(len(excitation)).size
         return record if of_this and fits and meta.get("complete") is True else None
 

@@ -1,1 +1,1 @@
-"""formats."""
+"""Readers of the file formats."""

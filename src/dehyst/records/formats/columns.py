@@ -1,4 +1,4 @@
-"""The columns of a file, with the units that it states: found by name, handed out in SI units."""
+"""The columns of a file: found by name, with the units that the file states, returned in SI units."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class Column:
     name : str
     data : (n,) array
     unit : str
-        If the file states one apart from the name.
+        The unit if the file states it outside the name.
     fault : str
-        Why it cannot be used, and what to try; empty if it can.
+        The reason why it cannot be used, and what to try; empty if it can.
     foreign : bool
-        Whether its samples lie in another file, or are computed: it is set aside while another column fits.
+        Whether its samples lie in another file, or are computed: it is ignored if another column fits.
     """
 
     name: str
@@ -49,16 +49,16 @@ class Column:
 
     @property
     def leaf(self) -> str:
-        """The name without the groups it lies in."""
+        """The name without its groups."""
         return self.name.rsplit("/", 1)[-1]
 
     @property
     def parts(self) -> tuple[str, str]:
-        """What the column says it is, and its unit: ('drive', 'V') of 'drive_V' or 'drive [V]'."""
+        """Quantity and unit in the column's name: ('drive', 'V') for 'drive_V' or 'drive [V]'."""
         text = self.leaf.strip()
         start = min((at for at in (text.find("["), text.find("(")) if at >= 0), default=-1)
         if 0 <= start < len(text) - 1 and text[-1] in "])":
-            word, unit = _trimmed(text[:start]), text[start + 1 : -1]
+            word, unit = _trim(text[:start]), text[start + 1 : -1]
         else:
             word, _, unit = self.leaf.rpartition("_") if "_" in self.leaf else (self.leaf, "", "")
         known = any(self.unit in units for units in UNITS.values())
@@ -79,7 +79,7 @@ class Table:
         return tuple(column.name for column in self.columns)
 
     def has(self, quantity: str) -> bool:
-        """Tell whether exactly one column is the `quantity` by its name and unit."""
+        """Return whether exactly one column is the `quantity` by its name and unit."""
         return len(self._candidates(quantity)) == 1
 
     def column(self, quantity: str, wanted: str | None = None) -> Array:
@@ -101,25 +101,25 @@ class Table:
         FileFormatError
             No such column, several of them, an unknown unit, or cells that are no numbers.
         """
-        found, unit = self.find(quantity, wanted)
-        if found.fault:
-            raise FileFormatError(f"{self.source}: column '{shortened(found.name)}': {found.fault}")
+        column, unit = self.find(quantity, wanted)
+        if column.fault:
+            raise FileFormatError(f"{self.source}: column '{shortened(column.name)}': {column.fault}")
         factor = UNITS[quantity].get(unit)
         if factor is None:
-            said = f"the unit '{shortened(unit)}', unknown for {quantity}" if unit else "no unit"
-            name = shortened(found.name)
+            stated = f"the unit '{shortened(unit)}', unknown for {quantity}" if unit else "no unit"
+            name = shortened(column.name)
             raise FileFormatError(
-                f"{self.source}: column '{name}' has {said}; known are {', '.join(UNITS[quantity])}. Name it "
+                f"{self.source}: column '{name}' has {stated}; known are {', '.join(UNITS[quantity])}. Name it "
                 f"like '{_EXAMPLES[quantity]}' or '{_EXAMPLES[quantity].replace('_', ' [')}]', or give "
                 f"{_option(quantity, name + ':' + _EXAMPLES[quantity].rsplit('_')[-1])}"
             )
-        # What overflows or is not a number is refused by the record, with its row.
+        # The record refuses overflow and NaN, with the row.
         with np.errstate(all="ignore"):
             # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
-            return found.data * factor if factor >= 1 else found.data / round(1 / factor)
+            return column.data * factor if factor >= 1 else column.data / round(1 / factor)
 
     def find(self, quantity: str, wanted: str | None = None) -> tuple[Column, str]:
-        """Return the column that `column` would take, and its unit."""
+        """Return the column that `column` uses, and its unit."""
         unit = ""
         fits = self._candidates(quantity) if wanted is None else self._named(wanted)
         if wanted is not None and not fits and ":" in wanted:
@@ -127,13 +127,13 @@ class Table:
             fits = self._named(name)
         if len(fits) == 1:
             return fits[0], unit or fits[0].parts[1]
-        asked = f"column '{wanted}' for {quantity}" if wanted is not None else f"{quantity} column"
-        count = f"{len(fits)} columns fit: {listed(tuple(c.name for c in fits))}" if fits else f"no {asked}"
+        request = f"column '{wanted}' for {quantity}" if wanted is not None else f"{quantity} column"
+        count = f"{len(fits)} columns fit: {listed(tuple(c.name for c in fits))}" if fits else f"no {request}"
         hint = f" A name like '{_EXAMPLES[quantity]}' is found by itself." if wanted is None else ""
         rate = " Without one, give sample_rate= in Hz." if quantity == "time" else ""
         raise FileFormatError(
-            f"{self.source}: {count}{f' as {asked}' if fits else ''}; the file holds {listed(self.names)}. "
-            f"Say which with {_option(quantity, 'NAME')}.{hint}{rate}"
+            f"{self.source}: {count}{f' as {request}' if fits else ''}; the file holds {listed(self.names)}. "
+            f"Select one with {_option(quantity, 'NAME')}.{hint}{rate}"
         )
 
     def _candidates(self, quantity: str) -> list[Column]:
@@ -160,12 +160,12 @@ def listed(names: tuple[str, ...]) -> str:
 
 
 def shortened(name: str) -> str:
-    """A name of a file's own for a message: its beginning, if it is long."""
+    """Return a name from a file for a message: only its beginning if it is long."""
     return name if len(name) <= _SHOWN else f"{name[:_SHOWN]}..."
 
 
-def _trimmed(text: str) -> str:
-    """Without blanks and underscores at its end."""
+def _trim(text: str) -> str:
+    """Remove blanks and underscores at the end."""
     end = len(text)
     while end and (text[end - 1].isspace() or text[end - 1] == "_"):
         end -= 1

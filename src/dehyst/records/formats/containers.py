@@ -1,4 +1,4 @@
-"""Binary files: NPZ, MAT, HDF5, Parquet and TDMS to columns; what headers declare is checked before it is read."""
+"""Binary files: NPZ, MAT, HDF5, Parquet and TDMS to columns; declared sizes are checked before the data are read."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from dehyst.records.formats.columns import Column, shortened
 from dehyst.records.formats.file_content import Allowance
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-# Words of a unit [bytes].
+# Longest text of a unit [bytes].
 _LONGEST_UNIT = 256
-# How MAT files of version 5 begin, and mark a compressed variable.
+# Sizes of the header and of a tag of MAT files of version 5 [bytes], and the type of a compressed variable.
 _MAT_HEAD, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15
 _MAT_NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 _CHUNK = 1 << 20
 
 
-def library(module: str, purpose: str) -> Any:
-    """A module of an optional package; raises MissingExtraError."""
+def library(module: str, purpose: str, extra: str = "files") -> Any:
+    """Return a module of an optional package; raise MissingExtraError if it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise MissingExtraError.of(module.split(".", maxsplit=1)[0], "files", purpose) from error
+        raise MissingExtraError.of(module.split(".", maxsplit=1)[0], extra, purpose) from error
 
 
 def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
-    """Arrays of an NPZ archive; objects are never opened, for opening them would run code."""
+    """Read arrays of an NPZ archive; objects are never opened, because that would run code."""
     columns: list[Column] = []
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
@@ -49,7 +49,9 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowa
     name = member.filename.removesuffix(".npy")
     what = f"array '{shortened(name)}'"
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise FileFormatError(f"{allowance.path}: {what} is packed as NumPy never does; save it with numpy.savez")
+        raise FileFormatError(
+            f"{allowance.path}: {what} is packed in a way that NumPy never uses; save it with numpy.savez"
+        )
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -67,7 +69,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowa
         allowance.take(count, what)
         if count * dtype.itemsize > member.file_size:
             raise FileFormatError(
-                f"{allowance.path}: {what} declares {count} numbers, but only {member.file_size} bytes are there; the "
+                f"{allowance.path}: {what} declares {count} numbers, but has only {member.file_size} bytes; the "
                 "file is cut off or damaged, take a copy"
             )
     with archive.open(member) as stream:
@@ -75,7 +77,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowa
 
 
 def _product(shape: tuple[int, ...]) -> int:
-    """Number of elements, however large; negative if a size is."""
+    """Return the number of elements, however large; negative if a size is."""
     count = 1
     for size in shape:
         count *= int(size)
@@ -83,7 +85,7 @@ def _product(shape: tuple[int, ...]) -> int:
 
 
 def vectors(name: str, array: Any, unit: str = "") -> list[Column]:
-    """A column of an array of real numbers that is 1-D, or 2-D with one row or column, as MATLAB has them."""
+    """Return a column for an array of real numbers that is 1-D, or 2-D with one row or column, as in MATLAB."""
     array = np.asarray(array)
     if array.dtype.kind not in "fiu" or array.size < 2 or array.size != max(array.shape):
         return []
@@ -92,7 +94,7 @@ def vectors(name: str, array: Any, unit: str = "") -> list[Column]:
 
 
 def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
-    """Variables of a MAT file of any version; structures, cells and text are passed over."""
+    """Read variables of a MAT file of any version; structures, cells and text are ignored."""
     if is_hdf5(data):
         return read_hdf5(data, allowance)
     scipy_io = library("scipy.io", "Reading .mat files")
@@ -105,31 +107,31 @@ def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
             wanted.append(name)
     if not wanted:
         return []
-    found = scipy_io.loadmat(io.BytesIO(data), variable_names=wanted)
-    return [column for name in wanted for column in vectors(name, found[name])]
+    variables = scipy_io.loadmat(io.BytesIO(data), variable_names=wanted)
+    return [column for name in wanted for column in vectors(name, variables[name])]
 
 
 def is_hdf5(data: bytes) -> bool:
-    """Whether a MAT file is one of version 7.3."""
+    """Return whether a MAT file has version 7.3."""
     return data.startswith((b"MATLAB 7.3", _HDF5)) or data[512:520] == _HDF5
 
 
 def _refuse_inflated(data: bytes, allowance: Allowance) -> None:
-    """Unpack the compressed variables piece by piece, and count."""
+    """Unpack the compressed variables piece by piece, and check their size."""
     place, size = _MAT_HEAD, 0
     order = ">" if data[126:128] == b"MI" else "<"
     while place + _MAT_TAG <= len(data):
         kind, length = struct.unpack_from(f"{order}II", data, place)
         place += _MAT_TAG
         if kind == _MAT_COMPRESSED:
-            for piece in _inflated(data[place : place + length]):
+            for piece in _inflate(data[place : place + length]):
                 size += piece
                 allowance.check(size, "its compressed variables")
         place += length
 
 
-def _inflated(packed: bytes) -> Iterator[int]:
-    """Bytes in each piece of what is unpacked."""
+def _inflate(packed: bytes) -> Iterator[int]:
+    """Yield the number of bytes of each unpacked piece."""
     inflate = zlib.decompressobj()
     while packed and not inflate.eof:
         yield len(inflate.decompress(packed, _CHUNK))
@@ -137,7 +139,7 @@ def _inflated(packed: bytes) -> Iterator[int]:
 
 
 def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
-    """Datasets of an HDF5 file, in any group; those whose samples lie elsewhere have a fault."""
+    """Read datasets of an HDF5 file, in any group; those with samples in another file have a fault."""
     h5py = library("h5py", f"Reading {allowance.path.suffix} files")
     columns: list[Column] = []
     with h5py.File(io.BytesIO(data), "r") as file:
@@ -152,11 +154,12 @@ def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
 
 
 def _unit(dataset: Any) -> str:
-    """The unit that an attribute states; attributes that are no short text are passed over."""
+    """Return the unit that an attribute states; attributes that are no short text are ignored."""
     for name in ("unit", "units"):
         if name in dataset.attrs:
-            kept = dataset.attrs.get_id(name)
-            if kept.shape in ((), (1,)) and kept.dtype.kind in "OSU" and kept.dtype.itemsize <= _LONGEST_UNIT:
+            attribute = dataset.attrs.get_id(name)
+            kind, size = attribute.dtype.kind, attribute.dtype.itemsize
+            if attribute.shape in ((), (1,)) and kind in "OSU" and size <= _LONGEST_UNIT:
                 unit = dataset.attrs[name]
                 unit = unit[0] if isinstance(unit, np.ndarray) else unit
                 return str(unit.decode() if isinstance(unit, bytes) else unit)[:_LONGEST_UNIT].strip()
@@ -164,7 +167,7 @@ def _unit(dataset: Any) -> str:
 
 
 def read_parquet(data: bytes, allowance: Allowance) -> list[Column]:
-    """Columns of whole and real numbers of a Parquet file."""
+    """Read columns of whole and real numbers of a Parquet file."""
     pyarrow = library("pyarrow", "Reading Parquet files")
     file = library("pyarrow.parquet", "Reading Parquet files").ParquetFile(io.BytesIO(data), pre_buffer=False)
     is_number = pyarrow.types.is_integer, pyarrow.types.is_floating
@@ -180,19 +183,19 @@ def read_parquet(data: bytes, allowance: Allowance) -> list[Column]:
 
 
 def _numbers(chunk: Any) -> NDArray[np.float64]:
-    """Numbers of an Arrow array, NaN for those that are missing; its own way to NumPy would import pandas."""
+    """Return the numbers of an Arrow array, NaN for missing ones; its own conversion to NumPy would import pandas."""
     valid, values = chunk.buffers()
-    kept = slice(chunk.offset, chunk.offset + len(chunk))
+    rows = slice(chunk.offset, chunk.offset + len(chunk))
     with np.errstate(all="ignore"):
-        numbers = np.frombuffer(values, dtype=chunk.type.to_pandas_dtype())[kept].astype(np.float64)
+        numbers = np.frombuffer(values, dtype=chunk.type.to_pandas_dtype())[rows].astype(np.float64)
     if chunk.null_count:
         bits = np.unpackbits(np.frombuffer(valid, dtype=np.uint8), bitorder="little")
-        numbers[bits[kept] == 0] = np.nan
+        numbers[bits[rows] == 0] = np.nan
     return numbers
 
 
 def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
-    """Channels of a TDMS file; a waveform brings its own time."""
+    """Read channels of a TDMS file; the time of a waveform follows from its properties."""
     reader = library("nptdms", "Reading TDMS files").TdmsFile
     for group in reader.read_metadata(io.BytesIO(data)).groups():
         for channel in group.channels():
@@ -204,7 +207,7 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
             unit = str(channel.properties.get("unit_string", ""))[:_LONGEST_UNIT].strip()
             columns += vectors(f"{group.name}/{channel.name}", channel[:], unit)
             increments.add((len(channel), float(channel.properties.get("wf_increment", 0.0))))
-    # A waveform has no time channel: its sampling stands in a property, the same for every channel of a run.
+    # A waveform has no time channel: its sampling is a property, the same for every channel of a run.
     timed = any(column.parts[0].lower() in ("time", "t") for column in columns)
     if not timed and len(increments) == 1 and (run := increments.pop())[1] > 0:
         allowance.take(run[0], "the time of its waveforms")

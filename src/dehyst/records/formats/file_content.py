@@ -1,4 +1,4 @@
-"""What is read of a file: its bytes, once, whatever it is; and how much memory they and its numbers may take."""
+"""The bytes of a file, read once, and the limits of their size and of the memory for its numbers."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import NamedTuple
 
 from dehyst._errors import FileFormatError
 
-# Bytes of a file, and of the numbers in it, that are read unless more are allowed: 20 million samples.
+# Default limit of the bytes of a file and of its numbers: 20 million samples.
 MOST = 500_000_000
-# A number takes as much as a double.
+# Bytes of a double.
 _DOUBLE = 8
 _MAGIC = {b"\x89HDF\r\n\x1a\n": ".h5", b"PK\x03\x04": ".npz", b"PAR1": ".parquet", b"TDSm": ".tdms", b"MATLAB ": ".mat"}
 _RAISE = "allow more with max_bytes= if you trust the file"
 
 
 class Content(NamedTuple):
-    """A file as it was when it was read: its path, its bytes, and the suffix that says what they are."""
+    """A file as read: its path, its bytes, and the suffix of their format."""
 
     path: Path
     data: bytes
@@ -27,32 +27,32 @@ class Content(NamedTuple):
 
 
 class Allowance:
-    """How much memory the numbers of a file may take; what its headers declare is held against it beforehand.
+    """The memory that the numbers of a file may take; sizes that its headers declare are checked first.
 
     Parameters
     ----------
     path : path
-        What a message calls the file.
+        Name of the file in messages.
     most : int
-        In bytes, of all numbers together.
+        Limit for all numbers together [bytes].
     """
 
     def __init__(self, path: Path, most: int) -> None:
         self.path, self.most, self.left = path, most, most
 
     def take(self, numbers: int, what: str) -> None:
-        """Take memory for so many numbers; raises FileFormatError if it does not suffice."""
+        """Reserve memory for so many numbers; raise FileFormatError if it does not suffice."""
         self.check(numbers * _DOUBLE, what)
         self.left -= numbers * _DOUBLE
 
     def check(self, size: int, what: str) -> None:
-        """Refuse a size [bytes] that is negative or more than what is left."""
+        """Refuse a size [bytes] that is negative or exceeds the remaining memory."""
         if size < 0:
             raise FileFormatError(f"{self.path}: {what} declares a negative size; the file is damaged, take a copy")
         if size > self.left:
             raise FileFormatError(
                 f"{self.path}: {what} declares {_in_words(size)}, more than the {_in_words(self.left)} left of the "
-                f"{_in_words(self.most)} that are read of a file; {_RAISE}"
+                f"{_in_words(self.most)} that a file may take; {_RAISE}"
             )
 
 
@@ -71,7 +71,7 @@ def content_of(path: Path, most: int) -> Content:
         raise FileFormatError(f"{path}: this is a folder; give one of the files in it")
     if not (stat.S_ISREG(kind) or stat.S_ISFIFO(kind)):
         word = "a socket" if stat.S_ISSOCK(kind) else "a device"
-        raise FileFormatError(f"{path}: this is {word}, need a file or a pipe; save what it sends to a file first")
+        raise FileFormatError(f"{path}: this is {word}, need a file or a pipe; save its data to a file first")
     size = path.stat().st_size
     _refuse_large(path, size, most)
     with path.open("rb") as stream:
@@ -83,7 +83,7 @@ def content_of(path: Path, most: int) -> Content:
 
 
 def bytes_allowed(value: object) -> int:
-    """A limit in whole bytes; raises FileFormatError for what is no positive number."""
+    """Return a limit in whole bytes; raise FileFormatError for anything but a positive number."""
     number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
     if not 1 <= number < inf:
         raise FileFormatError(f"max_bytes: got {value!r}, need a number of bytes above 0; try {MOST}")
@@ -94,15 +94,14 @@ def _refuse_large(path: Path, size: int, most: int) -> None:
     if size > most:
         raise FileFormatError(
             f"{path}: the file has {'at least ' if size == most + 1 else ''}{_in_words(size)}, more than the "
-            f"{_in_words(most)} that are read; {_RAISE}, or cut it"
+            f"{_in_words(most)} that are allowed; {_RAISE}, or shorten it"
         )
 
 
 def _suffix(path: Path, data: bytes) -> str:
-    """What a pipe holds: its name rarely says it, its first bytes do; text if they are no format's."""
-    named = path.suffix.lower()
-    found = next((suffix for magic, suffix in _MAGIC.items() if data.startswith(magic)), ".csv")
-    return named or found
+    """Return the suffix of a pipe's name or, as it rarely has one, that of its first bytes; by default text."""
+    guess = next((suffix for magic, suffix in _MAGIC.items() if data.startswith(magic)), ".csv")
+    return path.suffix.lower() or guess
 
 
 def _in_words(size: int) -> str:

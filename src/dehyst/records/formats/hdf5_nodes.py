@@ -1,4 +1,4 @@
-"""Datasets of an HDF5 file that hold their own samples; what points out of it is found before anything is read."""
+"""Datasets of an HDF5 file that contain their own samples; links out of the file are found before data are read."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from dehyst._errors import FileFormatError
 from dehyst.records.formats.file_content import Allowance
 
-# A file of measurements has fewer groups, one within the other, and fewer names.
+# A file of measurements has fewer levels of groups and fewer names.
 _DEEPEST, _MOST_NAMES = 64, 100_000
 _ADVICE = "copy its samples into the file, for instance with h5repack or h5copy"
 
 
 class Node(NamedTuple):
-    """A dataset by its full name, or why it cannot be one of a record's columns."""
+    """A dataset by its full name, or the reason why it cannot be a column of a record."""
 
     name: str
     dataset: Any
@@ -25,9 +25,9 @@ class Node(NamedTuple):
 
 
 def nodes(file: Any, h5py: Any, allowance: Allowance) -> Iterator[Node]:
-    """Yield the datasets of all groups, each once, as hard links lead to them.
+    """Yield the datasets of all groups that hard links lead to, each once.
 
-    Soft links are passed over, for what they point to is found under its own name; external links are yielded with
+    Soft links are ignored, because their targets are found under their own names; external links are yielded with
     their fault and never followed.
 
     Raises
@@ -60,7 +60,7 @@ def nodes(file: Any, h5py: Any, allowance: Allowance) -> Iterator[Node]:
 
 
 def foreign(dataset: Any) -> str:
-    """Why a dataset's samples are not its own; empty if they are."""
+    """Return why a dataset does not contain its own samples; empty if it does."""
     if dataset.is_virtual:
         return f"is a virtual dataset, made of others, which are not read; {_ADVICE}"
     if dataset.external:
@@ -74,7 +74,7 @@ def own_samples(file: Any, h5py: Any, name: str, allowance: Allowance) -> NDArra
     Raises
     ------
     FileFormatError
-        It is a link, its samples are not its own, no numbers, or more than is allowed.
+        It is a link, does not contain its own samples, has no numbers, or more than allowed.
     """
     link, where = file.get(name, getlink=True), f"{allowance.path}: dataset '{name}'"
     if not isinstance(link, h5py.HardLink):
@@ -90,22 +90,22 @@ def own_samples(file: Any, h5py: Any, name: str, allowance: Allowance) -> NDArra
 
 
 def is_vector(dataset: Any) -> bool:
-    """Whether a dataset declares real numbers in one dimension, or in one row or column."""
+    """Return whether a dataset declares real numbers in one dimension, or in one row or column."""
     shape = dataset.shape
     return shape is not None and len(shape) > 0 and dataset.dtype.kind in "fiu" and dataset.size == max(shape)
 
 
 def samples(dataset: Any, name: str, allowance: Allowance) -> NDArray[Any]:
-    """Read a dataset, what it declares being allowed: its samples, and a chunk of them."""
+    """Read a dataset after a check of its declared size and of its chunk size."""
     allowance.take(int(dataset.size), f"dataset '{name}'")
     if dataset.chunks:
-        chunk = int(np.prod([int(one) for one in dataset.chunks], dtype=object)) * dataset.dtype.itemsize
-        # A chunk is held whole, packed and unpacked, however few samples of it are there.
+        chunk = int(np.prod([int(size) for size in dataset.chunks], dtype=object)) * dataset.dtype.itemsize
+        # A whole chunk is in memory, packed and unpacked, however few of its samples exist.
         allowance.check(chunk, f"a chunk of dataset '{name}'")
     return np.asarray(dataset[()])
 
 
 def _place(item: Any, h5py: Any) -> tuple[int, int]:
-    """What tells an object of the file from others, whatever names lead to it."""
+    """Return the identity of an object of the file, whatever its names."""
     info = h5py.h5o.get_info(item.id)
     return int(info.fileno), int(info.addr)

@@ -1,4 +1,4 @@
-"""The formats that are read: by a file's suffix, the function that makes columns of its bytes, and what that needs."""
+"""The readable formats: for each suffix the function that reads columns from bytes, and the library it needs."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ _NAMES = {".parquet": "Parquet", ".tdms": "TDMS"}
 
 
 class Format(NamedTuple):
-    """How a kind of file is read.
+    """A readable format.
 
     Attributes
     ----------
     load : callable
-        Bytes and what they may take -> columns.
+        Function of the bytes and their allowance that returns columns.
     library : str
-        The module that does it, of a package that need not be installed; empty if none is needed.
-    apart : bool
-        Whether a library in C does it, which a damaged file may crash or stop: then in a process apart.
+        Module of an optional package that it needs; empty without one.
+    isolated : bool
+        Whether it runs in a separate process, because a damaged file may crash or stop its C library.
     """
 
     load: Callable[[bytes, Allowance], list[Column]]
     library: str = ""
-    apart: bool = False
+    isolated: bool = False
 
 
 LOADERS: dict[str, Format] = {
     **dict.fromkeys(TEXT, Format(read_text)),
-    ".mat": Format(read_mat, "scipy.io", apart=True),
-    ".h5": Format(read_hdf5, "h5py", apart=True),
-    ".hdf5": Format(read_hdf5, "h5py", apart=True),
-    ".parquet": Format(read_parquet, "pyarrow.parquet", apart=True),
-    ".tdms": Format(read_tdms, "nptdms", apart=True),
+    ".mat": Format(read_mat, "scipy.io", isolated=True),
+    ".h5": Format(read_hdf5, "h5py", isolated=True),
+    ".hdf5": Format(read_hdf5, "h5py", isolated=True),
+    ".parquet": Format(read_parquet, "pyarrow.parquet", isolated=True),
+    ".tdms": Format(read_tdms, "nptdms", isolated=True),
     ".npz": Format(read_npz),
 }
 
 
 def package(content: Content) -> tuple[str, str]:
-    """The module that reads a file, and for what it is needed; MAT files of version 7.3 are HDF5."""
+    """Return the module that reads a file, and its purpose; MAT files of version 7.3 are HDF5."""
     module = "h5py" if content.suffix == ".mat" and is_hdf5(content.data) else LOADERS[content.suffix].library
     return module, f"Reading {_NAMES.get(content.suffix, content.suffix)} files"

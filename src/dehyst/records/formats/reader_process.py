@@ -1,8 +1,8 @@
-"""Files whose libraries a damaged file can crash or stop are read in a process apart, under limits.
+"""A separate process with limits that reads files with libraries that a damaged file can crash or stop.
 
-Mutated files crash SciPy's reader of MAT files and stop the HDF5 library for ever; neither can be caught where it
-happens. One helper process is started when it is first needed, and ends with the program; it forks a child for each
-file, which takes milliseconds. Where processes cannot be forked the helper reads files itself, without the limits.
+Mutated files crash SciPy's reader of MAT files and stop the HDF5 library for ever; neither can be caught in the same
+process. One helper process is started when it is first needed, and ends with the program; it forks a child for each
+file, which takes milliseconds. On systems without fork the helper reads files itself, without the limits.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from dehyst.records.formats.file_content import Allowance, Content
 from dehyst.records.formats.loaders import LOADERS, package
 from dehyst.records.hdf5 import Stored
 
-# CPU time that a file may take [s], and in addition a second for so many bytes of it.
+# CPU time for a file [s], and the bytes that add another second.
 _SECONDS, _A_SECOND = 5, 5_000_000
-# Memory that libraries need beside the numbers, twice over, that a file may hold [bytes].
+# Memory of the libraries beside twice the numbers of a file [bytes].
 _BESIDE = 256_000_000
-# Exit status of the helper after a child ended by a signal: that and the signal's number.
+# Exit status of the helper after a signal ended a child: this plus the signal's number.
 _SIGNAL = 64
 _START = (
     "import sys, json; sys.path[:] = json.loads(sys.argv[1]); "
@@ -43,36 +43,36 @@ _START = (
 
 
 class Loaded(NamedTuple):
-    """Columns of a file, and what dehyst wrote beside the samples if it wrote the file."""
+    """Columns of a file, and its name and meta if dehyst wrote the file."""
 
     columns: list[Column]
     stored: Stored | None
 
 
-def load(content: Content, most: int, own: bool) -> Loaded:
-    """Read a file's columns, apart from this process if its format asks for that.
+def load(content: Content, most: int, with_meta: bool) -> Loaded:
+    """Read a file's columns, in the helper process if its format needs isolation.
 
     Parameters
     ----------
     content : Content
     most : int
         Memory that its numbers may take [bytes].
-    own : bool
-        Whether to look for what `write_hdf5` writes beside samples.
+    with_meta : bool
+        Whether to read the name and meta that `write_hdf5` writes.
 
     Raises
     ------
     FileFormatError, MissingExtraError
     """
-    if not LOADERS[content.suffix].apart or not sys.executable or getattr(sys, "frozen", False):
-        return _load_here(content, most, own)
-    demand(*package(content))
+    if not LOADERS[content.suffix].isolated or not sys.executable or getattr(sys, "frozen", False):
+        return _load_here(content, most, with_meta)
+    demand_library(*package(content))
     with _LOCK:
-        return _HELPER.load(content, most, own)
+        return _HELPER.load(content, most, with_meta)
 
 
-def demand(module: str, purpose: str) -> None:
-    """Refuse, as the helper would, when a module is not installed."""
+def demand_library(module: str, purpose: str) -> None:
+    """Raise MissingExtraError, as the helper does, if a module is not installed."""
     from importlib.util import find_spec
 
     if sys.modules.get(module, ...) is None or find_spec(module.split(".", maxsplit=1)[0]) is None:
@@ -80,34 +80,34 @@ def demand(module: str, purpose: str) -> None:
 
 
 def close() -> None:
-    """End the helper; it is started again when needed."""
+    """Stop the helper; it is started again when needed."""
     with _LOCK:
         _HELPER.close()
 
 
 class _Helper:
-    """The helper process, its pipes, and the process that it belongs to: a fork of that needs its own."""
+    """The helper process, its pipes, and its owner: a fork of the owner needs a helper of its own."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._owner = 0
 
-    def load(self, content: Content, most: int, own: bool) -> Loaded:
-        process, request = self._running(), [str(content.path), content.suffix, most, own, len(content.data)]
+    def load(self, content: Content, most: int, with_meta: bool) -> Loaded:
+        process, request = self._running(), [str(content.path), content.suffix, most, with_meta, len(content.data)]
         try:
-            found = _ask(process, request, content.data)
+            answer = _exchange(process, request, content.data)
         except BaseException:
-            # Half a conversation cannot be taken up again.
+            # An interrupted exchange cannot be resumed.
             process.kill()
             self.close()
             raise
-        if found is None:
+        if answer is None:
             status = process.wait()
             self.close()
-            raise FileFormatError(_ended(content, status))
-        if isinstance(found, DehystError):
-            raise found
-        return found
+            raise FileFormatError(_crash_message(content, status))
+        if isinstance(answer, DehystError):
+            raise answer
+        return answer
 
     def close(self) -> None:
         process, self._process = self._process, None
@@ -136,18 +136,18 @@ _HELPER, _LOCK = _Helper(), threading.Lock()
 atexit.register(close)
 
 
-def _ask(process: subprocess.Popen[bytes], request: list[Any], data: bytes) -> Loaded | DehystError | None:
-    """Send a file, return what comes back: columns, or what is to be raised; None if nothing comes."""
-    to, back = process.stdin, process.stdout
-    assert to is not None
-    assert back is not None
+def _exchange(process: subprocess.Popen[bytes], request: list[Any], data: bytes) -> Loaded | DehystError | None:
+    """Send a file; return its columns or the error to raise, None without an answer."""
+    requests, answers = process.stdin, process.stdout
+    assert requests is not None
+    assert answers is not None
     try:
-        to.write(json.dumps(request).encode() + b"\n")
-        to.write(data)
-        to.flush()
+        requests.write(json.dumps(request).encode() + b"\n")
+        requests.write(data)
+        requests.flush()
     except BrokenPipeError:
         return None
-    line = back.readline()
+    line = answers.readline()
     if not line.endswith(b"\n"):
         return None
     answer = json.loads(line)
@@ -158,28 +158,30 @@ def _ask(process: subprocess.Popen[bytes], request: list[Any], data: bytes) -> L
     for name, size, unit, fault, foreign in answer["columns"]:
         values = np.empty(size)
         raw = values.view(np.uint8)
-        if raw.size and back.readinto(raw) < raw.size:  # type: ignore[attr-defined]
+        if raw.size and answers.readinto(raw) < raw.size:  # type: ignore[attr-defined]
             return None
         columns.append(Column(name, values, unit, fault, foreign))
     return Loaded(columns, Stored(*answer["stored"]) if answer["stored"] else None)
 
 
-def _ended(content: Content, status: int) -> str:
+def _crash_message(content: Content, status: int) -> str:
     number = status - _SIGNAL if status > _SIGNAL else -status
     word = signal.Signals(number).name if number in set(signal.Signals) else f"status {status}"
     how = f"crashed on it ({word})"
     if word in ("SIGXCPU", "SIGKILL"):
-        how = f"did not come to an end with it in {_seconds(content)} s of CPU time, or was killed"
+        how = f"did not finish it in {_seconds(content)} s of CPU time, or was killed"
     return (
         f"{content.path}: not a readable {content.suffix} file: its library {how}; the file is damaged: take it from a "
         "copy, or export the measurement again"
     )
 
 
-def _load_here(content: Content, most: int, own: bool) -> Loaded:
-    """Read a file; every library has its own errors for broken content."""
+def _load_here(content: Content, most: int, with_meta: bool) -> Loaded:
+    """Read a file in this process; convert the errors of every library for broken content."""
     try:
-        stored = hdf5.decode(content.path, 2, content.data, most) if own and content.suffix in hdf5.SUFFIXES else None
+        stored = (
+            hdf5.decode(content.path, 2, content.data, most) if with_meta and content.suffix in hdf5.SUFFIXES else None
+        )
         return Loaded(LOADERS[content.suffix].load(content.data, Allowance(content.path, most)), stored)
     except DehystError:
         raise
@@ -200,32 +202,32 @@ def _seconds(content: Content) -> int:
 
 
 def serve() -> None:
-    """The helper: read files from standard input until it is closed, answer on standard output."""
+    """Run the helper: read files from standard input until it is closed, answer on standard output."""
     source = sys.stdin.buffer
     with os.fdopen(os.dup(1), "wb") as answers:
-        # A library that prints must not print into an answer.
+        # The output of a library must not get into an answer.
         os.dup2(2, 1)
         while line := source.readline():
-            path, suffix, most, own, size = json.loads(line)
+            path, suffix, most, with_meta, size = json.loads(line)
             data = source.read(size)
             if len(data) < size:
                 return
             content = Content(Path(path), data, suffix)
             if not hasattr(os, "fork"):
-                _answer(content, most, own, answers)
-            elif status := _answered_by_child(content, most, own, answers):
+                _answer(content, most, with_meta, answers)
+            elif status := _answer_in_child(content, most, with_meta, answers):
                 os._exit(status)
 
 
-def _answered_by_child(content: Content, most: int, own: bool, answers: BinaryIO) -> int:
-    """Fork; return 0, or how the child ended."""
+def _answer_in_child(content: Content, most: int, with_meta: bool, answers: BinaryIO) -> int:
+    """Answer in a forked child; return 0, or the status with which it ended."""
     with suppress(DehystError):
-        library(*package(content))  # so that each child need not
+        library(*package(content))  # once, not in each child
     child = os.fork()
     if not child:
         try:
             _limit(content, most)
-            _answer(content, most, own, answers)
+            _answer(content, most, with_meta, answers)
             os._exit(0)
         finally:
             os._exit(1)
@@ -244,7 +246,7 @@ def _limit(content: Content, most: int) -> None:
 
 
 def _memory(most: int) -> int:
-    """Address space that this process has, and that which reading may add [bytes]."""
+    """Return the address space of this process, plus the space that reading may add [bytes]."""
     try:
         present = int(Path("/proc/self/statm").read_text("ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
@@ -252,14 +254,14 @@ def _memory(most: int) -> int:
     return present + 2 * most + _BESIDE
 
 
-def _answer(content: Content, most: int, own: bool, answers: BinaryIO) -> None:
+def _answer(content: Content, most: int, with_meta: bool, answers: BinaryIO) -> None:
     try:
-        columns, stored = _load_here(content, most, own)
+        columns, stored = _load_here(content, most, with_meta)
     except DehystError as error:
         answers.write(json.dumps({"error": type(error).__name__, "message": str(error)}).encode() + b"\n")
     else:
-        heads = [[one.name, one.data.size, one.unit, one.fault, one.foreign] for one in columns]
+        heads = [[column.name, column.data.size, column.unit, column.fault, column.foreign] for column in columns]
         answers.write(json.dumps({"columns": heads, "stored": stored and list(stored)}).encode() + b"\n")
-        for one in columns:
-            answers.write(np.ascontiguousarray(one.data, dtype=np.float64).data)
+        for column in columns:
+            answers.write(np.ascontiguousarray(column.data, dtype=np.float64).data)
     answers.flush()

@@ -1,4 +1,4 @@
-"""Text: rows of numbers under one header line, their separator and decimal sign found from the file."""
+"""Text tables: rows of numbers under one header line; separator and decimal sign follow from the file."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from dehyst._errors import FileFormatError
 from dehyst.records.formats.columns import Column, shortened
 from dehyst.records.formats.file_content import Allowance
 
-# No measurement has longer lines [bytes] or more columns.
+# Longest line [bytes] and most columns of a measurement.
 _LONGEST, _WIDEST = 1_000_000, 10_000
 _CHUNK = 1 << 20
 
 
 class _Text(NamedTuple):
-    """A text file's bytes, its line ends made one; its encoding; where its rows start, on which line, its header."""
+    """A text file: bytes with uniform line ends, encoding, byte and line at which the rows start, header line."""
 
     data: bytes
     encoding: str
@@ -33,12 +33,12 @@ class _Text(NamedTuple):
 
 
 def read_text(data: bytes, allowance: Allowance) -> list[Column]:
-    """Columns of a text file; those that hold words have a fault.
+    """Read the columns of a text file; those with words have a fault.
 
     Raises
     ------
     FileFormatError
-        No text, no header, no rows, rows of other lengths than the header, or more than is allowed.
+        No text, no header, no rows, rows that differ in length from the header, or more than allowed.
     """
     path = allowance.path
     text = _text(data, allowance)
@@ -51,11 +51,11 @@ def read_text(data: bytes, allowance: Allowance) -> list[Column]:
         )
     text = _with_points(text, delimiter)
     allowance.take((text.data.count(b"\n", text.start) + 1) * len(names), "the number of its lines")
-    return _quickly(text, names, delimiter) or _by_rows(text, names, delimiter, allowance)
+    return _at_once(text, names, delimiter) or _by_rows(text, names, delimiter, allowance)
 
 
 def _text(data: bytes, allowance: Allowance) -> _Text:
-    """Refuse what is no text, or has lines that no table has; find the header."""
+    """Find the header; refuse a file that is no text, or has longer lines than a table."""
     path = allowance.path
     if b"\0" in data:
         raise FileFormatError(
@@ -76,7 +76,7 @@ def _text(data: bytes, allowance: Allowance) -> _Text:
 
 
 def _encoding(data: bytes) -> str:
-    """UTF-8 if the bytes are; else Latin-1, in which instruments write the micro sign."""
+    """Return UTF-8 if the bytes are valid; else Latin-1, in which instruments write the micro sign."""
     decoder = codecs.getincrementaldecoder("utf-8")()
     try:
         for start in range(0, len(data), _CHUNK):
@@ -87,15 +87,15 @@ def _encoding(data: bytes) -> str:
 
 
 def _refuse_long_lines(data: bytes, allowance: Allowance) -> None:
-    """Look for a line end in every stretch that is as long as a line may be, from its end: few steps."""
+    """Search each stretch of the greatest length backwards for a line end, which takes few steps."""
     start = 0
     while len(data) - start > _LONGEST:
         end = data.rfind(b"\n", start, start + _LONGEST + 1)
         if end < 0:
             number = data.count(b"\n", 0, start) + 1
             raise FileFormatError(
-                f"{allowance.path}: line {number} is longer than {_LONGEST} bytes, no row of a measurement; check that "
-                "this is a table with a line for each sample"
+                f"{allowance.path}: line {number} is longer than {_LONGEST} bytes, longer than any row of a "
+                "measurement; check that this is a table with a line for each sample"
             )
         start = end + 1
 
@@ -114,7 +114,7 @@ def _names(text: _Text, delimiter: str | None, allowance: Allowance) -> list[str
 
 
 def _with_points(text: _Text, delimiter: str | None) -> _Text:
-    """Decimal points for decimal commas, # for % as the sign of a comment; the rows only."""
+    """Replace decimal commas by points, and % by # as the sign of a comment; in the rows only."""
     comma = delimiter in (";", "\t") and text.data.find(b",", text.start) >= 0
     percent = text.data.find(b"%", text.start) >= 0
     if not comma and not percent:
@@ -125,8 +125,8 @@ def _with_points(text: _Text, delimiter: str | None) -> _Text:
     return text._replace(data=re.sub(rb"(?m)^[ \t\v\f]*%", b"#", body) if percent else body, start=0)
 
 
-def _quickly(text: _Text, names: list[str], delimiter: str | None) -> list[Column]:
-    """All columns at once, if all cells of all rows are numbers; else none."""
+def _at_once(text: _Text, names: list[str], delimiter: str | None) -> list[Column]:
+    """Read all columns at once if all cells of all rows are numbers; else return none."""
     first = next((cells for _, cells in _rows(text, delimiter)), [])
     if len(first) != len(names):
         return []
@@ -144,7 +144,7 @@ def _quickly(text: _Text, names: list[str], delimiter: str | None) -> list[Colum
 
 
 def _rows(text: _Text, delimiter: str | None) -> Iterator[tuple[int, list[str]]]:
-    """Line number and cells of each row; blank lines and comments are left out."""
+    """Yield line number and cells of each row, without blank lines and comments."""
     start, number, data = text.start, text.first, text.data
     while start < len(data):
         end = data.find(b"\n", start)
@@ -163,7 +163,7 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
 
 
 def _number(cell: str) -> float:
-    """A cell's number, NaN for an empty one; ValueError for what only Python writes so: 1_000, other digits."""
+    """Return a cell's number, NaN if empty; raise ValueError for numbers of Python only: 1_000, other digits."""
     if "_" in cell or not cell.isascii():
         raise ValueError(cell)
     return float(cell or "nan")
@@ -178,7 +178,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _by_rows(text: _Text, names: list[str], delimiter: str | None, allowance: Allowance) -> list[Column]:
-    """Read row by row: slow, but it finds the line of what is wrong and lets text columns be."""
+    """Read row by row: slow, but it finds the line of an error and allows text columns."""
     columns = [array("d") for _ in names]
     faults: dict[int, str] = {}
     empty = True

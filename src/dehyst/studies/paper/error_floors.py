@@ -34,7 +34,7 @@ class ClosedLoop:
         """Play two major cycles into a relaxed copy."""
         twin = replace(truth, noise=0.0)
         voltage = raised_cosine(truth.highest, cycles=2, drive=_DRIVE).voltage
-        both = np.vstack([twin.drive(voltage), voltage])
+        both = np.vstack([twin.play(voltage), voltage])
         n = (voltage.size - 1) // 4
         return cls(both[:, 2 * n : 3 * n + 1], both[:, 4 * n : 3 * n - 1 : -1])
 

@@ -226,8 +226,8 @@ def _recorded(truth: PlayActuator, start: Start, voltage: Array, seed: int) -> M
     """Play a voltage from a start; the sensor is zeroed by its first, noisy, sample."""
     sensed, exact = replace(truth, seed=truth.seed + seed), replace(truth, noise=0.0)
     for actuator in (sensed, exact):
-        actuator.drive(start.voltage, measured=False)
-    displacement, true = sensed.drive(voltage), exact.drive(voltage)
+        actuator.play(start.voltage, measured=False)
+    displacement, true = sensed.play(voltage), exact.play(voltage)
     zero = float(displacement[0])
     record = Record(np.arange(voltage.size) / DRIVE.rate, voltage, displacement - zero, start.name)
     return Measured(record, true - zero, zero, start)
@@ -285,9 +285,9 @@ def _tracked(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> P
         command = compensator.trajectory(wanted, state=homed)
         voltage, clamped = command.voltage, int(command.clamped.sum())
     exact = replace(truth, noise=0.0)
-    exact.drive(np.concatenate([run.start.voltage, homing]))
+    exact.play(np.concatenate([run.start.voltage, homing]))
     time = np.arange(wanted.size) / DRIVE.rate
-    return PaperTracking(time, wanted, voltage, exact.drive(voltage) - run.zero, truth.stroke, clamped)
+    return PaperTracking(time, wanted, voltage, exact.play(voltage) - run.zero, truth.stroke, clamped)
 
 
 def _after(actuator: Actuator, voltage: Array, state: State | None = None) -> State:

@@ -1,4 +1,4 @@
-"""Emulated controllers: a virtual bench (`dehyst.virtual.bench`) behind the protocols that laboratories speak."""
+"""Emulated controllers: a virtual bench (`dehyst.virtual.bench`) behind the protocols of laboratories."""
 
 from dehyst.virtual.emulator.epics_ioc import Ioc, serve_ioc
 from dehyst.virtual.emulator.faults import Fault, Rehearsal

@@ -14,14 +14,14 @@ from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.virtual.bench import VirtualBench
 
-# Seconds between two looks at the instrument, unless a command looks at it before.
+# Seconds between two updates from the instrument; a command also updates.
 _TICK = 0.05
 _MICRO = 1e6
-# Characters of a text, its end among them.
+# Characters of a text, including the terminating null.
 _TEXT = 256
-# What names may have in them, and how long what is put before ours may be.
+# Characters that a prefix may contain beside letters and digits, and its greatest length.
 _SIGNS, _PREFIX = "_-:[]<>;", 40
-# One host serves itself, until its user says otherwise by the same names.
+# By default only this host is served; variables that are set already take precedence.
 _LOOPBACK = {
     "EPICS_CAS_INTF_ADDR_LIST": "127.0.0.1",
     "EPICS_CAS_BEACON_ADDR_LIST": "127.0.0.1",
@@ -32,30 +32,30 @@ _running: list[Ioc] = []
 
 
 class Ioc:
-    """The process variables of one instrument, all of them below a prefix; made by `serve_ioc`.
+    """The process variables of one instrument, all with one prefix; `serve_ioc` makes them.
 
     =========================== =================================================================================
-    VOLTAGE, VOLTAGE:RBV        asked for and put out [V]
-    POSITION, TIME              what the sensor reads [um], and the device's time [s]
+    VOLTAGE, VOLTAGE:RBV        requested and present voltage [V]
+    POSITION, TIME              the sensor's reading [um], and the device's time [s]
     IDN, ERROR                  text; the last error stays until it is overwritten
-    LIMIT:LOW, LIMIT:HIGH, SLEW what the amplifier allows [V, V, V/s]; a slew rate of 0 is none
+    LIMIT:LOW, LIMIT:HIGH, SLEW limits of the amplifier [V, V, V/s]; a slew rate of 0 is none
     WAVE:VOLTAGE, WAVE:PERIOD   wave [V] and seconds a sample, rounded to whole servo periods
     WAVE:START, STOP, BUSY      a 1 starts and stops; 1 while it is played
     REC:COUNT                   samples recorded of the present or last wave
     REC:TIME, VOLTAGE, POSITION the samples [s, V, um]
     =========================== =================================================================================
 
-    A put with callback comes back when the command is done and all read-only variables are of the time after it.
+    A put with callback returns when the command is done and all read-only variables are updated after it.
     """
 
     def __init__(self, instrument: VirtualBench, prefix: str, lock: AbstractContextManager[Any]) -> None:
         self.prefix = prefix
         self._instrument, self._lock = instrument, lock
-        self._shown, self._played = -1, False
+        self._shown, self._playing = -1, False
         self._records: dict[str, Any] = {}
 
     def build(self, builder: Any) -> None:
-        """Make the records."""
+        """Create the records."""
         builder.SetDeviceName(self.prefix)
         self._settable(builder)
         self._readable(builder)
@@ -63,14 +63,14 @@ class Ioc:
         builder.LoadDatabase()
 
     async def serve(self) -> None:
-        """Show what the instrument does, for ever."""
+        """Update the records from the instrument, without end."""
         while True:
             self._refresh()
             await asyncio.sleep(_TICK)
 
     def _settable(self, builder: Any) -> None:
         bench, (low, high) = self._instrument, self._instrument.limits
-        # A command given twice is two commands, and its callback comes when it is done.
+        # A command that is put twice is done twice, and its callback comes when it is done.
         command = {"always_update": True, "blocking": True}
         voltage = {"EGU": "V", "PREC": 4}
         self._records |= {
@@ -80,7 +80,7 @@ class Ioc:
                 high,
                 **voltage,
                 initial_value=bench.voltage,
-                on_update=self._does(self._set_voltage),
+                on_update=self._handler(self._set_voltage),
                 **command,
             ),
             "WAVE:VOLTAGE": builder.WaveformOut("WAVE:VOLTAGE", length=bench.wave_points, datatype=float, **voltage),
@@ -89,15 +89,15 @@ class Ioc:
                 EGU="s",
                 PREC=6,
                 initial_value=100 * bench.servo_period,
-                on_update=self._does(self._set_period),
+                on_update=self._handler(self._set_period),
                 **command,
             ),
-            "WAVE:START": builder.Action("WAVE:START", on_update=self._does(self._start), blocking=True),
-            "WAVE:STOP": builder.Action("WAVE:STOP", on_update=self._does(self._stop), blocking=True),
+            "WAVE:START": builder.Action("WAVE:START", on_update=self._handler(self._start), blocking=True),
+            "WAVE:STOP": builder.Action("WAVE:STOP", on_update=self._handler(self._stop), blocking=True),
         }
 
     def _readable(self, builder: Any) -> None:
-        """Records of the kind for output, which are set at once, not at the next scan; clients cannot write them."""
+        """Create output records, which are set at once and not at the next scan; clients cannot write them."""
         bench, fixed = self._instrument, {"DISP": 1}
         for name, unit, digits, value in (
             ("VOLTAGE:RBV", "V", 4, bench.voltage),
@@ -116,12 +116,12 @@ class Ioc:
         self._records["WAVE:BUSY"] = builder.boolOut("WAVE:BUSY", ZNAM="idle", ONAM="playing", initial_value=0, **fixed)
 
     def _texts(self, builder: Any) -> None:
-        said = f"dehyst {__version__} virtual controller {self._instrument.serial}"
-        self._records["IDN"] = builder.longStringOut("IDN", length=_TEXT, initial_value=said, DISP=1)
+        identity = f"dehyst {__version__} virtual controller {self._instrument.serial}"
+        self._records["IDN"] = builder.longStringOut("IDN", length=_TEXT, initial_value=identity, DISP=1)
         self._records["ERROR"] = builder.longStringOut("ERROR", length=_TEXT, initial_value="")
 
-    def _does(self, act: Callable[[Any], None]) -> Callable[[Any], None]:
-        """What a put leads to: an act, its error latched, and a look at what came of it."""
+    def _handler(self, act: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return the handler of a put: it acts, latches an error, and updates the records."""
 
         def update(value: Any) -> None:
             try:
@@ -136,13 +136,13 @@ class Ioc:
 
     def _set_voltage(self, voltage: float) -> None:
         try:
-            sent = self._instrument.set_voltage(voltage)
+            accepted = self._instrument.set_voltage(voltage)
         except DehystError:
             self._show("VOLTAGE", self._instrument.voltage)
             raise
-        if not sent:
+        if not accepted:
             self._show("VOLTAGE", self._instrument.voltage)
-            raise RigError(f"VOLTAGE: got {voltage:.6g} V, which is out of the amplifier's range; nothing was sent")
+            raise RigError(f"VOLTAGE: got {voltage:.6g} V, which is outside the amplifier's range; nothing was sent")
 
     def _set_period(self, period: float) -> None:
         servo = self._instrument.servo_period
@@ -151,23 +151,23 @@ class Ioc:
             raise RigError(f"WAVE:PERIOD: got {period} s, need a positive number of seconds")
         self._show("WAVE:PERIOD", max(1, round(period / servo)) * servo)
 
-    def _start(self, asked: int) -> None:
-        # A put that is no number fails, but has the record processed at its old value all the same.
+    def _start(self, value: int) -> None:
+        # A put that is no number fails, but the record is still processed with its old value.
         self._show("WAVE:START", 0)
-        if asked:
+        if value:
             wave: Array = self._records["WAVE:VOLTAGE"].get()
             periods = round(self._records["WAVE:PERIOD"].get() / self._instrument.servo_period)
             self._shown = -1
             self._instrument.start(wave, max(1, periods))
-            self._played = True
+            self._playing = True
 
-    def _stop(self, asked: int) -> None:
+    def _stop(self, value: int) -> None:
         self._show("WAVE:STOP", 0)
-        if asked:
+        if value:
             self._instrument.stop()
 
     def _show(self, name: str, value: Any) -> None:
-        """Put a value into a record without doing what a client's put does."""
+        """Put a value into a record without the handler of a client's put."""
         self._records[name].set(value, process=False)
 
     def _refresh(self) -> None:
@@ -186,9 +186,9 @@ class Ioc:
                 self._records[name].set(values)
             self._records["REC:POSITION"].set(_MICRO * rows[2])
             self._records["REC:COUNT"].set(recorded)
-        if self._played and not busy:
-            self._played = False
-            # What was asked for before the wave is over: processed once more, it would be a jump.
+        if self._playing and not busy:
+            self._playing = False
+            # The voltage requested before the wave no longer applies: processed again, it would make a jump.
             self._show("VOLTAGE", voltage)
         self._records["VOLTAGE:RBV"].set(voltage)
         self._records["POSITION"].set(_MICRO * position)
@@ -199,28 +199,28 @@ class Ioc:
 def serve_ioc(instrument: VirtualBench, prefix: str, lock: AbstractContextManager[Any]) -> Ioc:
     """Serve an instrument by EPICS Channel Access, in threads of its own, until the process ends.
 
-    It listens on the loopback interface only, unless EPICS_CAS_INTF_ADDR_LIST says otherwise; on the port of
+    It listens on the loopback interface only, unless EPICS_CAS_INTF_ADDR_LIST is set, and on the port of
     EPICS_CAS_SERVER_PORT.
 
     Parameters
     ----------
     instrument : VirtualBench
     prefix : str
-        Of the names of all process variables, without the colon that follows it.
+        Prefix of the names of all process variables, without the colon that follows it.
     lock : context manager
         Held around every use of the instrument.
 
     Returns
     -------
     Ioc
-        Served already.
+        The process variables, which are already served.
 
     Raises
     ------
     MissingExtraError
         If softioc is not installed.
     RigError
-        If there is one in this process already, or the prefix cannot begin a name.
+        If this process already serves an instrument, or the prefix cannot begin a name.
     """
     _refuse(prefix)
     for name, value in _LOOPBACK.items():

@@ -1,4 +1,4 @@
-"""Faults that can be rehearsed: what a laboratory does to a controller, at a time of one's own choice."""
+"""Faults of a controller that can be rehearsed, each at a chosen time."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from dehyst.virtual.emulator.gcs_errors import GcsError
 FAULTS = {
     "drop": "the connection is lost",
     "silence": "no command is answered any more",
-    "garble": "one answer comes garbled",
-    "truncate": "one answer comes cut off",
+    "garble": "one answer is garbled",
+    "truncate": "one answer is cut off",
     "error": "the controller stops, and reports an error",
-    "narrow": "the limits are narrower than the controller tells, from the beginning",
-    "saturate": "the sensor reads no further",
+    "narrow": "the limits are narrower than the controller reports, from the beginning",
+    "saturate": "the sensor saturates",
     "unplug": "the sensor is unplugged",
-    "refuse": "the connection is lost, and none taken any more",
+    "refuse": "the connection is lost, and no other is accepted",
     "stall": "the wave generator hangs",
 }
-# Of the range that is told, a narrow controller has so much.
+# Share of the reported range that a controller with narrow limits has.
 _NARROW = 0.8
-# Where in a wave a fault comes that is not told when.
+# Share of a wave after which a fault without a time occurs.
 _MIDDLE = 0.5
 _FORM = re.compile(r"(?P<name>[a-z]+)(@(?P<at>\d+(\.\d*)?)(?P<unit>s?))?")
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault, and when it comes.
+    """A fault, and the time at which it occurs.
 
     Attributes
     ----------
     name : str
         One of `FAULTS`.
     seconds : float or None
-        Of the device, after which it comes.
+        Device time at which it occurs [s].
     samples : float or None
-        Of a wave, after which it comes. Without either it comes in the middle of the first wave.
+        Samples of a wave after which it occurs. Without either it occurs in the middle of the first wave.
     """
 
     name: str
@@ -59,17 +59,17 @@ class Fault:
         ModelError
             If it is none of these.
         """
-        found = _FORM.fullmatch(text.strip())
-        if found is None or found["name"] not in FAULTS or (found["name"] == "narrow" and found["at"]):
+        match = _FORM.fullmatch(text.strip())
+        if match is None or match["name"] not in FAULTS or (match["name"] == "narrow" and match["at"]):
             raise ModelError(
                 f"fault: got '{text}', need NAME, NAME@SAMPLES of a wave or NAME@SECONDSs, as in drop@2000 or "
                 f"unplug@3.5s, with a name of {', '.join(FAULTS)} (narrow without a time)"
             )
-        at = None if found["at"] is None else float(found["at"])
-        return cls(found["name"], at if found["unit"] else None, None if found["unit"] else at)
+        at = None if match["at"] is None else float(match["at"])
+        return cls(match["name"], at if match["unit"] else None, None if match["unit"] else at)
 
     def due(self, instrument: VirtualBench) -> bool:
-        """Whether its time has come."""
+        """Return whether its time has come."""
         if self.seconds is not None:
             return instrument.now >= self.seconds
         recorded = instrument.recorded
@@ -77,56 +77,61 @@ class Fault:
 
 
 class Rehearsal:
-    """The faults of one controller, each of which comes once.
+    """The faults of one controller, each of which occurs once.
 
     Parameters
     ----------
     faults : iterable of Fault
     seed : int, optional
-        Of what is garbled.
-    tell : callable, optional
-        Gets a sentence when one comes.
+        Seed of the garbled bytes.
+    report : callable, optional
+        Called with a sentence when a fault occurs.
+
+    Attributes
+    ----------
+    occurred : list of str
+        A sentence for each fault that has occurred.
     """
 
     def __init__(
-        self, faults: Iterable[Fault] = (), *, seed: int = 0, tell: Callable[[str], None] = lambda _: None
+        self, faults: Iterable[Fault] = (), *, seed: int = 0, report: Callable[[str], None] = lambda _: None
     ) -> None:
-        self._to_come = [fault for fault in faults if fault.name != "narrow"]
+        self._pending = [fault for fault in faults if fault.name != "narrow"]
         self._random = np.random.default_rng(seed)
-        self._silent, self._spoil = False, ""
-        self.said: list[str] = []
-        self._tell = tell
+        self._silent, self._corruption = False, ""
+        self.occurred: list[str] = []
+        self._report = report
 
-    def strike(self, controller: Controller) -> set[str]:
-        """Let come what is due; the names of those that the link has to see to: drop, refuse."""
-        due = [fault for fault in self._to_come if fault.due(controller.instrument)]
+    def trigger(self, controller: Controller) -> set[str]:
+        """Trigger the due faults; return the names of those that concern the connection: drop, refuse."""
+        due = [fault for fault in self._pending if fault.due(controller.instrument)]
         for fault in due:
-            self._to_come.remove(fault)
-            self.said.append(f"{fault.name}: {FAULTS[fault.name]}")
-            self._tell(self.said[-1])
-            self._strike(fault.name, controller)
+            self._pending.remove(fault)
+            self.occurred.append(f"{fault.name}: {FAULTS[fault.name]}")
+            self._report(self.occurred[-1])
+            self._apply(fault.name, controller)
         return {fault.name for fault in due} & {"drop", "refuse"}
 
-    def spoiled(self, answer: bytes) -> bytes:
-        """What of an answer leaves the controller."""
+    def corrupt(self, answer: bytes) -> bytes:
+        """Return an answer as it leaves the controller: whole, corrupted, or empty."""
         if self._silent:
             return b""
-        spoil, self._spoil = self._spoil, ""
-        if spoil == "truncate":
+        corruption, self._corruption = self._corruption, ""
+        if corruption == "truncate":
             return answer[: len(answer) // 2]
-        if spoil == "garble":
+        if corruption == "garble":
             noise = self._random.integers(0, 256, len(answer), dtype=np.uint8)
             hit = self._random.random(len(answer)) < 0.5
             hit[-1:] = False
             return bytes(np.where(hit, noise, np.frombuffer(answer, dtype=np.uint8)).astype(np.uint8))
         return answer
 
-    def _strike(self, name: str, controller: Controller) -> None:
+    def _apply(self, name: str, controller: Controller) -> None:
         instrument = controller.instrument
         if name == "silence":
             self._silent = True
         elif name in ("garble", "truncate"):
-            self._spoil = name
+            self._corruption = name
         elif name == "error":
             instrument.stop()
             controller.error = GcsError.BROKEN_CABLE
@@ -139,7 +144,7 @@ class Rehearsal:
             instrument.stalled = True
 
 
-def narrowed(limits: tuple[float, float], faults: Iterable[Fault]) -> tuple[float, float]:
-    """The limits [V] that a controller has which tells `limits`, given its faults."""
-    low, high = limits
-    return (low, low + _NARROW * (high - low)) if any(fault.name == "narrow" for fault in faults) else limits
+def actual_limits(reported: tuple[float, float], faults: Iterable[Fault]) -> tuple[float, float]:
+    """Return the limits [V] of a controller that reports limits and has these faults."""
+    low, high = reported
+    return (low, low + _NARROW * (high - low)) if any(fault.name == "narrow" for fault in faults) else reported

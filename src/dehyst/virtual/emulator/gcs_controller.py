@@ -1,4 +1,4 @@
-"""An emulated piezo controller that speaks GCS 2.0: a line in, an answer out. No sockets here."""
+"""An emulated piezo controller with the GCS 2.0 protocol: a line in, an answer out, without sockets."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 from dehyst._errors import DeviceError
 from dehyst._version import __version__
 from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.emulator.gcs_errors import CommandError, GcsError, counted, demand, lines, numeral, real, whole
+from dehyst.virtual.emulator.gcs_errors import CommandError, GcsError, demand, demand_count, lines, numeral, real, whole
 from dehyst.virtual.emulator.gcs_parameters import Parameters
 from dehyst.virtual.emulator.gcs_recorder import Recorder
-from dehyst.virtual.emulator.gcs_waves import WaveGenerator, generator
+from dehyst.virtual.emulator.gcs_waves import WaveGenerator, demand_generator
 
 _LONGEST_LINE = 65536
 _IDENTITY = "dehyst,emulated piezo controller"
-# What HLP? says of the commands that the table in `Controller` does.
-_WORDS = {
+# The answer to HLP?: a description of each command.
+_DESCRIPTIONS = {
     "*IDN?": "Get device identification",
     "CST?": "Get assignment of stages to axes",
     "CSV?": "Get syntax version",
@@ -79,15 +79,15 @@ class Controller:
     instrument : VirtualBench
     axis : str, optional
         Name of the axis and of its channel.
-    told : (float, float), optional
-        Limits [V] that the controller tells of itself; default: those that it has.
+    reported_limits : (float, float), optional
+        Limits [V] that the controller reports; default: its actual limits.
     serial : str, optional
         Serial number, in ASCII; default: the instrument's.
 
     Attributes
     ----------
     error : GcsError
-        What is latched until ERR?.
+        The error that is latched until ERR?.
     """
 
     def __init__(
@@ -95,21 +95,21 @@ class Controller:
         instrument: VirtualBench,
         *,
         axis: str = "1",
-        told: tuple[float, float] | None = None,
+        reported_limits: tuple[float, float] | None = None,
         serial: str | None = None,
     ) -> None:
         self.instrument, self.axis, self.error = instrument, axis, GcsError.NONE
         self.waves, self.recorder = WaveGenerator(instrument), Recorder(instrument, axis)
-        self._told = told or instrument.limits
+        self._reported = reported_limits or instrument.limits
         self._parameters = Parameters(instrument)
         self._serial = (serial or instrument.serial).replace(",", " ")
         self._identity = ",".join((_IDENTITY, self._serial, __version__))
         self._target = 0.0
-        self._does = self._doing()
-        self._asks = self._asking()
+        self._actions = self._action_table()
+        self._queries = self._query_table()
 
     def answer(self, line: str) -> str | None:
-        """What a line is answered with: one line or several, or None; what cannot be done latches its error."""
+        """Return the answer to a line: one line or several, or None; a command that fails latches its error."""
         words = line.split()
         if not words:
             return None
@@ -117,18 +117,18 @@ class Controller:
         self.instrument.advance()
         try:
             demand(len(line) <= _LONGEST_LINE, GcsError.TOO_LONG)
-            if command in self._asks:
-                return self._asks[command](rest)
-            demand(command in self._does, GcsError.UNKNOWN_COMMAND)
-            self._does[command](rest)
-        except CommandError as refused:
-            self.error = refused.error
+            if command in self._queries:
+                return self._queries[command](rest)
+            demand(command in self._actions, GcsError.UNKNOWN_COMMAND)
+            self._actions[command](rest)
+        except CommandError as refusal:
+            self.error = refusal.error
         except DeviceError:
             self.error = GcsError.PARAMETER_RANGE
         return None
 
     def single(self, byte: int) -> str | None:
-        """What a command of one byte is answered with: #5 moving, #7 ready, #9 playing, #24 stop."""
+        """Return the answer to a command of one byte: #5 moving, #7 ready, #9 playing, #24 stop."""
         self.instrument.advance()
         if byte == 5:
             return f"{int(self.instrument.moving):X}\n"
@@ -140,7 +140,7 @@ class Controller:
             self._stop([])
         return None
 
-    def _doing(self) -> dict[str, Callable[[_Words], None]]:
+    def _action_table(self) -> dict[str, Callable[[_Words], None]]:
         waves, recorder = self.waves, self.recorder
         return {
             "DRC": recorder.configure,
@@ -161,7 +161,7 @@ class Controller:
             "WTR": waves.slow,
         }
 
-    def _asking(self) -> dict[str, Callable[[_Words], str]]:
+    def _query_table(self) -> dict[str, Callable[[_Words], str]]:
         bench, waves, recorder = self.instrument, self.waves, self.recorder
         return {
             "*IDN?": lambda words: self._alone(words, self._identity),
@@ -190,8 +190,8 @@ class Controller:
             "TMX?": self._each(lambda: numeral(1e6 * bench.stroke)),
             "TNR?": lambda words: self._alone(words, str(len(recorder.options))),
             "VER?": lambda words: self._alone(words, f"FW: {__version__}", f"GCS: {self._identity}"),
-            "VMA?": self._each(lambda: numeral(self._told[1])),
-            "VMI?": self._each(lambda: numeral(self._told[0])),
+            "VMA?": self._each(lambda: numeral(self._reported[1])),
+            "VMI?": self._each(lambda: numeral(self._reported[0])),
             "VOL?": self._each(lambda: numeral(bench.voltage)),
             "WAV?": lambda words: lines(*waves.lengths(words)),
             "WGC?": self._generator(lambda: str(waves.cycles)),
@@ -201,41 +201,41 @@ class Controller:
         }
 
     def _each(self, value: Callable[[], str]) -> Callable[[_Words], str]:
-        """A query of axes or channels, of which there is one."""
+        """Return a query of axes or channels, of which there is one."""
 
-        def ask(words: _Words) -> str:
+        def query(words: _Words) -> str:
             demand(all(word == self.axis for word in words), GcsError.AXIS)
             return lines(*(f"{axis}={value()}" for axis in words or [self.axis]))
 
-        return ask
+        return query
 
     def _generator(self, value: Callable[[], str]) -> Callable[[_Words], str]:
-        """A query of wave generators, of which there is one."""
+        """Return a query of wave generators, of which there is one."""
 
-        def ask(words: _Words) -> str:
+        def query(words: _Words) -> str:
             for word in words:
                 whole(word, 1, 1)
             return lines(*(f"1={value()}" for _ in words or "1"))
 
-        return ask
+        return query
 
     @staticmethod
-    def _alone(words: _Words, *said: str) -> str:
-        """An answer to a query without arguments."""
-        counted(words, 0)
-        return lines(*said)
+    def _alone(words: _Words, *answer: str) -> str:
+        """Answer a query without arguments."""
+        demand_count(words, 0)
+        return lines(*answer)
 
     def _sai(self, words: _Words) -> str:
         demand(not words or [word.upper() for word in words] == ["ALL"], GcsError.PARAMETER_COUNT)
         return lines(self.axis)
 
     def _err(self, words: _Words) -> str:
-        counted(words, 0)
+        demand_count(words, 0)
         error, self.error = self.error, GcsError.NONE
         return lines(str(error.value))
 
     def _value(self, words: _Words) -> float:
-        counted(words, 2)
+        demand_count(words, 2)
         demand(words[0] == self.axis, GcsError.AXIS)
         return real(words[1])
 
@@ -266,13 +266,13 @@ class Controller:
 
     def _move(self, target: float) -> None:
         demand(self.instrument.servo, GcsError.SERVO_OFF)
-        # A stage at its end may be asked to stay there: rounding of micrometres must not hinder it.
+        # A target at the end of the range is allowed although micrometres are rounded.
         demand(-1e-12 <= target <= self.instrument.stroke + 1e-12, GcsError.POSITION)
         self.instrument.move(target)
         self._target = target
 
     def _wgo(self, words: _Words) -> None:
-        generator(words, 2)
+        demand_generator(words, 2)
         mode = whole(words[1], 0, 1)
         if not mode:
             if self.instrument.playing:
@@ -280,7 +280,7 @@ class Controller:
             return
         demand(not self.instrument.servo, GcsError.WAVE_WITH_SERVO)
         demand(not self.instrument.playing, GcsError.WAVE_RUNNING)
-        wave = self.waves.chosen()
+        wave = self.waves.selected_wave()
         self.recorder.begin(self.waves.divider)
         self.instrument.start(wave, self.waves.divider)
 
@@ -298,6 +298,6 @@ def _help() -> list[str]:
         "#7 Request controller ready status",
         "#9 Get wave generator status",
         "#24 Stop all motion",
-        *(f"{command} {words}" for command, words in _WORDS.items()),
+        *(f"{command} {words}" for command, words in _DESCRIPTIONS.items()),
         "end of help",
     ]

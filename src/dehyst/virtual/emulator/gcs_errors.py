@@ -1,4 +1,4 @@
-"""Why a controller refuses, by the public error numbers of GCS 2.0, and arguments that are read by them."""
+"""The public error numbers of GCS 2.0, and the reading of arguments, which raises them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dehyst._errors import DehystError
 
 
 class GcsError(IntEnum):
-    """Numbers that ERR? answers with."""
+    """Error numbers that ERR? returns."""
 
     NONE = 0
     SYNTAX = 1
@@ -38,7 +38,7 @@ class GcsError(IntEnum):
 
 
 class CommandError(DehystError):
-    """A command that is not done; the number is latched until ERR?."""
+    """A refused command; its error number is latched until ERR?."""
 
     def __init__(self, error: GcsError) -> None:
         super().__init__(f"error {error.value}: {error.name.lower().replace('_', ' ')}")
@@ -46,24 +46,24 @@ class CommandError(DehystError):
 
 
 def demand(holds: bool, error: GcsError) -> None:
-    """Refuse unless something holds."""
+    """Raise CommandError unless `holds`."""
     if not holds:
         raise CommandError(error)
 
 
 def real(word: str) -> float:
-    """A finite number."""
+    """Read a finite number."""
     try:
         value = float(word)
     except ValueError:
         raise CommandError(GcsError.NOT_A_NUMBER) from None
-    # Python takes more for numbers than a controller does.
+    # Python accepts more as numbers than a controller does.
     demand(math.isfinite(value) and word.isascii() and "_" not in word, GcsError.NOT_A_NUMBER)
     return value
 
 
 def whole(word: str, least: int = 0, most: int | None = None, error: GcsError = GcsError.PARAMETER_RANGE) -> int:
-    """A whole number, in decimals or with 0x, from `least` to `most`."""
+    """Read a whole number, decimal or with 0x, from `least` to `most`."""
     try:
         value = int(word, 16 if word.lower().startswith("0x") else 10)
     except ValueError:
@@ -72,17 +72,17 @@ def whole(word: str, least: int = 0, most: int | None = None, error: GcsError = 
     return value
 
 
-def counted(words: Sequence[str], least: int, most: int | None = None) -> None:
-    """Refuse too few or too many arguments; `most` is `least` if it is not told."""
+def demand_count(words: Sequence[str], least: int, most: int | None = None) -> None:
+    """Raise CommandError for too few or too many arguments; by default `most` is `least`."""
     demand(len(words) >= least, GcsError.MISSING)
     demand(len(words) <= (least if most is None else most), GcsError.PARAMETER_COUNT)
 
 
 def numeral(value: float) -> str:
-    """A number as controllers write them, with enough digits."""
+    """Write a number as controllers do, with enough digits."""
     return f"{value:.12g}"
 
 
-def lines(*several: str) -> str:
-    """An answer of several lines: all but the last end with a space."""
-    return " \n".join(several) + "\n"
+def lines(*texts: str) -> str:
+    """Join the lines of an answer: all but the last end with a space."""
+    return " \n".join(texts) + "\n"

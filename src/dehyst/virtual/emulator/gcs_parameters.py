@@ -1,4 +1,4 @@
-"""Parameters of an emulated controller that a client asks for: SPA? and HPA?."""
+"""Parameters of an emulated controller: SPA? and HPA?."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SERVO_PERIOD, WAVE_POINTS, RECORD_POINTS, SLEW_RATE = 0x0E000200, 0x13000004, 0x
 
 
 class Parameters:
-    """What an instrument is, by parameter numbers; read only.
+    """The read-only parameters of an instrument, by number.
 
     Parameters
     ----------
@@ -20,25 +20,25 @@ class Parameters:
     """
 
     def __init__(self, instrument: VirtualBench) -> None:
-        self._has = {
+        self._table = {
             SERVO_PERIOD: (numeral(instrument.servo_period), "FLOAT", "Servo Update Time (s)"),
             WAVE_POINTS: (str(instrument.wave_points), "INT", "Max Wave Points"),
             RECORD_POINTS: (str(instrument.record_points), "INT", "Data Recorder Max Points"),
         }
         if instrument.slew_rate is not None:
-            self._has[SLEW_RATE] = (numeral(instrument.slew_rate), "FLOAT", "Open-Loop Slew Rate (V/s)")
+            self._table[SLEW_RATE] = (numeral(instrument.slew_rate), "FLOAT", "Open-Loop Slew Rate (V/s)")
 
     def values(self, words: Sequence[str]) -> list[str]:
-        """SPA? [item parameter ...]: their values."""
+        """Answer SPA? [item parameter ...]: their values."""
         demand(len(words) % 2 == 0, GcsError.MISSING)
         demand(all(item == "1" for item in words[::2]), GcsError.PARAMETER_RANGE)
-        asked = [whole(word) for word in words[1::2]] or list(self._has)
-        demand(all(number in self._has for number in asked), GcsError.UNKNOWN_PARAMETER)
-        return [f"1 0x{number:08X}={self._has[number][0]}" for number in asked]
+        numbers = [whole(word) for word in words[1::2]] or list(self._table)
+        demand(all(number in self._table for number in numbers), GcsError.UNKNOWN_PARAMETER)
+        return [f"1 0x{number:08X}={self._table[number][0]}" for number in numbers]
 
     def help(self) -> list[str]:
-        """HPA?: number, command level, items, type, group and name of each."""
+        """Answer HPA?: number, command level, items, type, group and name of each."""
         return [
-            *(f"0x{number:08X}=0\t1\t{kind}\tdevice\t{name}" for number, (_, kind, name) in self._has.items()),
+            *(f"0x{number:08X}=0\t1\t{kind}\tdevice\t{name}" for number, (_, kind, name) in self._table.items()),
             "end of help",
         ]

@@ -1,4 +1,4 @@
-"""The data recorder of an emulated controller: DRC, DRT, RTR, and the GCS array that DRR? answers with."""
+"""The data recorder of an emulated controller: DRC, DRT, RTR, and the GCS array that DRR? returns."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from dehyst._types import Array
 from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.emulator.gcs_errors import GcsError, counted, demand, lines, numeral, whole
+from dehyst.virtual.emulator.gcs_errors import GcsError, demand, demand_count, lines, numeral, whole
 
 POSITION, VOLTAGE, NOTHING = 2, 16, 0
 NAMES = {NOTHING: "Nothing is recorded", POSITION: "Current Position of axis", VOLTAGE: "Voltage of output chn"}
@@ -14,7 +14,7 @@ TABLES = 2
 
 
 class Recorder:
-    """What the data recorder has been told, and what it tells.
+    """The configuration of the data recorder, and its answers.
 
     Parameters
     ----------
@@ -24,8 +24,8 @@ class Recorder:
 
     Attributes
     ----------
-    told : int
-        Rows that DRR? has ever answered with.
+    rows_sent : int
+        Rows that DRR? has returned so far.
     """
 
     def __init__(self, instrument: VirtualBench, axis: str) -> None:
@@ -33,22 +33,22 @@ class Recorder:
         self.options = {1: POSITION, 2: VOLTAGE}
         self.trigger = ("1", "0")
         self.divider, self._stride, self._period = 1, 1, instrument.servo_period
-        self.told = 0
+        self.rows_sent = 0
 
     def begin(self, divider: int) -> None:
-        """A wave starts whose samples are `divider` servo periods apart; the recorder takes each, or every nth."""
+        """Prepare for a wave with samples `divider` servo periods apart; the recorder takes each, or every nth."""
         demand(self.divider % divider == 0, GcsError.PARAMETER_RANGE)
         self._stride = self.divider // divider
         self._period = self.divider * self._instrument.servo_period
 
     @property
     def count(self) -> int:
-        """Rows that are recorded."""
+        """Number of recorded rows."""
         return -(-self._instrument.recorded // self._stride)
 
     def configure(self, words: Sequence[str]) -> None:
-        """DRC table source option."""
-        counted(words, 3)
+        """Do DRC table source option."""
+        demand_count(words, 3)
         table = whole(words[0], 1, TABLES, GcsError.RECORD_TABLE)
         demand(words[1] == self._axis, GcsError.AXIS)
         option = whole(words[2])
@@ -56,31 +56,31 @@ class Recorder:
         self.options[table] = option
 
     def configured(self, words: Sequence[str]) -> list[str]:
-        """DRC? [table]."""
+        """Answer DRC? [table]."""
         return [f"{table}={self._axis} {self.options[table]}" for table in self._tables(words)]
 
     def arm(self, words: Sequence[str]) -> None:
-        """DRT table trigger value; a wave triggers the recorder in any case."""
-        counted(words, 3)
+        """Do DRT table trigger value; a wave triggers the recorder in any case."""
+        demand_count(words, 3)
         whole(words[0], 0, TABLES, GcsError.RECORD_TABLE)
         whole(words[1], 0, 4)
         self.trigger = (words[1], words[2])
 
     def armed(self, words: Sequence[str]) -> list[str]:
-        """DRT? [table]."""
+        """Answer DRT? [table]."""
         return [f"{table}={' '.join(self.trigger)}" for table in self._tables(words)]
 
     def slow(self, words: Sequence[str]) -> None:
-        """RTR divider."""
-        counted(words, 1)
+        """Do RTR divider."""
+        demand_count(words, 1)
         self.divider = whole(words[0], 1, 10**6)
 
     def lengths(self, words: Sequence[str]) -> list[str]:
-        """DRL? [table]: rows recorded so far."""
+        """Answer DRL? [table]: rows recorded so far."""
         return [f"{table}={self.count}" for table in self._tables(words)]
 
     def array(self, words: Sequence[str]) -> str:
-        """DRR? [first [count [table ...]]]: rows from `first`, which is 1 or more, as far as they are recorded."""
+        """Answer DRR? [first [count [table ...]]]: recorded rows from `first`, which is 1 or more."""
         first = whole(words[0], 1) if words else 1
         count = whole(words[1], 1) if len(words) > 1 else self.count
         tables = [whole(word, 1, TABLES, GcsError.RECORD_TABLE) for word in words[2:]] or list(self.options)
@@ -89,11 +89,11 @@ class Recorder:
         stop = min(available, first - 1 + count)
         columns = [self._column(table)[first - 1 : stop].tolist() for table in tables]
         rows = [" ".join(map(numeral, row)) for row in zip(*columns, strict=True)]
-        self.told += len(rows)
+        self.rows_sent += len(rows)
         return lines(*self._header(tables, stop - first + 1), *rows)
 
     def help(self) -> list[str]:
-        """HDR?: what can be recorded."""
+        """Answer HDR?: what can be recorded."""
         return [
             "#RecordOptions",
             *(f"{option}={name}" for option, name in NAMES.items()),

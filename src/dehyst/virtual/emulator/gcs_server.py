@@ -1,4 +1,4 @@
-"""A TCP server of an emulated controller: one client at a time, as real ones have it. One thread, nothing blocks."""
+"""A TCP server of an emulated controller: one client at a time, as on real ones. One thread, nothing blocks."""
 
 from __future__ import annotations
 
@@ -16,91 +16,91 @@ from dehyst.virtual.emulator.faults import Rehearsal
 from dehyst.virtual.emulator.gcs_controller import Controller
 
 PORT = 50000
-# Seconds in which the server looks after the instrument, and a client that takes no answers is let go.
+# Seconds between updates of the instrument, and until a client that takes no answers is disconnected.
 _TICK, _PATIENCE = 0.02, 10.0
-# Bytes of one line that are read, and of answers that wait before further commands are looked at.
+# Bytes of the longest line, and of waiting answers beyond which no further commands are read.
 _LONGEST_LINE, _MOST_WAITING = 65536, 1 << 20
 _SINGLE = frozenset((5, 7, 9, 24))
 
 
 class _Client:
-    """A connection: what came of it and what waits to be sent."""
+    """A connection: the bytes received, and those that wait to be sent."""
 
     def __init__(self, link: socket.socket) -> None:
         link.setblocking(False)
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        # A client that vanished without a word must not lock out the next one for hours.
+        # A client that vanished without closing must not block the next one for hours.
         for option, value in (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 2)):
             if hasattr(socket, option):
                 link.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
-        self.link, self.came, self.waiting = link, bytearray(), bytearray()
-        self.overlong, self.ended, self.moved = False, False, time.monotonic()
+        self.link, self.received, self.waiting = link, bytearray(), bytearray()
+        self.overlong, self.ended, self.last_sent = False, False, time.monotonic()
 
     def receive(self) -> None:
-        """Read what is there; OSError if the connection broke."""
+        """Read what has arrived; raise OSError if the connection broke."""
         with suppress(BlockingIOError):
             data = self.link.recv(_LONGEST_LINE)
             self.ended = not data
-            self.came += data
+            self.received += data
 
     def send(self) -> None:
-        """Send what the connection takes; OSError if it broke, or takes nothing for long."""
+        """Send what the connection takes; raise OSError if it broke, or takes nothing for long."""
         if not self.waiting:
-            self.moved = time.monotonic()
+            self.last_sent = time.monotonic()
             return
         with suppress(BlockingIOError):
             sent = self.link.send(self.waiting)
             del self.waiting[:sent]
-            self.moved = time.monotonic()
-        if time.monotonic() - self.moved > _PATIENCE:
+            self.last_sent = time.monotonic()
+        if time.monotonic() - self.last_sent > _PATIENCE:
             raise ConnectionAbortedError("takes no answers")
 
     @property
     def ready(self) -> bool:
-        """Whether a command waits to be done, and its answer has room."""
-        whole = self.came[:1] and (self.came[0] in _SINGLE or b"\n" in self.came)
+        """Whether a command is waiting, and there is room for its answer."""
+        whole = self.received[:1] and (self.received[0] in _SINGLE or b"\n" in self.received)
         return bool(whole) and len(self.waiting) < _MOST_WAITING
 
     def command(self) -> bytes:
-        """Take off what came: one byte if it is a command at the beginning of a line, or else a line."""
-        size = 1 if self.came[0] in _SINGLE and not self.overlong else self.came.index(b"\n") + 1
-        found = bytes(self.came[:size])
-        del self.came[:size]
+        """Remove the first command from the received bytes: a command of one byte, or else a line."""
+        size = 1 if self.received[0] in _SINGLE and not self.overlong else self.received.index(b"\n") + 1
+        command = bytes(self.received[:size])
+        del self.received[:size]
         if self.overlong:
             self.overlong = False
             return b"\0" * (_LONGEST_LINE + 1)
-        return found
+        return command
 
     def forget_overlong(self) -> None:
         """Drop the beginning of a line that does not end."""
-        if len(self.came) > _LONGEST_LINE and b"\n" not in self.came:
+        if len(self.received) > _LONGEST_LINE and b"\n" not in self.received:
             self.overlong = True
-            self.came.clear()
+            self.received.clear()
 
 
 class Server:
-    """Serves a controller over TCP; a context manager, in a thread of its own.
+    """A TCP server of a controller; as a context manager it runs in a thread of its own.
 
     Parameters
     ----------
     controller : Controller
     host, port : str, int, optional
-        Where to listen; port 0 is any that is free.
+        Address to listen at; port 0 is any free port.
     lock : threading.Lock, optional
-        Held while the controller is spoken to: share it with whatever else serves its instrument.
+        Held while the controller is used: share it with every other user of its instrument.
     rehearsal : Rehearsal, optional
-        Faults to come.
+        Faults to trigger.
 
     Attributes
     ----------
     host, port : str, int
-        Where it listens.
+        Address at which it listens.
 
     Raises
     ------
     LinkError
-        If it cannot listen there.
+        If it cannot listen at this address.
     """
 
     def __init__(
@@ -117,10 +117,10 @@ class Server:
         try:
             self._listening = socket.create_server((host, port), backlog=16)
         except (OSError, OverflowError) as error:
-            # Names that are not known have numbers below 0.
+            # Unknown host names have numbers below 0.
             number = getattr(error, "errno", None) or 0
-            elsewhere = number < 0 or number == errno.EADDRNOTAVAIL
-            advice = "give an address of this machine (127.0.0.1)" if elsewhere else "give another port, or 0 for any"
+            foreign = number < 0 or number == errno.EADDRNOTAVAIL
+            advice = "give an address of this machine (127.0.0.1)" if foreign else "give another port, or 0 for any"
             raise LinkError(f"{host}:{port}: cannot listen there ({error}); {advice}") from error
         self._listening.setblocking(False)
         self.host, self.port = host, int(self._listening.getsockname()[1])
@@ -141,21 +141,21 @@ class Server:
             self._thread.join()
 
     def stop(self) -> None:
-        """Let `serve` return; from any thread, or from a signal."""
+        """Make `serve` return; from any thread, or from a signal."""
         self._stopped.set()
 
     def serve(self, seconds: float | None = None) -> None:
-        """Serve until `stop`, or for so many seconds; closes all connections at the end."""
+        """Serve until `stop`, or for so many seconds; close all connections at the end."""
         end = None if seconds is None else time.monotonic() + seconds
         try:
             while not self._stopped.is_set() and (end is None or time.monotonic() < end):
                 self._turn()
         finally:
-            self._let_go()
+            self._disconnect()
             self._listening.close()
 
     def _turn(self) -> None:
-        """Wait for something to come, for a tick at most, and see to it."""
+        """Wait for an event, for a tick at most, and handle it."""
         with selectors.DefaultSelector() as selector:
             if not self._refusing:
                 selector.register(self._listening, selectors.EVENT_READ)
@@ -173,11 +173,11 @@ class Server:
         if self._listening in ready:
             self._accept()
         if client is not None:
-            self._attend(client, came=client.link in ready)
-        self._look_after()
+            self._attend(client, readable=client.link in ready)
+        self._update()
 
     def _accept(self) -> None:
-        """Take a client, or turn it away if there is one: by closing at once."""
+        """Accept a client; if there is one already, close the new connection at once."""
         try:
             link, _ = self._listening.accept()
         except OSError:
@@ -190,19 +190,19 @@ class Server:
                 pass
         link.close()
 
-    def _attend(self, client: _Client, *, came: bool) -> None:
+    def _attend(self, client: _Client, *, readable: bool) -> None:
         try:
-            if came and not client.ready and len(client.waiting) < _MOST_WAITING:
+            if readable and not client.ready and len(client.waiting) < _MOST_WAITING:
                 client.receive()
-            turn = time.monotonic() + _TICK
-            while client.ready and time.monotonic() < turn:
+            end = time.monotonic() + _TICK
+            while client.ready and time.monotonic() < end:
                 client.waiting += self._answer(client.command())
             client.forget_overlong()
             client.send()
         except OSError:
             client.ended = True
         if client.ended:
-            self._let_go()
+            self._disconnect()
 
     def _answer(self, command: bytes) -> bytes:
         with self.lock:
@@ -210,20 +210,20 @@ class Server:
                 answer = self.controller.single(command[0])
             else:
                 answer = self.controller.answer(command.decode("latin-1"))
-        return self.rehearsal.spoiled(answer.encode("latin-1", "replace")) if answer else b""
+        return self.rehearsal.corrupt(answer.encode("latin-1", "replace")) if answer else b""
 
-    def _look_after(self) -> None:
-        """Bring the instrument up to now, and let faults come."""
+    def _update(self) -> None:
+        """Bring the instrument up to now, and trigger faults."""
         with self.lock:
             self.controller.instrument.advance()
-            link = self.rehearsal.strike(self.controller)
-        if link:
-            self._let_go()
-        if "refuse" in link:
+            faults = self.rehearsal.trigger(self.controller)
+        if faults:
+            self._disconnect()
+        if "refuse" in faults:
             self._refusing = True
             self._listening.close()
 
-    def _let_go(self) -> None:
+    def _disconnect(self) -> None:
         client, self._client = self._client, None
         if client is not None:
             client.link.close()
