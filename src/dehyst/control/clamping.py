@@ -45,7 +45,7 @@ def warn_of_run(actuator: Actuator, limits: VoltageLimits, clamps: Clamps, displ
 def stray_sentence(
     actuator: Actuator, limits: VoltageLimits, displacement: Array, load: ArrayLike | None = None
 ) -> str:
-    """Return why displacements (n,) [m] cannot be meant, ; those in reach of the limits can be."""
+    """Return why displacements (n,) [m] are implausible; those in reach of the limits are not."""
     sentence = actuator.implausibility(displacement, load)
     if not sentence or (limits.low, limits.high) == actuator.limits:
         return sentence

@@ -265,7 +265,7 @@ class Compensator:
         )
 
     def strays(self, displacement: Array, load: ArrayLike | None = None) -> str:
-        """Return why displacements (n,) [m] are implausible, as `Actuator.implausibility`; within reach none is."""
+        """Return why displacements (n,) [m] are implausible, as `Actuator.implausibility` does; within reach none is."""
         return stray_sentence(self.actuator, self._limits, displacement, load)
 
     @property
