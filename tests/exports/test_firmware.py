@@ -308,8 +308,8 @@ def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
     monkeypatch.setattr("dehyst.exports.firmware.sizes", fail)
     for number in ("double", "float"):
         made = export(compiled_exports.plain(), tmp_path / number, number, measure=False)
-        assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not requested")
-        assert "Not measured on this computer: not requested." in (tmp_path / number / "README.md").read_text()
+        assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not asked for")
+        assert "Not measured on this computer: not asked for." in (tmp_path / number / "README.md").read_text()
     assert "TRACE_MOST 0.001" in (tmp_path / "float" / "trace.h").read_text()
 
 

@@ -46,7 +46,7 @@ Wanted displacements must be smooth, without jumps, corners or noise: delays are
 samples, which amplify these. Voltages stay within the limits all the same.
 """
 _INDENT = " " * 22 + "# "
-_COMPILER, _UNREQUESTED = "cc", "not requested"
+_COMPILER, _UNASKED = "cc", "not asked for"
 _PROCESSORS: dict[str, tuple[str, tuple[str, ...]]] = {
     "this computer, -O2": (_COMPILER, ("-O2",)),
     "Cortex-M4, -O2": ("arm-none-eabi-gcc", CORTEX_M4),
@@ -168,7 +168,7 @@ def _complete(draft: Path, compensator: Compensator, number: Number, name: str, 
     """Add the trace with its error bound and the README with the measured sizes, which need the other files."""
     trace = golden_trace(compensator)
     _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
-    result = Exported(draft, {}, worst_case(compensator), None, None if measure else _UNREQUESTED)
+    result = Exported(draft, {}, worst_case(compensator), None, None if measure else _UNASKED)
     if measure:
         result = _measured(result, number, name)
     if number == "float":
