@@ -181,7 +181,7 @@ def test_too_narrow_limits_in_words():
     assert homing.unknown == tuple(range(10))
     assert re.fullmatch(
         r"not certified: leaves elements 1 to 9 of 10 unknown, by up to [\d.]+ um; "
-        r"[\d.]+ V above 100 V, or [\d.]+ V below 0 V, would do",
+        r"[\d.]+ V above 100 V, or [\d.]+ V below 0 V, would suffice",
         homing.remarks[0],
     )
     assert homing.width == pytest.approx(plain_records.STROKE - least_range(PLANT, 0, 100), rel=1e-9)
@@ -198,7 +198,7 @@ def test_an_element_without_stiffness_is_homed_where_the_limits_allow_it():
     assert less.certified
     assert less.unknown == spared.unknown == (9,)
     assert "leaves element 10 of 10 unknown" in less.remarks[0]
-    assert re.search(r"no motion depends on; 1 V above 199 V, or [\d.]+ V below 0 V, would do", less.remarks[0])
+    assert re.search(r"no motion depends on; 1 V above 199 V, or [\d.]+ V below 0 V, would suffice", less.remarks[0])
     assert spared.remarks[0].endswith("which no motion depends on")
     assert not ends_known(PLANT, [turn * 0.99 for turn in spared.turns], stiff_only=True)
 

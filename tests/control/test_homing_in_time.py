@@ -154,7 +154,7 @@ def test_longer_holds_leave_less_until_it_is_certified():
     assert left[2] / left[3] == pytest.approx(np.exp(600 / 200), rel=0.5)
     swing = TimedHoming.shortest(CREEPING, LIMITS, (0.0, 0.0), drive=DRIVE, hold=0.0, tolerance=1e-9)
     assert swing.spread > 1e-9
-    assert f"holds of {swing.needed:.3g} s at both limits in place of 0 s would do" in swing.remarks()[0]
+    assert f"holds of {swing.needed:.3g} s at both limits instead of 0 s would suffice" in swing.remarks()[0]
     enough = shortest_homing(CREEPING, drive=DRIVE, hold=swing.needed, tolerance=1e-9)
     assert enough.certified
     assert enough.spread == enough.error
@@ -164,7 +164,7 @@ def test_longer_holds_leave_less_until_it_is_certified():
 def test_limits_that_are_too_narrow_are_told():
     found = shortest_homing(CREEPING, limits=(0.0, 60.0), drive=DRIVE)
     assert not found.certified
-    assert "no hold would do within these limits" in found.remarks[0]
+    assert "no hold suffices within these limits" in found.remarks[0]
 
 
 def test_smooth_elements_are_said_to_be_simulated_not_proven():
@@ -212,7 +212,7 @@ def test_a_transformer_only_bends_the_voltage_of_equilibria():
 
 
 def test_a_bracket_of_what_moves_on_is_refused_with_a_way_out():
-    with pytest.raises(ModelError, match=re.escape("this actuator creeps; use dehyst.control.homing.shortest_homing")):
+    with pytest.raises(ModelError, match=re.escape("this actuator creeps; use dehyst.shortest_homing")):
         StateBounds.at_rest(CREEPING)
 
 
@@ -250,7 +250,7 @@ def test_the_command_says_what_is_left_and_compensation_starts_from_there(tmp_pa
     assert re.search(r"certified: the displacement is known to [0-9.e-]+ um after it", made.stdout)
     short = CliRunner().invoke(main, ["excite", "homing", "--model", model, "-o", voltage, "--hold", "1"])
     assert short.exit_code == 1
-    assert re.search(r"holds of \d+ s at both limits in place of 1 s would do", short.stderr)
+    assert re.search(r"holds of \d+ s at both limits instead of 1 s would suffice", short.stderr)
     np.savetxt(
         path, np.c_[np.arange(50.0), np.linspace(3, 9, 50)], delimiter=",", comments="", header="time_s,displacement_um"
     )

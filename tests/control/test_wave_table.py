@@ -129,7 +129,7 @@ def test_a_table_that_comes_too_early_is_said_with_the_cycles_that_would_do():
     slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
     table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=2)
     assert table.cycles == 2 and not table.settled
-    assert "after 2 cycles of start-up the first steady cycle comes off by up to" in table.warnings[-1]
+    assert "after 2 cycles of start-up the first steady cycle deviates by up to" in table.warnings[-1]
     more = int(table.warnings[-1].split("creep takes ")[1].split()[0])
     enough = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=2 + more)
     assert enough.error <= 1.01e-4 * strokes(TRIANGLE)
@@ -260,7 +260,7 @@ def test_a_clipped_table_that_is_not_settled_says_that_no_number_is_known():
     slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
     table = wave_table(slow, TRIANGLE, limits=(0.0, 120.0), state=slow.relaxed(20.0))
     assert table.clamped and not table.settled and table.cycles == 47
-    assert "how many would do is not known" in table.warnings[-1]
+    assert "the required number is not known" in table.warnings[-1]
     assert table.warnings[-1].endswith("it tries 47 at most and 100000 samples; give cycles=96 to see")
 
 

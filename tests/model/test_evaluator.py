@@ -368,7 +368,7 @@ def test_what_knows_plain_actuators_only_says_so():
 
     wider = Actuator(GRADED, SPRING, transformer=TAU, creep=CREEP, limits=(0, 100))
     for ask, message in (
-        (lambda: StateBounds.at_rest(wider), "this actuator creeps; use dehyst.control.homing.shortest_homing"),
+        (lambda: StateBounds.at_rest(wider), "this actuator creeps; use dehyst.shortest_homing"),
         (lambda: RestStates(wider).vertex(np.ones(len(GRADED))), "no polytope of elongations; .*bounds it"),
         (lambda: state_from_first_rise(wider, None), "plain slip elements and a spring only; home a wider actuator"),
     ):

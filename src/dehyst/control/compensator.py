@@ -132,7 +132,7 @@ class Compensator:
         return self._limits.slew_rate
 
     def step(self, displacement: float) -> float:
-        """Return the voltage [V] to send for a displacement [m], and commit it.
+        """Return the voltage [V] to send for a `displacement` [m], and commit it.
 
         Raises
         ------
@@ -152,7 +152,7 @@ class Compensator:
             raise _refusal(displacement) from error
 
     def offer(self, displacement: float) -> float:
-        """Return the voltage [V] for a displacement [m] without committing it. Raises and warns as `step`."""
+        """Return the voltage [V] for a `displacement` [m] without committing it. Raises and warns as `step`."""
         try:
             return self._loop.offer(displacement)
         except TypeError:
@@ -265,7 +265,7 @@ class Compensator:
         )
 
     def strays(self, displacement: Array, load: ArrayLike | None = None) -> str:
-        """Return why displacements (n,) [m] are implausible, as `Actuator.implausibility` does; within reach none is."""
+        """Return why a `displacement` (n,) [m] is implausible, with `load` as in `simulate`; "" if it is not."""
         return stray_sentence(self.actuator, self._limits, displacement, load)
 
     @property
@@ -299,7 +299,7 @@ class Compensator:
         return reachable_range(self.actuator, self.limits)
 
     def reset(self, state: State | None = None) -> None:
-        """Start again in a state, by default that of the construction; counts restart at 0.
+        """Start again in a `state`, by default that of the construction; counts restart at 0.
 
         Raises
         ------
@@ -315,7 +315,7 @@ class Compensator:
         return Snapshot(self._key, self.state, self._loop.rest(), self._loop.counts())
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Continue from a snapshot.
+        """Continue from a `snapshot`.
 
         Raises
         ------

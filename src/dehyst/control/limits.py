@@ -52,11 +52,11 @@ class VoltageLimits:
         return f"{self.low:.6g} to {self.high:.6g} V"
 
     def nearest(self, voltage: float) -> float:
-        """Return the voltage [V], or the limit that it exceeds."""
+        """Return the `voltage` [V], or the limit that it exceeds."""
         return min(max(voltage, self.low), self.high)
 
     def steps(self, size: int, time: ArrayLike | None) -> Array:
-        """Return the largest voltage step [V] before each sample (n,)."""
+        """Return the largest voltage step [V] before each of `size` samples at `time` (n,) [s]."""
         if self.slew_rate is None:
             return np.full(size, np.inf)
         if time is None:
@@ -67,7 +67,10 @@ class VoltageLimits:
         return np.concatenate([[np.inf], self.slew_rate * np.diff(t)])[:size]
 
     def allowed(self, voltage: Array, before: float, steps: Array) -> Array:
-        """Return wanted voltages, clipped; correct up to and including the first sample that is changed."""
+        """Return a wanted `voltage` (n,) [V], clipped; correct up to and including the first sample that is changed.
+
+        `before` is the voltage [V] sent before, `steps` (n,) [V] the largest step before each sample.
+        """
         previous = np.concatenate([[before], voltage[:-1]])
         # Limits come last: the slew rate must not push a voltage out of them.
         return np.clip(np.clip(voltage, previous - steps, previous + steps), self.low, self.high)

@@ -54,7 +54,7 @@ class Snapshot:
         object.__setattr__(self, "counts", tuple(counts))
 
     def save(self, path: PathLike) -> None:
-        """Write the snapshot as JSON, completely or not at all.
+        """Write the snapshot to `path` as JSON, completely or not at all.
 
         Raises
         ------
@@ -75,7 +75,7 @@ class Snapshot:
 
     @classmethod
     def load(cls, path: PathLike) -> Snapshot:
-        """Read a snapshot, strictly and without loss.
+        """Read a snapshot from `path`, strictly and without loss.
 
         Raises
         ------

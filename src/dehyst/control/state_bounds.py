@@ -126,7 +126,7 @@ class StateBounds:
 
     @classmethod
     def at_rest(cls, actuator: Actuator, voltage: float = 0.0) -> StateBounds:
-        """Bound every state in which the actuator can rest at `voltage` [V], by its two extreme equilibria.
+        """Bound every state in which the `actuator` can rest at `voltage` [V], by its two extreme equilibria.
 
         They lie on the major loop; of a plain actuator at ``eta^-1(v - F)`` with every s_i = rho_i and at
         ``eta^-1(v + F)`` with every s_i = -rho_i, where F = sum kappa_i rho_i.

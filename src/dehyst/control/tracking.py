@@ -137,7 +137,7 @@ def _joined(records: Sequence[Record]) -> Record:
 
 @dataclass(frozen=True, eq=False)
 class TrackedPath:
-    """A measured path: time (n,) [s], wanted and reached displacement (n,) [m], and the stroke [m]."""
+    """A measured path: `time` (n,) [s], `wanted` and `reached` displacement (n,) [m], and the `stroke` [m]."""
 
     time: Array
     wanted: Array
@@ -146,7 +146,7 @@ class TrackedPath:
 
     @classmethod
     def of(cls, played: PlannedRun, record: Record, rows: NDArray[np.intp]) -> TrackedPath:
-        """Compare the record of a planned run with its path; `rows` maps its samples to those of the excitation."""
+        """Compare the `record` of a run `played` with its path; `rows` maps its samples to those of the excitation."""
         along = rows >= played.begin
         wanted = played.wanted[rows[along]]
         return cls(record.time[along] - record.time[along][0], wanted, record.displacement[along], played.stroke)

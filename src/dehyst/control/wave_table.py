@@ -118,7 +118,7 @@ class WaveTable:
         return rows if rows.size <= _EVEN_SAMPLES else rows[_thinned(self.homing.voltage[:-1])]
 
     def rows(self, cycles: int = 1) -> int:
-        """Return the number of rows of `played`."""
+        """Return the number of rows of `played` with `cycles` cycles."""
         return self.homing_rows.size + len(self.start_up) + cycles * len(self.cycle)
 
     def played(self, cycles: int = 1) -> Played:

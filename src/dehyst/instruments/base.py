@@ -111,7 +111,7 @@ class AbstractRig(ABC):
 
     @final
     def set_voltage(self, voltage: float) -> float:
-        """Ramp to a voltage [V] within the slew rate, the whole range in a second at least; return the voltage sent.
+        """Ramp to a `voltage` [V] within the slew rate, the whole range in a second at least; return the voltage sent.
 
         A voltage outside the limits is clamped, with a `ClampWarning`.
 
@@ -152,7 +152,7 @@ class AbstractRig(ABC):
 
     @final
     def play(self, excitation: Excitation, listen: Listener = lambda _: None) -> Record:
-        """Ramp to the first voltage of an excitation and play it, at the device's rate nearest to the excitation's.
+        """Ramp to the first voltage of an `excitation` and play it, at the device's rate nearest to the excitation's.
 
         Returns voltage and displacement as the device recorded them, in its own time. `listen` is called with each
         batch of `Samples` as it arrives. After any error, in `listen` too, and on Ctrl-C or SIGTERM, the wave is
@@ -184,7 +184,7 @@ class AbstractRig(ABC):
 
     @final
     def check(self, excitation: Excitation) -> float:
-        """Return the rate [Hz] at which `play` would play an excitation; raises its RecordError, sends nothing."""
+        """Return the rate [Hz] at which `play` would play an `excitation`; raises its RecordError, sends nothing."""
         self._refuse_closed()
         with driver_errors(self.name, "nearest_rate"):
             rate = float(self.nearest_rate(excitation.sample_rate))

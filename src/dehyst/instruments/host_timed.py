@@ -17,7 +17,7 @@ _BATCH_SECONDS = 0.2
 
 
 def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Samples]:
-    """Send voltages (n,) [V] at `rate` [Hz] or slower, never faster, and read the instrument after each.
+    """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster, and read the instrument after each.
 
     For the `AbstractRig._wave` of a driver whose `nearest_rate` returns at most `HIGHEST_RATE`. The samples have the
     times at which they were read, by the device's clock.

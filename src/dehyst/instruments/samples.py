@@ -17,7 +17,7 @@ READBACK_TOLERANCE = 0.05
 
 
 class Reading(NamedTuple):
-    """One reading of a rig: time [s] of its own clock, voltage [V], displacement [m]."""
+    """One reading of a rig: `time` [s] of its own clock, `voltage` [V], `displacement` [m]."""
 
     time: float
     voltage: float
@@ -25,7 +25,7 @@ class Reading(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Consecutive samples of a record: time (n,) [s], voltage (n,) [V], displacement (n,) [m]."""
+    """Consecutive samples of a record: `time` (n,) [s], `voltage` (n,) [V], `displacement` (n,) [m]."""
 
     time: Array
     voltage: Array

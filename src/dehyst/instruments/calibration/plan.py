@@ -56,7 +56,7 @@ class Plan:
             raise RecordError(f"rounds: got {self.rounds!r}, need a whole number, 0 or more")
 
     def excitations(self, rig: AbstractRig) -> ExcitationPlan:
-        """Return the excitations of this plan on a rig."""
+        """Return the excitations of this plan on `rig`."""
         hold = _HOLD / self.frequency if self.hold is None else self.hold
         rate = rig.nearest_rate(sample_rate_for(self.frequency))
         return ExcitationPlan(rig.limits.low, rig.limits.high, rate, self.frequency, hold, rig.slew_rate)

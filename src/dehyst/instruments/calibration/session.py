@@ -28,13 +28,13 @@ class ProgressListener(Protocol):
     """A receiver of the progress of a calibration."""
 
     def step(self, name: str, seconds: float = 0.0) -> None:
-        """Receive the begin of a step that plays for `seconds` [s]; 0 for one that computes."""
+        """Receive the begin of step `name`, which plays for `seconds` [s]; 0 for one that computes."""
 
     def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
-        """Receive samples; `expected` (n,) [m] is their wanted displacement, `stroke` [m] the actuator's stroke."""
+        """Receive `samples`; `expected` (n,) [m] is their wanted displacement, `stroke` [m] the actuator's stroke."""
 
     def message(self, text: str) -> None:
-        """Receive what the step does now."""
+        """Receive a `text` on what the step does now."""
 
 
 class NullProgress:
