@@ -24,7 +24,8 @@ from typing import Any
 import dehyst
 from dehyst import Actuator
 from dehyst.baselines import compare
-from dehyst.baselines.comparison import OURS, ModelScore, contenders
+from dehyst.baselines.comparison import contenders
+from dehyst.baselines.scores import OURS, ModelScore
 from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
 from dehyst.model import AbstractModel, Motion, simulated
 from dehyst.studies import demo
@@ -43,7 +44,7 @@ FAILURES = (ValueError, ArithmeticError, RuntimeError)
 
 @dataclass(frozen=True)
 class VoltageOnly(AbstractModel):
-    """An actuator whose state before a lead's end is what its voltage makes it, as that of any rival."""
+    """An actuator whose state before a lead's end is what its voltage makes it, as that of any baseline."""
 
     actuator: Actuator
 
@@ -199,8 +200,8 @@ def main() -> None:
     given = arguments()
     parts, data = given.parts or PARTS, given.data.is_dir()
     results = json.loads(given.output.read_text()) if given.output.exists() else {}
-    rivals = results.setdefault("compared", {"tracking": {}, "measured": {}})
-    rivals |= {
+    compared = results.setdefault("compared", {"tracking": {}, "measured": {}})
+    compared |= {
         "asked": {
             truth: {"largest_percent": a, "rms_percent": b}
             for truth, (a, b) in (ASKED | {"measured": ASKED_MEASURED}).items()
@@ -216,15 +217,15 @@ def main() -> None:
             continue
         for truth in given.truth or TRIALS if "tracking" in parts and name != UNTOLD else ():
             print(f"{name} on {truth}", flush=True)
-            rivals["tracking"].setdefault(truth, {})[name] = compared_on(
+            compared["tracking"].setdefault(truth, {})[name] = compared_on(
                 TRIALS[truth], name, identification, given.seeds
             )
         if "measured" in parts and data:
             print(f"{name} on P-885", flush=True)
             row, stroke = on_measured(given.data, name, identification)
-            rivals["measured"][name] = row.as_dict() | {"stroke_m": stroke}
-    if rivals["tracking"] or rivals["measured"]:
-        show_compared(rivals["tracking"], rivals["measured"])
+            compared["measured"][name] = row.as_dict() | {"stroke_m": stroke}
+    if compared["tracking"] or compared["measured"]:
+        show_compared(compared["tracking"], compared["measured"])
     given.output.write_text(json.dumps(results, indent=1) + "\n")
 
 

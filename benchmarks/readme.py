@@ -62,7 +62,7 @@ def paper(data: dict) -> list[str]:
     return rows
 
 
-def rivals(data: dict) -> list[str]:
+def baselines(data: dict) -> list[str]:
     """Every model on every virtual actuator, the worst of its paths, and what it predicts of the measured stage."""
     compared, truths = data["compared"], ("play", "creep", "preisach", "boucwen")
     asked = [pair(compared["asked"][one]) for one in (*truths, "measured")]
@@ -172,7 +172,7 @@ def calibrations(data: dict) -> list[str]:
 def table() -> str:
     names = ("accuracy", "paper", "speed", "latency", "size", "saturation", "calibration")
     data = {name: json.loads((HERE / f"{name}.json").read_text()) for name in names}
-    rows = [*accuracy(data["accuracy"]), *rivals(data["accuracy"]), *paper(data["paper"]), *speed(data["speed"])]
+    rows = [*accuracy(data["accuracy"]), *baselines(data["accuracy"]), *paper(data["paper"]), *speed(data["speed"])]
     rows += [*steps(data["latency"], data["size"]), *saturation(data["saturation"]), *calibrations(data["calibration"])]
     return "\n".join(rows) + "\n"
 

@@ -24,7 +24,7 @@ from dehyst.cli.terminal import echo, echo_json, progress_line
 
 if TYPE_CHECKING:
     from dehyst.baselines import ModelComparison
-    from dehyst.baselines.comparison import ModelScore
+    from dehyst.baselines.scores import ModelScore
 
 _TRUTHS = ["play", "creep", "preisach", "boucwen"]
 
@@ -72,7 +72,7 @@ def compare(
     """
     from dehyst._io.json_files import write_json
     from dehyst.baselines import compare as run
-    from dehyst.baselines.comparison import OURS
+    from dehyst.baselines.scores import OURS
 
     refuse_overwriting([*records, *validate], output, report)
     chosen = _chosen(only)
@@ -93,7 +93,7 @@ def compare(
         echo_json(found.as_dict())
     else:
         print_comparison(found, output, report)
-    sys.exit(1 if any(row.said for row in found.rows if row.name == OURS) else 0)
+    sys.exit(1 if any(row.failure for row in found.rows if row.name == OURS) else 0)
 
 
 def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
@@ -131,8 +131,8 @@ def print_comparison(found: ModelComparison, output: Path | None, report: Path |
     if found.note:
         echo(found.note)
     for row in found.rows:
-        if row.said:
-            echo(f"{row.name}: {row.said}")
+        if row.failure:
+            echo(f"{row.name}: {row.failure}")
     for name, path in (("Figures", output), ("Report", report)):
         if path is not None:
             echo(f"{name}: {path}")

@@ -6,7 +6,7 @@ from os import PathLike
 
 from dehyst._io.drafts import write_atomically
 from dehyst.baselines import ModelComparison
-from dehyst.baselines.comparison import OURS, RecordScore
+from dehyst.baselines.scores import OURS, RecordScore
 from dehyst.baselines.tracking_trials import TrackingErrors
 from dehyst.report.html import Row, document, escape, length, number, table
 
@@ -134,5 +134,5 @@ def _each(found: ModelComparison) -> str:
 
 
 def _failures(found: ModelComparison) -> str:
-    said = "\n".join(f"<li>{escape(row.name)}: {escape(row.said)}</li>" for row in found.rows if row.said)
+    said = "\n".join(f"<li>{escape(row.name)}: {escape(row.failure)}</li>" for row in found.rows if row.failure)
     return f"<h2>What failed</h2>\n<ul>\n{said}\n</ul>" if said else ""
