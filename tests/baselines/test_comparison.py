@@ -142,8 +142,8 @@ def test_a_lead_without_a_cycle_tells_by_its_last_sample(records):
 def test_the_note_states_what_each_model_uses(records):
     noted, silent = (compare(records[0], validate=records[1], lead=lead, models={"truth": plant}) for lead in (6.0, 0))
     assert noted.note == (
-        "The first 6 s of held-out records do not count. From the displacement measured there, dehyst's own models take "
-        "their state and an offset of the voltage, every other model takes a constant: its mean error there."
+        "The first 6 s of held-out records do not count. From the displacement measured there, the models of dehyst "
+        "take their state and an offset of the voltage, every other model takes a constant: its mean error there."
     )
     assert (noted.as_dict()["lead_s"], noted.as_dict()["note"]) == (6.0, noted.note)
     assert noted.note in "".join(comparison_sections(noted))

@@ -255,7 +255,7 @@ def test_what_low_passes_held_before_a_record_does_not_matter():
     np.testing.assert_allclose(found.weights, [5e-8, 2e-8, 3e-9, 4e-9], rtol=1e-6)
     assert found.rms < 1e-9 * STROKE
     plain = PlayRows.from_training(ready, truth.thresholds, truth.times)
-    assert plain.solved(plain.ramps()).rms > 1e-5 * STROKE
+    assert plain.fit(plain.ramps()).rms > 1e-5 * STROKE
 
 
 @pytest.mark.parametrize(

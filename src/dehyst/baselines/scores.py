@@ -133,7 +133,7 @@ class ModelComparison:
             return ""
         return (
             f"The first {self.lead:g} s of held-out records do not count. From the displacement measured there, "
-            "dehyst's own models take their state and an offset of the voltage, every other model takes a constant: "
+            "the models of dehyst take their state and an offset of the voltage, every other model takes a constant: "
             "its mean error there."
         )
 
