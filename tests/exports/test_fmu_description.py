@@ -33,7 +33,7 @@ from fmu_runner import (
 )
 
 from dehyst import Compensator, FileFormatError, ModelError
-from dehyst.cli.common import start_state
+from dehyst.cli.start import start_state
 from dehyst.exports import SourceOnlyWarning, export_fmu
 
 

@@ -10,14 +10,12 @@ import click
 
 from dehyst.cli.common import (
     PATH,
-    came_from,
     conclude,
     json_option,
     read_model,
     refuse_overwriting,
-    start_option,
-    start_state,
 )
+from dehyst.cli.start import start_option, start_state, start_words
 
 if TYPE_CHECKING:
     from dehyst.control import Compensator
@@ -174,7 +172,7 @@ def _begin_words(compensator: Compensator, actuator: Actuator, start: str, kind:
     from dehyst.exports.start import ExportedStart
 
     outset = ExportedStart.of(compensator)
-    said = f"memory begins at {outset.words} {came_from(actuator, start, compensator.state)}"
+    said = f"memory begins at {outset.words} {start_words(actuator, start, compensator.state)}"
     return said if kind == "actuator" else f"{said}; to bring the actuator there, {outset.way}"
 
 
