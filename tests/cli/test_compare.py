@@ -80,7 +80,7 @@ def test_a_virtual_actuator_needs_no_record(folder):
         ([], "neither records nor a virtual actuator"),
         (["tops.csv", "--only", "crystal"], "--only: no model 'crystal'; try dehyst"),
         (["tops.csv", "--validate", "three.csv", "--lead", "-2"], "lead: got -2"),
-        (["tops.csv", "-o", "tops.csv"], "is an input of this command too"),
+        (["tops.csv", "-o", "tops.csv"], "is also an input of this command"),
         (["tops.csv", "--truth", "glass"], "'glass' is not one of"),
     ],
 )

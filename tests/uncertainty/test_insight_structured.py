@@ -230,7 +230,7 @@ def test_the_command(tmp_path):
         "the displacement on the major loop",
         "Not judged of a wider model",
         "not judged from the voltage alone",
-        "Error to be expected on the trajectory",
+        "Largest error to expect on the trajectory",
     ):
         assert words in said.stdout
     assert "models that the records do not contradict" not in said.stdout
