@@ -140,7 +140,7 @@ def test_the_measured_lag_is_said_and_can_be_put_in(folder):
     model = json.loads((folder / "model.json").read_text())
     (folder / "late.json").write_text(json.dumps({**model, "delay_s": 0.25}))
     status, _, err = run("simulate", "late.json", "loops.csv", "-o", "a.csv", cwd=folder)
-    assert (status, "lag by 250 ms; --lag puts that in" in err) == (0, True)
+    assert (status, "lagged by 250 ms, which is left out here; add --lag" in err) == (0, True)
     assert run("simulate", "late.json", "loops.csv", "-o", "b.csv", "--lag", cwd=folder)[2] == ""
     prompt, late = (read_table(folder / name).column("displacement") for name in ("a.csv", "b.csv"))
     np.testing.assert_allclose(late[1:], prompt[:-1], atol=1e-18)  # one sample takes 0.25 s

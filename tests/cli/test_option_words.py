@@ -16,7 +16,7 @@ from dehyst._text import counted
 from dehyst.cli import main
 from dehyst.cli.option_words import in_words_of, options_of
 from dehyst.cli.scans import in_options
-from dehyst.cli.start import start_words, start_state, start_within
+from dehyst.cli.start import start_state, start_within, start_words
 from dehyst.records import write_record
 from dehyst.studies import demo
 from dehyst.virtual import PlayActuator

@@ -187,7 +187,7 @@ def test_a_long_homing_is_told_before_it_is_written(folder):
     "arguments, said",
     [
         (("--start-up", 10_000_000), "--start-up: got 10000000, 4e+09 samples of start-up, need 12500 at most"),
-        (("--cycles", 100_000_000), "--cycles: got 100000000, 4e+10 rows, need 12500 at most"),
+        (("--cycles", 100_000_000), "--cycles: got 100000000, 4e+10 rows, need at most 12500"),
         (("--cycles", 12_500), "at most 5e+06 rows; try a lower --sample-rate"),
     ],
 )

@@ -93,7 +93,7 @@ class Live:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         self._end("done" if error is None else "failed")
-        self._face.close()
+        self._display.close()
 
     @property
     def present(self) -> ShownStep | None:

@@ -1,4 +1,4 @@
-"""What an identification found, as one self-contained HTML file to read, print and pass on."""
+"""The report of an identification: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _LABELS = {
     "program": "Program",
     "method": "Method",
     "norm": "Norm",
-    "elements": "Slip elements asked for",
+    "elements": "Slip elements requested",
     "slope_floor": "Floor of the slope (part of the mean)",
     "shared_datum": "Sensor zero shared by all records",
-    "drift": "Drift of a record set aside",
+    "drift": "Drift of a record removed",
 }
 
 
@@ -50,7 +50,7 @@ def write_report(
     comparison: ModelComparison | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> None:
-    """Write a report of `fit` to one HTML file that asks for nothing from outside.
+    """Write a report of `fit` to one HTML file that loads nothing from outside.
 
     Parameters
     ----------
@@ -58,13 +58,13 @@ def write_report(
         Replaced if it exists; never left half written.
     fit : Fit
     command : str, optional
-        The command line that made it, to be shown.
+        The command line to show.
     insight : Insight or WideInsight, optional
-        What the records can and cannot tell, to be shown too.
+        Assessment of the model, to show too.
     comparison : ModelComparison, optional
-        Ours and rival models on the same records, to be shown too.
+        Comparison with the baselines on the same records, to show too.
     followed : mapping of str to TrackedPath, optional
-        What was measured along a path, by how its voltage was made.
+        Measurements along a path, by the kind of its voltage.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def write_calibration(path: PathLike, calibration: Calibration, *, command: str 
         Replaced if it exists; never left half written.
     calibration : Calibration
     command : str, optional
-        The command line that made it, to be shown.
+        The command line to show.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def render(
         _trials(fit),
         _checks(fit, actuator),
         _sentences("What was repaired or left out", fit.repairs, "Nothing was repaired or left out."),
-        _sentences("What to know", fit.remarks, "No remarks."),
+        _sentences("Remarks", fit.remarks, "No remarks."),
         _loops(fit),
         _residuals(fit),
         *([made_of(actuator), _model(actuator), _numbers(actuator)] if actuator else []),
@@ -154,7 +154,7 @@ def _outcome(outcome: Outcome) -> str:
         colour, word = "amber", "Usable, with care"
     else:
         colour, word = "red", "Not usable"
-    return f'<p class="outcome {colour}" role="status"><strong>{word}</strong> {_said(escape(outcome.value))}</p>'
+    return f'<p class="outcome {colour}" role="status"><strong>{word}</strong> {_with_units(escape(outcome.value))}</p>'
 
 
 def _errors(errors: Sequence[RecordErrors]) -> str:
@@ -190,26 +190,29 @@ def _errors(errors: Sequence[RecordErrors]) -> str:
 
 
 def _trials(fit: Fit) -> str:
-    """Structures that were tried, the chosen one first."""
+    """List the structures that were tried, best first."""
     if not fit.trials:
         return ""
-    best = min(fit.trials, key=lambda one: one.structure.as_dict() != fit.options.get("structure"))
+    best = min(fit.trials, key=lambda trial: trial.structure.as_dict() != fit.options.get("structure"))
     first = fit.trials[0]
     rows: list[Row] = [
         (
-            label(one.structure, fit.trials) + (" (chosen)" if one is best else ""),
-            str(one.structure.parameters),
-            length(one.held_out),
-            length(one.training),
+            label(trial.structure, fit.trials) + (" (chosen)" if trial is best else ""),
+            str(trial.structure.parameters),
+            length(trial.held_out),
+            length(trial.training),
         )
-        for one in sorted(fit.trials, key=lambda one: one.held_out)
+        for trial in sorted(fit.trials, key=lambda trial: trial.held_out)
     ]
-    head = ("Structure", "Coefficients", "RMS error of cycles held out", "of the records themselves")
-    why = "A part is added where it lowers the error of cycles held out in turn by 3 % at least."
+    head = ("Structure", "Coefficients", "RMS error of held-out cycles", "RMS error of the records themselves")
+    why = "A part is added if it lowers the error of cycles held out in turn (cross-validation) by at least 3 %."
     if best is not first and first.structure.plain:
         times = number(first.held_out / best.held_out)
-        why += f" The plain class that was tried first, {first.structure.words}, misses them {times} times as far."
-    return f'<h2>How much model</h2>\n<p class="muted">{why}</p>\n{table(head, rows, texts=1)}'
+        why += (
+            f" The plain structure that was tried first, {first.structure.words}, has {times} times the error of the "
+            "chosen one."
+        )
+    return f'<h2>Choice of the structure</h2>\n<p class="muted">{why}</p>\n{table(head, rows, texts=1)}'
 
 
 def _checks(fit: Fit, actuator: Actuator | None) -> str:
@@ -218,38 +221,38 @@ def _checks(fit: Fit, actuator: Actuator | None) -> str:
         return ""
     rows: list[Row] = [
         (
-            *(check.name, check.verdict.value, _said(check.sentence)),
-            *(("–" if x is None else (number(x), _said(check.unit))) for x in (check.value, check.floor)),
+            *(check.name, check.verdict.value, _with_units(check.sentence)),
+            *(("–" if x is None else (number(x), _with_units(check.unit))) for x in (check.value, check.floor)),
         )
         for check in checks
     ]
-    head = ("Taken for granted", "Verdict", "What was found", "Value", "Floor")
+    head = ("Assumption", "Verdict", "Finding", "Value", "Floor")
     where, slope = "the records", "Assumption I"
     if wide:
-        where = "what it leaves of the records (it needs neither symmetry nor closed loops, as the plain class does)"
+        where = "its residuals (it needs neither symmetry nor closed loops, as a plain model does)"
         slope = "rising branches"
     return (
         "<h2>Assumptions</h2>\n"
-        f'<p class="muted">What the model takes for granted, looked for in {where}. Floor: what noise alone gives, '
-        f"with 95 % probability no more; for {slope} the least slope that was allowed. Less than 0.1 % of the "
-        f"range passes in any case.</p>\n{table(head, rows, texts=3)}"
+        f'<p class="muted">The assumptions of the model, tested on {where}. Floor: with 95 % probability noise alone '
+        f"gives no more; for {slope} it is the least slope that was allowed. A value below 0.1 % of the range passes "
+        f"in any case.</p>\n{table(head, rows, texts=3)}"
     )
 
 
 def _sentences(title: str, sentences: Sequence[str], none: str) -> str:
     if not sentences:
         return f'<h2>{title}</h2>\n<p class="muted">{none}</p>'
-    items = "\n".join(f"<li>{_said(escape(sentence))}</li>" for sentence in sentences)
+    items = "\n".join(f"<li>{_with_units(escape(sentence))}</li>" for sentence in sentences)
     return f"<h2>{title}</h2>\n<ul>\n{items}\n</ul>"
 
 
-def _said(sentence: str) -> str:
-    """The text with micrometres spelt as they are; not yet fit for HTML."""
+def _with_units(sentence: str) -> str:
+    """Write um as µm; the text is not yet escaped for HTML."""
     return re.sub(r"(?<=\d |V/)um\b", "µm", sentence)
 
 
 def _shown(fit: Fit) -> list[tuple[Trace, float]]:
-    """Traces to draw, each with the stroke to which its percentages refer."""
+    """Return the traces to draw, each with the stroke to which its percentages refer."""
     traces = [trace for trace in fit.traces if trace.time.size > 1]
     widest = max((float(np.ptp(trace.measured)) for trace in traces), default=0.0)
     stroke = fit.errors[0].stroke if fit.errors else widest
@@ -259,14 +262,14 @@ def _shown(fit: Fit) -> list[tuple[Trace, float]]:
 def _only(fit: Fit) -> str:
     if len(fit.traces) <= MOST_RECORDS:
         return ""
-    return f" The first {MOST_RECORDS} of {len(fit.traces)} records are drawn; the table above tells of all."
+    return f" The first {MOST_RECORDS} of {len(fit.traces)} records are drawn; the table above lists all."
 
 
 def _loops(fit: Fit) -> str:
     panels = [panel(_whose(t), plots.loop(t, name=f"loop{i}"), "Loop of") for i, (t, _) in enumerate(_shown(fit))]
     caption = (
-        "Where the thin line (simulated) leaves the broad one (measured), the model misses; look at the turning points "
-        "and at the minor loops." + _only(fit)
+        "Where the thin line (simulated) leaves the broad one (measured), the model is wrong; look at the turning "
+        "points and at the minor loops." + _only(fit)
     )
     return figure("Loops", caption, panels)
 
@@ -284,9 +287,9 @@ def _residuals(fit: Fit) -> str:
         panels.append(panel(_whose(trace), time, "Residual against time of"))
         panels.append(panel(_whose(trace), place, "Residual against displacement of"))
     caption = (
-        "A slow trend in time is drift or creep; a pattern in displacement, or rising and falling branches apart, is "
-        "what the model cannot follow; an even band is the sensor's noise. The circle marks the largest residual; all "
-        "panels share one scale." + _only(fit)
+        "A slow trend in time is drift or creep. A pattern in displacement, or a distance between rising and falling "
+        "branches, is a limit of the model. An even band is the sensor's noise. The circle marks the largest residual; "
+        "all panels share one scale." + _only(fit)
     )
     if any(trace.time.size > plots.MOST_BRANCH_POINTS for trace, _ in shown):
         caption += f" Against displacement, {plots.MOST_BRANCH_POINTS} samples of a longer record are drawn."
@@ -297,11 +300,11 @@ def _model(actuator: Actuator) -> str:
     slip = panel(("Slip elements", ""), plots.slip_elements(_plain(actuator), name="slip"), "")
     spring = panel(("Parallel spring", ""), plots.parallel_spring(actuator.spring, name="spring"), "")
     caption = (
-        "Among the slip elements, lone large values between zeros (hollow circles) hint that the records tell sums of "
-        "stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
+        "Among the slip elements, single large values between zeros (hollow circles) show that the records determine "
+        "sums of stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
     )
     if isinstance(actuator.slip, GradedSlip):
-        caption += " These elements are graded: each is shown as stiff as the most that it can hold makes it."
+        caption += " These elements are graded: each is shown with its largest stiffness."
     return figure("Its slip elements and spring" if actuator.wide else "The model", caption, [slip, spring])
 
 
@@ -330,7 +333,7 @@ def _numbers(actuator: Actuator) -> str:
 
 
 def _constants(errors: Iterable[RecordErrors]) -> str:
-    """Show each record's nuisances, which a critical reader asks for: they are fitted to held-out records too."""
+    """Show each record's nuisances: they are fitted to held-out records too."""
     rows: list[Row] = [
         (
             (error.record, error.role),
@@ -354,12 +357,12 @@ def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
     stroke = options.pop("stroke_m", None)
     structure = options.pop("structure", None)
     if isinstance(structure, Mapping):
-        # It has elements of its own.
+        # A structure contains its number of elements.
         options.pop("elements", None)
     entries = [(_LABELS.get(str(key), str(key)), _value(value)) for key, value in options.items()]
     if isinstance(structure, Mapping):
-        made = Structure(**structure)
-        entries.append(("Structure", f"{made.words}; smoothing {made.smoothing:g}"))
+        chosen = Structure(**structure)
+        entries.append(("Structure", f"{chosen.words}; smoothing {chosen.smoothing:g}"))
     if isinstance(delay, int | float):
         entries.append(("Delay of the displacement", f"{number(1e3 * delay, 4)} ms"))
     if isinstance(stroke, int | float):

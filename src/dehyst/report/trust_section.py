@@ -1,4 +1,4 @@
-"""What the pages on plain and on wider models share: warnings, a trajectory's band, what is known of the state."""
+"""Sections for plain and wider models: warnings, the prediction band of a trajectory, knowledge of the state."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from dehyst.uncertainty.wide_insight import WideInsight
 
 
 def verdict(found: Insight | WideInsight, word: str, good: str) -> str:
-    """Warnings, or what is good if there are none."""
+    """Return the warnings, or the good verdict if there are none."""
     warnings = found.warnings()
     if not warnings:
         return f'<p class="outcome green"><strong>{word}</strong> {good}</p>'
-    return f'<p class="outcome amber"><strong>Beware</strong> {"<br>".join(map(escape, warnings))}</p>'
+    return f'<p class="outcome amber"><strong>Warning</strong> {"<br>".join(map(escape, warnings))}</p>'
 
 
 def trajectory(found: Insight | WideInsight) -> str:
-    """The band along a trajectory; nothing without one."""
+    """Return the prediction band along a trajectory; empty without one."""
     if found.band is None:
         return ""
     stroke, errors = found.evidence.stroke, found.band.errors()
@@ -29,25 +29,23 @@ def trajectory(found: Insight | WideInsight) -> str:
         if error or key != "clamped"
     ]
     drawn = panel(("Along the trajectory", ""), uncertainty_plots.band(found.band, stroke, name="band"), "")
-    body = (
-        f'<div class="panel"><h3>Largest error to be expected</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
-    )
+    body = f'<div class="panel"><h3>Largest error to expect</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
     caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
     return figure("The trajectory", caption, [drawn, body])
 
 
 def state(found: Insight | WideInsight) -> str:
-    """From when on the state is known, and the homing."""
+    """Return a table of when the state becomes known, and the homing."""
 
     def moment(seconds: float | None) -> str:
         return "never" if seconds is None else f"{number(seconds)} s"
 
     rows: list[Row] = [
-        (one.record, moment(one.by_displacement), moment(one.by_voltage) if one.judged else "not judged")
-        for one in found.knowledge
+        (known.record, moment(known.by_displacement), moment(known.by_voltage) if known.judged else "not judged")
+        for known in found.knowledge
     ]
-    head = ("Record", "to one who sees the displacement", "from the voltage alone")
-    parts = ["<h2>From when on the state is known</h2>", table(head, rows, texts=1)]
+    head = ("Record", "from the measured displacement", "from the voltage alone")
+    parts = ["<h2>When the state becomes known</h2>", table(head, rows, texts=1)]
     if found.homing is not None:
         parts.append(_homing(found.homing, creeps=found.actuator.creep is not None))
     return "\n".join(parts)
@@ -61,9 +59,9 @@ def _homing(homing: Homing, *, creeps: bool) -> str:
         return f"<p>Shortest homing: {escape(turns)} V ({word}). {remarks}</p>"
     word = "certified" if homing.certified else "not certified"
     way = ", ".join(f"{v:.6g}" for v in homing.turns)
-    said = escape(
+    sentence = escape(
         f"{way} V in {number(homing.played.duration)} s{', with holds at both limits' if creeps else ''} ({word}): "
-        f"whatever was before within the limits, the displacement is known to {length(homing.error)} after it."
+        f"after any history within the limits, it makes the displacement known to {length(homing.error)}."
     )
     items = "\n".join(f"<li>{escape(remark.replace(' um', ' µm'))}</li>" for remark in homing.remarks)
-    return f"<p>Homing: {said}</p>\n<ul>\n{items}\n</ul>"
+    return f"<p>Homing: {sentence}</p>\n<ul>\n{items}\n</ul>"

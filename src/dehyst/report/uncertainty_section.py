@@ -1,4 +1,4 @@
-"""What records tell of an actuator, as a section of the report or as a page of its own."""
+"""The assessment of a model, as a section of the report or as a page of its own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MOST_SENTENCES = 24
 
 
 def write_insight(path: str | PathLike[str], found: Insight | WideInsight, *, command: str | None = None) -> None:
-    """Write a page of its own to one HTML file that asks for nothing from outside.
+    """Write an assessment to one HTML file that loads nothing from outside.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def write_insight(path: str | PathLike[str], found: Insight | WideInsight, *, co
         Replaced if it exists; never left half written.
     found : Insight or WideInsight
     command : str, optional
-        The command line that made it, to be shown.
+        The command line to show.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def write_insight(path: str | PathLike[str], found: Insight | WideInsight, *, co
         If the file cannot be written.
     """
     name = escape(found.actuator.name)
-    records = ", ".join(escape(one.record.name) for one in found.evidence.comparisons)
+    records = ", ".join(escape(item.record.name) for item in found.evidence.comparisons)
     parts = [
         f"<h1>{name}: how far to trust the model</h1>",
         f'<p class="muted">Records: {records} · stroke {escape(length(found.evidence.stroke))}</p>',
@@ -48,13 +48,13 @@ def write_insight(path: str | PathLike[str], found: Insight | WideInsight, *, co
 
 
 def sections(found: Insight | WideInsight) -> list[str]:
-    """The page's sections, to stand in the report too."""
+    """Return the page's sections, which the report can contain too."""
     if isinstance(found, WideInsight):
         return wide_sections(found)
-    good = "The records tell every direction of the stiffnesses that loops can tell."
+    good = "The records determine every direction of the stiffnesses that loops can determine."
     parts = (
         verdict(found, "Determined", good),
-        _told(found),
+        _directions(found),
         _numbers(found),
         trajectory(found),
         _next(found),
@@ -63,25 +63,25 @@ def sections(found: Insight | WideInsight) -> list[str]:
     return [part for part in parts if part]
 
 
-def _told(found: Insight) -> str:
-    told = found.identifiability
-    sentences = told.sentences()
+def _directions(found: Insight) -> str:
+    identifiability = found.identifiability
+    sentences = identifiability.sentences()
     items = [escape(_subscripts(sentence)) for sentence in sentences[:_MOST_SENTENCES]]
     if len(sentences) > _MOST_SENTENCES:
         items.append(f"and {len(sentences) - _MOST_SENTENCES} more")
     listed = "\n".join(f"<li>{item}</li>" for item in items)
     caption = (
-        f"The turning points of the records tell {told.determined} of {told.of} directions of the stiffnesses, the "
-        "spring and each record's constant being free. A singular value is the RMS voltage by which one volt of "
-        "breakaway voltages in its direction shows, whatever the spring does; hollow ones are open."
+        f"The turning points of the records determine {identifiability.determined} of {identifiability.of} directions "
+        "of the stiffnesses, with the spring and each record's constant free. A singular value is the RMS voltage that "
+        "one volt of breakaway voltages in its direction causes and no spring can cancel; hollow ones are open."
     )
-    drawn = panel(("Singular values", ""), uncertainty_plots.singular_values(told, name="singular"), "")
+    drawn = panel(("Singular values", ""), uncertainty_plots.singular_values(identifiability, name="singular"), "")
     body = f'<div class="panel"><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>'
-    return figure("What the records tell of the stiffnesses", caption, [drawn, body])
+    return figure("What the records determine of the stiffnesses", caption, [drawn, body])
 
 
 def _subscripts(sentence: str) -> str:
-    """k_12 as k₁₂."""
+    """Write k_12 as k₁₂."""
     digits = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
     words = sentence.split(" ")
     return " ".join("k" + word[2:].translate(digits) if word.startswith("k_") else word for word in words)
@@ -98,22 +98,22 @@ def _numbers(found: Insight) -> str:
         for i, (rho, kappa) in enumerate(zip(slip.breakaway, slip.stiffness, strict=True), 1)
     ]
     level = f"{100 * found.intervals.level:.0f} %"
-    head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "not contradicted")
+    head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "compatible")
     caption = (
-        f"By noise: {level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles, their "
-        "bias taken off, so that an interval need not hold the model's own value; an open stiffness is not told by "
-        "itself, whatever the noise. Not contradicted: the least and the largest value among all models that meet the "
-        "records nearly as well as this one. A stiffness may be uncertain "
-        "while a sum of neighbours is sharp; what counts for a motion is the band along its trajectory."
+        f"By noise: {level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles "
+        "(bootstrap). Their bias is removed, so an interval may not contain the model's own value. An open stiffness "
+        "is not determined by itself, whatever the noise. Compatible: the least and the largest value among all models "
+        "that agree with the records nearly as well as this one. A stiffness may be uncertain while a sum of "
+        "neighbours is accurate; what counts for a motion is the band along its trajectory."
     )
     numbers = (
         f"<details>\n<summary>The intervals' numbers</summary>\n<div>{table(head, rows, texts=0)}</div>\n</details>"
     )
-    return figure("How sharp the numbers are", caption, [stiffness, spring]) + "\n" + numbers
+    return figure("How accurate the numbers are", caption, [stiffness, spring]) + "\n" + numbers
 
 
 def _ranges(found: Insight, i: int) -> tuple[str, str]:
-    """An element's interval by noise, and what the records do not contradict."""
+    """Return an element's interval by noise, and its range among compatible models."""
     assert found.intervals is not None
     assert found.feasible_set is not None
     if not found.identifiability.movable[i]:
@@ -128,13 +128,18 @@ def _pair(ends: Sequence[float] | np.ndarray[tuple[int, ...], np.dtype[np.float6
 
 def _next(found: Insight) -> str:
     if not found.advice:
-        told = found.identifiability
-        if told.determined < told.of:
+        identifiability = found.identifiability
+        if identifiability.determined < identifiability.of:
             return ""
-        return '<h2>What to record next</h2>\n<p class="muted">Nothing: no loop tells more directions.</p>'
+        return '<h2>What to record next</h2>\n<p class="muted">Nothing: no loop determines more directions.</p>'
     rows: list[Row] = [
-        ((one.words, one.command), f"{one.determined} of {one.of}", f"{number(one.weakest, 2)}", f"{one.seconds:.4g} s")
-        for one in found.advice[:6]
+        (
+            (advice.words, advice.command),
+            f"{advice.determined} of {advice.of}",
+            f"{number(advice.weakest, 2)}",
+            f"{advice.seconds:.4g} s",
+        )
+        for advice in found.advice[:6]
     ]
     head = ("Excitation", "Known with it", "Weakest (V/V)", "Time")
     return f"<h2>What to record next</h2>\n{table(head, rows, texts=1)}"

@@ -1,4 +1,4 @@
-"""What records tell of a wider model, as sections of a page."""
+"""The assessment of a wider model, as sections of a page."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ from dehyst.uncertainty.wide_insight import NOT_JUDGED, WideInsight
 
 
 def wide_sections(found: WideInsight) -> list[str]:
-    """The sections, to stand in the report too."""
+    """Return the sections, which the report can contain too."""
     share = number(100 * found.misfit / found.evidence.stroke)
-    good = f"The model misses these records by {share} % of their range at most, and nothing speaks against its use."
+    good = f"The largest error of the model on these records is {share} % of their range, and there is no warning."
     parts = (
-        verdict(found, "Nothing to beware of", good),
-        _told(found),
+        verdict(found, "No warnings", good),
+        _parts(found),
         _numbers(found),
         trajectory(found),
-        f'<h2>What was not judged</h2>\n<p class="muted">{escape(NOT_JUDGED)}</p>',
+        f'<h2>Not judged</h2>\n<p class="muted">{escape(NOT_JUDGED)}</p>',
         state(found),
     )
     return [part for part in parts if part]
 
 
-def _told(found: WideInsight) -> str:
+def _parts(found: WideInsight) -> str:
     rows: list[Row] = [
-        (one.part.capitalize(), str(one.of), str(one.known), *_spread(one.deviations)) for one in found.parts
+        (part.part.capitalize(), str(part.of), str(part.known), *_spread(part.deviations)) for part in found.parts
     ]
     head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
-    said = (
+    caption = (
         f"The turning points of the records determine {found.identifiability.determined} of {found.identifiability.of} "
-        "directions of plain "
-        "elements: whether there are inner loops enough. "
+        "directions of plain elements; this shows whether there are enough inner loops. "
         "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
-        f"deviation is {100 * SHARP:g} % of the voltages at most, all other parts being free to make up for it. "
-        "What is not known by itself may be sharp together with other parts: what counts for a motion is the band "
-        "along it."
+        f"deviation is at most {100 * SHARP:g} % of the voltages, with all other parts free to compensate for it. "
+        "A combination that is not known by itself may be accurate together with other parts: what counts for a motion "
+        "is the band along it."
     )
-    return f'<h2>What the records tell of each part</h2>\n<p class="muted">{said}</p>\n{table(head, rows, texts=1)}'
+    title = "What the records determine of each part"
+    return f'<h2>{title}</h2>\n<p class="muted">{caption}</p>\n{table(head, rows, texts=1)}'
 
 
 def _spread(deviations: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[str, str]:
     best, middle = float(deviations.min()), float(np.median(deviations))
-    return tuple("nothing" if np.isinf(one) else number(one, 2) for one in (best, middle))  # type: ignore[return-value]
+    return tuple("nothing" if np.isinf(x) else number(x, 2) for x in (best, middle))  # type: ignore[return-value]
 
 
 def _numbers(found: WideInsight) -> str:
@@ -60,9 +60,9 @@ def _numbers(found: WideInsight) -> str:
         panels.append(panel(("Creep", ""), uncertainty_plots.creep_intervals(found, name="creep-interval"), ""))
     level = f"{100 * found.intervals.level:.0f} %"
     caption = (
-        f"{level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles under the same "
-        "structure, their bias taken off, so that an interval need not hold the model's own value. The largest error "
-        f"on the records, {length(found.misfit)}, comes on top: it is what this structure cannot follow. Single "
-        "stiffnesses and the spring trade with one another, and are sharp only together."
+        f"{level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles (bootstrap) with "
+        "the same structure. Their bias is removed, so an interval may not contain the model's own value. The largest "
+        f"error on the records, {length(found.misfit)}, comes on top: this structure cannot follow it. Single "
+        "stiffnesses and the spring compensate one another, and are accurate only together."
     )
-    return figure("How sharp the numbers are", caption, panels)
+    return figure("How accurate the numbers are", caption, panels)
