@@ -1,6 +1,6 @@
-"""Every fault of a bench, rehearsed with real processes; writes `faults.json`, and prints what became of each.
+"""Every fault of a bench, rehearsed with real processes; writes `faults.json`, and prints each outcome.
 
-Names on the command line choose some of them, and nothing is written then.
+Names on the command line select some of them; then nothing is written.
 """
 
 import contextlib

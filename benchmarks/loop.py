@@ -1,8 +1,8 @@
 """A compensator in a loop: integral feedback, feedforward and both on a stage that creeps and resonates.
 
 Writes `loop.json` and `docs/loop.svg`, and the table of `docs/control.md` by `control_page.py`. The stage is
-`stage.Stage`, no instance of the model, which is identified from its records. All three know the same model, look at
-the sample before, and keep the same margin:
+`stage.Stage`, no instance of the model, which is identified from its records. All three use the same model and the
+sample before, and keep the same margin:
 
 feedback     v = nominal ratio times the integral of the error
 feedforward  v = compensator (with preview) of the wanted displacement
@@ -48,7 +48,7 @@ TIMES, SWINGING, PUSHED = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15), 10.0, 1.8
 
 @dataclass(frozen=True)
 class Bench:
-    """The stage after homing, the model, where the model thinks that it is, and the gains."""
+    """The stage after homing, the model, its displacement by the model, and the gains."""
 
     stage: Stage
     model: dehyst.Actuator
@@ -67,7 +67,7 @@ class Bench:
 
     @property
     def start(self) -> float:
-        """Where the model thinks that the stage is [m]."""
+        """Displacement of the stage by the model [m]."""
         return float(self.state.motion[0]) if self.state.motion.size else self.state.displacement
 
     def reached(self, kind: str, wanted: np.ndarray, disturbance: np.ndarray | None = None) -> np.ndarray:

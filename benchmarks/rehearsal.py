@@ -1,4 +1,4 @@
-"""A fault rehearsed: `dehyst rig serve` and `dehyst calibrate` as two real processes, and what became of it."""
+"""A fault rehearsed: `dehyst rig serve` and `dehyst calibrate` as two real processes, and its outcome."""
 
 import contextlib
 import re
@@ -30,7 +30,7 @@ _TALLY = re.compile(
 
 @dataclass
 class PutOut:
-    """What the emulator says it has put out: voltages [V], steepest [V/s], and how many samples it has told."""
+    """The emulator's own report: voltages put out [V], the steepest [V/s], and the number of samples reported."""
 
     lowest: float
     highest: float
@@ -42,7 +42,7 @@ class PutOut:
 
 @dataclass
 class Outcome:
-    """What became of a command.
+    """The outcome of a command.
 
     `said` is what stands on standard error, without progress; `seconds` it took from the fault on, or from its start
     where there is nothing else to count from; `came` are samples that it says came, or of one that was killed
@@ -61,7 +61,7 @@ class Outcome:
 
 
 class Served:
-    """`dehyst rig serve` on any free port; at its end it says what it has put out."""
+    """`dehyst rig serve` on any free port; at its end it reports what it has put out."""
 
     def __init__(self, *options: str) -> None:
         command = [*DEHYST, "rig", "serve", "--port", "0", *options]
@@ -86,7 +86,7 @@ class Served:
         return next((at for at, line in self.lines if line.startswith("fault: ")), None)
 
     def end(self) -> PutOut:
-        """Let it end, and say."""
+        """Let it end, and return its report."""
         if self._process.poll() is None:
             self._process.terminate()
         self._process.wait(_PATIENCE)

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from dehyst._io.drafts import PathLike, write_atomically
-from dehyst._types import Array
 from dehyst.baselines import ModelComparison
 from dehyst.control import TrackedPath
 from dehyst.identification.structure_selection import label
-from dehyst.model import Actuator, Fit, GradedSlip, MaxwellSlip, Outcome, RecordErrors, Structure, Trace
-from dehyst.report import plots
+from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure
 from dehyst.report.comparison_section import comparison_sections
-from dehyst.report.html import MINUS, Row, document, escape, figure, length, number, panel, table
+from dehyst.report.fit_figures import loops, numbers, residuals, slip_and_spring
+from dehyst.report.html import Row, document, escape, length, number, table
 from dehyst.report.parts_section import made_of
 from dehyst.report.tracking_section import followed_sections
 from dehyst.report.uncertainty_section import sections
@@ -28,7 +24,6 @@ from dehyst.uncertainty.wide_insight import WideInsight
 if TYPE_CHECKING:
     from dehyst.instruments.calibration import Calibration
 
-MOST_RECORDS = 6
 NONE: Mapping[str, TrackedPath] = {}
 _LABELS = {
     "program": "Program",
@@ -124,9 +119,9 @@ def render(
         _checks(fit, actuator),
         _sentences("What was repaired or left out", fit.repairs, "Nothing was repaired or left out."),
         _sentences("Remarks", fit.remarks, "No remarks."),
-        _loops(fit),
-        _residuals(fit),
-        *([made_of(actuator), _model(actuator), _numbers(actuator)] if actuator else []),
+        loops(fit),
+        residuals(fit),
+        *([made_of(actuator), slip_and_spring(actuator), numbers(actuator)] if actuator else []),
         *(sections(insight) if insight else []),
         *(comparison_sections(comparison) if comparison else []),
         _reproduce(fit, actuator, command),
@@ -251,87 +246,6 @@ def _with_units(sentence: str) -> str:
     return re.sub(r"(?<=\d |V/)um\b", "µm", sentence)
 
 
-def _shown(fit: Fit) -> list[tuple[Trace, float]]:
-    """Return the traces to draw, each with the stroke to which its percentages refer."""
-    traces = [trace for trace in fit.traces if trace.time.size > 1]
-    widest = max((float(np.ptp(trace.measured)) for trace in traces), default=0.0)
-    stroke = fit.errors[0].stroke if fit.errors else widest
-    return [(trace, stroke) for trace in traces[:MOST_RECORDS]]
-
-
-def _only(fit: Fit) -> str:
-    if len(fit.traces) <= MOST_RECORDS:
-        return ""
-    return f" The first {MOST_RECORDS} of {len(fit.traces)} records are drawn; the table above lists all."
-
-
-def _loops(fit: Fit) -> str:
-    panels = [panel(_whose(t), plots.loop(t, name=f"loop{i}"), "Loop of") for i, (t, _) in enumerate(_shown(fit))]
-    caption = (
-        "Where the thin line (simulated) leaves the broad one (measured), the model is wrong; look at the turning "
-        "points and at the minor loops." + _only(fit)
-    )
-    return figure("Loops", caption, panels)
-
-
-def _residuals(fit: Fit) -> str:
-    shown = _shown(fit)
-    if not shown:
-        return ""
-    worst = max(float(np.abs(100 * trace.residual / stroke).max()) for trace, stroke in shown)
-    limit = 1.3 * worst or 1.0
-    panels = []
-    for i, (trace, stroke) in enumerate(shown):
-        time = plots.residual_in_time(trace, stroke, limit, name=f"time{i}")
-        place = plots.residual_in_displacement(trace, stroke, limit, name=f"place{i}")
-        panels.append(panel(_whose(trace), time, "Residual against time of"))
-        panels.append(panel(_whose(trace), place, "Residual against displacement of"))
-    caption = (
-        "A slow trend in time is drift or creep. A pattern in displacement, or a distance between rising and falling "
-        "branches, is a limit of the model. An even band is the sensor's noise. The circle marks the largest residual; "
-        "all panels share one scale." + _only(fit)
-    )
-    if any(trace.time.size > plots.MOST_BRANCH_POINTS for trace, _ in shown):
-        caption += f" Against displacement, {plots.MOST_BRANCH_POINTS} samples of a longer record are drawn."
-    return figure("Residuals: measured minus simulated", caption, panels)
-
-
-def _model(actuator: Actuator) -> str:
-    slip = panel(("Slip elements", ""), plots.slip_elements(_plain(actuator), name="slip"), "")
-    spring = panel(("Parallel spring", ""), plots.parallel_spring(actuator.spring, name="spring"), "")
-    caption = (
-        "Among the slip elements, single large values between zeros (hollow circles) show that the records determine "
-        "sums of stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
-    )
-    if isinstance(actuator.slip, GradedSlip):
-        caption += " These elements are graded: each is shown with its largest stiffness."
-    return figure("Its slip elements and spring" if actuator.wide else "The model", caption, [slip, spring])
-
-
-def _plain(actuator: Actuator) -> MaxwellSlip:
-    return actuator.slip if isinstance(actuator.slip, MaxwellSlip) else actuator.slip.stiffest()
-
-
-def _whose(trace: Trace) -> tuple[str, str]:
-    return trace.record, trace.role
-
-
-def _numbers(actuator: Actuator) -> str:
-    slip, spring = _plain(actuator), actuator.spring
-    each = [str(i) for i in range(1, len(slip) + 1)]
-    columns = (slip.breakaway * 1e6, slip.stiffness * 1e-6, slip.friction)
-    elements = zip(each, *map(_column, columns), strict=True)
-    each = [str(i) for i in range(1, spring.voltage.size + 1)]
-    knots = zip(each, _column(spring.displacement * 1e6), _column(spring.voltage), strict=True)
-    first = table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0)
-    second = table(("Knot", "y (µm)", "η (V)"), knots, texts=0)
-    return (
-        "<details>\n<summary>The model's numbers</summary>\n"
-        f'<div class="panels tables">\n<div><h3>Slip elements</h3>\n{first}'
-        f"</div>\n<div><h3>Knots of the parallel spring</h3>\n{second}</div>\n</div>\n</details>"
-    )
-
-
 def _constants(errors: Iterable[RecordErrors]) -> str:
     """Show each record's nuisances: they are fitted to held-out records too."""
     rows: list[Row] = [
@@ -390,10 +304,3 @@ def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
-
-
-def _column(values: Array) -> list[str]:
-    """Write a column with the decimals that give its largest value six digits."""
-    largest = float(np.abs(values).max())
-    decimals = min(12, max(0, 5 - math.floor(math.log10(largest)))) if largest > 0 else 0
-    return [f"{float(value):.{decimals}f}".replace("-", MINUS) if value else "0" for value in values]
