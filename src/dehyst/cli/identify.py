@@ -59,7 +59,11 @@ if TYPE_CHECKING:
 @click.option("--norm", type=click.Choice(["l1", "l2", "linf"]), default="l1", show_default=True)
 @click.option("--knots", type=int, metavar="M", help="Knots of the spring.  [default: N + 1, at most 41]")
 @click.option(
-    "--slope-floor", type=float, default=0.2, show_default=True, help="Least slope of the spring, in mean slopes."
+    "--slope-floor",
+    type=float,
+    default=0.2,
+    show_default=True,
+    help="Least slope of the spring, as a part of its mean.",
 )
 @click.option("--delay", type=float, metavar="SECONDS", help="Lag of the displacement.  [default: estimated]")
 @click.option("--shared-datum", is_flag=True, help="All records share one sensor zero.")

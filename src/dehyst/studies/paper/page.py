@@ -168,7 +168,7 @@ def _list(title: str, sentences: Sequence[str]) -> str:
 
 def _named(title: str, sentences: Mapping[str, str]) -> str:
     items = "\n".join(
-        f"<li><strong>{_typeset(name)}.</strong> {_typeset(said)}</li>" for name, said in sentences.items()
+        f"<li><strong>{_typeset(name)}.</strong> {_typeset(text)}</li>" for name, text in sentences.items()
     )
     return f"<h2>{escape(title)}</h2>\n<ul>\n{items}\n</ul>"
 
