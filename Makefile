@@ -1,6 +1,7 @@
 # make demo   install into .venv and run the main job on a virtual actuator
 # make test   install with the tests' dependencies and run every test
 # make check  lint, types, import contracts, and the C core under strict warnings
+# make wheel  build the wheel, audit it, and run the demo from it in a new environment
 # make bench  measure speed and accuracy, write benchmarks/*.json and the README's table
 
 PYTHON ?= python3
@@ -8,7 +9,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/* src/*.cpp src/*.h src/dehyst/* src/dehyst/*/*)
 
-.PHONY: demo test check bench clean
+.PHONY: demo test check wheel bench clean
 
 demo: $(VENV)/.report
 	$(BIN)/dehyst demo
@@ -22,6 +23,9 @@ check: $(VENV)/.check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	sh core/check.sh
+
+wheel: $(VENV)/.release
+	.ci/wheel $(BIN)/python
 
 bench: $(VENV)/.test
 	$(BIN)/python benchmarks/speed.py
@@ -40,6 +44,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/readme.py
 	$(BIN)/python benchmarks/control_page.py
 	$(BIN)/python benchmarks/safety_page.py
+	$(BIN)/python benchmarks/architecture.py
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -56,5 +61,9 @@ $(VENV)/.check: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[test,check]'
 	touch $@ $(VENV)/.test $(VENV)/.report
 
+$(VENV)/.release: $(BIN)/python $(SOURCES)
+	$(BIN)/python -m pip install --quiet '.[release]'
+	touch $@
+
 clean:
-	rm -rf build dehyst-demo $(VENV)
+	rm -rf build dist dehyst-demo $(VENV)

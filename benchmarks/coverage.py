@@ -62,7 +62,7 @@ def coverage(
             knots=elements + 1,
             slope_floor=0.05,
         )
-        found = resample(Evidence.of(fit.actuator, record), level=LEVEL, repeats=resamples, seed=seed)
+        found = resample(Evidence.from_records(fit.actuator, record), level=LEVEL, repeats=resamples, seed=seed)
         # The knots lie where the noisy record ends.
         spring = plant.spring(fit.actuator.spring.displacement)
         for name, truth, (low, high) in (

@@ -16,6 +16,7 @@ from dehyst.identification.solvers import highs, least_absolute, least_absolute_
 from dehyst.identification.solvers.l1_interior_point import Pair
 from dehyst.identification.solvers.program import NORMS
 from dehyst.model import Structure
+from dehyst.model.structure import Grid
 
 PLANT = plain_records.plant(10)
 TOPS = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, name="tops")
@@ -96,8 +97,10 @@ def test_directions_that_an_excitation_determines(turns, determined, samples):
     record = plain_records.loops(PLANT, turns, samples=samples)
     rows, _ = collect([(0, record, np.zeros(len(record)))], PLANT.slip.breakaway, [0.0])
     movable = np.arange(10) < 9
-    regression = Regression(rows, PLANT.spring.displacement, 1.0, movable, np.zeros(1))
-    values = np.linalg.svd(regression.projected(PLANT.slip.breakaway), compute_uv=False)
+    regression = Regression(
+        rows, Grid.plain(PLANT.slip.breakaway, PLANT.spring.displacement, movable), 1.0, np.zeros(1)
+    )
+    values = np.linalg.svd(regression.projected(), compute_uv=False)
     assert np.count_nonzero(values > 1e-3 * values[0]) == determined
 
 

@@ -13,8 +13,8 @@ from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, Sta
 from dehyst.identification.dynamics_search import SensedDynamics
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.preprocessing.regressors import collect
-from dehyst.identification.regression.coefficients import coefficients_of
-from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
 from dehyst.identification.training_data import TrainingData
 from dehyst.model import SmoothSlip, Structure
 from dehyst.model.structure import Grid
@@ -61,7 +61,9 @@ class Plant:
     def coefficients(self, regression):
         """The true ones, with the constant of every epoch."""
         base = float(self.actuator.spring.voltage[0])
-        return replace(coefficients_of(self.actuator), offsets=dict.fromkeys(np.unique(regression.rows.epoch), base))
+        return replace(
+            Coefficients.from_actuator(self.actuator), offsets=dict.fromkeys(np.unique(regression.rows.epoch), base)
+        )
 
 
 def plant(structure, seed=0, path=None):
@@ -131,7 +133,7 @@ def regression(grid, records, *, leads=(), **options):
     rows, _ = collect(
         pieces, grid.breakaway, [0.0] * len(pieces), moved=lambda q, piece: moved_along(grid, piece, leads[q])
     )
-    return WideRegression(rows, grid, FLOOR, np.zeros(len(pieces)), **options)
+    return Regression(rows, grid, FLOOR, np.zeros(len(pieces)), **options)
 
 
 def _rough(**parts):

@@ -38,7 +38,7 @@ def identified(record, norm="l2"):
 @cache
 def evidence(turns=TOPS, norm="l2", noise=NOISE, samples=60):
     record = recorded(turns, noise=noise, samples=samples)
-    return Evidence.of(identified(record, norm), record)
+    return Evidence.from_records(identified(record, norm), record)
 
 
 def widths(found):
@@ -145,14 +145,14 @@ def test_another_method_is_not_widened():
     one = evidence(norm="l1")
     paper = replace(one.actuator, provenance={**one.actuator.provenance, "method": "breakpoints"})
     record = one.comparisons[0].record.record
-    assert resample(Evidence.of(paper, record), repeats=20).spread == 1
+    assert resample(Evidence.from_records(paper, record), repeats=20).spread == 1
 
 
 def test_open_directions_keep_the_models_values():
     # Of the true stiffnesses none is at its bound, which would leave the known ones no way but across.
     record = recorded(MAJOR)
     truth = replace(identified(record), slip=MaxwellSlip(PLANT.slip.breakaway[:-1], TRUTH), spring=PLANT.spring)
-    one = Evidence.of(truth, record)
+    one = Evidence.from_records(truth, record)
     assert (one.identifiability.determined, one.identifiability.of) == (2, 4)
     found = resample(one, repeats=60)
     # k_1 + k_4 and k_2 + k_3 may move, k_1 - k_4 and k_2 - k_3 (in volts of breakaway orthogonal to those told) not.
@@ -192,7 +192,7 @@ def test_many_records_are_resampled_each_by_itself():
         records, breakaway=PLANT.slip.breakaway[:-1], norm="l2", delay=0.0, drift=False, knots=6, slope_floor=0.05
     )
     assert fit.outcome is Outcome.IDENTIFIED
-    found = resample(Evidence.of(fit.actuator, records), repeats=60)
+    found = resample(Evidence.from_records(fit.actuator, records), repeats=60)
     assert (np.abs(found.stiffness.mean(axis=0) - TRUTH) < 2 * widths(found)).all()
 
 

@@ -12,6 +12,7 @@ from dehyst._io.json_files import finite
 from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
+from dehyst.model.structure import Grid
 from dehyst.uncertainty import insight
 from dehyst.uncertainty.evidence import Evidence
 from dehyst.uncertainty.experiment_design import advise
@@ -39,8 +40,10 @@ TABLE = [
 def told(turns, plant=PLANT, relaxed=False):
     record, rho = plain_records.loops(plant, turns), plant.slip.breakaway
     rows, _ = collect([(0, record, np.zeros(len(record)))], rho, [0.0])
-    regression = Regression(rows, plant.spring.displacement, 1.0, np.ones(rho.size, dtype=bool), np.zeros(1))
-    return identifiability([record], rho, regression, relaxed=(0,) if relaxed else ())
+    regression = Regression(
+        rows, Grid.plain(rho, plant.spring.displacement, np.ones(rho.size, dtype=bool)), 1.0, np.zeros(1)
+    )
+    return identifiability([record], regression, relaxed=(0,) if relaxed else ())
 
 
 @pytest.mark.parametrize(("turns", "determined"), TABLE)
@@ -104,7 +107,7 @@ def test_open_changes_do_not_show_on_the_record_but_elsewhere(turns):
 def test_the_truth_is_not_contradicted(noise):
     record = plain_records.loops(PLANT, MAJOR * 2, noise=noise)
     actuator = dehyst.identify(record, elements=10, delay=0.0).actuator
-    found = feasible_set(Evidence.of(actuator, record))
+    found = feasible_set(Evidence.from_records(actuator, record))
     slack = 1e-6 * PLANT.slip.stiffness.max() if not noise else 0.05 * PLANT.slip.stiffness.max()
     assert np.all(found.stiffness[0][:9] <= PLANT.slip.stiffness[:9] + slack)
     assert np.all(PLANT.slip.stiffness[:9] - slack <= found.stiffness[1][:9])
@@ -114,7 +117,7 @@ def test_the_truth_is_not_contradicted(noise):
 def test_what_is_determined_has_no_latitude():
     record = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS)
     actuator = dehyst.identify(record, elements=10, delay=0.0).actuator
-    found = feasible_set(Evidence.of(actuator, record))
+    found = feasible_set(Evidence.from_records(actuator, record))
     assert np.ptp(found.stiffness, axis=0).max() < 1e-3 * PLANT.slip.stiffness.max()
 
 
@@ -122,7 +125,7 @@ def test_the_first_advice_closes_what_is_open():
     major = plain_records.loops(PLANT, MAJOR * 2)
     fit = dehyst.identify(major, elements=10, delay=0.0)
     assert fit.outcome is Outcome.UNDETERMINED
-    advice = advise(Evidence.of(fit.actuator, major))
+    advice = advise(Evidence.from_records(fit.actuator, major))
     best = advice[0]
     assert (best.determined, best.of) == (9, 9)
     voltage = best.excitation.voltage
@@ -130,11 +133,12 @@ def test_the_first_advice_closes_what_is_open():
     again = dehyst.identify([major, added], elements=10, delay=0.0, shared_datum=True)
     assert again.outcome is Outcome.IDENTIFIED
     assert plain_records.stiffness_error(again.actuator, PLANT) < 1e-6
-    assert all(one.seconds <= 7 for one in advise(Evidence.of(fit.actuator, major), seconds=7.0))
+    assert all(one.seconds <= 7 for one in advise(Evidence.from_records(fit.actuator, major), seconds=7.0))
     assert all(
-        one.excitation.voltage_range[1] <= 120 for one in advise(Evidence.of(fit.actuator, major), limits=(0, 120))
+        one.excitation.voltage_range[1] <= 120
+        for one in advise(Evidence.from_records(fit.actuator, major), limits=(0, 120))
     )
-    assert advise(Evidence.of(again.actuator, [major, added])) == ()
+    assert advise(Evidence.from_records(again.actuator, [major, added])) == ()
 
 
 def trapped(truth, cycles):

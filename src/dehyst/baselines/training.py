@@ -24,6 +24,7 @@ from dehyst.identification.preprocessing.preparation import Prepared, as_list, p
 from dehyst.identification.preprocessing.regressors import Epoch, collect
 from dehyst.identification.regression.nuisances import searched_delay, worthwhile
 from dehyst.identification.regression.regression import Regression
+from dehyst.model.structure import Grid
 from dehyst.records import Record
 
 Model = TypeVar("Model")
@@ -182,8 +183,8 @@ def _assemble(items: list[Prepared], widest: int, lag: float, drifting: Sequence
     rows, epochs = collect(parts, np.zeros(0), [items[q].noise for q, _, _ in parts])
     pieces = [piece for _, piece, _ in parts]
     low, high = items[widest].span()
-    none = np.zeros(0, dtype=np.bool_)
-    nuisances = Regression(rows, np.array([low, high]), 0.0, none, np.zeros(len(items)), tuple(drifting)).nuisances()
+    grid = Grid.plain(np.zeros(0), np.array([low, high]))
+    nuisances = Regression(rows, grid, 0.0, np.zeros(len(items)), tuple(drifting)).nuisances()
     voltages = np.concatenate([piece.voltage for piece in pieces])
     reach = [
         np.full(epoch.stop - epoch.start, np.ptp(piece.voltage[: epoch.start]))

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from dehyst.model import Fit
     from dehyst.studies.paper import Paper
     from dehyst.uncertainty import Insight
-    from dehyst.uncertainty.wide_insight import WideInsight
 
 
 # Structures, best first.
@@ -71,16 +70,14 @@ def _print_parts(actuator: Any) -> None:
             echo(f"  {part.name + ':':<18}{part.sentence}")
 
 
-def print_insight(found: Insight | WideInsight, output: Path | None, report: Path | None) -> None:
+def print_insight(found: Insight, output: Path | None, report: Path | None) -> None:
     """Print an assessment of a model, in the order in which it matters."""
-    from dehyst.uncertainty.wide_insight import WideInsight
-
     for warning in worded(found.warnings()):
         echo(f"WARNING: {warning}")
         echo()
     misfit = 100 * found.misfit / found.evidence.stroke
     echo(f"The largest error of the model on these records is {misfit:.3g} % of their range.")
-    if isinstance(found, WideInsight):
+    if found.structured:
         _print_parts_known(found)
     else:
         _print_directions(found)
@@ -118,10 +115,9 @@ def _print_directions(found: Insight) -> None:
         echo("To record next: nothing; no loop determines more directions.")
 
 
-def _print_parts_known(found: WideInsight) -> None:
+def _print_parts_known(found: Insight) -> None:
     """Print what records determine of each part of a wider model, and how accurate its numbers are."""
     from dehyst.uncertainty.part_identifiability import SHARP
-    from dehyst.uncertainty.wide_insight import NOT_JUDGED
 
     identifiability = found.identifiability
     echo(
@@ -144,10 +140,10 @@ def _print_parts_known(found: WideInsight) -> None:
                 echo(f"  - {name.split('_')[0]:<33}{100 * width:8.2g} % of its largest number, on average")
     _print_band(found)
     echo()
-    echo(NOT_JUDGED)
+    echo(found.not_judged)
 
 
-def _print_homing(found: Insight | WideInsight) -> None:
+def _print_homing(found: Insight) -> None:
     if found.homing is None:
         return
     turns = ", ".join(f"{v:.6g}" for v in found.homing.turns)
@@ -195,7 +191,7 @@ def _ends(pair: Any) -> str:
     return f"{pair[0] * 1e-6:>8.4g} to {pair[1] * 1e-6:<8.4g}"
 
 
-def _print_band(found: Insight | WideInsight) -> None:
+def _print_band(found: Insight) -> None:
     if found.band is None:
         return
     from dehyst.uncertainty.prediction_band import ERRORS

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.identification.regression.regression import Regression
 from dehyst.model import Actuator, Dynamics
 
 # Inertia must lower the RMS residual to this part, or it is left out.
@@ -64,7 +64,7 @@ def significant_delay(seconds: float, sample_time: float) -> float:
 
 
 def find_dynamics(
-    build: Callable[[SensedDynamics], WideRegression], delay: float, sample_time: float, fastest: float
+    build: Callable[[SensedDynamics], Regression], delay: float, sample_time: float, fastest: float
 ) -> SensedDynamics:
     """Least RMS residual over delay, damping and mass; no mass unless that is worth it.
 

@@ -22,18 +22,18 @@ from dehyst.identification.diagnostics.residuals import residual_checks
 from dehyst.identification.dynamics_search import SensedDynamics
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression import nuisances
-from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
-from dehyst.identification.regression.wide_regression import WideRegression
 from dehyst.identification.settings import Direction, Method, Settings
 from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure_selection import StructureTrial
 from dehyst.identification.structured_fit import StructuredFit
 from dehyst.identification.training_data import TrainingData
 from dehyst.identification.validation import MOST_ROWS, Protocol, errors_of
-from dehyst.model import Actuator, Fit, MaxwellSlip, Outcome, RecordErrors, Spring, Structure, Trace
+from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure, Trace
+from dehyst.model.structure import Grid
 from dehyst.records import Record
 
 # A model that misses its own training records by more of the range than this is of no use.
@@ -115,10 +115,10 @@ def identify(
     RecordError
         If a record cannot be used: no loop, columns swapped, a clipped sensor, too few samples or cycles.
     IdentifyError
-        If an option is impossible, or no sample says anything about the elements.
+        If an option is impossible, or no sample determines anything of the elements.
     """
     settings = Settings(method, elements, breakaway, norm, knots, slope_floor, delay, shared_datum, drift, branch)  # type: ignore[arg-type]
-    tell = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     training, held_out = as_list(records), as_list(validate)
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
@@ -129,10 +129,10 @@ def identify(
     _refuse_copies([*training, *held_out])
     if refine and structure == "paper":
         raise IdentifyError("refine: the paper's class is fitted as it is; leave refine out, or try structure='auto'")
-    tell("checking the records")
+    report("checking the records")
     with one_thread():
         job = _Identification(
-            settings, [prepare(record) for record in training], [prepare(record) for record in held_out], tell
+            settings, [prepare(record) for record in training], [prepare(record) for record in held_out], report
         )
         if structure != "paper":
             fit = job.by_structure(structure, refine)
@@ -169,61 +169,58 @@ def _refuse_structure(structure: object, settings: Settings, counted: bool) -> N
 
 @dataclass(eq=False)
 class _Identification:
-    """One identification: its records, and what was said of them so far."""
+    """One identification: its records, and the remarks on them so far."""
 
     settings: Settings
     training: list[Prepared]
     held_out: list[Prepared]
-    tell: Progress
-    said: list[str] = field(default_factory=list)
+    report: Progress
+    repairs: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     structure: Structure | None = None
     trials: tuple[StructureTrial, ...] = ()
 
     def __post_init__(self) -> None:
-        self.said += [sentence for item in (*self.training, *self.held_out) for sentence in item.sentences]
+        self.repairs += [sentence for item in (*self.training, *self.held_out) for sentence in item.sentences]
         spans = [item.span() for item in self.training]
         self.widest = int(np.argmax([high - low for low, high in spans]))
         self.span = spans[self.widest]
         self.stroke = self.span[1] - self.span[0]
 
     def by_records(self) -> Fit:
-        """Every sample of every record."""
-        self.tell("estimating delay, datums and drifts")
+        """Identify a plain actuator from every sample of every record."""
+        self.report("estimating delay, datums and drifts")
         rho = self._thresholds()
         if self.settings.breakaway is None:
             self.remarks += messages.of_noise(float(rho[0]), max(item.noise for item in self.training))
-        stream = self._stream(rho, self.delay)
+        stream = self._stream(rho, self._data(self.delay))
         regression = self._with_drifts(self._with_datums(stream.regression))
-        self.tell(f"solving the {self.settings.norm} program for {len(stream.source)} samples")
+        self.report(f"solving the {self.settings.norm} program for {len(stream.source)} samples")
         found = replace(stream, regression=regression).fit_weighted(self.settings.norm)
-        if not found.solution.optimal:
-            return self._failed(found.solution.status)
-        actuator = self._actuator(rho, regression, found)
-        self.tell("simulating every record")
-        told = identifiability(self._on_axis(regression.datum), rho, regression)
-        outcome, remarks = messages.of_plain(told, regression, found)
+        if not found.solved.optimal:
+            return self._failed(found.solved.status)
+        actuator = self._actuator(regression, found)
+        self.report("simulating every record")
+        directions = identifiability(self._on_axis(regression.datum), regression)
+        outcome, remarks = messages.of_plain(directions, regression, found)
         self.remarks += remarks
-        return self._finish(actuator, regression, outcome, found.solution.status, found.solution.gap)
+        return self._finish(actuator, regression, outcome, found.solved.status, found.solved.gap)
 
     def by_structure(self, structure: Structure | Literal["auto"], refine: bool) -> Fit:
-        """A wider class, given or chosen."""
-        self.tell("estimating delay and datums")
-        plain = self._with_datums(self._regression(self._thresholds(), self.delay))
-        voltages = self._limits()
-        inertia = SensedDynamics(self.delay, 0.0, 0.0)
-        frame = TrainingData(
-            self.training, inertia, self.span, voltages, plain.floor, plain.datum, self.widest, tuple(self._can_drift())
-        )
+        """Return A wider class, given or chosen."""
+        self.report("estimating delay and datums")
+        data = self._data(self.delay)
+        plain = self._with_datums(self._stream(self._thresholds(), data).regression)
+        frame = replace(data, datum=plain.datum, denoised=True)
         if isinstance(structure, str):
-            # Without loops within loops nothing that tells structures apart can be held out.
+            # Without loops within loops nothing that distinguishes structures can be held out.
             missing = messages.of_turns(probe_identifiability(self._on_axis(plain.datum), plain.rows, self.span))
             if missing:
                 self.remarks += missing
                 return self.by_records()
-            self.tell("looking for inertia")
+            self.report("looking for inertia")
             frame = self._with_delay(frame).with_inertia()
-            structure, self.trials, remarks = frame.chosen(Structure(), self.tell)
+            structure, self.trials, remarks = frame.chosen(Structure(), self.report)
             self.remarks += remarks
             if structure.plain and not frame.inertia.mass and not refine:
                 self.delay = frame.inertia.delay
@@ -231,19 +228,19 @@ class _Identification:
         else:
             frame = self._with_delay(frame, structure)
         self.structure = structure
-        self.tell(f"solving the program for {structure.words}")
+        self.report(f"solving the program for {structure.words}")
         made = StructuredFit.solve(frame, structure, self.settings.norm)
-        solution = made.found.solution
+        solution = made.found.solved
         if not solution.optimal:
             return self._failed(solution.status)
         if frame.inertia.mass:
-            made = made.tuned(self.tell)
+            made = made.tune_dynamics(self.report)
         refined = self._refined(made) if refine else made.actuator
         self.delay = refined.delay
         actuator = replace(
-            refined, limits=voltages, name=self.training[self.widest].record.name, provenance=self._provenance()
+            refined, limits=self._limits(), name=self.training[self.widest].record.name, provenance=self._provenance()
         )
-        self.tell("simulating every record")
+        self.report("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
         return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
 
@@ -260,7 +257,7 @@ class _Identification:
         ]
 
     def _refined(self, made: StructuredFit) -> Actuator:
-        found = output_error.refine(made, self.tell)
+        found = output_error.refine(made, self.report)
         what = "kept" if found.kept else "not better, and left out"
         self.remarks.append(
             f"Refined by simulation: RMS error of cycles held out {found.after * 1e9:.4g} nm, without "
@@ -269,16 +266,16 @@ class _Identification:
         return found.actuator
 
     def _plainly(self, frame: TrainingData, structure: Structure) -> Fit:
-        """The paper's class on a grid of thresholds that was chosen: what it determines can be judged."""
+        """Identify a plain actuator on a grid of thresholds that was chosen."""
         rho = None if structure.spacing == 1 else structure.grid(self.span, frame.voltages, frame.times).breakaway
         elements = structure.elements if rho is None else None
         self.settings = replace(self.settings, elements=elements, breakaway=rho, knots=structure.knots)
         return self.by_records()
 
     def by_breakpoints(self) -> Fit:
-        """The paper's own method, or Remark 2's closed form."""
+        """Identify by the paper's own method, or by Remark 2's closed form."""
         settings = self.settings
-        self.tell("reading break points")
+        self.report("reading break points")
         records = [item.record.delayed(self.delay) if self.delay else item.record for item in self.training]
         loops = paper_methods.loops_of(records, settings.count)
         if settings.method == "antisymmetric":
@@ -289,7 +286,7 @@ class _Identification:
             return self._failed(found.status)
         self.remarks.extend(found.remarks)
         actuator = replace(found.actuator, delay=self.delay, limits=self._limits(), provenance=self._provenance())
-        regression = self._with_drifts(self._regression(actuator.slip.breakaway, self.delay))
+        regression = self._with_drifts(self._stream(actuator.slip.breakaway, self._data(self.delay)).regression)
         return self._finish(actuator, regression, found.outcome, found.status, found.gap)
 
     def _thresholds(self) -> Array:
@@ -314,44 +311,44 @@ class _Identification:
         grid = self.stroke / 60 * np.arange(1.0, 31.0)
         drifting = tuple(self._can_drift())
 
+        data = self._data(0.0)
         few = [item.coarser(_SEARCH_CYCLE, _SEARCH_SAMPLES) for item in self.training]
+        data = replace(data, training=few, floor=data.floor / self.settings.slope_floor * 0.01)
 
         def build(delay: float) -> Regression:
-            stream = self._stream(grid, delay, few, knots=31, slope_floor=0.01)
-            return replace(stream.regression, drifting=drifting)
+            late = replace(data, inertia=SensedDynamics(delay, 0.0, 0.0))
+            return replace(self._stream(grid, late, knots=31).regression, drifting=drifting)
 
         return nuisances.find_delay(build, longest, sample)
 
     def _can_drift(self) -> list[int]:
         return [q for q, item in enumerate(self.training) if item.can_drift and self.settings.drift]
 
-    def _regression(self, rho: Array, delay: float) -> Regression:
-        return self._stream(rho, delay).regression
-
-    def _stream(
-        self,
-        rho: Array,
-        delay: float,
-        records: list[Prepared] | None = None,
-        *,
-        knots: int | None = None,
-        slope_floor: float | None = None,
-    ) -> Stream:
-        records = records or self.training
-        pieces = [piece for q, item in enumerate(records) for piece in item.delayed(q, delay)]
-        source = RowSource.of(pieces, rho, [records[q].noise for q, _, _ in pieces])
-        if len(source) < 2 * rho.size:
-            raise IdentifyError(
-                f"{len(source)} samples count for {rho.size} elements: only those after the range of a record has been "
-                "seen once say something. Record two cycles at least, or use fewer elements"
-            )
-        low, high = self.span
+    def _data(self, delay: float) -> TrainingData:
+        """Return the training records as plain elements need them: displacements as measured, each on its own axis."""
         mean_slope = float(np.ptp(self.training[self.widest].record.voltage)) / self.stroke
-        floor = mean_slope * (slope_floor or self.settings.slope_floor)
-        movable = 2 * rho < self.stroke * (1 - 1e-9)
-        places = np.linspace(low, high, knots or self.settings.knots or min(rho.size + 1, _MOST_KNOTS))
-        rows = source.thinned(MOST_ROWS)
-        return Stream(source, Regression(rows, places, floor, movable, np.zeros(len(self.training))))
+        return TrainingData(
+            self.training,
+            SensedDynamics(delay, 0.0, 0.0),
+            self.span,
+            self._limits(),
+            mean_slope * self.settings.slope_floor,
+            np.zeros(len(self.training)),
+            self.widest,
+            tuple(self._can_drift()),
+            denoised=False,
+        )
+
+    def _stream(self, rho: Array, data: TrainingData, knots: int | None = None) -> Stream:
+        """All rows of plain elements with these thresholds."""
+        places = np.linspace(*self.span, knots or self.settings.knots or min(rho.size + 1, _MOST_KNOTS))
+        stream = data.on_grid(Grid.plain(rho, places), MOST_ROWS)
+        if len(stream.source) < 2 * rho.size:
+            raise IdentifyError(
+                f"{len(stream.source)} samples count for {rho.size} elements: only those after the range of a record "
+                "has been seen once count. Record two cycles at least, or use fewer elements"
+            )
+        return stream
 
     def _with_datums(self, regression: Regression) -> Regression:
         others = [q for q in range(len(self.training)) if q != self.widest and not self.settings.shared_datum]
@@ -360,11 +357,11 @@ class _Identification:
     def _with_drifts(self, regression: Regression) -> Regression:
         return replace(regression, drifting=nuisances.find_drifts(regression, self._can_drift()))
 
-    def _actuator(self, rho: Array, regression: Regression, found: Coefficients) -> Actuator:
+    def _actuator(self, regression: Regression, found: Coefficients) -> Actuator:
         reference = regression.rows.epoch[regression.rows.record == self.widest].max()
-        return Actuator(
-            MaxwellSlip(rho, found.stiffness),
-            Spring.of_slopes(regression.knots, found.slopes, found.offsets[int(reference)]),
+        return found.to_actuator(
+            regression.grid,
+            found.offsets[int(reference)],
             limits=self._limits(),
             delay=self.delay,
             name=self.training[self.widest].record.name,
@@ -390,7 +387,7 @@ class _Identification:
             None,
             Outcome.FAILED,
             (),
-            tuple(self.said),
+            tuple(self.repairs),
             tuple(self.remarks),
             (),
             status,
@@ -398,9 +395,7 @@ class _Identification:
             self._provenance(),
         )
 
-    def _finish(
-        self, actuator: Actuator, regression: Regression | WideRegression, outcome: Outcome, status: str, gap: float
-    ) -> Fit:
+    def _finish(self, actuator: Actuator, regression: Regression, outcome: Outcome, status: str, gap: float) -> Fit:
         traces: list[Trace] = []
         errors: list[RecordErrors] = []
         records = (*self.training, *self.held_out)
@@ -436,7 +431,7 @@ class _Identification:
             actuator,
             outcome,
             tuple(errors),
-            (*self.said, *repaired),
+            (*self.repairs, *repaired),
             tuple(self.remarks),
             tuple(traces),
             status,

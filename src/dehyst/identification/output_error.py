@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.identification.regression.coefficients import coefficients_of, grid_of, parts
-from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
 from dehyst.identification.simulation_error import SimulationError
 from dehyst.identification.solvers.program import solve
 from dehyst.identification.structure_selection import blocks
 from dehyst.identification.structured_fit import StructuredFit
 from dehyst.model import Actuator
+from dehyst.model.structure import Grid
 from dehyst.records.metrics import rms
 
 _STEPS = 3
@@ -97,7 +98,7 @@ class _Iterate:
     ----------
     given : Actuator
         Whose parts lie on the grid of `regression`.
-    regression : WideRegression
+    regression : Regression
         Of which all but the rows counts.
     x : (q,) array
         The program's unknowns that are not negative.
@@ -106,25 +107,26 @@ class _Iterate:
     """
 
     given: Actuator
-    regression: WideRegression
+    regression: Regression
     playback: SimulationError
     x: Array
     breakaway: Array
 
     @classmethod
     def of(cls, made: StructuredFit) -> _Iterate:
-        grid = grid_of(made.actuator)
+        grid = Grid.of_actuator(made.actuator)
         regression = replace(made.regression, grid=grid, strained=(), lasting=None)
-        x = np.concatenate(regression.unknowns(coefficients_of(made.actuator)))
+        x = np.concatenate(regression.unknowns(Coefficients.from_actuator(made.actuator)))
         return cls(made.actuator, regression, made.playback(), x, grid.breakaway)
 
     @property
     def actuator(self) -> Actuator:
         """The states of the playback have all its branches: none is left out, even if it holds nothing."""
         grid = replace(self.regression.grid, breakaway=self.breakaway)
-        made = parts(grid, self.regression.at(self.x), float(self.given.spring.voltage[0]), nothing=-1.0)
-        given = self.given
-        return Actuator(**made, dynamics=given.dynamics, lag=given.lag, delay=given.delay)
+        given, first = self.given, float(self.given.spring.voltage[0])
+        return self.regression.at(self.x).to_actuator(
+            grid, first, least=-1.0, dynamics=given.dynamics, lag=given.lag, delay=given.delay
+        )
 
     def errors(self) -> Array:
         """Of every sample [m]."""
@@ -141,14 +143,16 @@ class _Iterate:
         free = np.hstack([constants, by_rho[:, movable]])
         still = np.hstack([np.zeros((movable.sum(), constants.shape[1])), np.eye(movable.sum())])
         still *= noise * np.sqrt(rows.size) / _MOVING
-        alike = regression.held_alike("l2", rows.size, free.shape[1], 1 / regression.mean_slope)
+        alike = regression.regularization("l2", rows.size, free.shape[1], 1 / regression.mean_slope)
         table = [
             np.vstack([free, still, alike[0]]),
             np.vstack([by_x, np.zeros((len(still), self.x.size)), alike[1]]),
             np.concatenate([errors[rows] + by_x @ self.x, np.zeros(len(still)), alike[2]]),
             np.concatenate([np.ones(rows.size + len(still)), alike[3]]),
         ]
-        found = regression.settled(lambda limits: solve(*table[:3], weights=table[3], norm="l2", constraints=limits))
+        found = regression.constrained(
+            lambda limits: solve(*table[:3], weights=table[3], norm="l2", constraints=limits)
+        )
         moves = np.zeros(movable.size)
         moves[movable] = found.free[constants.shape[1] :]
         return found.nonnegative, moves

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
+from dehyst.identification.regression.regression import Regression
 from dehyst.model import Structure
 from dehyst.records.metrics import rms
 from dehyst.records.signals import turning_points
 
-Build = Callable[[Structure], WideRegression]
+Build = Callable[[Structure], Regression]
 _FOLDS = 3
 # Blocks that a record is cut into at least, so that a staircase of two long legs can be held out in parts.
 _BLOCKS = 12
@@ -133,18 +133,18 @@ def _tried(build: Build, structure: Structure, tell: Callable[[str], None]) -> S
     return StructureTrial(structure, held_out, training, time.perf_counter() - begin)
 
 
-def held_out_error(regression: WideRegression) -> float:
+def held_out_error(regression: Regression) -> float:
     """RMS error [m] of cycles held out in turn, rows weighted by the inverse slope of a first fit."""
     return rms(held_out_errors(regression, 1 / regression.slope(regression.fit("l2"))))
 
 
-def held_out_errors(regression: WideRegression, weights: Array) -> Array:
+def held_out_errors(regression: Regression, weights: Array) -> Array:
     """Error of each row [m] from a fit without its cycle and every third other."""
     fold = blocks(regression.rows.voltage, regression.rows.epoch) % _FOLDS
     errors = np.empty(len(fold))
     for k in range(_FOLDS):
         out = fold == k
-        found: WideCoefficients = regression.chosen(~out).fit("l2", weights[~out])
+        found = regression.chosen(~out).fit("l2", weights[~out])
         left = regression.chosen(out)
         errors[out] = left.residual(found) / left.slope(found)
     return errors

@@ -1,4 +1,4 @@
-"""A wider actuator of a structure: the convex program within searches over what is not convex."""
+"""An actuator of a structure: the convex program within searches over what is not convex."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from dehyst.identification.dynamics_search import SensedDynamics
-from dehyst.identification.regression.coefficients import parts
-from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
 from dehyst.identification.resonance_tuning import tune_resonance
 from dehyst.identification.simulation_error import SimulationError
 from dehyst.identification.solvers.program import Norm
@@ -30,49 +30,50 @@ class StructuredFit:
     frame : TrainingData
     structure : Structure
     norm : str
-    regression : WideRegression
-    found : WideCoefficients
+    regression : Regression
+    found : Coefficients
         Of an actuator only if its solution is optimal.
     """
 
     frame: TrainingData
     structure: Structure
     norm: Norm
-    regression: WideRegression
-    found: WideCoefficients
+    regression: Regression
+    found: Coefficients
 
     @classmethod
     def solve(cls, frame: TrainingData, structure: Structure, norm: Norm) -> StructuredFit:
         """Solve the program."""
-        return cls(frame, structure, norm, *frame.fitted(structure, norm))
+        return cls(frame, structure, norm, *frame.fit(structure, norm))
 
     @cached_property
     def actuator(self) -> Actuator:
         """Without limits and name."""
         rows, inertia = self.regression.rows, self.frame.inertia
         reference = int(rows.epoch[rows.record == self.frame.widest].max())
-        return Actuator(
-            **parts(self.regression.grid, self.found, self.found.offsets[reference]),
+        return self.found.to_actuator(
+            self.regression.grid,
+            self.found.offsets[reference],
             dynamics=inertia.dynamics,
             delay=inertia.delay,
             lag=inertia.lag,
         )
 
     def playback(self) -> SimulationError:
-        """The training records, to be simulated."""
+        """Return the training records, to be simulated."""
         stroke = self.frame.span[1] - self.frame.span[0]
         return SimulationError.of(self.actuator, self.frame.training, self.regression.datum, stroke)
 
-    def tuned(self, tell: Callable[[str], None]) -> StructuredFit:
-        """The same with the dynamics that simulate the records best, if they do so better."""
+    def tune_dynamics(self, report: Callable[[str], None]) -> StructuredFit:
+        """Return the same with the dynamics that simulate the records best, if they do so better."""
         best, playback = self, self.playback()
         error = rms(playback.errors(self.actuator))
         for _ in range(_ROUNDS):
-            tell("tuning the resonance in simulation")
+            report("tuning the resonance in simulation")
             actuator = tune_resonance(best.actuator, playback)
             frame = replace(best.frame, inertia=SensedDynamics.of(actuator))
             trial = StructuredFit.solve(frame, self.structure, self.norm)
-            if not trial.found.solution.optimal:
+            if not trial.found.solved.optimal:
                 return best
             playback = trial.playback()
             now = rms(playback.errors(trial.actuator))

@@ -16,22 +16,25 @@ from dehyst.identification.preprocessing.dynamics import remove_dynamics
 from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import RowSource
+from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.nuisances import worthwhile
-from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
-from dehyst.identification.regression.wide_streaming import WideStream
+from dehyst.identification.regression.regression import Regression
+from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure_selection import StructureTrial, held_out_error, select
 from dehyst.model import Structure
+from dehyst.model.structure import Grid
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
 
 # Rows for a trial, and for the final program.
 _FEW_ROWS = 4000
 _MOST_ROWS = 30_000
-# Cycles of which the slowest lasts this many times the fastest tell creep from hysteresis; a hold of a cycle does, too.
+# Cycles of which the slowest lasts this many times the fastest distinguish creep from hysteresis; a hold of a cycle
+# does, too.
 _SPEEDS = 3.0
 _HELD = 0.005
-# What tells whether a record began at rest, and by how much that must lower the RMS residual.
+# The structure that shows whether a record began at rest, and by how much that must lower the RMS residual.
 _CREEPING = Structure(elements=20, transformer=20, grades=4, creep=9)
 _WORTH_OF_START = 0.9
 # Inertia shows in cycles of fewer samples than this; masses [samples squared] that are tried before it is looked for.
@@ -62,7 +65,9 @@ class TrainingData:
     widest : int
         Record whose last constant is the spring's.
     can_drift : tuple of int
-        Records that may creep by a logarithm of time since their start, where no branches tell creep.
+        Records that may creep by a logarithm of time since their start, where no branches account for creep.
+    denoised : bool
+        Whether the sensor's noise is taken out of the path that drives the elements.
     """
 
     training: Sequence[Prepared]
@@ -73,6 +78,7 @@ class TrainingData:
     datum: Array
     widest: int = 0
     can_drift: tuple[int, ...] = ()
+    denoised: bool = True
 
     @property
     def times(self) -> tuple[float, float]:
@@ -80,54 +86,55 @@ class TrainingData:
         records = [item.record for item in self.training]
         return min(one.sample_time for one in records), max(float(np.ptp(one.time)) for one in records)
 
-    def regression(self, structure: Structure, most: int = _MOST_ROWS) -> WideRegression:
-        """The rows of all records under a structure, thinned to about `most`."""
+    def regression(self, structure: Structure, most: int = _MOST_ROWS) -> Regression:
+        """Return the rows of all records under a structure, thinned to about `most`."""
         return self.stream(structure, most).regression
 
-    def stream(self, structure: Structure, most: int = _MOST_ROWS) -> WideStream:
+    def stream(self, structure: Structure, most: int = _MOST_ROWS) -> Stream:
         """All rows of all records under a structure, about `most` of them in memory."""
         found = self._stream_of(structure, most)
         strained, drifting = (self.strained, ()) if structure.creep else ((), self.drifting)
         return replace(found, regression=replace(found.regression, strained=strained, drifting=drifting))
 
-    def fitted(self, structure: Structure, norm: Norm) -> tuple[WideRegression, WideCoefficients]:
-        """The program of all rows solved, beside the regression of those in memory."""
+    def fit(self, structure: Structure, norm: Norm) -> tuple[Regression, Coefficients]:
+        """Solve the program of all rows; return the regression of those in memory beside its answer."""
         stream = self.stream(structure)
         return stream.regression, stream.fit_weighted(norm)
 
-    def _rows_of(self, structure: Structure, most: int) -> WideRegression:
+    def _rows_of(self, structure: Structure, most: int) -> Regression:
         return self._stream_of(structure, most).regression
 
-    def _stream_of(self, structure: Structure, most: int) -> WideStream:
+    def _stream_of(self, structure: Structure, most: int) -> Stream:
         grid = structure.grid(self.span, self.voltages, self.times)
-        stroke = self.span[1] - self.span[0]
         # No drift where creep branches are there for that: its curves take room.
-        paths = self._drifting_paths if self.can_drift and not self.supports_creep() else self._paths
-        pieces = [(q, path, drift) for q, item in enumerate(self.training) for path, drift in paths(item, stroke)]
+        drifts = bool(self.can_drift) and not self.supports_creep()
+        return self.on_grid(grid, most, smoothing=structure.smoothing, drifts=drifts)
+
+    def on_grid(self, grid: Grid, most: int, *, smoothing: float = 0.0, drifts: bool = True) -> Stream:
+        """Return all rows of all records on a grid, about `most` of them in memory: the only maker of rows."""
+        pieces = [(q, *path) for q, item in enumerate(self.training) for path in self._paths(item, drifts)]
         noise = [self.training[q].noise for q, _, _ in pieces]
 
-        def moved(number: int, piece: Record) -> InternalStates:
+        def internal(number: int, piece: Record) -> InternalStates:
             return InternalStates(grid, piece, self.training[number].lead)
 
-        source = RowSource.of(pieces, grid.breakaway, noise, moved=moved)
-        some = WideRegression(source.thinned(most), grid, self.floor, self.datum, smoothing=structure.smoothing)
-        return WideStream(source, some)
+        source = RowSource.of(pieces, grid.breakaway, noise, moved=internal)
+        return Stream(source, Regression(source.thinned(most), grid, self.floor, self.datum, smoothing=smoothing))
 
-    def _paths(self, item: Prepared, stroke: float) -> Iterator[tuple[Record, Array]]:
-        """The pieces of a record as they act, displacements those that hysteresis makes; no drift."""
-        for piece in item.acting(self.inertia.delay, self.inertia.lag):
-            path = remove_jitter(remove_dynamics(piece, self.inertia.dynamics), item.noise, stroke)
-            yield path, np.broadcast_to(0.0, len(path))
-
-    def _drifting_paths(self, item: Prepared, stroke: float) -> Iterator[tuple[Record, Array]]:
-        curves = item.delayed(0, self.inertia.delay)
-        for (path, _), (_, _, curve) in zip(self._paths(item, stroke), curves, strict=True):
-            yield path, curve
+    def _paths(self, item: Prepared, drifts: bool) -> Iterator[tuple[Record, Array]]:
+        """Yield the pieces of a record as they act, with the path that drives the elements, and their drift curves."""
+        delay, lag, stroke = self.inertia.delay, self.inertia.lag, self.span[1] - self.span[0]
+        curves = [curve for _, _, curve in item.delayed(0, delay)] if drifts else None
+        for k, piece in enumerate(item.acting(delay, lag)):
+            path = piece
+            if self.denoised:
+                path = remove_jitter(remove_dynamics(piece, self.inertia.dynamics), item.noise, stroke)
+            yield path, np.broadcast_to(0.0, len(path)) if curves is None else curves[k]
 
     def with_checked_delay(self, structure: Structure | None = None) -> TrainingData:
-        """The same without a delay, if a structure (default: of many parts) then misses held-out cycles by far less.
+        """Return the same without a delay, if held-out cycles are then missed by far less.
 
-        Where an actuator creeps fast or friction lets go gradually the displacement trails behind at every turn: a
+        Where an actuator creeps fast or friction yields gradually the displacement trails behind at every turn: a
         delay, for plain elements. A true delay fast creep can imitate, but not so much better.
         """
         if not self.inertia.delay:
@@ -137,12 +144,12 @@ class TrainingData:
         return without if prompt < _FALSE_DELAY * late else self
 
     def with_inertia(self) -> TrainingData:
-        """The same with the delay, damping and mass that the records ask for, if they do."""
+        """Return the same with the delay, damping and mass that the records ask for, if they do."""
         step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
         if cycle > _SLOWEST * step:
             return self
 
-        def build(inertia: SensedDynamics) -> WideRegression:
+        def build(inertia: SensedDynamics) -> Regression:
             return replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2)
 
         without = build(self.inertia).rms()
@@ -153,7 +160,7 @@ class TrainingData:
 
     @cached_property
     def drifting(self) -> tuple[int, ...]:
-        """Records that drift, seen from plain elements; none if branches can tell creep."""
+        """Records that drift, seen from plain elements; none if branches account for creep."""
         if self.supports_creep():
             return ()
         few, stroke = self._rows_of(Structure(), _FEW_ROWS), self.span[1] - self.span[0]
@@ -181,9 +188,9 @@ class TrainingData:
         return (len(lasting) > 1 and max(lasting) > _SPEEDS * min(lasting)) or any(map(_holds, self.training))
 
     def chosen(
-        self, start: Structure, tell: Callable[[str], None]
+        self, start: Structure, report: Callable[[str], None]
     ) -> tuple[Structure, tuple[StructureTrial, ...], list[str]]:
-        """The structure that the records support, the trials, and what they do not support."""
+        """Return the structure that the records support, the trials, and what they do not support."""
         without: tuple[str, ...] = ()
         remarks = []
         if not self.supports_creep():
@@ -192,7 +199,7 @@ class TrainingData:
                 "Creep was not looked for: the records neither hold still for as long as their cycles last nor have "
                 "loops at two speeds; add a staircase or slower loops."
             )
-        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, tell, without=without)
+        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, report, without=without)
         return best, trials, remarks
 
 

@@ -1,10 +1,9 @@
-"""Measured against simulated: a model played along a record, from a state that the record itself tells."""
+"""Measured against simulated: a model played along a record, from a state that the record itself determines."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -16,12 +15,12 @@ from dehyst.identification.preprocessing.dynamics import derivatives, remove_dyn
 from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import Epoch, RowSource
-from dehyst.identification.regression.coefficients import coefficients_of, grid_of
+from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.nuisances import find_datum
-from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
-from dehyst.identification.regression.wide_regression import WideCoefficients, WideRegression
 from dehyst.model import Actuator, Motion, RecordErrors, State, Trace
+from dehyst.model.structure import Grid
 from dehyst.records import Record
 from dehyst.records.metrics import largest
 
@@ -65,7 +64,7 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class RecordComparison:
-    """A record beside a model: its samples that count, and what it cannot be told without.
+    """A record beside a model: its samples that count, and the constants that it needs.
 
     Attributes
     ----------
@@ -75,9 +74,9 @@ class RecordComparison:
         resonance.
     measured : list of Record
         The same pieces with the displacements measured.
-    regression : Regression or WideRegression
+    regression : Regression
         Its rows (of a long record some, evenly), with its datum and drift.
-    found : Coefficients or WideCoefficients
+    found : Coefficients
         The model's, with this record's constants and drift [V].
     base : float
         Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
@@ -86,8 +85,8 @@ class RecordComparison:
     record: Prepared
     source: RowSource
     measured: list[Record]
-    regression: Regression | WideRegression
-    found: Coefficients | WideCoefficients
+    regression: Regression
+    found: Coefficients
     base: float
 
     @property
@@ -113,7 +112,7 @@ class RecordComparison:
     @property
     def start(self) -> Array:
         """What creep branches held as the record began (J,) [V]."""
-        return self.found.starts.get(0, np.zeros(0)) if isinstance(self.found, WideCoefficients) else np.zeros(0)
+        return self.found.starts.get(0, np.zeros(0))
 
     @property
     def offsets(self) -> list[float]:
@@ -159,8 +158,8 @@ class RecordComparison:
             yield piece.time[own], voltage, y[own] + self.datum, one.displacement[again:], other.displacement[again:]
 
     def state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
-        """The state at an epoch's first sample, which the displacement before it tells, on the record's axis."""
-        rho, grid = actuator.slip.breakaway, grid_of(actuator)
+        """Return the state at an epoch's first sample on the record's axis: the displacement before determines it."""
+        rho, grid = actuator.slip.breakaway, Grid.of_actuator(actuator)
         y = self.pieces[number][1].displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
         for start in range(0, y.size, _STOPS_AT_A_TIME):
@@ -187,7 +186,7 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> RecordC
     if datum is None:
         datum = find_datum(regression, 0, protocol.stroke, given=model)
     regression = replace(regression, datum=np.array([datum]))
-    found = (regression if actuator.wide else Stream(source, regression)).nuisances_of(model)
+    found = (regression if actuator.wide else Stream(source, regression)).fit_nuisances(model)
     base = float(actuator.spring.voltage[0])
     return RecordComparison(record, source, [piece for _, piece, _ in measured], regression, found, base)
 
@@ -206,7 +205,7 @@ def compare_all(
     options, spans = actuator.provenance, [high - low for low, high in (item.span() for item in prepared)]
     stroke, widest = max(spans), prepared[int(np.argmax(spans))].record
     datum = 0.0 if options.get("shared_datum") else None
-    # Where branches creep, a drift of the record would be told twice.
+    # Where branches creep, a drift of the record would be counted twice.
     drift = bool(options.get("drift", True)) and actuator.creep is None
     with one_thread():
         compared = tuple(
@@ -217,11 +216,11 @@ def compare_all(
 
 
 def state_after(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:
-    """The state at a record's last sample, on the model's axis, and the offset of its voltages [V].
+    """Return the state at a record's last sample, on the model's axis, and the offset of its voltages [V].
 
-    Its displacements tell them, and how far its sensor's zero lies from the model's: the offset by least squares over
-    the samples that count. Where none does, for the record is too short or has no full cycle, the offset is that of its
-    last sample, and what the record does not tell of the carts is none.
+    Its displacements determine them, and how far its sensor's zero lies from the model's: the offset by least squares
+    over the samples that count. Where none does, for the record is too short or has no full cycle, the offset is that
+    of its last sample, and what the record leaves open of the carts is taken as none.
     """
     try:
         record = prepare(lead)
@@ -244,33 +243,35 @@ def state_after(actuator: Actuator, lead: Record, stroke: float) -> tuple[State,
 
 def _beside(
     actuator: Actuator, record: Prepared, pieces: list[tuple[int, Record, Array]], drifting: tuple[int, ...]
-) -> tuple[RowSource, Any, Any]:
-    """The samples of a record, their regression on some of them, and an actuator's coefficients in it."""
-    rho, sigma = actuator.slip.breakaway, [record.noise] * len(pieces)
+) -> tuple[RowSource, Regression, Coefficients]:
+    """Return the samples of a record, their regression on some of them, and an actuator's coefficients in it."""
+    grid = Grid.of_actuator(actuator)
+    source = RowSource.of(
+        pieces,
+        grid.breakaway,
+        [record.noise] * len(pieces),
+        moved=lambda _, piece: InternalStates(grid, piece, record.lead),
+    )
+    most, floor = _FEW_ROWS, _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
     if not actuator.wide:
-        source = RowSource.of(pieces, rho, sigma)
-        some = source.thinned(MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS)
-        every = np.ones(rho.size, dtype=bool)
-        regression = Regression(some, actuator.spring.displacement, 0.0, every, np.zeros(1), drifting)
-        model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)  # type: ignore[arg-type]
-        return source, regression, model
-    grid = grid_of(actuator)
-    source = RowSource.of(pieces, rho, sigma, moved=lambda _, piece: InternalStates(grid, piece, record.lead))
-    floor = _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
-    wide = WideRegression(source.thinned(_FEW_ROWS), grid, floor, np.zeros(1), drifting, (0,))
-    return source, wide, coefficients_of(actuator)
+        # Few columns: more rows fit into memory, and a row's weight needs no bound, for no slope is below the spring's.
+        grid = replace(grid, sliding=np.ones(len(actuator.slip), dtype=bool))
+        most, floor = MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS, 0.0
+    strained = (0,) if grid.time_constants.size else ()
+    regression = Regression(source.thinned(most), grid, floor, np.zeros(1), drifting, strained)
+    return source, regression, Coefficients.from_actuator(actuator)
 
 
 def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
-    """What drives the elements of an actuator; plain ones take the measured displacement as it is."""
+    """Return what drives the elements of an actuator; plain ones take the measured displacement as it is."""
     return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke) if actuator.wide else piece
 
 
 def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:
     """Simulate a record's last epoch, in which the range of the excitation no longer grows, and compare.
 
-    The state at its start follows from the displacement measured before. What a record cannot be told without, its
-    constant, datum and drift, is found by least squares with the model held fixed.
+    The state at its start follows from the displacement measured before. The constant, datum
+    and drift of a record are fitted by least squares with the model held fixed.
     """
     compared = compare(actuator, record, protocol)
     found, regression = compared.found, compared.regression
@@ -280,7 +281,7 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
             for played in compared.play(actuator, number, own[-1], offset, _AT_A_TIME):
                 sums.add(played)
     trace = Trace(record.name, protocol.role, *(np.concatenate(column) for column in zip(*sums.drawn, strict=True)))
-    slope = float(np.median(regression.slope(found)))  # type: ignore[arg-type]
+    slope = float(np.median(regression.slope(found)))
     offset = float(np.median(list(found.offsets.values()))) - compared.base
     return RecordErrors(
         record=record.name,

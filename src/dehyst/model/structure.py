@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst import _validation
 from dehyst._errors import IdentifyError
-from dehyst._types import Array
-from dehyst.model.elements import segment_of
+from dehyst._types import Array, Mask
+from dehyst.model.elements import GradedSlip, segment_of
+
+if TYPE_CHECKING:
+    from dehyst.model.actuator import Actuator
 
 # Lengths of smooth elements as parts of the stroke, each with both closings: they forget over a few lengths, so that
 # longer ones would still remember how a record began.
@@ -128,6 +130,7 @@ class Structure:
             np.geomspace(min(_FASTEST * times[0], 0.1 * times[1]), times[1], self.creep),
             lengths,
             np.tile(_CLOSINGS, lengths.size // _CLOSINGS.size),
+            self.grades > 1,
         )
 
 
@@ -149,6 +152,10 @@ class Grid:
         Of creep [s].
     lengths, closings : (L,) array
         Of smooth elements [m], and their closings.
+    graded : bool
+        Whether the elements are graded ones; with M = 1 they may be either.
+    sliding : (N,) bool array, optional
+        Elements that get a stiffness; default: those that can slide both ways within the knots of the spring.
     """
 
     breakaway: Array
@@ -158,10 +165,43 @@ class Grid:
     time_constants: Array
     lengths: Array
     closings: Array
+    graded: bool = False
+    sliding: Mask | None = None
+
+    @classmethod
+    def plain(cls, breakaway: Array, knots: Array, sliding: Mask | None = None) -> Grid:
+        """Return the grid of plain elements and a spring."""
+        none = np.zeros(0)
+        return cls(breakaway, knots[[0, -1]], knots, none, none, none, none, sliding=sliding)
+
+    @classmethod
+    def of_actuator(cls, actuator: Actuator, sliding: Mask | None = None) -> Grid:
+        """Return the grids on which an actuator's parts lie."""
+        slip, knots, none = actuator.slip, actuator.spring.displacement, np.zeros(0)
+        tau, creep, smooth = actuator.transformer, actuator.creep, actuator.smooth
+        graded = isinstance(slip, GradedSlip)
+        return cls(
+            slip.breakaway,
+            slip.knots if isinstance(slip, GradedSlip) else knots[[0, -1]],
+            knots,
+            none if tau is None else tau.voltage,
+            none if creep is None else creep.time_constants,
+            none if smooth is None else smooth.length,
+            none if smooth is None else smooth.closing,
+            graded,
+            sliding,
+        )
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether there are plain elements and a spring only."""
+        return self.segments == 1 and not (self.drive.size or self.moved)
 
     @cached_property
-    def movable(self) -> NDArray[np.bool_]:
-        """(N,) elements that can slide both ways within the knots of the spring."""
+    def movable(self) -> Mask:
+        """(N,) elements that get a stiffness: `sliding`, or those that slide both ways within the spring's knots."""
+        if self.sliding is not None:
+            return self.sliding
         return np.asarray(2 * self.breakaway < np.ptp(self.knots) * (1 - 1e-9))
 
     @cached_property

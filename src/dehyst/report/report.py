@@ -19,7 +19,6 @@ from dehyst.report.parts_section import made_of
 from dehyst.report.tracking_section import followed_sections
 from dehyst.report.uncertainty_section import sections
 from dehyst.uncertainty import Insight
-from dehyst.uncertainty.wide_insight import WideInsight
 
 if TYPE_CHECKING:
     from dehyst.instruments.calibration import Calibration
@@ -41,7 +40,7 @@ def write_report(
     fit: Fit,
     *,
     command: str | None = None,
-    insight: Insight | WideInsight | None = None,
+    insight: Insight | None = None,
     comparison: ModelComparison | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> None:
@@ -54,7 +53,7 @@ def write_report(
     fit : Fit
     command : str, optional
         The command line to show.
-    insight : Insight or WideInsight, optional
+    insight : Insight, optional
         Assessment of the model, to show too.
     comparison : ModelComparison, optional
         Comparison with the baselines on the same records, to show too.
@@ -96,7 +95,7 @@ def write_calibration(path: PathLike, calibration: Calibration, *, command: str 
 def render(
     fit: Fit,
     command: str | None = None,
-    insight: Insight | WideInsight | None = None,
+    insight: Insight | None = None,
     comparison: ModelComparison | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> str:

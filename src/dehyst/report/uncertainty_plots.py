@@ -11,7 +11,6 @@ from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, inline, length_unit
 from dehyst.uncertainty import Insight
 from dehyst.uncertainty.prediction_band import PredictionBand
-from dehyst.uncertainty.wide_insight import WideInsight
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,7 +96,7 @@ def spring_intervals(found: Insight, *, name: str) -> str:
     return inline(name, draw)
 
 
-def loop_interval(found: WideInsight, *, name: str) -> str:
+def loop_interval(found: Insight, *, name: str) -> str:
     """Draw the uncertainty of the displacement by noise on the rise and the fall through the limits."""
     loop = found.loop
 
@@ -117,7 +116,7 @@ def loop_interval(found: WideInsight, *, name: str) -> str:
     return inline(name, draw)
 
 
-def drive_interval(found: WideInsight, *, name: str) -> str:
+def drive_interval(found: Insight, *, name: str) -> str:
     """Draw the uncertainty of tau at its knots by noise."""
     tau, noise = found.actuator.transformer, found.intervals
 
@@ -134,7 +133,7 @@ def drive_interval(found: WideInsight, *, name: str) -> str:
     return inline(name, draw)
 
 
-def creep_intervals(found: WideInsight, *, name: str) -> str:
+def creep_intervals(found: Insight, *, name: str) -> str:
     """Draw the stiffness of each creep branch with its interval by noise."""
     creep, noise = found.actuator.creep, found.intervals
 

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from os import PathLike
 
 import numpy as np
 
-from dehyst._io.drafts import write_atomically
+from dehyst._io.drafts import PathLike, write_atomically
+from dehyst.control import Homing
 from dehyst.report import uncertainty_plots
 from dehyst.report.html import Row, document, escape, figure, length, number, panel, table
-from dehyst.report.trust_section import state, trajectory, verdict
-from dehyst.report.wide_uncertainty_section import wide_sections
 from dehyst.uncertainty import Insight
-from dehyst.uncertainty.wide_insight import WideInsight
+from dehyst.uncertainty.part_identifiability import SHARP
+from dehyst.uncertainty.prediction_band import ERRORS
 
 _MOST_SENTENCES = 24
 
 
-def write_insight(path: str | PathLike[str], found: Insight | WideInsight, *, command: str | None = None) -> None:
+def write_insight(path: PathLike, found: Insight, *, command: str | None = None) -> None:
     """Write an assessment to one HTML file that loads nothing from outside.
 
     Parameters
     ----------
     path : path-like
         Replaced if it exists; never left half written.
-    found : Insight or WideInsight
+    found : Insight
     command : str, optional
         The command line to show.
 
@@ -37,7 +36,7 @@ def write_insight(path: str | PathLike[str], found: Insight | WideInsight, *, co
         If the file cannot be written.
     """
     name = escape(found.actuator.name)
-    records = ", ".join(escape(item.record.name) for item in found.evidence.comparisons)
+    records = ", ".join(escape(one.record.name) for one in found.evidence.comparisons)
     parts = [
         f"<h1>{name}: how far to trust the model</h1>",
         f'<p class="muted">Records: {records} · stroke {escape(length(found.evidence.stroke))}</p>',
@@ -47,35 +46,44 @@ def write_insight(path: str | PathLike[str], found: Insight | WideInsight, *, co
     write_atomically(path, document(f"{found.actuator.name}: insight", parts))
 
 
-def sections(found: Insight | WideInsight) -> list[str]:
+def sections(found: Insight) -> list[str]:
     """Return the page's sections, which the report can contain too."""
-    if isinstance(found, WideInsight):
-        return wide_sections(found)
-    good = "The records determine every direction of the stiffnesses that loops can determine."
-    parts = (
-        verdict(found, "Determined", good),
-        _directions(found),
-        _numbers(found),
-        trajectory(found),
-        _next(found),
-        state(found),
-    )
+    share = number(100 * found.misfit / found.evidence.stroke)
+    if found.structured:
+        good = f"The largest error of the model on these records is {share} % of their range, and there is no warning."
+        parts = (
+            _verdict(found, "No warnings", good),
+            _parts(found),
+            _part_intervals(found),
+            _trajectory(found),
+            f'<h2>Not judged</h2>\n<p class="muted">{escape(found.not_judged)}</p>',
+            _state(found),
+        )
+    else:
+        parts = (
+            _verdict(found, "Determined", "The records determine every direction of the stiffnesses that loops can."),
+            _directions(found),
+            _intervals(found),
+            _trajectory(found),
+            _next(found),
+            _state(found),
+        )
     return [part for part in parts if part]
 
 
 def _directions(found: Insight) -> str:
-    identifiability = found.identifiability
-    sentences = identifiability.sentences()
+    directions = found.identifiability
+    sentences = directions.sentences()
     items = [escape(_subscripts(sentence)) for sentence in sentences[:_MOST_SENTENCES]]
     if len(sentences) > _MOST_SENTENCES:
         items.append(f"and {len(sentences) - _MOST_SENTENCES} more")
     listed = "\n".join(f"<li>{item}</li>" for item in items)
     caption = (
-        f"The turning points of the records determine {identifiability.determined} of {identifiability.of} directions "
-        "of the stiffnesses, with the spring and each record's constant free. A singular value is the RMS voltage that "
-        "one volt of breakaway voltages in its direction causes and no spring can cancel; hollow ones are open."
+        f"The turning points of the records determine {directions.determined} of {directions.of} directions of the "
+        "stiffnesses, with the spring and each record's constant free. A singular value is the RMS voltage that one "
+        "volt of breakaway voltages in its direction causes and no spring can cancel; hollow ones are open."
     )
-    drawn = panel(("Singular values", ""), uncertainty_plots.singular_values(identifiability, name="singular"), "")
+    drawn = panel(("Singular values", ""), uncertainty_plots.singular_values(directions, name="singular"), "")
     body = f'<div class="panel"><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>'
     return figure("What the records determine of the stiffnesses", caption, [drawn, body])
 
@@ -87,7 +95,7 @@ def _subscripts(sentence: str) -> str:
     return " ".join("k" + word[2:].translate(digits) if word.startswith("k_") else word for word in words)
 
 
-def _numbers(found: Insight) -> str:
+def _intervals(found: Insight) -> str:
     if found.intervals is None or found.feasible_set is None:
         return ""
     stiffness = panel(("Stiffnesses", ""), uncertainty_plots.stiffness_intervals(found, name="stiffnesses"), "")
@@ -128,8 +136,8 @@ def _pair(ends: Sequence[float] | np.ndarray[tuple[int, ...], np.dtype[np.float6
 
 def _next(found: Insight) -> str:
     if not found.advice:
-        identifiability = found.identifiability
-        if identifiability.determined < identifiability.of:
+        directions = found.identifiability
+        if directions.determined < directions.of:
             return ""
         return '<h2>What to record next</h2>\n<p class="muted">Nothing: no loop determines more directions.</p>'
     rows: list[Row] = [
@@ -143,3 +151,102 @@ def _next(found: Insight) -> str:
     ]
     head = ("Excitation", "Known with it", "Weakest (V/V)", "Time")
     return f"<h2>What to record next</h2>\n{table(head, rows, texts=1)}"
+
+
+def _parts(found: Insight) -> str:
+    rows: list[Row] = [
+        (part.part.capitalize(), str(part.of), str(part.known), *_spread(part.deviations)) for part in found.parts
+    ]
+    head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
+    caption = (
+        f"The turning points of the records determine {found.identifiability.determined} of {found.identifiability.of} "
+        "directions of plain elements; this shows whether there are enough inner loops. "
+        "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
+        f"deviation is at most {100 * SHARP:g} % of the voltages, with all other parts free to compensate for it. "
+        "A combination that is not known by itself may be accurate together with other parts: what counts for a motion "
+        "is the band along it."
+    )
+    title = "<h2>What the records determine of each part</h2>"
+    return f'{title}\n<p class="muted">{caption}</p>\n{table(head, rows, texts=1)}'
+
+
+def _spread(deviations: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[str, str]:
+    best, middle = float(deviations.min()), float(np.median(deviations))
+    return tuple("nothing" if np.isinf(x) else number(x, 2) for x in (best, middle))  # type: ignore[return-value]
+
+
+def _part_intervals(found: Insight) -> str:
+    if found.intervals is None:
+        return ""
+    panels = []
+    if found.loop is not None:
+        panels.append(panel(("The major loop", ""), uncertainty_plots.loop_interval(found, name="loop-interval"), ""))
+    if found.actuator.transformer is not None:
+        panels.append(panel(("Transformer", ""), uncertainty_plots.drive_interval(found, name="drive-interval"), ""))
+    if found.actuator.creep is not None:
+        panels.append(panel(("Creep", ""), uncertainty_plots.creep_intervals(found, name="creep-interval"), ""))
+    level = f"{100 * found.intervals.level:.0f} %"
+    caption = (
+        f"{level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles (bootstrap) with "
+        "the same structure. Their bias is removed, so an interval may not contain the model's own value. The largest "
+        f"error on the records, {length(found.misfit)}, comes on top: this structure cannot follow it. Single "
+        "stiffnesses and the spring compensate one another, and are accurate only together."
+    )
+    return figure("How accurate the numbers are", caption, panels)
+
+
+def _verdict(found: Insight, word: str, good: str) -> str:
+    """Return the warnings, or the good verdict if there are none."""
+    warnings = found.warnings()
+    if not warnings:
+        return f'<p class="outcome green"><strong>{word}</strong> {good}</p>'
+    return f'<p class="outcome amber"><strong>Warning</strong> {"<br>".join(map(escape, warnings))}</p>'
+
+
+def _trajectory(found: Insight) -> str:
+    """Return the prediction band along a trajectory; empty without one."""
+    if found.band is None:
+        return ""
+    stroke, errors = found.evidence.stroke, found.band.errors()
+    rows: list[Row] = [
+        (ERRORS[key], f"{number(100 * error / stroke)} %", length(error))
+        for key, error in errors.items()
+        if error or key != "clamped"
+    ]
+    drawn = panel(("Along the trajectory", ""), uncertainty_plots.band(found.band, stroke, name="band"), "")
+    body = f'<div class="panel"><h3>Largest error to expect</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
+    caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
+    return figure("The trajectory", caption, [drawn, body])
+
+
+def _state(found: Insight) -> str:
+    """Return a table of when the state becomes known, and the homing."""
+
+    def moment(seconds: float | None) -> str:
+        return "never" if seconds is None else f"{number(seconds)} s"
+
+    rows: list[Row] = [
+        (known.record, moment(known.by_displacement), moment(known.by_voltage) if known.judged else "not judged")
+        for known in found.knowledge
+    ]
+    head = ("Record", "from the measured displacement", "from the voltage alone")
+    parts = ["<h2>When the state becomes known</h2>", table(head, rows, texts=1)]
+    if found.homing is not None:
+        parts.append(_homing(found.homing, creeps=found.actuator.creep is not None))
+    return "\n".join(parts)
+
+
+def _homing(homing: Homing, *, creeps: bool) -> str:
+    turns = ", ".join(number(v, 6) for v in homing.turns)
+    remarks = escape(" ".join(homing.remarks))
+    if homing.played is None:
+        word = "certified: every state at rest ends in one" if homing.certified else "not certified"
+        return f"<p>Shortest homing: {escape(turns)} V ({word}). {remarks}</p>"
+    word = "certified" if homing.certified else "not certified"
+    way = ", ".join(f"{v:.6g}" for v in homing.turns)
+    sentence = escape(
+        f"{way} V in {number(homing.played.duration)} s{', with holds at both limits' if creeps else ''} ({word}): "
+        f"after any history within the limits, it makes the displacement known to {length(homing.error)}."
+    )
+    items = "\n".join(f"<li>{escape(remark.replace(' um', ' µm'))}</li>" for remark in homing.remarks)
+    return f"<p>Homing: {sentence}</p>\n<ul>\n{items}\n</ul>"

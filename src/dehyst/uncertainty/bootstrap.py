@@ -6,7 +6,7 @@ about the model's, and on which side, gives basic bootstrap intervals: ``2 theta
 through the stop operators as it does in the measurement, so that the bias that it causes is taken off too. Its extremes
 drag carts, and with them whole legs: what that makes of the legs' mean residuals comes again by itself, and is taken
 out of the residuals lest it count twice. Directions that the records leave open keep the model's values: no resampling
-can tell of them (see `feasible_set`). A wider model is treated alike, the grids of its parts held; there nothing is
+can show them (see `feasible_set`). A structured model is treated alike, the grids of its parts held; there nothing is
 kept, and what the records leave open scatters too.
 """
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,14 +23,12 @@ from dehyst._errors import IdentifyError, ModelError
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.identification import Norm
-from dehyst.identification.regression.regression import Coefficients, Regression
-from dehyst.identification.regression.wide_regression import WideCoefficients
+from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.validation import RecordComparison
 from dehyst.model import Actuator, State
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
 from dehyst.uncertainty.evidence import Evidence
-from dehyst.uncertainty.wide_evidence import WideEvidence
 
 # Fewer models have no tails.
 LEAST_REPEATS = 20
@@ -40,10 +38,9 @@ _TRIALS = 10
 # Sets of records that are identified by both norms, and their rows, to see how much more one scatters.
 _PAIRS = 30
 _FEWER_ROWS = 3000
-# Of a wider model, which has a column for each of hundreds of coefficients.
+# Of a structured model, which has a column for each of hundreds of coefficients.
 _WIDE_ROWS, _WIDE_PAIRS, _WIDE_FEWER = 4000, 10, 2000
 _NORMS: tuple[Norm, ...] = ("l2", "l1")
-Found: TypeAlias = "Coefficients | WideCoefficients"
 # A coefficient whose variance is less than this part of the largest is held by a bound.
 _MOVED = 1e-9
 
@@ -64,11 +61,11 @@ class Intervals:
         By which deviations are widened, for the model's norm scatters more than least squares: measured where that
         norm is L1, else 1.
     few : float
-        By which deviations are widened because few cycles tell their own scatter badly: Student's quantile over the
+        By which deviations are widened because few cycles show their own scatter badly: Student's quantile over the
         normal one.
     own : tuple of Actuator
         Of a wider model that was not identified by least squares, what its own norm makes of some resampled records:
-        they tell the bias, which neighbours held alike by one norm or the other do not share.
+        they show the bias, which neighbours held alike by one norm or the other do not share.
     """
 
     actuator: Actuator
@@ -83,7 +80,7 @@ class Intervals:
         """Lowest and highest kappa_i, (2, N) [V/m]; never below 0."""
         centre, every = self.actuator.slip.stiffness, np.array([a.slip.stiffness for a in self.actuators])
         ends = np.maximum(self._basic(lambda a: a.slip.stiffness), 0.0)
-        # At the bound all deviations are upward, and turning them round would say that it cannot be anything else.
+        # At the bound all deviations are upward, and turning them round would mean that it cannot be anything else.
         bound, factor = centre == 0, self.spread * self.few
         ends[0, bound], ends[1, bound] = 0.0, factor * np.quantile(every[:, bound], 0.5 * (1 + self.level), axis=0)
         return ends
@@ -139,7 +136,7 @@ class Intervals:
 
 
 def resample(
-    evidence: Evidence | WideEvidence,
+    evidence: Evidence,
     *,
     level: float = 0.9,
     repeats: int = 100,
@@ -175,7 +172,7 @@ def resample(
     again = _Again(evidence)
     found: list[Actuator] = []
     with one_thread():
-        # A wider model's path is freed of jitter before it drags anything: its legs' means come from nowhere else.
+        # A structured model's path is freed of jitter before it drags anything: its legs' means come from nowhere else.
         share = 1.0 if again.wide else _unexplained(again, worlds, random)
         spread, own = _spread(again, worlds, share, random)
         for k in range(repeats):
@@ -192,12 +189,12 @@ def resample(
 class _Again:
     """Identifies records that were resampled, by least squares."""
 
-    def __init__(self, evidence: Evidence | WideEvidence) -> None:
+    def __init__(self, evidence: Evidence) -> None:
         self._evidence = evidence
         rows = evidence.regression.rows
-        self._most = _MOST_ROWS if isinstance(evidence, Evidence) else _WIDE_ROWS
+        self._most = _WIDE_ROWS if self.wide else _MOST_ROWS
         self._step = max(1, len(rows) // self._most)
-        self._held = _open(evidence) if isinstance(evidence, Evidence) else None
+        self._held = None if self.wide else _open(evidence)
         cut = np.flatnonzero(np.diff(rows.epoch)) + 1
         self._starts = _legs(rows.voltage, cut)
 
@@ -209,13 +206,13 @@ class _Again:
 
     @property
     def wide(self) -> bool:
-        """Whether the model is a wider one."""
-        return isinstance(self._evidence, WideEvidence)
+        """Whether the model is a structured one."""
+        return self._evidence.actuator.wide
 
-    def numbers(self, found: Found) -> Array:
-        """What is compared of two norms: coefficients, of a wider model the displacements that it misses rows by."""
-        if isinstance(found, Coefficients) or isinstance(self._evidence, Evidence):
-            return np.concatenate([found.stiffness, found.slopes])
+    def numbers(self, found: Coefficients) -> Array:
+        """Return what two norms are compared by: coefficients, or for a structured model errors of rows."""
+        if not self.wide:
+            return np.concatenate([found.stiffness[:, 0], found.slopes])
         step = max(1, len(self._evidence.regression.rows) // _WIDE_FEWER)
         few = self._evidence.regression.thinned(_WIDE_FEWER)
         left = few.model(found)
@@ -229,38 +226,36 @@ class _Again:
         return (_WIDE_PAIRS, _WIDE_FEWER) if self.wide else (_PAIRS, _FEWER_ROWS)
 
     def actuator(self, pieces: list[list[Record]]) -> Actuator | None:
-        """The actuator that records give; None if the program was not solved or no voltage would have one answer."""
+        """Return the actuator of records; None if the program was not solved or no voltage would have one answer."""
         return self.made(self.identified(pieces))
 
-    def made(self, answer: Found) -> Actuator | None:
-        """The actuator of coefficients, None as in `actuator`."""
-        if not answer.solution.optimal:
+    def made(self, answer: Coefficients) -> Actuator | None:
+        """Return the actuator of coefficients, None as in `actuator`."""
+        if not answer.solved.optimal:
             return None
         try:
-            return self._evidence.actuator_of(answer)  # type: ignore[arg-type]
+            return self._evidence.actuator_of(answer)
         except ModelError:
             return None
 
-    def identified(self, pieces: list[list[Record]], norm: Norm = "l2", most: int | None = None) -> Found:
+    def identified(self, pieces: list[list[Record]], norm: Norm = "l2", most: int | None = None) -> Coefficients:
         """Coefficients of resampled records, of about `most` rows."""
         rows = self._most if most is None else most
         again = self._evidence.with_pieces(pieces)
         step = max(1, len(again.rows) // rows)
         weights = self._evidence.weights[::step]
         few = replace(again, rows=again.rows.thinned(rows))
-        if isinstance(few, Regression):
-            return few.fit(norm, weights, self._held)
-        return few.fit(norm, weights)
+        return few.fit(norm, weights, self._held)
 
-    def slow(self, found: Found) -> float:
+    def slow(self, found: Coefficients) -> float:
         """Mean square of the legs' mean residuals [m2]."""
         weights = self._evidence.weights[:: self._step]
-        weighted = found.solution.residual[: weights.size] * weights
+        weighted = found.solved.residual[: weights.size] * weights
         return float(np.mean(_leg_means(weighted, np.unique(self._starts // self._step)) ** 2))
 
     def slow_of_model(self) -> float:
-        """The same of the model itself."""
-        weighted = self._evidence.model.solution.residual * self._evidence.weights
+        """Return the same of the model itself."""
+        weighted = self._evidence.model.solved.residual * self._evidence.weights
         return float(np.mean(_leg_means(weighted, self._starts) ** 2))
 
 
@@ -270,15 +265,15 @@ def _legs(voltage: Array, cut: Any) -> Any:
 
 
 def _leg_means(values: Array, starts: Any) -> Array:
-    """The mean of each leg at all of its samples (n,)."""
+    """Return the mean of each leg at all of its samples (n,)."""
     size = np.diff(np.append(starts, values.size))
     return np.repeat(np.add.reduceat(values, starts) / size, size)
 
 
 def _unexplained(again: _Again, worlds: list[_World], random: np.random.Generator) -> float:
-    """The part of the legs' mean residuals, 0 to 1, that resampled noise does not make by itself."""
+    """Return the part of the legs' mean residuals, 0 to 1, that resampled noise does not make by itself."""
     found = [again.identified([world.resampled(random, 0.0) for world in worlds]) for _ in range(_TRIALS)]
-    made = float(np.mean([again.slow(one) for one in found if one.solution.optimal] or [0.0]))
+    made = float(np.mean([again.slow(one) for one in found if one.solved.optimal] or [0.0]))
     there = again.slow_of_model()
     return float(np.sqrt(max(0.0, 1 - made / there))) if there else 0.0
 
@@ -306,7 +301,7 @@ class _World:
         return self._residual.size // self._block
 
     def resampled(self, random: np.random.Generator, share: float) -> list[Record]:
-        """The pieces with new displacements, a share of the legs' mean residuals left in.
+        """Return the pieces with new displacements, a share of the legs' mean residuals left in.
 
         Cycles start at the same phase as those they are put for.
         """
@@ -332,10 +327,14 @@ def _few(worlds: list[_World], level: float) -> float:
 
 
 def _open(evidence: Evidence) -> tuple[Array, Array] | None:
-    """Combinations of the movable stiffnesses that the records do not tell, and the model's values of them [V]."""
-    told = evidence.identifiability
-    combinations = told.vectors[told.determined :] * told.breakaway[told.movable]
-    return (combinations, combinations @ evidence.actuator.slip.stiffness[told.movable]) if len(combinations) else None
+    """Return combinations of the movable stiffnesses that the records leave open, and their values in the model [V]."""
+    directions = evidence.identifiability
+    combinations = directions.vectors[directions.determined :] * directions.breakaway[directions.movable]
+    return (
+        (combinations, combinations @ evidence.actuator.slip.stiffness[directions.movable])
+        if len(combinations)
+        else None
+    )
 
 
 def _spread(
@@ -343,7 +342,7 @@ def _spread(
 ) -> tuple[float, tuple[Actuator, ...]]:
     """How much more the model's own norm scatters than least squares, of the same resampled records; at least 1.
 
-    Of a wider model, also what its own norm finds.
+    Of a structured model, also what its own norm finds.
     """
     if not again.by_absolutes:
         return 1.0, ()
@@ -352,7 +351,7 @@ def _spread(
     for _ in range(count):
         pieces = [world.resampled(random, share) for world in worlds]
         pair = [again.identified(pieces, norm, rows) for norm in _NORMS]
-        if all(one.solution.optimal for one in pair):
+        if all(one.solved.optimal for one in pair):
             both.append([again.numbers(one) for one in pair])
             own.append(again.made(pair[1]) if again.wide else None)
     kept = tuple(one for one in own if one is not None)
@@ -363,7 +362,7 @@ def _spread(
 
 
 def _more(squares: Array, absolutes: Array, wide: bool) -> float:
-    """Standard deviations by one norm over those by the other, from their variances; at least 1."""
+    """Return standard deviations by one norm over those by the other, from their variances; at least 1."""
     if wide:
         # Numbers that the records leave open scatter as either norm pleases; what they make of the voltages counts.
         return float(np.sqrt(max(1.0, absolutes.mean() / squares.mean()))) if squares.any() else 1.0

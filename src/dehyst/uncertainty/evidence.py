@@ -1,8 +1,8 @@
-"""What records say beside a model that was identified from them: the ground on which its uncertainty is judged."""
+"""Records beside a model that was identified from them: the ground on which its uncertainty is judged."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,17 +10,31 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability
-from dehyst.identification.preprocessing.regressors import RowSource
-from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability, probe_identifiability
+from dehyst.identification.preprocessing.denoising import remove_jitter
+from dehyst.identification.preprocessing.dynamics import remove_dynamics
+from dehyst.identification.preprocessing.internal_states import InternalStates
+from dehyst.identification.preprocessing.regressors import Rows, RowSource
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
 from dehyst.identification.validation import MOST_ROWS, RecordComparison, compare_all
-from dehyst.model import Actuator, MaxwellSlip, Spring
+from dehyst.model import Actuator, Structure
+from dehyst.model.structure import Grid
 from dehyst.records import Record
+from dehyst.records.metrics import rms
+
+# Of a structured model: a row has a column for each coefficient, of which there may be hundreds.
+_FEWER_ROWS = 8000
+# A start that is not at rest must lower the RMS residual of its record to this part.
+_WORTH_OF_START = 0.9
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Records beside a model, on the model's axis; its thresholds, knots, delay and options are those of the model.
+    """Records beside a model, on the model's axis; grids, delay, dynamics and options are those of the model.
+
+    Neighbours are held as much alike as in the identification. Creep branches and smooth elements that got no stiffness
+    are not fitted again.
 
     Attributes
     ----------
@@ -39,7 +53,7 @@ class Evidence:
     stroke: float
 
     @classmethod
-    def of(cls, actuator: Actuator, records: Record | Sequence[Record]) -> Evidence:
+    def from_records(cls, actuator: Actuator, records: Record | Sequence[Record]) -> Evidence:
         """Put records beside a model.
 
         Parameters
@@ -47,7 +61,7 @@ class Evidence:
         actuator : Actuator
             As `dehyst.identify` or a model file gives it; options that its provenance lacks are the defaults.
         records : Record or sequence of Record
-            Those it was identified from, or others, if one wants to know what they would tell.
+            Those it was identified from, or others, to see what they would determine.
 
         Raises
         ------
@@ -55,25 +69,28 @@ class Evidence:
             If a record cannot be used.
         """
         compared, stroke, floor = compare_all(actuator, records)
-        movable = 2 * actuator.slip.breakaway < stroke * (1 - 1e-9)
-        drifting = tuple(q for q, one in enumerate(compared) if one.regression.drifting)
-        datums = np.array([one.datum for one in compared])
-        rows = _rows(actuator, compared, [[piece for _, piece, _ in one.pieces] for one in compared])
-        return cls(
-            actuator, compared, Regression(rows, actuator.spring.displacement, floor, movable, datums, drifting), stroke
+        grid = Grid.of_actuator(actuator)
+        if not actuator.wide:
+            grid = replace(grid, sliding=2 * actuator.slip.breakaway < stroke * (1 - 1e-9))
+        regression = Regression(
+            rows=_rows(actuator, grid, compared, stroke, [item.measured for item in compared]),
+            grid=grid,
+            floor=floor,
+            datum=np.array([item.datum for item in compared]),
+            drifting=tuple(q for q, item in enumerate(compared) if item.regression.drifting),
+            strained=tuple(q for q, item in enumerate(compared) if actuator.creep is not None and _strained(item)),
+            smoothing=_smoothing(actuator.provenance) if actuator.wide else 0.0,
         )
+        return cls(actuator, compared, regression, stroke)
 
     @cached_property
     def model(self) -> Coefficients:
         """The model's coefficients, with each epoch's constant and each record's drift [V]."""
-        slip, spring = self.actuator.slip, self.actuator.spring
-        return self.regression.nuisances_of(
-            Coefficients(slip.stiffness, spring.slopes, {}, {}, None)  # type: ignore[arg-type]
-        )
+        return self.regression.fit_nuisances(Coefficients.from_actuator(self.actuator))
 
     @cached_property
     def weights(self) -> Array:
-        """1 / (dv/dy) of the model at each row (n,)."""
+        """1 / (d tau(v)/dy) of the model at each row (n,)."""
         return 1 / self.regression.slope(self.model)
 
     @cached_property
@@ -84,38 +101,76 @@ class Evidence:
 
     @cached_property
     def identifiability(self) -> Identifiability:
-        """What the turning points of these records tell of the stiffnesses."""
-        return identifiability(self.pieces(), self.actuator.slip.breakaway, self.regression)
+        """What the turning points determine: of the stiffnesses, or for a structured model of ten plain elements."""
+        if not self.actuator.wide:
+            return identifiability(self.pieces(), self.regression)
+        knots = self.regression.knots
+        return probe_identifiability(self.pieces(), self.regression.rows, (float(knots[0]), float(knots[-1])))
 
     def pieces(self) -> list[Record]:
-        """All pieces on the model's axis, their voltages delayed."""
+        """Return all pieces on the model's axis, their voltages delayed."""
         return [
-            replace(piece, displacement=piece.displacement + one.datum)
-            for one in self.comparisons
-            for _, piece, _ in one.pieces
+            replace(piece, displacement=piece.displacement + item.datum)
+            for item in self.comparisons
+            for _, piece, _ in item.pieces
         ]
 
     def with_pieces(self, pieces: list[list[Record]]) -> Regression:
-        """The same regression on other displacements, piece for piece."""
-        return replace(self.regression, rows=_rows(self.actuator, self.comparisons, pieces))
+        """Return the same regression on other measured displacements, piece for piece."""
+        rows = _rows(self.actuator, self.regression.grid, self.comparisons, self.stroke, pieces)
+        return replace(self.regression, rows=rows)
 
     def actuator_of(self, found: Coefficients) -> Actuator:
-        """The actuator that other coefficients make, on the same axes."""
-        base = float(self.actuator.spring.voltage[0])
-        first = found.offsets[self.reference] - self.model.offsets[self.reference] + base
-        slip = MaxwellSlip(self.actuator.slip.breakaway, found.stiffness)
-        spring = Spring.of_slopes(self.regression.knots, found.slopes, first)
-        return Actuator(slip, spring, limits=self.actuator.limits, delay=self.actuator.delay)
+        """Return the actuator of other coefficients on the same axes; parts without stiffness stay."""
+        model = self.actuator
+        first = found.offsets[self.reference] - self.model.offsets[self.reference] + float(model.spring.voltage[0])
+        return found.to_actuator(
+            self.regression.grid,
+            first,
+            least=None,
+            limits=model.limits,
+            delay=model.delay,
+            dynamics=model.dynamics,
+            lag=model.lag,
+            load_stiffness=model.load_stiffness,
+        )
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values: the records' names and the stroke."""
-        return {"records": [one.record.name for one in self.comparisons], "stroke_m": self.stroke}
+        """Return the records' names and the stroke as JSON values."""
+        return {"records": [item.record.name for item in self.comparisons], "stroke_m": self.stroke}
 
 
-def _rows(actuator: Actuator, compared: Sequence[RecordComparison], pieces: list[list[Record]]) -> Any:
+def _rows(
+    actuator: Actuator, grid: Grid, compared: Sequence[RecordComparison], stroke: float, pieces: list[list[Record]]
+) -> Rows:
+    """Rows of measured pieces, prepared as an identification prepares them."""
     stacked, noise = [], []
-    for q, (one, own) in enumerate(zip(compared, pieces, strict=True)):
-        for (_, _, curve), piece in zip(one.pieces, own, strict=True):
-            stacked.append((q, piece, curve))
-            noise.append(one.record.noise)
-    return RowSource.of(stacked, actuator.slip.breakaway, noise).thinned(MOST_ROWS)
+    for q, (item, measured) in enumerate(zip(compared, pieces, strict=True)):
+        for (_, _, curve), piece in zip(item.pieces, measured, strict=True):
+            path = piece
+            if actuator.wide:
+                path = remove_jitter(remove_dynamics(piece, actuator.dynamics), item.record.noise, stroke)
+            stacked.append((q, path, curve))
+            noise.append(item.record.noise)
+
+    def internal(number: int, piece: Record) -> InternalStates:
+        return InternalStates(grid, piece, compared[number].record.lead)
+
+    source = RowSource.of(stacked, grid.breakaway, noise, moved=internal)
+    return source.thinned(_FEWER_ROWS if actuator.wide else MOST_ROWS)
+
+
+def _smoothing(options: Mapping[str, Any]) -> float:
+    """How much alike neighbours were held as the model was identified."""
+    structure = options.get("structure")
+    if isinstance(structure, Mapping) and "smoothing" in structure:
+        return float(structure["smoothing"])
+    return Structure().smoothing
+
+
+def _strained(compared: RecordComparison) -> bool:
+    """Whether a record creeps as if it had not been at rest as it began: the model fits it much worse without."""
+    regression, found = compared.regression, compared.found
+    weights = 1 / regression.slope(found)
+    rested = replace(regression, strained=()).fit_nuisances(found)
+    return bool(rms(found.solved.residual * weights) < _WORTH_OF_START * rms(rested.solved.residual * weights))

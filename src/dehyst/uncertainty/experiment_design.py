@@ -78,7 +78,8 @@ def advise(
     Returns
     -------
     tuple of Suggestion
-        Best first; those that tell nothing new are left out, and the tuple is empty if no excitation on the menu does.
+        Best first; those that determine nothing new are left out, and the tuple is empty if no excitation on the menu
+        does.
 
     Raises
     ------
@@ -104,12 +105,12 @@ def advise(
     better = [one for one in found if one.determined > evidence.identifiability.determined]
     most = max((one.determined for one in better), default=0)
     clearest = max((one.weakest for one in better if one.determined == most), default=0.0)
-    # Rank is not conditioning: what barely tells a direction comes after what tells it well.
+    # Rank is not conditioning: what barely determines a direction comes after what determines it well.
     return tuple(sorted(better, key=lambda one: (-one.determined, one.weakest < 0.5 * clearest, one.seconds)))
 
 
 def _menu(drive: Sampling, top: float, elements: int) -> Iterator[tuple[str, str, Excitation]]:
-    """What to play in words, the kind and arguments of `dehyst excite`, and the voltage."""
+    """Return what to play in words, the kind and arguments of `dehyst excite`, and the voltage."""
     low = drive.base
 
     def at(part: float) -> float:
@@ -138,6 +139,6 @@ def _judged(evidence: Evidence, words: str, command: str, excitation: Excitation
     begun = actuator.simulate(excitation.voltage[:1], state=first, extrapolate=True).state
     motion = actuator.simulate(excitation.voltage, state=begun, extrapolate=True)
     record = Record(excitation.time, excitation.voltage, motion.displacement, excitation.name)
-    told = identifiability([*evidence.pieces(), record], actuator.slip.breakaway, evidence.regression)
-    weakest = float(told.values[told.determined - 1]) if told.determined else float(np.nan)
-    return Suggestion(words, command, excitation, told.determined, told.of, weakest)
+    directions = identifiability([*evidence.pieces(), record], evidence.regression)
+    weakest = float(directions.values[directions.determined - 1]) if directions.determined else float(np.nan)
+    return Suggestion(words, command, excitation, directions.determined, directions.of, weakest)

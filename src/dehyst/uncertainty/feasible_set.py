@@ -18,7 +18,8 @@ from dehyst._errors import IdentifyError
 from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers import program
 from dehyst.model import Actuator, State
 from dehyst.records.signals import turning_points
@@ -182,8 +183,8 @@ def _means(evidence: Evidence) -> tuple[Array, Array, Array]:
     regression = evidence.regression
     rows = regression.rows
     columns = _columns(regression, rows.elongation, regression.axis, regression.nuisances())
-    # What cannot move a stiffness is told by the model: stuck elements without a column keep their part.
-    still = rows.elongation[:, ~regression.movable] @ evidence.model.stiffness[~regression.movable]
+    # Stuck elements without a column keep their part.
+    still = rows.elongation[:, ~regression.movable] @ evidence.model.stiffness[~regression.movable, 0]
     number = _groups(evidence)
     size = np.bincount(number).astype(float)
     mean = np.zeros((size.size, columns.shape[1] + 2))
@@ -193,7 +194,7 @@ def _means(evidence: Evidence) -> tuple[Array, Array, Array]:
 
 
 def _groups(evidence: Evidence) -> NDArray[np.intp]:
-    """Number of the group of each row: runs of neighbours, cut at epochs and at turning points."""
+    """Return number of the group of each row: runs of neighbours, cut at epochs and at turning points."""
     rows = evidence.regression.rows
     length = max(1, len(rows) // _ROWS)
     cut = np.zeros(len(rows), dtype=bool)
@@ -209,14 +210,14 @@ def _vector(evidence: Evidence, found: Coefficients) -> Array:
     regression = evidence.regression
     constants = [found.offsets[epoch] for epoch in np.unique(regression.rows.epoch).tolist()]
     drifts = [found.drifts[q] for q in regression.drifting]
-    return np.concatenate([found.stiffness[regression.movable], found.slopes, constants, drifts])
+    return np.concatenate([found.stiffness[regression.movable, 0], found.slopes, constants, drifts])
 
 
 def _coefficients(evidence: Evidence, x: Array) -> Coefficients:
     regression, model = evidence.regression, evidence.model
     count, segments = int(np.count_nonzero(regression.movable)), regression.knots.size - 1
     stiffness = model.stiffness.copy()
-    stiffness[regression.movable] = np.maximum(x[:count], 0.0)
+    stiffness[regression.movable, 0] = np.maximum(x[:count], 0.0)
     epochs = np.unique(regression.rows.epoch).tolist()
     offsets = x[count + segments : count + segments + len(epochs)]
     return replace(

@@ -31,7 +31,7 @@ _FINEST = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class FirstRise:
-    """What a first rise tells of the state that it started from.
+    """The state from which a first rise started, as far as the rise determines it.
 
     Attributes
     ----------
@@ -40,18 +40,18 @@ class FirstRise:
     datum : float
         What to add to the sensor's reading [m] to come to the model's axis.
     unknown : (N,) bool array
-        Elements that did not surely slide on the rise, so that at most the sum of their voltages is told, or have no
-        stiffness.
+        Elements that did not surely slide on the rise, so that at most the sum of their voltages is determined, or have
+        no stiffness.
     doubt : (N,) array
-        Standard deviation of each cart [m], from the noise and the sampling; good where much is told, a hint where
-        little is (a normal distribution about the best state, what the inequality allows being the prior); its
+        Standard deviation of each cart [m], from the noise and the sampling; good where much is determined, a hint
+        where little is (a normal distribution about the best state, what the inequality allows being the prior); its
         breakaway for a cart without stiffness.
     rms, rms_relaxed : float
         Measured minus simulated displacement on the rise [m], from this state and from the relaxed one.
     relaxed : bool
         Whether the relaxed state explains the rise as well, or about as well as the model explains the loops after it.
     remarks : tuple of str
-        Sentences: what was extrapolated, what is not told.
+        Sentences: what was extrapolated, what is not determined.
     """
 
     state: State
@@ -65,7 +65,7 @@ class FirstRise:
 
 
 def state_from_first_rise(actuator: Actuator, record: Record) -> FirstRise:
-    """The state before t = 0, from a record that begins at rest with a first rise and goes on with a full loop.
+    """Return the state before t = 0, from a record that begins at rest with a first rise and goes on with a full loop.
 
     Least squares on the displacement of the whole record, simulated from equilibria at the record's first voltage that
     obey the inequality of reachable states. The sensor's zero comes from what follows the rise, where an initial state
@@ -94,18 +94,18 @@ def state_from_first_rise(actuator: Actuator, record: Record) -> FirstRise:
         )
     if not isinstance(record, Record):
         raise RecordError(f"got {type(record).__name__}, need a Record; read a file with dehyst.read(path)")
-    record, _, said = remove_glitches(record)
+    record, _, repairs = remove_glitches(record)
     record.check_usable()
     used = record.delayed(actuator.delay) if actuator.delay else record
     rise = _Rise(actuator, used, _first_top(used))
     with one_thread():
         shares, doubt = rise.solve()
-    found = rise.told(rise.state(shares), doubt)
-    return replace(found, remarks=(*said, *found.remarks))
+    found = rise.result(rise.state(shares), doubt)
+    return replace(found, remarks=(*repairs, *found.remarks))
 
 
 def _first_top(record: Record) -> int:
-    """The sample at which the first rise ends; a full loop follows."""
+    """Return the sample at which the first rise ends; a full loop follows."""
     v = record.voltage
     first = int(record.reversals()[0])
     if v[first] < v[0]:
@@ -116,7 +116,7 @@ def _first_top(record: Record) -> int:
     if not record.slice(first, None).cycles():
         raise RecordError(
             f"record '{record.name}': no full loop after the first rise, which ends at {record.time[first]:.4g} s; it "
-            "tells the sensor's zero: go on down and up again"
+            "shows the sensor's zero: go on down and up again"
         )
     return first
 
@@ -155,7 +155,7 @@ class _Rise:
         return RestStates(self.actuator, float(self.record.voltage[0])).state(rho - way)
 
     def difference(self, state: State) -> Array:
-        """Simulated displacement minus the sensor's reading (n,) [m]; from the top on its mean is the datum."""
+        """Return simulated displacement minus the sensor's reading (n,) [m]; from the top on its mean is the datum."""
         return self._played(self.record.voltage, state) - self.record.displacement
 
     def _played(self, voltage: Array, state: State) -> Array:
@@ -179,18 +179,19 @@ class _Rise:
         def with_prior(shares: Array) -> Array:
             return np.append(weight * residual(shares), np.sqrt(12) * (shares - 0.5))
 
-        # Each share is uniform, of variance 1/12, about the relaxed state's: what is not told stays near that one.
+        # Each share is uniform, of variance 1/12, about the relaxed state's: what is not determined stays near that
+        # one.
         shares, error = _descend(with_prior, shares)
         return shares, self._doubt(shares, _slopes(with_prior, shares, error))
 
     def _starts(self) -> list[Array]:
-        """The closed form, the relaxed state, then any."""
+        """Return the closed form, the relaxed state, then any."""
         n = self.stiff.size
         some = np.random.default_rng(0).uniform(0.01, 0.99, (_STARTS - 2, n))
         return [np.clip(self._closed_form(), 0.0, 1.0), np.full(n, 0.5), *some]
 
     def _closed_form(self) -> Array:
-        """What is missing of the full friction, S(y) = sum_i kappa_i max(t_i - y, 0), is convex with known slopes.
+        """Return the friction missing, S(y) = sum_i kappa_i max(t_i - y, 0), is convex with known slopes.
 
         So sum_{m > i} kappa_m t_m is the least of S(y) + y sum_{m > i} kappa_m: exact on data without noise.
         """
@@ -207,7 +208,7 @@ class _Rise:
         return np.asarray(np.diff(way, prepend=0.0) / self.room)
 
     def _doubt(self, shares: Array, jacobian: Array) -> Array:
-        """Standard deviations of the carts (N,) [m], the problem linearised at the best state."""
+        """Return standard deviations of the carts (N,) [m], the problem linearised at the best state."""
         slip, stiff = self.actuator.slip, self.stiff
         _, values, axes = np.linalg.svd(jacobian, full_matrices=False)
         spread = axes.T / np.where(values > _STEP * values.max(), values, np.sqrt(12))
@@ -222,15 +223,15 @@ class _Rise:
         return doubt
 
     def _crowded(self, way: Array) -> Array:
-        """Distance of the samples [m] between which two carts begin to slide: no data tell these apart; else 0."""
+        """Distance of the samples [m] between which two carts begin to slide: no data distinguish these; else 0."""
         reading = self.record.displacement[self.kept[self.kept <= self.top]]
         seen = np.maximum.accumulate(reading - reading[0])
         before = np.searchsorted(seen * (1 - 1e-6), way[:-1], side="right").clip(1, seen.size - 1) - 1
         distance = np.where(way[1:] <= seen[before + 1] * (1 + 1e-6), seen[before + 1] - seen[before], 0.0)
         return np.asarray(np.maximum(np.append(distance, 0.0), np.append(0.0, distance)))
 
-    def told(self, state: State, doubt: Array) -> FirstRise:
-        """The answer in words."""
+    def result(self, state: State, doubt: Array) -> FirstRise:
+        """Return the answer in words."""
         voltage, reading = float(self.record.voltage[0]), self.record.displacement[: self.top + 1]
         rise, own = slice(0, self.top + 1), self.difference(state)
         datum, plain = float(own[self.top :].mean()), self.difference(self.actuator.relaxed(voltage, extrapolate=True))
@@ -254,27 +255,29 @@ class _Rise:
             return []
         return [
             f"The first {below * 1e6:.4g} um of the rise of {height * 1e6:.4g} um lie below the spring's identified "
-            "range: it was extrapolated there, and what is said of the carts rests on that."
+            "range: it was extrapolated there, and the carts depend on that."
         ]
 
     def _untold(self, unknown: Mask, doubt: Array, height: float) -> list[str]:
-        said, told = [], float(doubt[~unknown].min(initial=np.inf))
+        remarks, best = [], float(doubt[~unknown].min(initial=np.inf))
         if unknown.any():
             numbers = ", ".join(str(i + 1) for i in np.flatnonzero(unknown))
-            said.append(
-                f"Elements {numbers} did not surely slide on the rise or have no stiffness: their carts are not told."
+            remarks.append(
+                f"Elements {numbers} did not surely slide on the rise or have no stiffness: their carts are not "
+                f"determined."
             )
-        if 0.01 * height < told < np.inf:
-            said.append(
-                f"No cart is told better than to {told * 1e6:.2g} um: the loops are too small to tell where on its "
+        if 0.01 * height < best < np.inf:
+            remarks.append(
+                f"No cart is determined better than to {best * 1e6:.2g} um: the loops are too small to show where "
+                f"on its "
                 "axis the model stands. Go as far as all elements slide."
             )
         if self.top + 1 < 4 * self.stiff.size:
-            said.append(
+            remarks.append(
                 f"The rise has {self.top + 1} samples for {self.stiff.size} elements: carts that begin to slide "
-                "between two samples cannot be told apart. Sample faster, or rise more slowly."
+                "between two samples cannot be distinguished. Sample faster, or rise more slowly."
             )
-        return said
+        return remarks
 
     def _missed(self, error: float, height: float) -> list[str]:
         if error <= max(3 * self.record.noise, 0.005 * height):
@@ -315,6 +318,6 @@ def _descend(residual: Callable[[Array], Array], start: Array) -> tuple[Array, A
 
 
 def _slopes(residual: Callable[[Array], Array], x: Array, error: Array) -> Array:
-    """Derivatives of the residual (n, K), by differences towards the middle of the bounds."""
+    """Return derivatives of the residual (n, K), by differences towards the middle of the bounds."""
     steps = np.diag(np.where(x < 0.5, _STEP, -_STEP))
     return np.column_stack([(residual(x + step) - error) / step.sum() for step in steps])

@@ -18,13 +18,13 @@ _WIDER = 0.01
 
 
 def misfit_of(actuator: Actuator, comparisons: tuple[RecordComparison, ...]) -> float:
-    """The largest error of a model on records [m]."""
+    """Return the largest error of a model on records [m]."""
     errors = [played[2] - played[3] for one in comparisons for _, _, played in one.played(actuator)]
     return largest(np.concatenate(errors))
 
 
 def of_another(actuator: Actuator, misfit: float, stroke: float) -> str | None:
-    """A warning if records are of another actuator than the model."""
+    """Return A warning if records are of another actuator than the model."""
     range_ = float(np.ptp(actuator.spring.displacement))
     missed, own = 100 * misfit / stroke, actuator.provenance.get("largest_error_m", np.inf)
     if missed <= _MISSED and not (missed > _WORTH and misfit > _TIMES * own):
@@ -36,7 +36,7 @@ def of_another(actuator: Actuator, misfit: float, stroke: float) -> str | None:
 
 
 def beyond(actuator: Actuator, limits: tuple[float, float] | None) -> str | None:
-    """A warning if limits [V] go beyond the voltages that were recorded."""
+    """Return A warning if limits [V] go beyond the voltages that were recorded."""
     recorded = actuator.limits
     if recorded is None or limits is None:
         return None
@@ -45,12 +45,12 @@ def beyond(actuator: Actuator, limits: tuple[float, float] | None) -> str | None
         return None
     return (
         f"The limits, {limits[0]:.6g} to {limits[1]:.6g} V, go {over:.4g} V beyond those of the records, "
-        f"{recorded[0]:.6g} to {recorded[1]:.6g} V: what is said of voltages there is extrapolated."
+        f"{recorded[0]:.6g} to {recorded[1]:.6g} V: all results for voltages there are extrapolated."
     )
 
 
 def not_homed(homing: Homing | None) -> str | None:
-    """A warning if the rise before a trajectory leaves the state unknown."""
+    """Return A warning if the rise before a trajectory leaves the state unknown."""
     if homing is None or homing.certified:
         return None
     return (

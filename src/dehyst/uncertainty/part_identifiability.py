@@ -1,10 +1,10 @@
-"""What records tell of each part of a wider model: combinations of coefficients that they determine despite noise.
+"""What records determine of each part of a structured model: combinations of coefficients, despite noise.
 
 Coefficients count as what their parts hold in volts: stiffness times breakaway elongation, slope times the length of
 its segment, and so on. Along the paths that the model itself makes of the records' voltages (noise could be taken for
 knowledge), a combination of a part's coefficients shows as an RMS voltage, everything else being free to make up for
 it. With the scatter of the legs' mean residuals that gives its standard deviation. That stiffnesses are not negative is
-left aside: it can only tell more.
+left aside: it can only determine more.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers.program import triangle_of
 from dehyst.records import Record
 from dehyst.records.metrics import rms
 from dehyst.records.signals import turning_points
-from dehyst.uncertainty.wide_evidence import WideEvidence
+from dehyst.uncertainty.evidence import Evidence
 
 # A combination is known if its standard deviation is at most this part of the range of the voltages.
 SHARP = 0.01
@@ -30,7 +30,7 @@ _ROUNDING = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class PartIdentifiability:
-    """What records tell of a part.
+    """What records determine of a part.
 
     Attributes
     ----------
@@ -69,8 +69,8 @@ class PartIdentifiability:
         return {"part": self.part, "known": self.known, "of": self.of, "deviations_V": shown}
 
 
-def part_identifiability(evidence: WideEvidence) -> tuple[PartIdentifiability, ...]:
-    """What records tell of each part of a model; `PartIdentifiability` of the creep before them is left out."""
+def part_identifiability(evidence: Evidence) -> tuple[PartIdentifiability, ...]:
+    """Return what records determine of each part of a model; creep before the records is left out."""
     regression = evidence.with_pieces(_made(evidence))
     weights = evidence.weights / np.median(evidence.weights)
     columns = regression.bounded / _holds(regression) * weights[:, None]
@@ -93,7 +93,7 @@ def part_identifiability(evidence: WideEvidence) -> tuple[PartIdentifiability, .
     return tuple(found)
 
 
-def _parts(regression: WideRegression) -> list[tuple[str, slice]]:
+def _parts(regression: Regression) -> list[tuple[str, slice]]:
     """Name and columns of each part there is."""
     grid = regression.grid
     sizes = {
@@ -108,8 +108,8 @@ def _parts(regression: WideRegression) -> list[tuple[str, slice]]:
     return [(name, slice(start, stop)) for name, start, stop in found if stop > start]
 
 
-def _holds(regression: WideRegression) -> Array:
-    """What a coefficient of each column must be to hold a volt, over one (q,)."""
+def _holds(regression: Regression) -> Array:
+    """Return what a coefficient of each column must be to hold a volt, over one (q,)."""
     grid = regression.grid
     stroke, lengths = float(np.ptp(grid.knots)), np.diff(grid.drive)
     found = np.concatenate(
@@ -124,8 +124,8 @@ def _holds(regression: WideRegression) -> Array:
     return np.concatenate([found, np.ones(regression.bounded.shape[1] - found.size)])
 
 
-def _made(evidence: WideEvidence) -> list[list[Record]]:
-    """The pieces with the displacements that the model makes."""
+def _made(evidence: Evidence) -> list[list[Record]]:
+    """Return the pieces with the displacements that the model makes."""
     made = []
     for one in evidence.comparisons:
         paths = [piece.displacement.copy() for piece in one.measured]
@@ -135,9 +135,9 @@ def _made(evidence: WideEvidence) -> list[list[Record]]:
     return made
 
 
-def _scatter(evidence: WideEvidence, weights: Array) -> float:
-    """Standard deviation of a mean over all legs [V]."""
-    rows, residual = evidence.regression.rows, evidence.model.solution.residual * weights
+def _scatter(evidence: Evidence, weights: Array) -> float:
+    """Return standard deviation of a mean over all legs [V]."""
+    rows, residual = evidence.regression.rows, evidence.model.solved.residual * weights
     cuts = np.flatnonzero(np.diff(rows.epoch)) + 1
     turns = turning_points(rows.voltage, 0.02 * float(np.ptp(rows.voltage)))
     starts = np.unique([0, *cuts, *turns])

@@ -67,7 +67,7 @@ class PredictionBand:
     ) -> PredictionBand:
         """Play a command on every model that might be the true one, each homed by a rise through the limits.
 
-        With `played`, the rise in time, and the command's `time` [s], where time has a say.
+        With `played`, the rise in time, and the command's `time` [s], where time matters.
         """
 
         def state(model: Actuator) -> State:
@@ -125,9 +125,9 @@ class PredictionBand:
 
 
 def state_at_top(actuator: Actuator, limits: tuple[float, float] | None) -> State:
-    """The state at the top of the limits, after a rise through all of them; at that of the spring without limits.
+    """Return the state at the top of the limits after a rise through them; without limits, at the spring's top.
 
-    Where time has a say, after the homing that ends there (`dehyst.control.homing.shortest_homing`).
+    Where time matters, after the homing that ends there (`dehyst.control.homing.shortest_homing`).
     """
     ends = actuator.spring.displacement[[0, -1]]
     if limits is None:
@@ -136,12 +136,12 @@ def state_at_top(actuator: Actuator, limits: tuple[float, float] | None) -> Stat
 
 
 def rise_excitation(actuator: Actuator, limits: tuple[float, float]) -> Excitation | None:
-    """The voltage in time that homes to the top of the limits; None where time has no say."""
+    """Return the voltage in time that homes to the top of the limits; None where time does not matter."""
     return shortest_homing(actuator, limits=limits, present=limits[0], end=limits[1]).played if actuator.wide else None
 
 
 def state_after_rise(actuator: Actuator, limits: tuple[float, float], played: Excitation | None) -> State:
-    """The state after a rise through the limits, played as it is given, or at any pace."""
+    """Return the state after a rise through the limits, played as it is given, or at any pace."""
     start = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
     if played is None:
         after: State = actuator.simulate(np.array(limits), state=start, extrapolate=True).state

@@ -71,13 +71,13 @@ class RestStates:
         return self._at(self._farthest(kappa)).displacement, self._at(self._farthest(-kappa)).displacement
 
     def residual_range(self) -> tuple[float, float]:
-        """The same from where the spring alone holds the voltage [m]: the least and the largest residual strain."""
+        """Return it from where the spring alone holds the voltage [m]: the least and the largest residual strain."""
         low, high = self.range()
         at_rest = self.actuator.relaxed(self.voltage, extrapolate=True).displacement
         return low - at_rest, high - at_rest
 
     def state(self, elongation: ArrayLike) -> State:
-        """The equilibrium with the elongations s_i (N,) [m].
+        """Return the equilibrium with the elongations s_i (N,) [m].
 
         Raises
         ------
@@ -90,7 +90,7 @@ class RestStates:
         return self._at(s)
 
     def vertex(self, direction: ArrayLike) -> State:
-        """A state that goes farthest in a direction (N,) of the elongations, ``max sum_i direction_i s_i``.
+        """Return A state that goes farthest in a direction (N,) of the elongations, ``max sum_i direction_i s_i``.
 
         A corner of the polytope, by a linear program; where several are as far, one of them.
 
@@ -158,7 +158,7 @@ class RestStates:
         if self._bent:
             raise ModelError(
                 "equilibria: with graded or smooth elements the set is no polytope of elongations; range() bounds it, "
-                "holds(state) tells whether a state belongs to it"
+                "holds(state) returns whether a state belongs to it"
             )
         held, tau = float(self.actuator.slip.stiffness @ elongation), self.actuator.transformer
         drive = self.voltage if tau is None else float(tau(self.voltage))
@@ -183,7 +183,7 @@ class RestStates:
 
 
 def sliding_order(actuator: Actuator, state: State) -> tuple[Indices, Array]:
-    """The order in which the elements first slide when the displacement rises (Sec. 3, Appendix A.1).
+    """Return the order in which the elements first slide when the displacement rises (Sec. 3, Appendix A.1).
 
     Cart i slides once y passes ``b_i + rho_i``. From a reachable state element i + 1 is never before element i.
 

@@ -26,8 +26,8 @@ class StateKnowledge:
         Time since the record's start [s] from which every element with stiffness is known: to one who sees the
         displacement, and to one who sees the voltage alone; None if never.
     judged : bool
-        Whether `by_voltage` was judged: the order of voltages does not tell where creep, inertia, a lag or smooth
-        elements have a say.
+        Whether `by_voltage` was judged: the order of voltages does not determine it with creep, inertia, a lag or
+        smooth elements.
     """
 
     record: str
@@ -37,7 +37,7 @@ class StateKnowledge:
 
     @classmethod
     def of(cls, actuator: Actuator, compared: RecordComparison) -> StateKnowledge:
-        """What a record that was put beside an actuator makes known."""
+        """Return what a record that was put beside an actuator makes known."""
         stiff, record = _stiff(actuator), compared.record.record
         # Noise widens a range by its extremes; what it adds is no excursion.
         reach = 2 * stiff.slip.breakaway + 4 * compared.record.noise
@@ -67,7 +67,7 @@ class StateKnowledge:
 
 
 def _stiff(actuator: Actuator) -> Actuator:
-    """The slip elements that hold something, the spring and the transformer: the rest has no carts."""
+    """Return the slip elements that hold something, the spring and the transformer: the rest has no carts."""
     slip = actuator.slip
     keep = slip.friction > _SMALL * float(np.ptp(actuator.spring.voltage))
     rho, kappa = slip.breakaway[keep], slip.stiffness[keep]

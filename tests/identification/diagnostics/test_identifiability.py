@@ -16,6 +16,7 @@ from dehyst import Actuator, MaxwellSlip, Spring
 from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
+from dehyst.model.structure import Grid
 from dehyst.records import Record
 
 PLANT = plain_records.plant()
@@ -94,7 +95,8 @@ def told(records, elements=10, *, movable=None, relaxed=()):
     rows, _ = collect([(q, one, np.zeros(len(one))) for q, one in enumerate(records)], rho, [0.0] * len(records))
     every = np.ones(elements, dtype=bool) if movable is None else movable
     knots = np.linspace(0, plain_records.STROKE, elements + 1)
-    return identifiability(records, rho, Regression(rows, knots, 1.0, every, np.zeros(len(records))), relaxed=relaxed)
+    regression = Regression(rows, Grid.plain(rho, knots, every), 1.0, np.zeros(len(records)))
+    return identifiability(records, regression, relaxed=relaxed)
 
 
 def told_of(turns, elements=10, **options):

@@ -6,7 +6,9 @@ import pytest
 
 from dehyst import Record
 from dehyst.identification.preprocessing.regressors import collect, epochs
-from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
+from dehyst.model.structure import Grid
 
 RANDOM_RECORDS = 300
 
@@ -112,8 +114,8 @@ def test_carts_that_stand_still_add_displacement_less_the_middle():
 def test_stuck_carts_give_the_slope_that_the_voltage_has():
     actuator = plain_records.plant(6)
     rows, _ = rows_of(actuator, plain_records.loops(actuator, plain_records.THREE_LOOPS, samples=400))
-    model = Coefficients(actuator.slip.stiffness, actuator.spring.slopes, {}, {}, None)
-    regression = Regression(rows, actuator.spring.displacement, 0.0, np.ones(6, bool), np.zeros(1))
+    model = Coefficients.from_actuator(actuator)
+    regression = Regression(rows, Grid.of_actuator(actuator, np.ones(6, bool)), 0.0, np.zeros(1))
     y, v, slope = regression.axis, rows.voltage, regression.slope(model)
     same = np.flatnonzero((np.diff(slope) == 0) & (np.abs(np.diff(y)) > 1e-4 * plain_records.STROKE))
     assert same.size > 0.8 * len(rows)

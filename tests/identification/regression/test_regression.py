@@ -11,11 +11,12 @@ import structured_records as wide
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dehyst import Actuator, IdentifyError, ModelError, State
+from dehyst import IdentifyError, ModelError, State
 from dehyst.identification.preprocessing.regressors import epochs
-from dehyst.identification.regression.coefficients import coefficients_of, grid_of, parts
-from dehyst.identification.regression.wide_regression import WideRegression
+from dehyst.identification.regression import regression as program
+from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.model import Structure
+from dehyst.model.structure import Grid
 
 NAMES = tuple(wide.STRUCTURES)
 
@@ -73,7 +74,7 @@ def told(grid, found):
         slopes[inside] += stiffness[never, m].sum()
         offset -= stiffness[never & (lowest >= b * (1 - 1e-9)), m].sum() * (b - a)
         stiffness[never, m] = 0
-    return stiffness, slopes, found.moved, found.drive, offset
+    return stiffness, slopes, found.internal, found.transformer, offset
 
 
 @pytest.mark.parametrize("norm", ["l1", "l2"])
@@ -92,25 +93,29 @@ def test_known_coefficients_come_back(name, norm):
 def test_parts_of_found_coefficients_make_the_actuator(name):
     plant, regression = known(name), rows_of(name)
     found = regression.fit("l2")
-    actuator = Actuator(**parts(plant.grid, found, found.offsets[0]))
+    actuator = found.to_actuator(plant.grid, found.offsets[0])
     v = actuator.compensate(plant.path, time=plant.time, state=plant.state).voltage
     assert np.abs(v - plant.record().voltage).max() < 1e-8 * plain_records.VOLTS
-    again, grid = coefficients_of(actuator), grid_of(actuator)
-    for got, expected in ((again.stiffness, found.stiffness), (again.slopes, found.slopes), (again.drive, found.drive)):
+    again, grid = Coefficients.from_actuator(actuator), Grid.of_actuator(actuator)
+    for got, expected in (
+        (again.stiffness, found.stiffness),
+        (again.slopes, found.slopes),
+        (again.transformer, found.transformer),
+    ):
         np.testing.assert_allclose(got, expected, rtol=1e-9)
     for field in ("breakaway", "knots", "drive"):
         np.testing.assert_array_equal(getattr(grid, field), getattr(plant.grid, field))
-    kept = found.moved > 1e-9 * wide.SLOPE
-    np.testing.assert_array_equal(again.moved, found.moved[kept])
+    kept = found.internal > 1e-9 * wide.SLOPE
+    np.testing.assert_array_equal(again.internal, found.internal[kept])
 
 
 def test_a_branch_that_holds_nothing_is_left_out():
     plant = known("creep")
     found = rows_of("creep").fit("l2")
-    without = replace(found, moved=found.moved * [1, 0, 1, 0])
-    creep = parts(plant.grid, without, 0.0)["creep"]
+    without = replace(found, internal=found.internal * [1, 0, 1, 0])
+    creep = without.to_actuator(plant.grid, 0.0).creep
     np.testing.assert_array_equal(creep.time_constants, plant.grid.time_constants[[0, 2]])
-    assert parts(plant.grid, replace(found, moved=0 * found.moved), 0.0)["creep"] is None
+    assert replace(found, internal=0 * found.internal).to_actuator(plant.grid, 0.0).creep is None
 
 
 def test_tau_keeps_the_ends_of_the_voltages_whatever_is_found():
@@ -122,10 +127,10 @@ def test_tau_keeps_the_ends_of_the_voltages_whatever_is_found():
     for power in (10.0, 0.1):
         twisted = low + (high - low) * share**power
         found = replace(regression, rows=replace(regression.rows, voltage=twisted)).fit("l2")
-        tau = parts(plant.grid, found, 0.0)["transformer"]
+        tau = found.to_actuator(plant.grid, 0.0).transformer
         np.testing.assert_allclose(tau.drive[[0, -1]], [low, high], rtol=1e-9, atol=1e-9 * high)
-        assert found.drive.min() >= 0.2 * (1 - 1e-9)
-    assert found.drive.min() == pytest.approx(0.2, rel=1e-6)
+        assert found.transformer.min() >= 0.2 * (1 - 1e-9)
+    assert found.transformer.min() == pytest.approx(0.2, rel=1e-6)
 
 
 def test_the_springs_slopes_keep_the_floor():
@@ -154,11 +159,11 @@ def test_no_branch_falls(norm, monkeypatch):
     plant, regression = falling()
     found = regression.fit(norm)
     assert found.solution.optimal
-    held = Actuator(**parts(plant.grid, found, 0.0))
-    monkeypatch.setattr(WideRegression, "_violated", lambda self, x: np.zeros((0, x.size)))
+    held = found.to_actuator(plant.grid, 0.0)
+    monkeypatch.setattr(program, "violated", lambda grid, x, floor: np.zeros((0, grid.outermost.shape[1])))
     free = regression.fit(norm)
     with pytest.raises(ModelError, match="does not rise with the displacement on the rising outermost branch"):
-        Actuator(**parts(plant.grid, free, 0.0))
+        free.to_actuator(plant.grid, 0.0)
     # The price, and the floor on every branch as long motions from the ends go over it.
     assert (
         np.abs(regression.residual(free)).max() < 1e-9 * plain_records.VOLTS < np.abs(regression.residual(found)).max()
@@ -185,19 +190,19 @@ def test_what_creep_held_at_the_start_comes_back():
     begin = float(record.time[len(record) - len(told_so.rows)])
     lasting = np.exp(-begin / plant.grid.time_constants) > 0.01
     assert lasting.tolist() == [False, True, True, True]
-    expected = np.where(lasting, found.moved * strains, 0.0)
+    expected = np.where(lasting, found.internal * strains, 0.0)
     np.testing.assert_allclose(found.starts[0], expected, atol=1e-4 * np.abs(expected).max())
     left, better = without.residual(without.fit("l2")).std(), told_so.residual(found).std()
     assert better < 0.01 * left
-    true = plant.coefficients(told_so).moved
-    assert np.abs(found.moved - true).max() < 0.1 * np.abs(without.fit("l2").moved - true).max()
+    true = plant.coefficients(told_so).internal
+    assert np.abs(found.internal - true).max() < 0.1 * np.abs(without.fit("l2").internal - true).max()
 
 
 def test_no_branch_begins_with_more_than_it_can_hold():
     plant, record, _ = begun(share=5.0)
     regression = wide.regression(plant.grid, [record], strained=(0,))
     found = regression.fit("l2")
-    limit = found.moved * np.ptp(plant.grid.knots)
+    limit = found.internal * np.ptp(plant.grid.knots)
     assert np.all(np.abs(found.starts[0]) <= limit * (1 + 1e-6))
     assert np.any(np.abs(found.starts[0]) > 0.99 * limit)
 
@@ -205,12 +210,12 @@ def test_no_branch_begins_with_more_than_it_can_hold():
 def test_a_given_model_gets_only_constants_and_starts():
     plant, record, strains = begun()
     regression = wide.regression(plant.grid, [record], strained=(0,))
-    true = coefficients_of(plant.actuator)
-    found = regression.nuisances_of(true)
+    true = Coefficients.from_actuator(plant.actuator)
+    found = regression.fit_nuisances(true)
     assert found.stiffness is true.stiffness
     assert np.abs(regression.residual(found)).max() < 2e-3 * plain_records.VOLTS
     assert found.offsets[0] == pytest.approx(float(plant.actuator.spring.voltage[0]), abs=1e-3 * plain_records.VOLTS)
-    np.testing.assert_allclose(found.starts[0][2:], (true.moved * strains)[2:], rtol=0.02)
+    np.testing.assert_allclose(found.starts[0][2:], (true.internal * strains)[2:], rtol=0.02)
 
 
 def test_fewer_rows_are_the_same_rows():

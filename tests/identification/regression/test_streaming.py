@@ -19,6 +19,7 @@ from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.solvers.program import NORMS
 from dehyst.model import Creep, Dynamics, SmoothSlip, Transformer
+from dehyst.model.structure import Grid
 from dehyst.records import signals
 
 RHO = plain_records.plant(12).slip.breakaway
@@ -39,9 +40,8 @@ def stream(most, drifting=(1,)):
     source = RowSource.of(pieces(), RHO, [2e-9, 2e-9])
     regression = Regression(
         source.thinned(most),
-        np.linspace(0, plain_records.STROKE, 13),
+        Grid.plain(RHO, np.linspace(0, plain_records.STROKE, 13), 2 * RHO < plain_records.STROKE * 0.999),
         1e5,
-        2 * RHO < plain_records.STROKE * 0.999,
         np.zeros(2),
         drifting,
     )
@@ -86,7 +86,7 @@ def test_a_stream_has_the_optimum_of_the_rows_in_memory(monkeypatch, norm):
     free, bounded, target = memory.regression.table(epochs)
 
     def residual(found):
-        x = np.concatenate([found.stiffness[memory.regression.movable], found.slopes - memory.regression.floor])
+        x = np.concatenate([found.stiffness[memory.regression.movable, 0], found.slopes - memory.regression.floor])
         a = np.array([*found.offsets.values(), *found.drifts.values()])
         return np.abs(free @ a + bounded @ x - target) * weights
 
@@ -100,7 +100,7 @@ def test_a_stream_has_the_optimum_of_the_rows_in_memory(monkeypatch, norm):
 def test_constants_and_drifts_of_a_given_model_are_the_same():
     memory = stream(10**9)
     model = memory.fit_weighted("l2")
-    one, other = memory.nuisances_of(model), stream(300).nuisances_of(model)
+    one, other = memory.fit_nuisances(model), stream(300).fit_nuisances(model)
     np.testing.assert_allclose(list(other.offsets.values()), list(one.offsets.values()), rtol=1e-9)
     assert other.drifts[1] == pytest.approx(one.drifts[1], rel=1e-6)
 

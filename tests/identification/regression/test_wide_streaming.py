@@ -13,7 +13,7 @@ import structured_records as wide
 from dehyst.identification.preprocessing import regressors
 from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.regressors import RowSource
-from dehyst.identification.regression.wide_streaming import WideStream
+from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.solvers.program import NORMS
 
 ORDER = {"l1": 1, "l2": 2, "linf": np.inf}
@@ -46,7 +46,7 @@ def streams(name, most, strained=()):
         pieces, plant.grid.breakaway, [0.0, 0.0], moved=lambda _, piece: InternalStates(plant.grid, piece, None)
     )
     whole = wide.regression(plant.grid, records, strained=strained)
-    return plant, WideStream(source, replace(whole, rows=source.thinned(most)))
+    return plant, Stream(source, replace(whole, rows=source.thinned(most)))
 
 
 @pytest.mark.parametrize("norm", NORMS)

@@ -18,6 +18,7 @@ from dehyst.identification.solvers.highs import Program
 from dehyst.identification.solvers.l1_interior_point import interior
 from dehyst.identification.solvers.problem import Problem
 from dehyst.identification.solvers.program import solve
+from dehyst.model.structure import Grid
 
 KINDS = ("random", "collinear", "noise-free", "tiny", "repeated rows", "rounded")
 
@@ -217,7 +218,12 @@ def test_the_program_of_a_record():
     record = plain_records.loops(actuator, plain_records.THREE_LOOPS, samples=150, noise=2e-9)
     rows, _ = collect([(0, record, np.zeros(len(record)))], actuator.slip.breakaway, [2e-9])
     movable = 2 * actuator.slip.breakaway < plain_records.STROKE
-    regression = Regression(rows, np.linspace(0, plain_records.STROKE, 21), 1e5, movable, np.zeros(1))
+    regression = Regression(
+        rows,
+        Grid.plain(actuator.slip.breakaway, np.linspace(0, plain_records.STROKE, 21), movable),
+        1e5,
+        np.zeros(1),
+    )
     found = regression.fit("l1")
     spring = regression.parts_of_spring(regression.axis)
     a = np.hstack([regression.nuisances(), rows.elongation[:, movable], spring])

@@ -14,6 +14,7 @@ from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import Rows, collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers import program
+from dehyst.model.structure import Grid
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
 
@@ -108,9 +109,7 @@ class Identifiability:
         return tuple(_spread(vector, where, self.movable.size) for vector in sorted(found, key=_first))
 
 
-def identifiability(
-    records: list[Record], breakaway: Array, regression: Regression, *, relaxed: Collection[int] = ()
-) -> Identifiability:
+def identifiability(records: list[Record], regression: Regression, *, relaxed: Collection[int] = ()) -> Identifiability:
     """Directions of the stiffnesses that the records determine, and how many there are.
 
     Noise makes every sample of a record a little different from every other, and a numerical rank of measured rows
@@ -120,13 +119,12 @@ def identifiability(
     ----------
     records : list of Record
         Pieces without gaps, on one displacement axis.
-    breakaway : (N,) array
-        rho [m].
     regression : Regression
-        Whose knots and movable elements count.
+        Whose thresholds, knots and movable elements count.
     relaxed : collection of int, optional
         Numbers of the records that start with no element strained.
     """
+    breakaway = regression.grid.breakaway
     spacing = float(np.diff(breakaway, prepend=0.0).min())
     ends = regression.knots[[0, -1]]
     turns = [_turns(record, spacing, ends) for record in records]
@@ -140,7 +138,7 @@ def identifiability(
     count = int(np.count_nonzero(movable))
     if not len(rows) or not count:
         return Identifiability(breakaway, movable, np.zeros(count), np.eye(count))
-    values, vectors = np.linalg.svd(few.projected(breakaway))[1:]
+    values, vectors = np.linalg.svd(few.projected())[1:]
     found = np.zeros(count)
     found[: values.size] = values / np.sqrt(len(rows))
     return Identifiability(breakaway, movable, found, vectors)
@@ -165,7 +163,7 @@ def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, 
     rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
     movable = 2 * rho < stroke * (1 - 1e-9)
     knots = np.linspace(*span, _PROBES + 1)
-    return identifiability(records, rho, Regression(rows, knots, 0.0, movable, np.zeros(len(records))))
+    return identifiability(records, Regression(rows, Grid.plain(rho, knots, movable), 0.0, np.zeros(len(records))))
 
 
 def _turns(record: Record, spacing: float, ends: Array) -> list[float]:

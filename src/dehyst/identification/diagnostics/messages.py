@@ -11,7 +11,8 @@ from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.identification.dynamics_search import significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import epochs
-from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
 from dehyst.model import Outcome, RecordErrors
 from dehyst.model.fit import FEWEST_DECADES
 

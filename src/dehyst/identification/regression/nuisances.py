@@ -8,23 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.regression.regression import Coefficients, Regression
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
 from dehyst.records.signals import turning_points
 
 _SEARCH_ROWS = 4000
 
-
 _STEPS = 20
-
-
 # A repair is made only where it makes the RMS residual smaller by this much.
 _WORTH = 0.97
-
-
-# Loops of one height and rate tell a delay from hysteresis only at their turns: it has to explain much more there.
+# Loops of one height and rate distinguish a delay from hysteresis only at their turns: it has to explain much more
+# there.
 _WORTH_OF_DELAY = 0.5
-
-
 # A sensor that was zeroed anew shows at once; a small gain is the model bending.
 _WORTH_OF_DATUM = 0.8
 
@@ -61,7 +56,7 @@ def searched_delay(
     longest, sample_time : float
         As those of `find_delay`.
     voltage : (n,) array
-        Of the samples that count [V]: loops of one height have to tell more.
+        Of the samples that count [V]: loops of one height have to explain more.
     stroke : float
         [m].
     """
@@ -123,7 +118,7 @@ def find_datum(regression: Regression, record: int, stroke: float, given: Coeffi
 
 
 def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...]:
-    """Records among the candidates whose creep since the start is worth a coefficient."""
+    """Return records among the candidates whose creep since the start is worth a coefficient."""
     few = regression.thinned(_SEARCH_ROWS)
     return worthwhile(lambda drifting: _rms(replace(few, drifting=drifting)), candidates, _stroke(few))
 
@@ -150,7 +145,7 @@ def _stroke(regression: Regression) -> float:
 
 def _rms(regression: Regression, given: Coefficients | None = None) -> float:
     """RMS residual [m], of the best model or of the given one."""
-    found = regression.fit("l2") if given is None else regression.nuisances_of(given)
+    found = regression.fit("l2") if given is None else regression.fit_nuisances(given)
     return regression.rms(found)
 
 

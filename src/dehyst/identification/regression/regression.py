@@ -1,204 +1,383 @@
-"""From rows to a model: stiffnesses, spring slopes and the nuisances of each record, in one convex program.
+"""From rows to coefficients: stiffnesses, slopes and the nuisances of each record, in one convex program.
 
-    v = sum_i kappa_i s_i + sum_j slope_j R_j(y + d_q) + a_e + c_q L(t) + residual
+    tau(v) = sum_im kappa_im [R_m(y) - R_m(b_i)] + sum_j slope_j R_j(y) + sum_j c_j d_j + sum_l k_l q_l
+             + sum_j p_jq exp(-t/tau_j) + a_e + c_q L(t) + residual
 
-R_j(y) is the part of y in segment j of the spring, the end segments being unbounded; kappa_i >= 0, slope_j >= floor
-(Assumption I); a_e a constant for each epoch, d_q the datum and c_q the drift of record q.
+with y the displacement shifted by the datum d_q of its record q. R_m(z) is the part of z in segment m, the end segments
+being unbounded; b_i the position of cart i; a_e the constant of epoch e and c_q the drift of record q; p_jq, what is
+left at time t since record q began of the creep before it, is at most c_j times the range. All unknowns are >= 0 but
+the constants and drifts; slope_j and the slopes of tau are >= a floor (Assumption I). tau keeps the ends of the
+voltages where they are, which fixes scale and offset.
+
+With one segment, no tau, no creep and no smooth elements this is the plain Maxwell-slip class:
+``v = sum_i kappa_i s_i + sum_j slope_j R_j(y) + a_e + c_q L(t) + residual``.
+
+With graded elements the right-hand side must increase by the floor at least on every outermost branch; those of these
+inequalities that would be violated go into the program.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 from dehyst.identification.preprocessing.regressors import Rows
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.inequalities import bounds, violated
+from dehyst.identification.regression.regularization import regularization_rows
 from dehyst.identification.solvers.program import Norm, Solution, solve, triangle_of
 from dehyst.model.elements import parts_in_segments, segment_of
+from dehyst.model.structure import Grid
 from dehyst.records.metrics import rms
 
-
-class Fitted(Protocol):
-    """What any regression finds."""
-
-    @property
-    def solution(self) -> Solution:
-        """The program's answer."""
-        ...
+TRANSFORMER_FLOOR = 0.2
+_ROUNDS = 12
+# Of the creep before a record, what is less than this at its first sample that counts is nothing.
+_FORGOTTEN = 0.01
 
 
-Found = TypeVar("Found", bound=Fitted)
+Solver = Callable[[tuple[Array, Array] | None], Solution]
 
 
-class AbstractRegression(ABC, Generic[Found]):
-    """Rows whose voltages a program meets, whatever the class of the model.
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """What is fixed while coefficients are sought.
 
     Attributes
     ----------
     rows : Rows
+        With what moves along the path: creep strains, smooth elongations, then exp(-t/tau_j).
+    grid : Grid
+    floor : float
+        Least slope of the spring, and of every outermost branch [V/m].
     datum : (records,) array
         d_q [m].
     drifting : tuple of int
         Records that get a drift.
+    strained : tuple of int
+        Records whose creep branches may not be at rest as they begin.
+    smoothing : float
+        How much alike neighbours are held, see `regularization`; 0: not at all.
+    lasting : (S J,) bool array, optional
+        Starts of creep that are not forgotten before the first sample that counts; default: read from the rows.
     """
 
     rows: Rows
+    grid: Grid
+    floor: float
     datum: Array
-    drifting: tuple[int, ...]
+    drifting: tuple[int, ...] = ()
+    strained: tuple[int, ...] = ()
+    smoothing: float = 0.0
+    lasting: Mask | None = None
 
-    @abstractmethod
-    def fit(self, norm: Norm, weights: Array | None = None) -> Found:
-        """Solve the program."""
+    def thinned(self, most: int) -> Regression:
+        """Return the same on about `most` of the rows."""
+        return replace(self, rows=self.rows.thinned(most))
 
-    @abstractmethod
-    def slope(self, found: Found) -> Array:
-        """dv/dy of the model at each row (n,) [V/m]; the weight of a row is its inverse."""
+    def chosen(self, which: Mask) -> Regression:
+        """Return the same on some of the rows."""
+        return replace(self, rows=self.rows.chosen(which))
+
+    @property
+    def knots(self) -> Array:
+        """Knots of the spring [m]."""
+        return self.grid.knots
+
+    @property
+    def movable(self) -> Mask:
+        """(N,) elements that slide in some record; the others are one with the spring and get no stiffness."""
+        return self.grid.movable
+
+    @property
+    def mean_slope(self) -> float:
+        """Mean slope of voltage over displacement [V/m]."""
+        return float(np.ptp(self.rows.voltage) / np.ptp(self.knots))
 
     @cached_property
     def axis(self) -> Array:
         """Displacement of each row on the model's axis (n,)."""
         return self.rows.displacement + self.datum[self.rows.record]
 
+    @cached_property
+    def carts(self) -> Array:
+        """Positions of the movable carts (n, m) [m]."""
+        return np.asarray(self.axis[:, None] - self.rows.elongation[:, self.movable])
+
+    def parts_of_spring(self, y: Array) -> Array:
+        """Return R_j(y), shape (n, K - 1)."""
+        return parts_in_segments(self.knots, y)
+
     def nuisances(self, epochs: NDArray[np.intp] | None = None) -> Array:
-        """Columns of the constants of these epochs, by default of those there are, then of the drifts."""
+        """Return columns of the constants of these epochs, by default of those there are, then of the drifts."""
         numbers = np.unique(self.rows.epoch) if epochs is None else epochs
         constants = (self.rows.epoch[:, None] == numbers).astype(float)
         drifts = [np.where(self.rows.record == q, self.rows.drift, 0.0)[:, None] for q in self.drifting]
         return np.hstack([constants, *drifts])
 
-    def constants(
-        self, answer: Solution, epochs: NDArray[np.intp] | None = None
-    ) -> tuple[dict[int, float], dict[int, float]]:
-        """An answer's constants by epoch and drifts by record [V]; epochs as in `nuisances`."""
-        numbers = np.unique(self.rows.epoch) if epochs is None else epochs
-        offsets, drifts = answer.free[: numbers.size].tolist(), answer.free[numbers.size :].tolist()
-        return dict(zip(numbers.tolist(), offsets, strict=True)), dict(zip(self.drifting, drifts, strict=True))
+    @cached_property
+    def bounded(self) -> Array:
+        """Columns of the unknowns that are not negative (n, q): elements, spring, what moves, transformer, starts."""
+        internal = self.rows.moved[:, : self.grid.moved]
+        spring, starts = self.parts_of_spring(self.axis), self.start_columns
+        return np.hstack([self._elements(self.movable), spring, internal, -self._tau_columns, starts, -starts])
 
-    def fit_weighted(self, norm: Norm, passes: int = 2) -> Found:
+    def _elements(self, which: Mask) -> Array:
+        """Columns of some of the elements (n, m M)."""
+        elongation, segments = self.rows.elongation[:, which], self.grid.segments
+        if segments == 1:
+            return elongation
+        n, count = elongation.shape
+        carts = self.carts if which is self.movable else self.axis[:, None] - elongation
+        held = parts_in_segments(self.grid.grades, carts.ravel()).reshape(n, count, segments)
+        free = parts_in_segments(self.grid.grades, self.axis)[:, None, :]
+        return np.asarray((free - held).reshape(n, count * segments))
+
+    @property
+    def start_columns(self) -> Array:
+        """What is left of the creep before strained records, a block of branches a record (n, S J)."""
+        fades = self.rows.moved[:, self.grid.moved :]
+        blocks = [fades * (self.rows.record == q)[:, None] for q in self.strained]
+        columns = np.hstack([np.zeros((len(fades), 0)), *blocks])
+        # What was forgotten before the first sample that counts is no column.
+        lasting = columns.max(axis=0, initial=0.0) >= _FORGOTTEN if self.lasting is None else self.lasting
+        return np.where(lasting, columns, 0.0)
+
+    @cached_property
+    def _tau_parts(self) -> Array:
+        """The part of each voltage in each segment of tau (n, T)."""
+        knots = self.grid.drive
+        return parts_in_segments(knots, self.rows.voltage) if knots.size else np.zeros((len(self.rows), 0))
+
+    @property
+    def _tau_columns(self) -> Array:
+        """Changes of tau that leave its ends where they are: the last segment gives back what another one gets."""
+        parts, lengths = self._tau_parts, np.diff(self.grid.drive)
+        return parts[:, :-1] - parts[:, -1:] * (lengths[:-1] / lengths[-1]) if lengths.size else parts
+
+    @cached_property
+    def target(self) -> Array:
+        """Right-hand side (n,) [V]: what the floors leave."""
+        v, spring = self.rows.voltage, self.floor * self.parts_of_spring(self.axis).sum(axis=1)
+        knots = self.grid.drive
+        if not knots.size:
+            return np.asarray(v - spring)
+        last = (1 - TRANSFORMER_FLOOR) * np.ptp(knots) / (knots[-1] - knots[-2]) * self._tau_parts[:, -1]
+        return np.asarray(knots[0] + TRANSFORMER_FLOOR * (v - knots[0]) + last - spring)
+
+    def table(self, epochs: NDArray[np.intp] | None = None) -> tuple[Array, Array, Array]:
+        """Return free columns, with a constant for each of these epochs, columns that are not negative, and target."""
+        return self.nuisances(epochs), self.bounded, self.target
+
+    def fit(
+        self, norm: Norm, weights: Array | None = None, equalities: tuple[Array, Array] | None = None
+    ) -> Coefficients:
+        """Solve the program, inequalities added round by round where they would be violated.
+
+        Parameters
+        ----------
+        norm : {"l1", "l2", "linf"}
+        weights : (n,) array, optional
+        equalities : (p, m) array and (p,) array, optional
+            Combinations of the movable elements' stiffnesses and their values [V], met besides; plain elements only.
+        """
+        free, bounded, target = self.table()
+        n = len(self.rows)
+        weight = np.ones(n) if weights is None else weights
+        blocks = [(free, bounded, target, weight)]
+        if equalities is not None:
+            combinations, values = equalities
+            strength = np.full(values.size, weight.max() * np.sqrt(n))
+            blocks.append((np.zeros((values.size, free.shape[1])), self._all_columns(combinations), values, strength))
+        if self._regularized(norm) and n >= max(free.shape[1], 1):
+            usual = 1.0 if weights is None else 1 / self.mean_slope
+            blocks.append(self.regularization(norm, n, free.shape[1], usual))
+        free, bounded, target, weight = (np.concatenate(column) for column in zip(*blocks, strict=True))
+        found = self.solved_with(
+            lambda limits: solve(free, bounded, target, weights=weight, norm=norm, constraints=limits)
+        )
+        answer = found.solved
+        return replace(found, solution=replace(answer, residual=answer.residual[:n]))
+
+    def fit_weighted(self, norm: Norm, passes: int = 2) -> Coefficients:
         """Fit with rows weighted by the inverse slope of the model that least-squares passes before it find."""
         weights = None
         for _ in range(passes - 1):
             weights = 1 / self.slope(self.fit("l2", weights))
         return self.fit(norm, weights)
 
-    def rms(self, found: Found | None = None) -> float:
-        """RMS residual [m] of a fit; by default of that by least squares."""
-        fitted = self.fit("l2") if found is None else found
-        return rms(fitted.solution.residual / self.slope(fitted))
+    def _regularized(self, norm: Norm) -> bool:
+        """Whether neighbours are held alike. The largest residual is no matter of neighbours."""
+        return bool(self.smoothing) and norm != "linf"
 
+    def regularization(self, norm: Norm, count: int, free: int, weight: float) -> tuple[Array, Array, Array, Array]:
+        """Return rows that hold neighbours alike, as a block of a table of `count` others: see `regularization`.
 
-@dataclass(frozen=True, eq=False)
-class Regression(AbstractRegression["Coefficients"]):
-    """What is fixed while coefficients are sought.
+        `free` columns are not theirs, and `weight` is that of a row where the slope is the mean one. They weigh as much
+        beside few samples as beside many.
+        """
+        if not self._regularized(norm):
+            return np.zeros((0, free)), self.bounded[:0], np.zeros(0), np.zeros(0)
+        rows = self._all_columns(regularization_rows(self.grid, self.mean_slope))
+        p = len(rows)
+        strength = self.smoothing * self.mean_slope * (np.sqrt(count) if norm == "l2" else count / np.sqrt(p))
+        return np.zeros((p, free)), strength * rows, np.zeros(p), np.full(p, weight)
 
-    Attributes
-    ----------
-    rows : Rows
-    knots : (M,) array
-        Knots of the spring [m].
-    floor : float
-        Least slope of the spring [V/m].
-    movable : (N,) bool array
-        Elements that slide in some record; the others are one with the spring and get no stiffness.
-    datum : (records,) array
-        d_q [m].
-    drifting : tuple of int
-        Records that get a drift.
-    """
+    def _all_columns(self, rows: Array) -> Array:
+        """Rows over the first unknowns, with nothing for the others."""
+        return np.hstack([rows, np.zeros((len(rows), self.bounded.shape[1] - rows.shape[1]))])
 
-    rows: Rows
-    knots: Array
-    floor: float
-    movable: NDArray[np.bool_]
-    datum: Array
-    drifting: tuple[int, ...] = ()
+    def solved_with(self, solver: Solver, epochs: NDArray[np.intp] | None = None) -> Coefficients:
+        """Return the coefficients that a solver finds with all inequalities met; epochs as in `nuisances`."""
+        return self.coefficients(self.constrained(solver), epochs)
 
-    def thinned(self, most: int) -> Regression:
-        """The same on fewer rows, for searches."""
-        return replace(self, rows=self.rows.thinned(most))
-
-    def parts_of_spring(self, y: Array) -> Array:
-        """R_j(y), shape (n, M - 1)."""
-        return parts_in_segments(self.knots, y)
-
-    def table(self, epochs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Free columns, with a constant for each of these epochs, columns that are not negative, and target."""
-        spring = self.parts_of_spring(self.axis)
-        bounded = np.hstack([self.rows.elongation[:, self.movable], spring])
-        return self.nuisances(epochs), bounded, self.rows.voltage - self.floor * spring.sum(axis=1)
-
-    def rest(self, model: Coefficients) -> Array:
-        """Voltage less a model's, without constants and drifts (n,)."""
-        spring = self.parts_of_spring(self.axis) @ model.slopes
-        return np.asarray(self.rows.voltage - self.rows.elongation @ model.stiffness - spring)
-
-    def coefficients(self, answer: Solution, epochs: NDArray[np.intp]) -> Coefficients:
-        """What an answer to the program of `table` says."""
-        stiffness, count = np.zeros(self.movable.size), int(np.count_nonzero(self.movable))
-        stiffness[self.movable] = answer.nonnegative[:count]
-        slopes = answer.nonnegative[count:] + self.floor
-        return self.with_nuisances(Coefficients(stiffness, slopes, {}, {}, answer), answer, epochs)
-
-    def with_nuisances(self, model: Coefficients, answer: Solution, epochs: NDArray[np.intp]) -> Coefficients:
-        """A model with the constants and drifts of an answer."""
-        offsets, drifts = self.constants(answer, epochs)
-        return replace(model, offsets=offsets, drifts=drifts, solution=answer)
-
-    def fit(self, norm: Norm, weights: Array | None = None, held: tuple[Array, Array] | None = None) -> Coefficients:
-        """Solve the program; `held`: combinations (p, movable) of stiffnesses and their values [V], met besides."""
-        epochs = np.unique(self.rows.epoch)
-        free, bounded, target = self.table(epochs)
-        if held is not None:
-            combinations, values = held
-            none = np.zeros((values.size, self.knots.size - 1))
-            free = np.vstack([free, np.zeros((values.size, free.shape[1]))])
-            bounded = np.vstack([bounded, np.hstack([combinations, none])])
-            target = np.concatenate([target, values])
-            own = np.ones(len(self.rows)) if weights is None else weights
-            weights = np.concatenate([own, np.full(values.size, own.max() * np.sqrt(own.size))])
-        return self.coefficients(solve(free, bounded, target, weights=weights, norm=norm), epochs)
+    def constrained(self, solver: Solver) -> Solution:
+        """Return the answer of a solver, inequalities -> answer, when no other inequality is violated."""
+        matrix, lower = bounds(self.grid, len(self.strained), self.bounded.shape[1], TRANSFORMER_FLOOR)
+        for _ in range(_ROUNDS):
+            answer = solver((matrix, lower) if lower.size else None)
+            if self.grid.segments == 1 or not answer.optimal:
+                break
+            more = self._all_columns(violated(self.grid, answer.nonnegative, self.floor))
+            if not len(more):
+                break
+            matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))
+        return answer
 
     def slope(self, found: Coefficients) -> Array:
-        """dv/dy of the model at each row (n,) [V/m]; the weight of a row is its inverse."""
-        return np.asarray(self.rows.stuck @ found.stiffness + found.slopes[segment_of(self.knots, self.axis)])
+        """Return d tau(v)/dy of the model at each row (n,) [V/m], at the floor at least; weights are its inverse."""
+        grid, y = self.grid, self.axis
+        spring = found.slopes[segment_of(self.knots, y)]
+        if grid.is_plain:
+            # One product, for regressions of many rows.
+            elements = self.rows.stuck @ found.stiffness[:, 0]
+        else:
+            kappa = found.stiffness[grid.movable]
+            sliding = ~self.rows.stuck[:, grid.movable]
+            at = np.take_along_axis(kappa.T, segment_of(grid.grades, self.carts), axis=0)
+            elements = kappa.sum(axis=0)[segment_of(grid.grades, y)] - np.where(sliding, at, 0.0).sum(axis=1)
+        branches = grid.time_constants.size
+        slope = elements + spring + found.internal[:branches].sum()
+        return np.asarray(np.maximum(slope + self._smooth_shares @ found.internal[branches:], self.floor))
+
+    @property
+    def _smooth_shares(self) -> Array:
+        """Part of each smooth element that has not yielded, dq/dy (n, L)."""
+        lengths, closings = self.grid.lengths, self.grid.closings
+        q = self.rows.moved[:, self.grid.time_constants.size : self.grid.moved]
+        # The first slip element yields soonest: it shows where the row is bound for.
+        forward = np.sign(q * self.rows.elongation[:, :1])
+        pulled = np.minimum(np.abs(q) / lengths, 1) if lengths.size else q
+        return np.asarray(1 - pulled * (closings * forward + 1 - closings))
+
+    def rms(self, found: Coefficients | None = None) -> float:
+        """Return the RMS residual [m] of a fit; by default of that by least squares."""
+        fitted = self.fit("l2") if found is None else found
+        return rms(fitted.solved.residual / self.slope(fitted))
+
+    def model(self, found: Coefficients) -> Array:
+        """Return right-hand side less tau(v) of each row (n,) [V], without constants and drifts."""
+        movable = self.movable
+        known = np.concatenate([found.stiffness[movable].ravel(), found.slopes, found.internal])
+        tau = self.grid.drive[0] + self._tau_parts @ found.transformer if found.transformer.size else self.rows.voltage
+        value = self.bounded[:, : known.size] @ known
+        # Elements without a column keep their part.
+        if found.stiffness[~movable].any():
+            value = value + self._elements(~movable) @ found.stiffness[~movable].ravel()
+        return np.asarray(value - tau)
+
+    def residual(self, found: Coefficients) -> Array:
+        """Return what the equation of each row leaves [V]; an epoch without a constant gets its median."""
+        left = self.model(found)
+        for q, drift in found.drifts.items():
+            left += drift * np.where(self.rows.record == q, self.rows.drift, 0.0)
+        for q, start in found.starts.items():
+            left += (self.rows.moved[:, self.grid.moved :] @ start) * (self.rows.record == q)
+        for epoch in np.unique(self.rows.epoch).tolist():
+            own = self.rows.epoch == epoch
+            left[own] += found.offsets.get(epoch, -float(np.median(left[own])))
+        return left
+
+    def with_nuisances(
+        self, model: Coefficients, answer: Solution, epochs: NDArray[np.intp] | None = None
+    ) -> Coefficients:
+        """Return a model with the constants, drifts and starts of an answer; epochs as in `nuisances`."""
+        numbers = np.unique(self.rows.epoch) if epochs is None else epochs
+        offsets, drifts = answer.free[: numbers.size].tolist(), answer.free[numbers.size :].tolist()
+        starts = answer.nonnegative[answer.nonnegative.size - 2 * len(self.strained) * self.grid.time_constants.size :]
+        return replace(
+            model,
+            solution=answer,
+            offsets=dict(zip(numbers.tolist(), offsets, strict=True)),
+            drifts=dict(zip(self.drifting, drifts, strict=True)),
+            starts=self._starts(starts),
+        )
+
+    def _starts(self, both: Array) -> dict[int, Array]:
+        """By record, from what is added and what is taken away."""
+        if not both.size:
+            return {}
+        plus, minus = both.reshape(2, len(self.strained), -1)
+        return dict(zip(self.strained, plus - minus, strict=True))
+
+    def fit_nuisances(self, found: Coefficients) -> Coefficients:
+        """Fit only the constants, drifts and starts of these rows, for a model that is given."""
+        fades = self.start_columns
+        starts = np.hstack([fades, -fades])
+        stiffness = np.tile(found.internal[: self.grid.time_constants.size], len(self.strained))
+        limits = -np.hstack([np.eye(stiffness.size)] * 2), -float(np.ptp(self.knots)) * stiffness
+        answer = solve(
+            self.nuisances(),
+            starts,
+            -self.model(found),
+            weights=1 / self.slope(found),
+            norm="l2",
+            constraints=limits if stiffness.size else None,
+        )
+        return self.with_nuisances(found, answer)
+
+    def coefficients(self, answer: Solution, epochs: NDArray[np.intp] | None = None) -> Coefficients:
+        """Return an answer's coefficients; epochs as in `nuisances`."""
+        return self.with_nuisances(self.at(answer.nonnegative), answer, epochs)
+
+    def at(self, x: Array) -> Coefficients:
+        """Return the coefficients of the unknowns (q,) that are not negative, without constants and starts."""
+        grid = self.grid
+        count, segments, spring = int(np.count_nonzero(grid.movable)), grid.segments, grid.knots.size - 1
+        stiffness = np.zeros((grid.movable.size, segments))
+        stiffness[grid.movable] = x[: count * segments].reshape(count, segments)
+        rest = x[count * segments :]
+        lengths = np.diff(grid.drive)
+        tau = rest[spring + grid.moved :][: max(lengths.size - 1, 0)]
+        if lengths.size:
+            left = max((1 - TRANSFORMER_FLOOR) * lengths.sum() - tau @ lengths[:-1], 0.0) / lengths[-1]
+            tau = TRANSFORMER_FLOOR + np.append(tau, left)
+        return Coefficients(stiffness, rest[:spring] + self.floor, rest[spring : spring + grid.moved], tau)
+
+    def unknowns(self, found: Coefficients) -> tuple[Array, ...]:
+        """Return the program's unknowns of coefficients, by kind: elements, spring, what moves, transformer."""
+        elements = found.stiffness[self.grid.movable].ravel()
+        return elements, found.slopes - self.floor, found.internal, found.transformer[:-1] - TRANSFORMER_FLOOR
 
     def datum_steps(self, records: list[int]) -> Array:
-        """Changes of the datums [m] that a least-squares fit asks for, the spring linearised at the present ones."""
-        found = self.fit("l2")
-        y = self.axis
-        slope = found.slopes[segment_of(self.knots, y)]
+        """Return the changes of datums [m] that least squares ask for, the spring linearised at the present ones.
+
+        Of plain elements only.
+        """
+        slope = self.fit("l2").slopes[segment_of(self.knots, self.axis)]
         shifts = np.column_stack([np.where(self.rows.record == q, slope, 0.0) for q in records])
-        spring, slip = self.parts_of_spring(y), self.rows.elongation[:, self.movable]
-        target = self.rows.voltage - self.floor * spring.sum(axis=1)
-        answer = solve(np.hstack([self.nuisances(), shifts]), np.hstack([slip, spring]), target, norm="l2")
+        answer = solve(np.hstack([self.nuisances(), shifts]), self.bounded, self.target, norm="l2")
         return answer.free[-len(records) :]
 
-    def nuisances_of(self, found: Coefficients) -> Coefficients:
-        """Fit only the constants and drifts of these rows, for a model that is given."""
-        none = np.zeros((len(self.rows), 0))
-        answer = solve(self.nuisances(), none, self.rest(found), weights=1 / self.slope(found), norm="l2")
-        return self.with_nuisances(found, answer, np.unique(self.rows.epoch))
-
-    def projected(self, breakaway: Array) -> Array:
-        """Columns of the movable elements over their rho, all others projected out: a triangle (m, m) at most."""
+    def projected(self) -> Array:
+        """Return columns of the movable plain elements over their rho, all others projected out: a triangle (m, m)."""
         others = np.hstack([self.nuisances(), self.parts_of_spring(self.axis)])
         others = others / np.maximum(np.abs(others).max(axis=0), np.finfo(float).tiny)
-        slip = self.rows.elongation[:, self.movable] / breakaway[self.movable]
+        slip = self.rows.elongation[:, self.movable] / self.grid.breakaway[self.movable]
         triangle = triangle_of(np.hstack([others, slip]))
         return np.asarray(triangle[others.shape[1] :, others.shape[1] :])
-
-
-@dataclass(frozen=True, eq=False)
-class Coefficients:
-    """What a regression found: (N,) kappa and (M - 1,) slopes [V/m], constants by epoch and drifts by record [V]."""
-
-    stiffness: Array
-    slopes: Array
-    offsets: dict[int, float]
-    drifts: dict[int, float]
-    solution: Solution

@@ -15,7 +15,7 @@ def regularization_rows(grid: Grid, slope: float) -> Array:
     ``rho_i sqrt(M) (kappa_i,m+1 - kappa_im) / slope`` along the stroke,
     ``rho_i drho_i+1 (kappa_i+1,m / drho_i+1 - kappa_im / drho_i) / slope`` from one threshold to the next, and second
     differences of the slopes of the spring and of tau over a segment. They do not depend on how many rows there are;
-    what creeps or lets go gradually lies too far apart to have neighbours.
+    what creeps or yields gradually lies too far apart to have neighbours.
 
     Parameters
     ----------

@@ -24,7 +24,6 @@ from dehyst.instruments.calibration.session import NullProgress, ProgressListene
 from dehyst.model import Fit
 from dehyst.records import Record
 from dehyst.uncertainty import Insight, insight
-from dehyst.uncertainty.wide_insight import WideInsight
 from dehyst.waveforms import Excitation
 
 __all__ = ["RESULTS", "Calibration", "Plan", "calibrate"]
@@ -40,7 +39,7 @@ class Calibration:
     Attributes
     ----------
     fit : Fit
-    insight : Insight or WideInsight
+    insight : Insight
     creep : CreepCheck
         Seen in the first look.
     training, held_out : tuple of Record
@@ -59,7 +58,7 @@ class Calibration:
     """
 
     fit: Fit
-    insight: Insight | WideInsight
+    insight: Insight
     creep: CreepCheck
     training: tuple[Record, ...]
     held_out: tuple[Record, ...]
@@ -229,15 +228,15 @@ class _CalibrationRun:
             return self.pace.tops()
         return self._advised(told) or self.pace.tops()
 
-    def _more(self, told: Insight | WideInsight, number: int) -> Excitation:
+    def _more(self, told: Insight, number: int) -> Excitation:
         return self._advised(told) or self.pace.tops(10 * (number + 1))
 
-    def _advised(self, told: Insight | WideInsight) -> Excitation | None:
-        if isinstance(told, WideInsight) or not told.advice:
+    def _advised(self, told: Insight) -> Excitation | None:
+        if not told.advice:
             return None
         return self.pace.kept(told.advice[0].excitation)
 
-    def _identified(self, training: Sequence[Record], held_out: Record) -> tuple[Fit, Insight | WideInsight]:
+    def _identified(self, training: Sequence[Record], held_out: Record) -> tuple[Fit, Insight]:
         self.watcher.step("identify")
         fit = identify(training, validate=held_out, progress=self.watcher.tell)
         self.watcher.tell("asking what the records tell")

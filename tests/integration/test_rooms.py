@@ -1,0 +1,210 @@
+"""The walls of the house: what each room offers, who imports whom, and how large a room may become."""
+
+import ast
+import importlib
+import re
+import subprocess
+import sys
+from collections import Counter
+from graphlib import CycleError, TopologicalSorter
+
+import architecture
+import places
+import pytest
+from faces import DRIVERS, FACES
+
+MODULES = architecture.files()
+TREES = {module: ast.parse(path.read_text()) for module, path in MODULES.items()}
+TABLE = re.compile(r"^\[tool\.importlinter\]\n((?:(?!\[).*\n?)*)", re.M)
+WORDS = re.compile(r"(?<![a-z0-9])(?:tells?|told|says?|said)(?![a-z0-9])", re.I)
+ROOMS = sorted(
+    {path.parent.name for path in places.SOURCES.glob("*/__init__.py") if not path.parent.name.startswith("_")}
+)
+PAGES = [places.ROOT / "README.md", *sorted(places.DOCS.rglob("*.md"))]
+
+
+def room_of(module):
+    return (*module.split("."), "", "")[1]
+
+
+def crossing():
+    """Every import of a name from another room: the importing module, what it imports, and the words for a failure."""
+    for module, tree in TREES.items():
+        for one in architecture.imports(tree):
+            room = room_of(one.module)
+            if room in ROOMS and room != room_of(module):
+                yield module, one, f"{module}:{one.line}: {one.name} from {one.module}"
+
+
+@pytest.mark.parametrize("room", FACES)
+def test_the_face_of_a_room_is_what_is_listed_here(room):
+    face = importlib.import_module(f"dehyst.{room}" if room != "dehyst" else room)
+    assert face.__all__ == FACES[room]
+    assert all(hasattr(face, name) for name in face.__all__)
+
+
+def test_every_room_has_a_face_that_is_listed_or_none():
+    """A folder without a face (`studies`, the inner folders) offers modules and no names."""
+    packages = {module for module, path in MODULES.items() if path.name == "__init__.py"}
+    faces = {module for module in packages if "__all__" in MODULES[module].read_text()}
+    assert faces - {"dehyst.rigs"} == {f"dehyst.{room}" if room != "dehyst" else room for room in FACES}
+
+
+@pytest.mark.parametrize("face", [f"dehyst.{room}" for room in FACES if room != "dehyst"])
+def test_a_face_only_imports_and_lists(face):
+    documentation, *statements = TREES[face].body
+    assert isinstance(documentation, ast.Expr)
+    assert isinstance(documentation.value, ast.Constant)
+    *imported, listed = statements
+    assert all(isinstance(node, ast.ImportFrom) for node in imported)
+    assert isinstance(listed, ast.Assign)
+    assert listed.targets[0].id == "__all__"
+    names = {alias.asname or alias.name for node in imported for alias in node.names}
+    assert names == set(ast.literal_eval(listed.value))
+
+
+def test_folders_without_a_face_hold_only_a_docstring():
+    bare = [
+        module for module, path in MODULES.items() if path.name == "__init__.py" and "__all__" not in path.read_text()
+    ]
+    assert "dehyst.identification.solvers" in bare
+    for module in bare:
+        assert [type(node) for node in TREES[module].body] == [ast.Expr], module
+
+
+def test_the_old_name_of_the_instruments_warns():
+    """Kept for one release: users' own rigs import from it."""
+    code = "import warnings; warnings.simplefilter('error', DeprecationWarning); import dehyst.rigs"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert "dehyst.rigs is now dehyst.instruments" in done.stderr
+
+
+def test_a_public_name_of_another_room_comes_from_its_face():
+    faces = {f"dehyst.{room}": names for room, names in FACES.items()}
+    passed_by = [
+        words
+        for module, one, words in crossing()
+        if room_of(module) != ""
+        if any(one.module.startswith(f"{face}.") and one.name in names for face, names in faces.items())
+    ]
+    assert passed_by == []
+
+
+def test_the_package_itself_imports_from_faces():
+    own = [one.module for one in architecture.imports(TREES["dehyst"]) if room_of(one.module) in ROOMS]
+    assert own
+    assert all(module.count(".") == 1 for module in own)
+
+
+def test_nobody_imports_a_private_module_of_another_room():
+    private = [
+        words
+        for _, one, words in crossing()
+        if any(part.startswith("_") for part in (*one.module.split(".")[2:], one.name or ""))
+    ]
+    assert private == []
+
+
+def test_no_room_is_imported_as_a_whole():
+    """`from dehyst.records import Record` shows what is used, `import dehyst.records` does not."""
+    assert [words for _, one, words in crossing() if one.name is None] == []
+
+
+def test_rooms_are_few_and_no_folder_is_a_heap():
+    sizes = Counter(path.parent for path in MODULES.values())
+    assert sizes[places.SOURCES] <= 10
+    assert 8 <= len(ROOMS) <= 16
+    assert {str(folder): size for folder, size in sizes.items() if size > 25} == {}
+
+
+def test_no_two_classes_have_one_name():
+    names = Counter(node.name for tree in TREES.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    assert {name: count for name, count in names.items() if count > 1} == {}
+
+
+def test_the_formatter_has_its_way():
+    marker = "fmt: " + "skip"
+    folders = (places.SOURCES, places.TESTS, places.BENCHMARKS, places.EXAMPLES)
+    assert [str(path) for folder in folders for path in folder.rglob("*.py") if marker in path.read_text()] == []
+
+
+def test_software_returns_and_reports_it_does_not_tell():
+    """Plain technical English: see CONTRIBUTING. Pieces of names in snake_case count too."""
+    sources = [
+        path for path in (places.ROOT / "src").rglob("*") if path.suffix in {".py", ".pyi", ".c", ".h", ".cpp", ".md"}
+    ]
+    counts = {str(path.relative_to(places.ROOT)): len(WORDS.findall(path.read_text())) for path in sources}
+    worst = {name: count for name, count in sorted(counts.items(), key=lambda item: -item[1])[:10] if count}
+    assert sum(counts.values()) <= 60, worst
+
+
+def test_no_import_goes_round_in_a_circle():
+    graph = architecture.module_graph(MODULES, deferred=False)
+    assert sum(map(len, graph.values())) > 500
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_the_import_contract_is_short():
+    contract = TABLE.search((places.ROOT / "pyproject.toml").read_text())[0].strip()
+    assert 20 <= len(contract.splitlines()) <= 30
+
+
+def test_the_picture_of_the_rooms_is_up_to_date():
+    assert architecture.PICTURE.read_text() == architecture.drawn(), "run python benchmarks/architecture.py"
+
+
+def test_the_road_of_an_identification_is_twelve_files_that_exist():
+    page = (places.DOCS / "explanation" / "architecture.md").read_text()
+    road = re.findall(r"^\| \d+ \| `([\w/]+\.py)` \|", page, re.M)
+    assert 6 <= len(road) == len(set(road)) <= 12
+    assert [name for name in road if not (places.SOURCES / name).exists()] == []
+
+
+def test_every_room_is_on_the_page_of_the_architecture():
+    page = (places.DOCS / "explanation" / "architecture.md").read_text()
+    assert set(re.findall(r"^\| `(\w+)` \|", page, re.M)) == set(ROOMS) - architecture.NOT_DRAWN
+
+
+def test_every_decision_has_its_context_its_consequences_and_a_line_in_the_list():
+    folder = places.DOCS / "explanation" / "decisions"
+    records = sorted(folder.glob("[0-9]*.md"))
+    listed = re.findall(r"\]\((\d{4}-[\w-]+\.md)\)", (folder / "README.md").read_text())
+    assert [path.name for path in records] == listed
+    for number, path in enumerate(records, 1):
+        text = path.read_text()
+        assert text.startswith(f"# {number:04}: "), path.name
+        assert re.findall(r"^\*\*(\w+)\.\*\*", text, re.M) == ["Context", "Decision", "Consequences"], path.name
+
+
+def snippets(page):
+    """The Python of a page: its fenced blocks, or an example as a whole."""
+    text = page.read_text()
+    return [text] if page.suffix == ".py" else re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    "page", [*PAGES, *sorted(places.EXAMPLES.glob("*.py"))], ids=lambda page: str(page.relative_to(places.ROOT))
+)
+def test_readme_docs_and_examples_use_only_public_names(page):
+    public = {"dehyst": FACES["dehyst"], **{f"dehyst.{room}": names for room, names in FACES.items()}, **DRIVERS}
+    hidden = []
+    for tree in map(ast.parse, snippets(page)):
+        ours = [one for one in architecture.imports(tree) if one.module.split(".")[0] == "dehyst"]
+        hidden += [
+            f"from {one.module} import {one.name}"
+            for one in ours
+            if one[:2] != ("dehyst", None) and one.name not in public.get(one.module, ())
+        ]
+        attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
+        used = {node.attr for node in attributes if ast.unparse(node.value) == "dehyst"}
+        hidden += [f"dehyst.{name}" for name in sorted(used - set(FACES["dehyst"]))]
+    assert hidden == []
+
+
+@pytest.mark.parametrize("module", DRIVERS)
+def test_a_driver_defines_its_public_names(module):
+    defined = {node.name for node in TREES[module].body if isinstance(node, (ast.ClassDef, ast.FunctionDef))}
+    assert set(DRIVERS[module]) <= defined

@@ -1,0 +1,70 @@
+"""What each room offers: the lists that the faces (`__init__.__all__`) are held to."""
+
+FACES = {
+    name: text.split()
+    for name, text in {
+        "dehyst": """
+            Actuator ClampWarning Command Compensator Creep DehystError Dynamics FileFormatError Fit GradedSlip
+            IdentifyError MaxwellSlip MissingExtraError ModelError Motion Outcome Physical Record RecordError
+            RecordErrors RigError SmoothSlip Snapshot Spring State Structure Trace Transformer VoltageLimits __version__
+            calibrate compare export export_fmu identify insight read shortest_homing wave_table write_record
+        """,
+        "baselines": """
+            BASELINES BoucWen Duhem GeneralizedPrandtlIshlinskii GoldfarbCelanovic KrasnoselskiiPokrovskii Linear
+            ModelComparison ModifiedPrandtlIshlinskii PrandtlIshlinskii Preisach compare
+        """,
+        "cli": """
+            main
+        """,
+        "control": """
+            ClampWarning Command Compensator Homing PathPlanner Snapshot StateBounds TrackedPath VoltageLimits WaveTable
+            shortest_homing wave_table
+        """,
+        "exports": """
+            Exported Footprint SourceOnlyWarning export export_fmu sizes worst_case
+        """,
+        "identification": """
+            Method Norm identify
+        """,
+        "instruments": """
+            HIGHEST_RATE AbstractRig DeviceError LinkError Listener Reading RigError Samples SensorError host_timed
+            open_rig
+        """,
+        "instruments.calibration": """
+            Calibration Plan ProgressListener calibrate
+        """,
+        "model": """
+            AbstractModel Actuator Check Creep Dynamics Fit GradedSlip MaxwellSlip Motion Outcome Physical RecordErrors
+            SmoothSlip Spring State Structure Trace Transformer Verdict simulated
+        """,
+        "records": """
+            Record Recording read read_table write_columns write_hdf5 write_record
+        """,
+        "report": """
+            render write_calibration write_comparison write_insight write_report
+        """,
+        "studies.paper": """
+            Paper
+        """,
+        "uncertainty": """
+            FirstRise Insight RestStates insight state_from_first_rise
+        """,
+        "virtual": """
+            BoucWenActuator ModelledActuator PlayActuator PreisachActuator VirtualActuator VirtualBench
+        """,
+        "virtual.emulator": """
+            Controller Fault Ioc Rehearsal Server serve_ioc
+        """,
+        "waveforms": """
+            Excitation Leg Lissajous MotionLimits Raster Sampling Scan ScanPath Spiral Steps Triangle descending_tops
+            homing minor_loop raised_cosine reversal_curves staircase
+        """,
+    }.items()
+}
+# Drivers are imported one by one: each needs a library or an instrument of its own.
+DRIVERS = {
+    "dehyst.instruments.bluesky_axis": ["CompensatedAxis", "homing"],
+    "dehyst.instruments.epics": ["EpicsRig", "PvNames"],
+    "dehyst.instruments.nidaqmx": ["NiRig"],
+    "dehyst.instruments.pi": ["PiRig"],
+}
