@@ -71,7 +71,7 @@ class Bench:
         return float(self.state.motion[0]) if self.state.motion.size else self.state.displacement
 
     def reached(self, kind: str, wanted: np.ndarray, disturbance: np.ndarray | None = None) -> np.ndarray:
-        """The displacement as it is (n,) [m], under a disturbance (n,) [m] that is added to it."""
+        """Return the true displacement (n,) [m], with a disturbance (n,) [m] added to it."""
         shaken = np.zeros(wanted.size) if disturbance is None else disturbance
         own, ahead = copy.deepcopy(self.stage), self.foresight.ahead
         fed = np.concatenate([wanted, np.full(ahead, wanted[-1])])[ahead:]
@@ -239,7 +239,7 @@ def identified(path: Path | None) -> tuple[dehyst.Actuator, list[dict]]:
 
 
 def measure(model: dehyst.Actuator, errors: list[dict]) -> tuple[dict, dict]:
-    """The figures, and what is drawn."""
+    """Return the figures, and the data of the drawing."""
     bench = Bench.of(model)
     time = PERIOD * np.arange(round((LEAD_IN + SECONDS) / PERIOD))
     paths = {"triangle": triangle(time, bench.stage.stroke), "tones": tones(time, bench.stage.stroke)}

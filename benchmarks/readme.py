@@ -145,7 +145,7 @@ def saturation(data: dict) -> list[str]:
 
 
 def calibrations(data: dict) -> list[str]:
-    """The whole experiment on emulated instruments."""
+    """Return the rows of calibrations on emulated instruments."""
     rows = [
         "",
         "| `dehyst calibrate` over a socket, virtual actuators | seconds | constant ratio, largest % "

@@ -186,7 +186,7 @@ def _outcome(lines: list[str], status: int, seconds: float, folder: Path) -> Out
 
 
 def _on_disk(folder: Path) -> tuple[int, list[str]]:
-    """Samples that can be read from a folder, also those set aside or of killed processes; names of files with none."""
+    """Count the readable samples in a folder, also those set aside or of killed processes; name files without any."""
     records = folder / "records"
     if not records.is_dir():
         return 0, []
@@ -241,7 +241,7 @@ def spoken_to(address: str, *commands: str) -> None:
 
 
 def closed_port() -> str:
-    """An address where nobody listens."""
+    """Return an address without a listener."""
     with socket.socket() as link:
         link.bind(("127.0.0.1", 0))
         return f"pi://127.0.0.1:{link.getsockname()[1]}"

@@ -35,7 +35,7 @@ def table(data: dict) -> str:
 
 
 def message(one: dict) -> str:
-    """The first sentence, without the controller's name, and cut where it is long."""
+    """Return the first sentence, without the controller's name, shortened if it is long."""
     if not one["said"]:
         return "-"
     words = one["said"][0].replace("dehyst,emulated piezo controller,0,0.1.0 at ", "")
@@ -50,7 +50,7 @@ def status(one: dict) -> str:
 
 
 def voltage(one: dict) -> str:
-    """What became of it: as the command says, or as the emulator does."""
+    """Return what happened to the voltage, as the command or else the emulator reports it."""
     put, notes = one["put_out"], " ".join(one["said"])
     if put is None:
         return "nothing was sent"
