@@ -91,7 +91,7 @@ def beyond(folder: Path) -> Outcome:
 
 
 def left(*commands: str, options: tuple[str, ...] = (), act: Act | None = None) -> Callable[[Path], Outcome]:
-    """Return a rehearsal with a controller left in this state; it drops the connection unless the command is stopped."""
+    """Return a rehearsal with a controller left in this state; it drops the connection unless stopped."""
 
     def run(folder: Path) -> Outcome:
         with Served(*_FAST, *(() if act else ("--fault", "drop"))) as served:
