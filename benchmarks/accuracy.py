@@ -2,16 +2,16 @@
 
 Three parts; without one named, all:
 
-main      ours: the demo's virtual actuator, and every method on the measured records
+main      dehyst: the demo's virtual actuator, and every method on the measured records
 tracking every model of `dehyst compare` on every virtual actuator of `tracking_trials`: fitted to its records once,
           then compensated along random paths, a path for each seed
-measured  every model on the measured records: fitted to the major loop and the first ramps, judged on the other ramps;
-          ours a second time, told no more of what went before these than the others are
+measured  every model on the measured records: fitted to the major loop and the first ramps, scored on the other ramps;
+          dehyst a second time, without the displacement measured before these, like the others
 
     python benchmarks/accuracy.py [PART ...] [--only MODEL ...] [--seeds N] [--data FOLDER]
 
-What was not run again keeps its figures. No virtual actuator is an instance of the model. The measured records (a PICMA
-stack in a micromanipulator) are read from `../shared/data/p885` beside the repository, or from FOLDER.
+Parts that were not run keep their figures. No virtual actuator is an instance of the model. The measured records (a
+PICMA stack in a micromanipulator) are read from `../shared/data/p885` beside the repository, or from FOLDER.
 """
 
 import argparse
@@ -24,7 +24,8 @@ from typing import Any
 import dehyst
 from dehyst import Actuator
 from dehyst.baselines import compare
-from dehyst.baselines.comparison import OURS, ModelScore, contenders
+from dehyst.baselines.comparison import contenders
+from dehyst.baselines.scores import OURS, ModelScore
 from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
 from dehyst.model import AbstractModel, Motion, simulated
 from dehyst.studies import demo
@@ -43,7 +44,7 @@ FAILURES = (ValueError, ArithmeticError, RuntimeError)
 
 @dataclass(frozen=True)
 class VoltageOnly(AbstractModel):
-    """An actuator whose state before a lead's end is what its voltage makes it, as that of any rival."""
+    """An actuator that takes its state from the voltage of the lead-in alone, as every baseline does."""
 
     actuator: Actuator
 
@@ -62,7 +63,7 @@ class VoltageOnly(AbstractModel):
 
 
 def entrants() -> dict:
-    """Name -> identification; what is told the voltage only is tried on the measured records alone."""
+    """Return name -> identification; the variant with the voltage only runs on the measured records alone."""
     known = contenders()
     return known | {UNTOLD: lambda records: VoltageOnly(known[OURS](records))}
 
@@ -91,7 +92,7 @@ def measured(folder: Path) -> dict:
 
 
 def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) -> dict:
-    """A model's row on a virtual actuator's records, and how it tracks each path."""
+    """Return a model's row on a virtual actuator's records, and its tracking errors on each path."""
     kept: list[AbstractModel] = []
 
     def fit(records: Any) -> AbstractModel:
@@ -114,7 +115,7 @@ def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) 
 
 
 def on_measured(folder: Path, name: str, identification: Any) -> tuple[ModelScore, float]:
-    """Trained on what comes before a hold, every model is taken over that again and predicts what comes after it."""
+    """Train on the samples before a hold, simulate them again and predict the samples after it."""
     major, ramps = p885(folder)
     lead = float(ramps.time[SPLIT] - ramps.time[0])
     found = compare(
@@ -146,7 +147,7 @@ def pair(figures: tuple[float, float] | None) -> str:
 
 
 def worst(row: dict | None) -> tuple[float, float] | None:
-    """Largest and RMS error of the seed with the largest error."""
+    """Return the largest and RMS error of the seed with the largest error."""
     figures = [(one["largest_percent"], one["rms_percent"]) for one in ((row or {}).get("tracking") or {}).values()]
     return max(figures, default=None)
 
@@ -199,8 +200,8 @@ def main() -> None:
     given = arguments()
     parts, data = given.parts or PARTS, given.data.is_dir()
     results = json.loads(given.output.read_text()) if given.output.exists() else {}
-    rivals = results.setdefault("compared", {"tracking": {}, "measured": {}})
-    rivals |= {
+    compared = results.setdefault("compared", {"tracking": {}, "measured": {}})
+    compared |= {
         "asked": {
             truth: {"largest_percent": a, "rms_percent": b}
             for truth, (a, b) in (ASKED | {"measured": ASKED_MEASURED}).items()
@@ -216,15 +217,15 @@ def main() -> None:
             continue
         for truth in given.truth or TRIALS if "tracking" in parts and name != UNTOLD else ():
             print(f"{name} on {truth}", flush=True)
-            rivals["tracking"].setdefault(truth, {})[name] = compared_on(
+            compared["tracking"].setdefault(truth, {})[name] = compared_on(
                 TRIALS[truth], name, identification, given.seeds
             )
         if "measured" in parts and data:
             print(f"{name} on P-885", flush=True)
             row, stroke = on_measured(given.data, name, identification)
-            rivals["measured"][name] = row.as_dict() | {"stroke_m": stroke}
-    if rivals["tracking"] or rivals["measured"]:
-        show_compared(rivals["tracking"], rivals["measured"])
+            compared["measured"][name] = row.as_dict() | {"stroke_m": stroke}
+    if compared["tracking"] or compared["measured"]:
+        show_compared(compared["tracking"], compared["measured"])
     given.output.write_text(json.dumps(results, indent=1) + "\n")
 
 

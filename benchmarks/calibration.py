@@ -63,7 +63,7 @@ def measure(actuator: str, link: str, speed: float) -> dict:
 
 
 def _port(told: Path) -> int:
-    """The port that a server says it listens on."""
+    """Return the port that a server reports."""
     for _ in range(600):
         if found := re.search(r"pi://127\.0\.0\.1:(\d+)", told.read_text()):
             return int(found[1])

@@ -1,6 +1,6 @@
 """Put the figures of `loop.json` into `docs/control.md`, between its markers.
 
-With --check nothing is written; the exit status tells whether the page holds them already.
+With --check nothing is written; the exit status is 0 if the page contains them already.
 """
 
 import json

@@ -1,7 +1,7 @@
 """How often intervals of `dehyst insight` hold the truth: stiffnesses, spring, a prediction. Writes `coverage.json`.
 
 A plant that is an instance of the model is recorded again and again, descending tops with sensor noise; each record is
-identified, and 90 % intervals come from resampled cycles. They ought to hold the true number 90 times in a hundred.
+identified, and 90 % intervals come from resampled cycles. They should contain the true number 90 times in a hundred.
 """
 
 import json

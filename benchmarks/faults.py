@@ -1,6 +1,6 @@
-"""Every fault of a bench, rehearsed with real processes; writes `faults.json`, and prints what became of each.
+"""Every fault of a bench, rehearsed with real processes; writes `faults.json`, and prints each outcome.
 
-Names on the command line choose some of them, and nothing is written then.
+Names on the command line select some of them; then nothing is written.
 """
 
 import contextlib
@@ -51,12 +51,12 @@ class Case:
 
 
 def struck(fault: str, *options: str) -> Callable[[Path], Outcome]:
-    """A fault of the emulator's."""
+    """Return a rehearsal of a fault of the emulator."""
     return lambda folder: against(folder, (*_FAST, "--fault", fault), *options)
 
 
 def against(folder: Path, serve: tuple[str, ...], *options: str, again: bool = False, **how: object) -> Outcome:
-    """A command against an emulator; `again` gives the same command once more."""
+    """Run a command against an emulator; with `again` a second time."""
     with Served(*serve) as served:
         found = calibrate(served.address, folder / "out", *_OPTIONS, *options, served=served, **how)
         if again:
@@ -83,7 +83,7 @@ def taken(folder: Path) -> Outcome:
 
 
 def beyond(folder: Path) -> Outcome:
-    """A protocol of 250 V."""
+    """Run a protocol of 250 V."""
     swing = 125 * (1 - np.cos(2 * np.pi * np.arange(401) / 400))
     lines = [f"{t:.6g},{v:.6g}\n" for t, v in zip(np.arange(401) / 400, swing, strict=True)]
     (folder / "beyond.csv").write_text("time_s,voltage_V\n" + "".join(lines))
@@ -91,7 +91,7 @@ def beyond(folder: Path) -> Outcome:
 
 
 def left(*commands: str, options: tuple[str, ...] = (), act: Act | None = None) -> Callable[[Path], Outcome]:
-    """A controller that somebody has left so, whose connection is lost later unless the command is stopped."""
+    """Return a rehearsal with a controller left in this state; it drops the connection unless stopped."""
 
     def run(folder: Path) -> Outcome:
         with Served(*_FAST, *(() if act else ("--fault", "drop"))) as served:
@@ -182,7 +182,7 @@ def line(case: Case, found: Outcome) -> str:
 
 
 def as_dict(case: Case, found: Outcome) -> dict:
-    """What is written of one: ports as a controller has them."""
+    """Return the JSON values of one case, with the ports of a real controller."""
     said = [re.sub(r"(127\.0\.0\.1:)\d+", r"\g<1>50000", one) for one in found.said]
     said = [re.sub(r"and \d+ its port", "and 50000 its port", one) for one in said]
     return {"words": case.words, **asdict(found), "said": said}

@@ -1,8 +1,8 @@
 """A compensator in a loop: integral feedback, feedforward and both on a stage that creeps and resonates.
 
 Writes `loop.json` and `docs/loop.svg`, and the table of `docs/control.md` by `control_page.py`. The stage is
-`stage.Stage`, no instance of the model, which is identified from its records. All three know the same model, look at
-the sample before, and keep the same margin:
+`stage.Stage`, no instance of the model, which is identified from its records. All three use the same model and the
+sample before, and keep the same margin:
 
 feedback     v = nominal ratio times the integral of the error
 feedforward  v = compensator (with preview) of the wanted displacement
@@ -48,7 +48,7 @@ TIMES, SWINGING, PUSHED = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15), 10.0, 1.8
 
 @dataclass(frozen=True)
 class Bench:
-    """The stage after homing, the model, where the model thinks that it is, and the gains."""
+    """The stage after homing, the model, its displacement by the model, and the gains."""
 
     stage: Stage
     model: dehyst.Actuator
@@ -67,11 +67,11 @@ class Bench:
 
     @property
     def start(self) -> float:
-        """Where the model thinks that the stage is [m]."""
+        """Displacement of the stage by the model [m]."""
         return float(self.state.motion[0]) if self.state.motion.size else self.state.displacement
 
     def reached(self, kind: str, wanted: np.ndarray, disturbance: np.ndarray | None = None) -> np.ndarray:
-        """The displacement as it is (n,) [m], under a disturbance (n,) [m] that is added to it."""
+        """Return the true displacement (n,) [m], with a disturbance (n,) [m] added to it."""
         shaken = np.zeros(wanted.size) if disturbance is None else disturbance
         own, ahead = copy.deepcopy(self.stage), self.foresight.ahead
         fed = np.concatenate([wanted, np.full(ahead, wanted[-1])])[ahead:]
@@ -239,7 +239,7 @@ def identified(path: Path | None) -> tuple[dehyst.Actuator, list[dict]]:
 
 
 def measure(model: dehyst.Actuator, errors: list[dict]) -> tuple[dict, dict]:
-    """The figures, and what is drawn."""
+    """Return the figures, and the data of the drawing."""
     bench = Bench.of(model)
     time = PERIOD * np.arange(round((LEAD_IN + SECONDS) / PERIOD))
     paths = {"triangle": triangle(time, bench.stage.stroke), "tones": tones(time, bench.stage.stroke)}

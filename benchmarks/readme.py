@@ -1,6 +1,6 @@
 """Put the figures of the benchmarks' JSON files into the README, between its markers.
 
-With --check nothing is written; the exit status tells whether the README holds them already.
+With --check nothing is written; the exit status is 0 if the README contains them already.
 """
 
 import json
@@ -62,8 +62,8 @@ def paper(data: dict) -> list[str]:
     return rows
 
 
-def rivals(data: dict) -> list[str]:
-    """Every model on every virtual actuator, the worst of its paths, and what it predicts of the measured stage."""
+def baselines(data: dict) -> list[str]:
+    """Every model on every virtual actuator, the worst of its paths, and its prediction of the measured stage."""
     compared, truths = data["compared"], ("play", "creep", "preisach", "boucwen")
     asked = [pair(compared["asked"][one]) for one in (*truths, "measured")]
     rows = [
@@ -117,7 +117,7 @@ def ratios(data: dict, path: str, job: str) -> str:
 
 
 def steps(latency: dict, size: dict) -> list[str]:
-    """What a step in a loop takes: N = 10, from Python, in C and on a microcontroller."""
+    """Time of a step in a loop: N = 10, from Python, in C and on a microcontroller."""
     rows = [
         "",
         "| A step of the loop, N = 10 | from Python | in C | of `run` | `numpy.interp` a sample "
@@ -138,14 +138,14 @@ def steps(latency: dict, size: dict) -> list[str]:
 
 
 def saturation(data: dict) -> list[str]:
-    """What clamped voltages leave behind."""
+    """Errors after clamped voltages."""
     volts = f"{data['allowed_V'][1]:.0f} V allowed, {data['needed_V']:.0f} V needed"
     rows = ["", f"| {volts} | largest error after saturation, % |", "| --- | --- |"]
     return rows + [f"| {name} | {percent:.2f} |" for name, percent in data["after_saturation_percent"].items()]
 
 
 def calibrations(data: dict) -> list[str]:
-    """The whole experiment on emulated instruments."""
+    """Return the rows of calibrations on emulated instruments."""
     rows = [
         "",
         "| `dehyst calibrate` over a socket, virtual actuators | seconds | constant ratio, largest % "
@@ -172,13 +172,13 @@ def calibrations(data: dict) -> list[str]:
 def table() -> str:
     names = ("accuracy", "paper", "speed", "latency", "size", "saturation", "calibration")
     data = {name: json.loads((HERE / f"{name}.json").read_text()) for name in names}
-    rows = [*accuracy(data["accuracy"]), *rivals(data["accuracy"]), *paper(data["paper"]), *speed(data["speed"])]
+    rows = [*accuracy(data["accuracy"]), *baselines(data["accuracy"]), *paper(data["paper"]), *speed(data["speed"])]
     rows += [*steps(data["latency"], data["size"]), *saturation(data["saturation"]), *calibrations(data["calibration"])]
     return "\n".join(rows) + "\n"
 
 
 def fill(page: Path, block: re.Pattern[str], figures: str) -> int:
-    """Put figures between a page's markers, or with --check see whether they are there; the exit status."""
+    """Put figures between a page's markers, or with --check compare them; return the exit status."""
     text = page.read_text()
     if not block.search(text):
         print(f"{page.name} has lost its markers")

@@ -1,4 +1,4 @@
-"""A fault rehearsed: `dehyst rig serve` and `dehyst calibrate` as two real processes, and what became of it."""
+"""A fault rehearsed: `dehyst rig serve` and `dehyst calibrate` as two real processes, and its outcome."""
 
 import contextlib
 import re
@@ -24,13 +24,13 @@ _PROGRESS = re.compile(r"dehyst: [a-z0-9-]+: (begins|done|failed)\b")
 _COUNTED = re.compile(r", ([\d ]+) samples")
 _TALLY = re.compile(
     r"put out (?P<lowest>\S+) to (?P<highest>\S+) V, largest step \S+ V, steepest (?P<steepest>\S+) V/s, now at "
-    r"(?P<now>\S+) V(, (?P<refused>\d+) requests refused)?, (?P<told>\d+) samples told"
+    r"(?P<now>\S+) V(, (?P<refused>\d+) requests refused)?, (?P<told>\d+) samples reported"
 )
 
 
 @dataclass
 class PutOut:
-    """What the emulator says it has put out: voltages [V], steepest [V/s], and how many samples it has told."""
+    """The emulator's own report: voltages put out [V], the steepest [V/s], and the number of samples reported."""
 
     lowest: float
     highest: float
@@ -42,7 +42,7 @@ class PutOut:
 
 @dataclass
 class Outcome:
-    """What became of a command.
+    """The outcome of a command.
 
     `said` is what stands on standard error, without progress; `seconds` it took from the fault on, or from its start
     where there is nothing else to count from; `came` are samples that it says came, or of one that was killed
@@ -61,7 +61,7 @@ class Outcome:
 
 
 class Served:
-    """`dehyst rig serve` on any free port; at its end it says what it has put out."""
+    """`dehyst rig serve` on any free port; at its end it reports what it has put out."""
 
     def __init__(self, *options: str) -> None:
         command = [*DEHYST, "rig", "serve", "--port", "0", *options]
@@ -86,7 +86,7 @@ class Served:
         return next((at for at, line in self.lines if line.startswith("fault: ")), None)
 
     def end(self) -> PutOut:
-        """Let it end, and say."""
+        """Let it end, and return its report."""
         if self._process.poll() is None:
             self._process.terminate()
         self._process.wait(_PATIENCE)
@@ -186,7 +186,7 @@ def _outcome(lines: list[str], status: int, seconds: float, folder: Path) -> Out
 
 
 def _on_disk(folder: Path) -> tuple[int, list[str]]:
-    """Samples that can be read from a folder, also those set aside or of killed processes; names of files with none."""
+    """Count the readable samples in a folder, also those set aside or of killed processes; name files without any."""
     records = folder / "records"
     if not records.is_dir():
         return 0, []
@@ -241,7 +241,7 @@ def spoken_to(address: str, *commands: str) -> None:
 
 
 def closed_port() -> str:
-    """An address where nobody listens."""
+    """Return an address without a listener."""
     with socket.socket() as link:
         link.bind(("127.0.0.1", 0))
         return f"pi://127.0.0.1:{link.getsockname()[1]}"

@@ -1,6 +1,6 @@
 """Put the faults of `faults.json` into `docs/safety.md`, between its markers.
 
-With --check nothing is written; the exit status is 0 if the page is up to date.
+With --check nothing is written; the exit status is 0 if the page contains them already.
 """
 
 import json
@@ -35,7 +35,7 @@ def table(data: dict) -> str:
 
 
 def message(one: dict) -> str:
-    """Return the first sentence, without the controller's name, and cut if it is long."""
+    """Return the first sentence, without the controller's name, shortened if it is long."""
     if not one["said"]:
         return "-"
     words = one["said"][0].replace("dehyst,emulated piezo controller,0,0.1.0 at ", "")
@@ -50,7 +50,7 @@ def status(one: dict) -> str:
 
 
 def voltage(one: dict) -> str:
-    """Return the outcome for the voltage, as reported by the command, or by the emulator."""
+    """Return what happened to the voltage, as the command or else the emulator reports it."""
     put, notes = one["put_out"], " ".join(one["said"])
     if put is None:
         return "nothing was sent"

@@ -1,8 +1,8 @@
 """What a true memory is worth: a path beyond the limits, the error after its voltage has left them again.
 
 A virtual actuator, identified from the demo's record of it, is to follow a path whose top needs 130 V; 0 to 100 V are
-allowed. The compensator's memory follows what is sent; beside it the wanted voltage is only clipped, and the memory
-goes on as if it had been sent. Writes `saturation.json`.
+allowed. The compensator's memory follows the voltage that is sent; for comparison the wanted voltage is only
+clipped, and the memory continues as if it had been sent. Writes `saturation.json`.
 """
 
 import json

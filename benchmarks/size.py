@@ -1,7 +1,7 @@
 """How long a record may be: seconds, memory and duality gap of `dehyst.identify` for 1e5, 1e6 and 1e7 samples.
 
-The paper's class, and a wider one: 20 elements, a transformer of 10 segments and 8 branches of creep. Each size runs in
-a process of its own, whose peak memory counts above what the imports took: the record is in it.
+Maxwell-slip, plain, and a wider model: 20 elements, a transformer of 10 segments and 8 branches of creep. Each size
+runs in a process of its own, whose peak memory counts above what the imports took: the record is in it.
 
 And how small a firmware is: bytes of flash, RAM and stack of an exported compensator of ten elements, plain and with
 all parts. `size.py firmware` measures that alone.

@@ -103,7 +103,7 @@ def measure_wider(path: np.ndarray) -> dict[str, dict[str, float]]:
 
 
 def clips(path: np.ndarray) -> dict[str, float]:
-    """The constant-time evaluator, for comparison: nanoseconds a sample, once."""
+    """Time the constant-time evaluator once, for comparison: nanoseconds a sample."""
     short = path[: SAMPLES // 20]
     found = {}
     for elements in COUNTS:

@@ -45,7 +45,7 @@ class Stage:
         return np.array([self._swung(p) for p in pushed.tolist()])
 
     def measured(self, displacement: np.ndarray) -> np.ndarray:
-        """The same with the sensor's noise."""
+        """Return the displacement with the sensor's noise."""
         return displacement + self.noise * self.sensor.standard_normal(np.shape(displacement))
 
     def _swung(self, pushed: float) -> float:

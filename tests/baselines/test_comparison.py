@@ -10,7 +10,8 @@ import pytest
 import dehyst
 from dehyst import FileFormatError, Fit, IdentifyError, ModelError, Outcome, Record, RecordError
 from dehyst.baselines import BASELINES, Linear, ModelComparison, compare
-from dehyst.baselines.comparison import OURS, ModelScore, contenders, parameters_of, speeds
+from dehyst.baselines.comparison import contenders, parameters_of, speeds
+from dehyst.baselines.scores import OURS, ModelScore
 from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial, trial
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.model import AbstractModel
@@ -40,7 +41,7 @@ def test_what_made_the_records_misses_nothing_and_ours_finds_it(records):
     assert found.stroke == pytest.approx(plain_records.STROKE)
     for row in found.rows:
         assert [(s.record, s.role) for s in row.scores] == [("tops", "training"), ("three", "validation")]
-        assert row.said == ""
+        assert row.failure == ""
         assert min(row.seconds, row.simulate, row.compensate) > 0
     assert found.rows[0].worst("validation").largest_without < 1e-9
     assert found.rows[1].worst("validation").largest < 0.5
@@ -110,8 +111,8 @@ def test_the_lead_tells_any_other_model_a_constant(records):
         "shifted": lambda _: Stranger(0.25 * plain_records.STROKE),
         "line": lambda _: Linear(plain_records.STROKE / plain_records.VOLTS),
     }
-    untold, found = (compare(records[0], validate=records[1], lead=lead, models=chosen) for lead in (0, 6.0))
-    before, after = (one.rows[0].worst("validation") for one in (untold, found))
+    silent, found = (compare(records[0], validate=records[1], lead=lead, models=chosen) for lead in (0, 6.0))
+    before, after = (one.rows[0].worst("validation") for one in (silent, found))
     assert before.largest_without == pytest.approx(25)
     assert after.largest_without == pytest.approx(0, abs=1e-6)
     line = found.rows[1].worst("validation")
@@ -138,15 +139,15 @@ def test_a_lead_without_a_cycle_tells_by_its_last_sample(records):
     assert score.largest_without == pytest.approx(np.abs(error[first:] - error[first]).max())
 
 
-def test_what_each_was_told_is_said(records):
-    told, untold = (compare(records[0], validate=records[1], lead=lead, models={"truth": plant}) for lead in (6.0, 0))
-    assert told.note == (
-        "The displacement measured in the first 6 s of held-out records, which do not count, told our own models their "
-        "state and an offset of the voltage, every other model a constant, its mean error there."
+def test_the_note_states_what_each_model_uses(records):
+    noted, silent = (compare(records[0], validate=records[1], lead=lead, models={"truth": plant}) for lead in (6.0, 0))
+    assert noted.note == (
+        "The first 6 s of held-out records do not count. From the displacement measured there, the models of dehyst "
+        "take their state and an offset of the voltage, every other model takes a constant: its mean error there."
     )
-    assert (told.as_dict()["lead_s"], told.as_dict()["note"]) == (6.0, told.note)
-    assert told.note in "".join(comparison_sections(told))
-    assert untold.note == compare(records[0], lead=6.0, models={"truth": plant}).note == ""
+    assert (noted.as_dict()["lead_s"], noted.as_dict()["note"]) == (6.0, noted.note)
+    assert noted.note in "".join(comparison_sections(noted))
+    assert silent.note == compare(records[0], lead=6.0, models={"truth": plant}).note == ""
 
 
 def test_the_delay_of_a_model_is_taken_off(records):
@@ -170,7 +171,7 @@ def fails(error):
     return fit
 
 
-def test_a_rival_that_fails_gets_a_row_with_its_sentence(records):
+def test_a_baseline_that_fails_gets_a_row_with_its_sentence(records):
     errors = {
         "refuses": IdentifyError("got no relaxed rise"),
         "breaks": ZeroDivisionError("division by zero"),
@@ -178,7 +179,7 @@ def test_a_rival_that_fails_gets_a_row_with_its_sentence(records):
         "singular": np.linalg.LinAlgError("singular matrix"),
     }
     found = compare(records[0], models={**{name: fails(error) for name, error in errors.items()}, "truth": plant})
-    assert [row.said for row in found.rows] == [
+    assert [row.failure for row in found.rows] == [
         "got no relaxed rise",
         "division by zero",
         "RuntimeError",
@@ -193,7 +194,7 @@ def test_refusals(records):
     chosen = {"truth": plant}
     for arguments, options, error, said in (
         ((), {}, IdentifyError, "neither records nor a virtual actuator"),
-        ((), {"validate": records[1], "truths": ["play"]}, IdentifyError, "none to train on"),
+        ((), {"validate": records[1], "truths": ["play"]}, IdentifyError, "no training records"),
         ((records,), {"lead": -1}, IdentifyError, "lead: got -1"),
         ((records,), {"validate": records[1], "lead": 1e6}, IdentifyError, "three: no sample counts after 1e"),
         ((records,), {"truths": ["glass"]}, ModelError, "no virtual actuator 'glass'; try play"),
@@ -204,7 +205,7 @@ def test_refusals(records):
             compare(*arguments, models=chosen, **options)
 
 
-def test_every_rival_has_an_entry_that_takes_records():
+def test_every_baseline_has_an_entry_that_takes_records():
     assert next(iter(contenders())) == OURS
     assert {"Preisach", "Bouc-Wen", "Duhem", "linear ratio", "Goldfarb-Celanovic"} <= set(BASELINES)
     tops = TRIALS["play"].records()[:1]
@@ -258,7 +259,7 @@ def test_the_path_has_forty_reversals_within_the_stroke(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "most"), [("Preisach", 0.4), ("Bouc-Wen", 5.0), ("Duhem", 6.0)])
-def test_rivals_track_a_play_actuator_better_than_no_model(name, most):
+def test_baselines_track_a_play_actuator_better_than_no_model(name, most):
     found = compare(truths=["play"], models={name: BASELINES[name], "linear ratio": BASELINES["linear ratio"]})
     model, line = (row.tracking["play"] for row in found.rows)
     assert model.largest < most < line.largest

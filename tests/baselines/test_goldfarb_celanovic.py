@@ -194,24 +194,27 @@ def test_a_rise_that_is_not_concave_has_no_negative_stiffness_and_is_told():
     assert np.all(found.actuator.slip.stiffness >= 0)
     np.testing.assert_array_equal(found.actuator.slip.stiffness[negative - 1], 0)
     (remark,) = found.remarks
-    assert f"elements {', '.join(map(str, negative))} came out with a negative stiffness, at most " in remark
-    assert "Small ones come from noise, large ones from residual strain or a curved spring" in remark
+    assert f"stiffness of elements {', '.join(map(str, negative))} came out negative, by at most " in remark
+    assert "Small negative stiffnesses come from noise, large ones from residual strain or a curved spring" in remark
 
 
-def test_what_is_said_of_a_negative_stiffness_and_of_its_neighbours():
+def test_the_remark_on_a_negative_stiffness_and_of_its_neighbours():
     y = np.array([0.0, 1, 2, 3, 4])
     found = GoldfarbCelanovic.fit(Record(np.arange(5), [0.0, 5, 6, 10, 12], y), elements=3)
     # Slopes 5, 1, 4, 2, of mean 3: the middle two are pooled to 2.5.
     np.testing.assert_allclose(found.actuator.slip.stiffness, [2.5, 0, 0.5])
     assert (
-        "concave: element 2 came out with a negative stiffness, at most 100 % of the mean slope, and got none. "
+        "concave: the stiffness of element 2 came out negative, by at most 100 % of the mean slope, and was set to 0. "
         in (found.remarks[0])
     )
     found = GoldfarbCelanovic.fit(Record(np.arange(5), [0.0, 3, 5, 6, 12], y), elements=3)
     # Slopes 3, 2, 1, 6, of mean 3: all are pooled.
     np.testing.assert_allclose(found.actuator.slip.stiffness, 0, atol=1e-12)
-    assert "element 3 came out" in found.remarks[0]
-    assert "at most 167 % of the mean slope, and got none, nor did elements 1, 2 beside. " in found.remarks[0]
+    assert "element 3 came out negative" in found.remarks[0]
+    assert (
+        "at most 167 % of the mean slope, and was set to 0; so was that of neighbouring elements 1, 2. "
+        in found.remarks[0]
+    )
 
 
 def prediction_errors(plant, start):
@@ -268,7 +271,7 @@ RISE = Record(np.arange(50), np.linspace(0, 100, 50), np.linspace(0, 1e-5, 50), 
         ({"elements": 0}, r"elements: got 0, need a whole number from 1"),
         ({"elements": 2.5}, r"elements: got 2.5, need a whole number"),
         ({"elements": True}, r"elements: got True, need a whole number"),
-        ({"elements": 49}, r"'rise': its first rise has 50 samples, 49 elements need 51 at least. Sample faster"),
+        ({"elements": 49}, r"'rise': its first rise has 50 samples, 49 elements need at least 51. Sample faster"),
         ({"breakaway": []}, r"breakaway: got \[\], need one or more positive, strictly increasing"),
         ({"breakaway": [0.0, 1e-6]}, r"breakaway: got .*need one or more positive"),
         ({"breakaway": [2e-6, 2e-6]}, r"breakaway: got .*strictly increasing"),
@@ -276,7 +279,7 @@ RISE = Record(np.arange(50), np.linspace(0, 100, 50), np.linspace(0, 1e-5, 50), 
         ({"breakaway": [[1e-6]]}, r"breakaway: got an array of shape \(1, 1\), need one dimension"),
         (
             {"breakaway": [1e-6, 1e-5]},
-            r"the last is 10 um, but the first rise of 'rise' is 10 um high; need it smaller",
+            r"the last is 10 um, but the first rise of 'rise' is 10 um high; need a smaller one",
         ),
     ],
 )

@@ -191,17 +191,17 @@ def test_a_lag_that_the_model_explains_is_not_taken_for_a_delay():
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: BoucWen(1.2, 1, 1, (0, 1), [0, 1, 0, 0]), "voltage would pull back"),
-        (lambda: BoucWen(0.9, 1, -0.5, (0, 1), [0, 1, 0, 0]), "voltage would pull back"),
+        (lambda: BoucWen(1.2, 1, 1, (0, 1), [0, 1, 0, 0]), "displacement would fall while the voltage rises"),
+        (lambda: BoucWen(0.9, 1, -0.5, (0, 1), [0, 1, 0, 0]), "displacement would fall while the voltage rises"),
         (lambda: BoucWen(0.5, 1, 1, (0, 1), [0, 1, -1, 0]), "does not increase from 0 to 1"),
         (lambda: BoucWen(0.5, 1, 1, (1, 0), [0, 1, 0, 0]), "need an interval and four coefficients"),
         (lambda: BoucWen(0.5, 1, 1, (0, 1), [0, 1, 0]), "need an interval and four coefficients"),
-        (lambda: boucwen(0).simulate([1.0], state=DuhemState(0, 0)), "need a Lag"),
-        (lambda: boucwen(0).compensate([0.0], state=BoucWenState(0.0, 1e3)), "need a Lag whose hidden part"),
+        (lambda: boucwen(0).simulate([1.0], state=DuhemState(0, 0)), "need a BoucWenState"),
+        (lambda: boucwen(0).compensate([0.0], state=BoucWenState(0.0, 1e3)), "need a BoucWenState whose hidden part"),
         (lambda: Duhem((0, 1), 0.0, [0, 1], [1]), "a rate above 0"),
         (lambda: Duhem((1, 0), 1.0, [0, 1], [1]), "need an interval"),
         (lambda: Duhem((0, 1), 5.0, [0, 1], [0.1]), "displacement would fall somewhere"),
-        (lambda: duhem(0).simulate([1.0], state=State(0, [])), "need a Point"),
+        (lambda: duhem(0).simulate([1.0], state=State(0, [])), "need a DuhemState"),
     ],
 )
 def test_impossible_models_are_refused(make, said):

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from strategies import SEEDS
 
 from dehyst import ModelError
-from dehyst.baselines.play_bank import PlayBank, PlayState
-from dehyst.baselines.play_inverse import PlayInverse
+from dehyst.baselines.play_bank import PlayBank, PlayInverse, PlayState
 
 VOLTS = 100.0
 
@@ -100,7 +99,7 @@ def test_the_closed_form_inverse_says_what_the_walk_says(seed, plays, reached_by
     bank = PlayBank(thresholds, [()] * plays, list(weights[:, None]), 3e-7)
     state = random_state(bank, seed)
     if reached_by_a_history:
-        _, state = bank.simulate(rng.uniform(0, VOLTS, 8), bank.descended(0.0), None)
+        _, state = bank.simulate(rng.uniform(0, VOLTS, 8), bank.state_after_descent(0.0), None)
     y, _ = bank.simulate(rng.uniform(0, VOLTS, 40), state, None)
     walked, after = bank.compensate(y, state, None)
     closed, reached = PlayInverse(bank).compensate(y, state)
@@ -114,7 +113,7 @@ def test_a_bank_forgets_what_is_wiped_out_and_cuts_into_parts(seed):
     bank = random_bank(seed, 10, 4, passes=2)
     rng = np.random.default_rng([seed, 4])
     voltage, time = rng.uniform(0, VOLTS, 30), np.cumsum(rng.uniform(0.1, 1, 30))
-    state = bank.descended(0.0)
+    state = bank.state_after_descent(0.0)
     whole, end = bank.simulate(voltage, state, time)
     parts = []
     for cut in (slice(0, 0), slice(0, 1), slice(1, 17), slice(17, 30)):
@@ -127,7 +126,7 @@ def test_a_bank_forgets_what_is_wiped_out_and_cuts_into_parts(seed):
 def test_a_time_that_begins_anew_follows_by_its_first_interval():
     bank = random_bank(1, 3, 2, passes=2)
     voltage = np.array([10.0, 80, 40])
-    _, state = bank.simulate(voltage, bank.risen(0.0), [5.0, 6, 7])
+    _, state = bank.simulate(voltage, bank.state_after_rise(0.0), [5.0, 6, 7])
     anew, _ = bank.simulate(voltage, state, [0.0, 0.5, 2])
     on, _ = bank.simulate(voltage, state, [7.5, 8, 9.5])
     np.testing.assert_allclose(anew, on, rtol=1e-14)
@@ -135,18 +134,18 @@ def test_a_time_that_begins_anew_follows_by_its_first_interval():
 
 def test_risen_and_descended_are_where_long_legs_end():
     bank = random_bank(2, 8, 3)
-    _, up = bank.simulate(np.array([-200.0, 60]), bank.risen(0.0), None)
-    np.testing.assert_array_equal(up.plays, bank.risen(60.0).plays)
-    _, down = bank.simulate(np.array([400.0, 60]), bank.risen(0.0), None)
-    np.testing.assert_array_equal(down.plays, bank.descended(60.0).plays)
+    _, up = bank.simulate(np.array([-200.0, 60]), bank.state_after_rise(0.0), None)
+    np.testing.assert_array_equal(up.plays, bank.state_after_rise(60.0).plays)
+    _, down = bank.simulate(np.array([400.0, 60]), bank.state_after_rise(0.0), None)
+    np.testing.assert_array_equal(down.plays, bank.state_after_descent(60.0).plays)
 
 
 def test_what_no_voltage_reaches_is_refused():
     bank = PlayBank([0.0], [[0.0, 10.0]], [[0, 1e-7, 0]])
-    v, _ = bank.compensate(np.array([0.0, 1e-6, 0.5e-6]), bank.risen(0.0), None)
+    v, _ = bank.compensate(np.array([0.0, 1e-6, 0.5e-6]), bank.state_after_rise(0.0), None)
     np.testing.assert_allclose(v, [0, 10, 5])
     with pytest.raises(ModelError, match=r"1.1 um at index 1 is beyond what this model reaches at any voltage; stay"):
-        bank.compensate(np.array([0.0, 1.1e-6]), bank.risen(0.0), None)
+        bank.compensate(np.array([0.0, 1.1e-6]), bank.state_after_rise(0.0), None)
 
 
 PASSING = PlayBank([0.0, 2], [(), ()], [[1e-7], [1e-7]], 0.0, [1.0], [1e-9])
@@ -163,9 +162,12 @@ PASSING = PlayBank([0.0, 2], [(), ()], [[1e-7], [1e-7]], 0.0, [1.0], [1e-9])
         (lambda: PlayBank([0.0], [()], [[1]], 0.0, [1.0], [-1.0]), "a negative slope or share"),
         (lambda: PlayBank([0.0], [()], [[1]], 0.0, [0.0], [1.0]), "low-passes: need a time above 0"),
         (lambda: PlayBank([0.0], [()], [[np.nan]]), "slopes of play 1: 1 of 1 values are not finite"),
-        (lambda: PASSING.simulate(np.zeros(2), PASSING.risen(0), None), "creeps: it needs the time of each sample"),
-        (lambda: PASSING.simulate(np.zeros(2), PASSING.risen(0), [1.0]), "time: got 1 samples, need 2"),
-        (lambda: PASSING.simulate(np.zeros(2), PASSING.risen(0), [1.0, 1]), "does not increase at sample 1"),
+        (
+            lambda: PASSING.simulate(np.zeros(2), PASSING.state_after_rise(0), None),
+            "creeps: it needs the time of each sample",
+        ),
+        (lambda: PASSING.simulate(np.zeros(2), PASSING.state_after_rise(0), [1.0]), "time: got 1 samples, need 2"),
+        (lambda: PASSING.simulate(np.zeros(2), PASSING.state_after_rise(0), [1.0, 1]), "does not increase at sample 1"),
         (lambda: PASSING.simulate(np.zeros(2), None, [1.0, 2]), "state: got NoneType"),
         (lambda: PASSING.simulate(np.zeros(2), PlayState(0.0, [0.0], [0.0]), [1.0, 2]), "got 1 plays and 1 low-passes"),
         (lambda: PASSING.simulate(np.zeros(2), PlayState(0.0, [0.0, 9], [0.0]), [1.0, 2]), "a play lies farther"),

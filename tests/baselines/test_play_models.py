@@ -1,4 +1,4 @@
-"""Rivals made of play operators: their own truths recovered, fair fits of virtual actuators, refusals."""
+"""Baselines made of play operators: their own truths recovered, fair fits of virtual actuators, refusals."""
 
 from functools import cache, partial
 from itertools import pairwise
@@ -19,15 +19,14 @@ from dehyst.baselines import (
     Preisach,
 )
 from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.fitting import training as made_ready
-from dehyst.baselines.nonnegative_fit import differences, ramps
 from dehyst.baselines.play_bank import PlayBank
-from dehyst.baselines.play_regressors import PlayRows, from_anywhere, lowpassed
+from dehyst.baselines.play_regressors import PlayRows, differences, low_pass, ramps, with_unknown_start
 from dehyst.baselines.tracking_trials import TRIALS
+from dehyst.baselines.training import prepare_training
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.waveforms import standard
 
-RIVALS = [PrandtlIshlinskii, ModifiedPrandtlIshlinskii, GeneralizedPrandtlIshlinskii, KrasnoselskiiPokrovskii]
+MODELS = [PrandtlIshlinskii, ModifiedPrandtlIshlinskii, GeneralizedPrandtlIshlinskii, KrasnoselskiiPokrovskii]
 VOLTS, STROKE = 200.0, 16e-6
 TOPS = (0, 1, 0, 1, 0, 0.9, 0, 0.8, 0, 0.7, 0, 0.6, 0, 0.5, 0, 0.4, 0, 0.3, 0, 0.2, 0, 0.1, 0)
 CURVES = (0, 1, 0, 1, *(x for low in np.arange(0.95, 0, -0.05) for x in (low, 1)), 0)
@@ -46,7 +45,7 @@ def recorded(simulate, voltage, *, seconds=0.05, name="made", **options):
 
 
 def of_bank(bank, voltage, **options):
-    return recorded(lambda v, time: bank.simulate(v, bank.descended(0.0), time)[0], voltage, **options)
+    return recorded(lambda v, time: bank.simulate(v, bank.state_after_descent(0.0), time)[0], voltage, **options)
 
 
 def wander(seed, turns=100, samples=50):
@@ -79,12 +78,12 @@ def missed(found, truth, seed=1, seconds=0.05):
 def training(kind, **options):
     """Falling tops at two speeds, and a staircase where there is creep."""
     records = [
-        recorded(kind(seed=i, **options).drive, through(TOPS, 100 + 100 * i), seconds=0.02 + 0.03 * i) for i in range(2)
+        recorded(kind(seed=i, **options).play, through(TOPS, 100 + 100 * i), seconds=0.02 + 0.03 * i) for i in range(2)
     ]
     if options:
         stairs = standard.staircase(VOLTS, steps=5, hold=60.0, ramp=1.0, drive=standard.Sampling(sample_rate=20.0))
         voltage = np.concatenate([through((0, 1, 0, 1, 0), 200), stairs.voltage])
-        records.append(recorded(kind(seed=9, **options).drive, voltage, name="stairs"))
+        records.append(recorded(kind(seed=9, **options).play, voltage, name="stairs"))
     return records
 
 
@@ -103,7 +102,7 @@ def test_the_weights_of_a_prandtl_ishlinskii_truth_are_recovered():
     found = PrandtlIshlinskii.fit(of_bank(bank, through(TOPS)), delay=0.0, drift=False)
     np.testing.assert_allclose(found.weights, weights, rtol=0, atol=1e-9 * weights.max())
     assert found.parameters == 21
-    lowest = bank.simulate(np.zeros(1), bank.descended(0.0), None)[0]
+    lowest = bank.simulate(np.zeros(1), bank.state_after_descent(0.0), None)[0]
     assert found.simulate(np.zeros(1)).displacement == pytest.approx(lowest, abs=1e-9 * STROKE)
 
 
@@ -111,7 +110,7 @@ def test_plays_that_never_moved_add_a_constant_only():
     """A small loop from an unknown state and a large one: each stretch has its offset, and the weights are exact."""
     weights = np.append(5e-8, np.full(9, 3e-9))
     bank = PlayBank(10.0 * np.arange(10), [()] * 10, list(weights[:, None]))
-    start = bank.simulate(through((0, 1, 0.3, 0.6)), bank.descended(0.0), None)[1]
+    start = bank.simulate(through((0, 1, 0.3, 0.6)), bank.state_after_descent(0.0), None)[1]
     small = recorded(lambda v, time: bank.simulate(v, start, time)[0] + 3e-6, through((0.6, 0.4, 0.65, 0.4, 0.65, 0.4)))
     large = of_bank(bank, through((0, 1, 0, 1, 0)))
     found = PrandtlIshlinskii.fit([small, large], plays=10, delay=0.0, drift=False)
@@ -125,7 +124,7 @@ def test_a_modified_prandtl_ishlinskii_truth_is_recovered():
     bank = PlayBank(thresholds, [()] * 10, list(weights[:, None]), -float(weights @ thresholds))
     places = np.linspace(0, VOLTS, 6)
     values = np.concatenate([[0.0], np.cumsum([1.4, 0.9, 0.7, 0.9, 1.1])]) / 5.0 * STROKE
-    own = ModifiedPrandtlIshlinskii(bank, places, values, bank.descended(0.0))
+    own = ModifiedPrandtlIshlinskii(bank, places, values, bank.state_after_descent(0.0))
     record = recorded(lambda v, time: own.simulate(v, time=time).displacement, through(TOPS))
     found = ModifiedPrandtlIshlinskii.fit(record, plays=10, segments=5, delay=0.0, drift=False)
     np.testing.assert_allclose(found.weights, weights, rtol=0, atol=1e-4)
@@ -135,7 +134,7 @@ def test_a_modified_prandtl_ishlinskii_truth_is_recovered():
 
 def test_kernels_by_their_own_definition():
     """k <- min(max(k, r(v - p2)), r(v - p1)), kernel by kernel, against the plays with ramps."""
-    found = KrasnoselskiiPokrovskii.fit(recorded(PreisachActuator().drive, through(TOPS)), levels=6, delay=0.0)
+    found = KrasnoselskiiPokrovskii.fit(recorded(PreisachActuator().play, through(TOPS)), levels=6, delay=0.0)
     voltage, spacing = wander(5, 40, 10)[1:], VOLTS / 6
     expected = np.zeros(voltage.size)
     for i, (knots, slopes) in enumerate(zip(found.bank.knots, found.bank.slopes, strict=True)):
@@ -147,14 +146,14 @@ def test_kernels_by_their_own_definition():
                 low, high = (np.clip((v - p) / spacing, 0, 1) for p in (p2, p1))
                 k = min(max(k, low), high)
                 expected[t] += weight * k
-    y = found.simulate(voltage, state=found.bank.descended(0.0)).displacement
+    y = found.simulate(voltage, state=found.bank.state_after_descent(0.0)).displacement
     np.testing.assert_allclose(y - y[0], expected - expected[0], rtol=0, atol=1e-12 * STROKE)
     assert found.parameters == 22
 
 
 def test_a_krasnoselskii_pokrovskii_truth_is_recovered():
     rng = np.random.default_rng(2)
-    first = KrasnoselskiiPokrovskii.fit(recorded(PreisachActuator().drive, through(TOPS)), levels=10, delay=0.0)
+    first = KrasnoselskiiPokrovskii.fit(recorded(PreisachActuator().play, through(TOPS)), levels=10, delay=0.0)
     slopes = [s * np.where(s > 0, rng.uniform(0.5, 1.5, s.size), 0) for s in first.bank.slopes]
     slopes[0][[0, -1]] = slopes[0][[1, -2]]
     truth = PlayBank(first.bank.thresholds, first.bank.knots, slopes)
@@ -162,7 +161,7 @@ def test_a_krasnoselskii_pokrovskii_truth_is_recovered():
         of_bank(truth, through(CURVES)), levels=10, smoothing=0.0, delay=0.0, drift=False
     )
     voltage = wander(8)
-    y, guess = truth.simulate(voltage, truth.descended(0.0), None)[0], found.simulate(voltage).displacement
+    y, guess = truth.simulate(voltage, truth.state_after_descent(0.0), None)[0], found.simulate(voltage).displacement
     np.testing.assert_allclose(guess - guess[0], y - y[0], rtol=0, atol=1e-7 * STROKE)
 
 
@@ -204,11 +203,11 @@ def test_low_passes_of_a_record_are_exact_for_straight_legs():
     for middle in np.interp(0.5 * (fine[1:] + fine[:-1]), time, v):
         q += (middle - q) * -np.expm1(-step / 0.7)
         expected.append(q)
-    passed = lowpassed(Record(time, v, v), np.array([0.7]))
+    passed = low_pass(Record(time, v, v), np.array([0.7]))
     np.testing.assert_allclose(passed[:, 0], np.interp(time, fine, expected), atol=1e-7)
 
 
-@pytest.mark.parametrize("kind", RIVALS)
+@pytest.mark.parametrize("kind", MODELS)
 def test_offsets_of_records_are_free(kind):
     one = training(PlayActuator)
     moved = [Record(r.time, r.voltage, r.displacement + 2e-6 * q, r.name) for q, r in enumerate(one)]
@@ -217,7 +216,7 @@ def test_offsets_of_records_are_free(kind):
     np.testing.assert_allclose(second - second[0], first - first[0], rtol=0, atol=1e-6 * STROKE)
 
 
-@pytest.mark.parametrize("kind", RIVALS)
+@pytest.mark.parametrize("kind", MODELS)
 def test_where_the_voltage_has_its_zero_does_not_matter(kind):
     one = training(PlayActuator)
     moved = [Record(r.time, r.voltage - 70.0, r.displacement, r.name) for r in one]
@@ -231,12 +230,12 @@ def test_a_delay_is_found_and_the_voltage_is_delayed_by_it():
     time = seconds * np.arange(1, voltage.size + 1)
     late = np.interp(time - 0.08, time, voltage)
     record = Record(time, voltage, truth.play(late), "late")
-    assert made_ready(record).delay == pytest.approx(0.08, abs=0.1 * seconds)
-    assert made_ready(recorded(PlayActuator().drive, voltage)).delay == 0.0
+    assert prepare_training(record).delay == pytest.approx(0.08, abs=0.1 * seconds)
+    assert prepare_training(recorded(PlayActuator().play, voltage)).delay == 0.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", RIVALS)
+@pytest.mark.parametrize("kind", MODELS)
 def test_a_resonance_does_not_shift_the_axis(kind):
     """Driven slowly, a model of an actuator that was recorded swinging is nowhere far off, and on the whole not off."""
     one = TRIALS["boucwen"]
@@ -253,16 +252,16 @@ def test_what_low_passes_held_before_a_record_does_not_matter():
     truth = PlayBank([0.0, 20.0], [()] * 2, [[5e-8], [2e-8]], 0.0, [2.0, 30.0], [3e-9, 4e-9])
     before, voltage = through((0, 1, 0.4, 1)), through((1, 0, 1, 0, 0.7, 0.2, 0.9, 0))
     time = 0.05 * np.arange(before.size + voltage.size)
-    state = truth.simulate(before, truth.descended(0.0), time[: before.size])[1]
+    state = truth.simulate(before, truth.state_after_descent(0.0), time[: before.size])[1]
     y = truth.simulate(voltage, state, time[before.size :])[0]
     record = Record(time[before.size :], voltage, y, "later")
-    ready = made_ready(record, delay=0.0, drift=False)
-    rows = PlayRows.of(from_anywhere(ready, truth.times), truth.thresholds, truth.times)
-    found = rows.solved(rows.ramps())
+    ready = prepare_training(record, delay=0.0, drift=False)
+    rows = PlayRows.from_training(with_unknown_start(ready, truth.times), truth.thresholds, truth.times)
+    found = rows.fit(rows.ramps())
     np.testing.assert_allclose(found.weights, [5e-8, 2e-8, 3e-9, 4e-9], rtol=1e-6)
     assert found.rms < 1e-9 * STROKE
-    plain = PlayRows.of(ready, truth.thresholds, truth.times)
-    assert plain.solved(plain.ramps()).rms > 1e-5 * STROKE
+    plain = PlayRows.from_training(ready, truth.thresholds, truth.times)
+    assert plain.fit(plain.ramps()).rms > 1e-5 * STROKE
 
 
 @pytest.mark.parametrize(
@@ -279,7 +278,7 @@ def test_what_low_passes_held_before_a_record_does_not_matter():
         Preisach,
     ],
 )
-def test_every_rival_is_one_and_none_is_built_upon(kind):
+def test_every_baseline_is_one_and_none_is_built_upon(kind):
     assert issubclass(kind, AbstractBaseline)
     assert kind.__final__
 
@@ -305,7 +304,7 @@ def test_ramps_and_their_neighbours():
     np.testing.assert_allclose(rough @ np.array([9, 9, 9, 1, 2, 4, 8.0]), [-1, -3, -6, -4])
 
 
-@pytest.mark.parametrize("kind", RIVALS)
+@pytest.mark.parametrize("kind", MODELS)
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -323,27 +322,27 @@ def test_impossible_options_are_refused(kind, options, message):
         if key != ("plays" if kind is KrasnoselskiiPokrovskii else "levels")
     }
     with pytest.raises(IdentifyError, match=message):
-        kind.fit(recorded(PlayActuator().drive, through(TOPS)), **own)
+        kind.fit(recorded(PlayActuator().play, through(TOPS)), **own)
 
 
-@pytest.mark.parametrize("kind", RIVALS)
+@pytest.mark.parametrize("kind", MODELS)
 def test_what_are_no_records_is_refused(kind):
-    with pytest.raises(IdentifyError, match="got no records, need one loop"):
+    with pytest.raises(IdentifyError, match="got no records, need at least one loop"):
         kind.fit([])
     with pytest.raises(IdentifyError, match=r"got str, need records; read a file"):
         kind.fit("loop.csv")
     with pytest.raises(RecordError, match=r"0 full cycles of the voltage found, 1 needed"):
-        kind.fit(recorded(PlayActuator().drive, through((0, 1))))
+        kind.fit(recorded(PlayActuator().play, through((0, 1))))
 
 
 def test_impossible_curves_and_times_are_refused():
-    record = recorded(PlayActuator().drive, through(TOPS))
+    record = recorded(PlayActuator().play, through(TOPS))
     with pytest.raises(IdentifyError, match=r"lowpasses: got .*need time constants above 0"):
         GeneralizedPrandtlIshlinskii.fit(record, lowpasses=[0.0])
     with pytest.raises(IdentifyError, match=r"lowpasses: 1 of 1 values are not finite"):
         GeneralizedPrandtlIshlinskii.fit(record, lowpasses=[np.nan])
     bank = PlayBank([0.0], [()], [[1.0]])
     with pytest.raises(ModelError, match=r"values: got .*strictly increasing"):
-        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 1], bank.risen(0))
+        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 1], bank.state_after_rise(0))
     with pytest.raises(ModelError, match=r"values: got 3, need one for each of 2 places"):
-        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 2, 3], bank.risen(0))
+        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 2, 3], bank.state_after_rise(0))

@@ -49,15 +49,15 @@ def test_a_table_the_figures_and_a_page(folder):
     assert all(written_by_dehyst(folder / name) for name in ("all.json", "page.html"))
 
 
-def test_what_a_lead_told_is_said(folder):
+def test_the_use_of_a_lead_in_is_stated(folder):
     arguments = ["compare", "tops.csv", "--validate", "three.csv", "--only", "linear ratio"]
     for options, said in (([], False), (["--lead", "6"], True)):
         status, out, _ = run(*arguments, *options, cwd=folder)
         assert status == 0
-        assert ("in the first 6 s of held-out records" in out) is said
+        assert ("The first 6 s of held-out records" in out) is said
 
 
-def test_json_and_a_rival_that_fails(folder):
+def test_json_and_a_baseline_that_fails(folder):
     status, out, _ = run("compare", "three.csv", "--only", "preisach, reversal curves", "--json", cwd=folder)
     assert status == 0
     model = json.loads(out)["models"][0]
@@ -80,7 +80,7 @@ def test_a_virtual_actuator_needs_no_record(folder):
         ([], "neither records nor a virtual actuator"),
         (["tops.csv", "--only", "crystal"], "--only: no model 'crystal'; try dehyst"),
         (["tops.csv", "--validate", "three.csv", "--lead", "-2"], "lead: got -2"),
-        (["tops.csv", "-o", "tops.csv"], "is an input of this command too"),
+        (["tops.csv", "-o", "tops.csv"], "is also an input of this command"),
         (["tops.csv", "--truth", "glass"], "'glass' is not one of"),
     ],
 )

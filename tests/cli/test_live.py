@@ -71,11 +71,11 @@ def test_steps_bar_numbers_and_error(clock):
         live.samples(samples, samples.displacement + error)
         assert seen(live)[2] == "▶ compensated 50 %, 5.0 s left"
         # Of the stroke so far, 10 um but for where the samples lie.
-        assert seen(live)[-1] == "  off the path by 0.500 % of the stroke now, 1.000 % at most"
+        assert seen(live)[-1] == "  off the path by 0.500 % of the stroke now, at most 1.000 %"
     assert seen(live)[:3] == [
         "✓ look        1.0 s, 6 000 samples",
         "✓ identify    1 min 05 s",
-        "✓ compensated 5.0 s, 100 samples, off the path by 1.000 % of the stroke at most",
+        "✓ compensated 5.0 s, 100 samples, off the path by at most 1.000 % of the stroke",
     ]
 
 
@@ -136,7 +136,7 @@ def test_without_a_terminal_a_line_where_a_step_begins_and_ends(clock):
         raise ValueError("lost")
     assert stream.getvalue().splitlines() == [
         "dehyst: look: begins, 1 min 30 s",
-        "dehyst: look: done in 1 min 01 s, 12 345 samples, off the path by 0.100 % of the stroke at most",
+        "dehyst: look: done in 1 min 01 s, 12 345 samples, off the path by at most 0.100 % of the stroke",
         "dehyst: identify: begins",
         "dehyst: identify: done in 1 h 02 min",
         "dehyst: loops: begins, 1.0 s",

@@ -91,7 +91,7 @@ def test_extrapolation_is_said(folder):
         (["identify", "absent.csv"], "absent.csv"),
         (["identify", "loops.csv", "--voltage", "drive_V"], "drive_V"),
         (["identify", "loops.csv", "--elements", "0"], "need a whole number from 1 to 500"),
-        (["identify", "loops.csv", "-o", "loops.csv"], "is an input of this command too"),
+        (["identify", "loops.csv", "-o", "loops.csv"], "is also an input of this command"),
         (["identify", "loops.csv", "-o", "no/such/model.json"], "does not exist; create it first"),
         (["simulate", "loops.csv", "loops.csv", "-o", "x.csv"], "loops.csv"),
         (["compensate", "model.json", "loops.csv", "-o", "x.csv", "--limits", "5", "1"], "the lower one first"),
@@ -140,7 +140,7 @@ def test_the_measured_lag_is_said_and_can_be_put_in(folder):
     model = json.loads((folder / "model.json").read_text())
     (folder / "late.json").write_text(json.dumps({**model, "delay_s": 0.25}))
     status, _, err = run("simulate", "late.json", "loops.csv", "-o", "a.csv", cwd=folder)
-    assert (status, "lag by 250 ms; --lag puts that in" in err) == (0, True)
+    assert (status, "lagged by 250 ms, which is left out here; add --lag" in err) == (0, True)
     assert run("simulate", "late.json", "loops.csv", "-o", "b.csv", "--lag", cwd=folder)[2] == ""
     prompt, late = (read_table(folder / name).column("displacement") for name in ("a.csv", "b.csv"))
     np.testing.assert_allclose(late[1:], prompt[:-1], atol=1e-18)  # one sample takes 0.25 s
@@ -223,7 +223,7 @@ def test_homing_of_a_model_is_certified(folder):
     ("model", "told"),
     [
         ("paper.json", "Known of the stiffnesses: 19 of 19 directions"),
-        ("model.json", "Their turning points tell 9 of 9 directions of plain elements"),
+        ("model.json", "Their turning points determine 9 of 9 directions of plain elements"),
     ],
 )
 def test_insight_of_loops_that_tell_all_finds_nothing_to_beware_of(folder, model, told):
@@ -279,7 +279,7 @@ def scaled(folder, factor):
 def test_insight_of_another_actuators_record_says_so_first(folder, factor):
     status, out, _ = run("insight", "model.json", scaled(folder, factor), "--repeats", "0", cwd=folder)
     assert status == 1
-    assert out.startswith("BEWARE: The model misses these records by up to")
+    assert out.startswith("WARNING: The model misses these records by up to")
 
 
 @pytest.mark.parametrize(

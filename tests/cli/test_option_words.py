@@ -13,8 +13,9 @@ from summaries import anatomy
 import dehyst
 from dehyst._text import counted
 from dehyst.cli import main
-from dehyst.cli.common import came_from, start_state, start_within
-from dehyst.cli.option_words import in_options, in_words_of, options_of
+from dehyst.cli.option_words import in_words_of, options_of
+from dehyst.cli.scans import in_options
+from dehyst.cli.start import start_state, start_within, start_words
 from dehyst.records import write_record
 from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
@@ -164,7 +165,7 @@ def test_the_start_is_said_alike_and_within_the_limits():
     actuator = replace(anatomy("plain"), limits=(0.0, 150.0))
     assert actuator.voltage(start_state(actuator, "top")) > 160
     begin = start_within(actuator, "top", None)
-    assert came_from(actuator, "top") == came_from(actuator, "top", begin) == "(coming from the top, 150 V)"
+    assert start_words(actuator, "top") == start_words(actuator, "top", begin) == "(coming from the top, 150 V)"
 
 
 def test_numbers_of_things_agree_with_them():

@@ -268,7 +268,7 @@ def test_force_replaces_no_input(folder):
     os.link(folder / "voltage.csv", folder / "link.csv")
     for name in ("voltage.csv", "link.csv"):
         status, _, err = run("simulate", "model.json", "voltage.csv", "-o", name, "--force", cwd=folder)
-        assert status == 2 and "is an input of this command too" in err
+        assert status == 2 and "is also an input of this command" in err
 
 
 def test_a_file_that_appears_while_a_command_computes_is_not_replaced(tmp_path, monkeypatch):

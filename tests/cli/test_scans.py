@@ -120,7 +120,7 @@ def test_what_is_clamped_ends_with_status_1(folder):
         ((*TRIANGLE, "--cycle", "t.csv", "--present", 3), "--present: got it without --homing"),
         ((*TRIANGLE, "--cycle", "t.csv", "--homing", "--start", "top"), "--start: got it with --homing"),
         ((*TRIANGLE, "--cycle", "o.csv"), "is the name of two outputs"),
-        ((*TRIANGLE, "--cycle", "model.json"), "is an input of this command too"),
+        ((*TRIANGLE, "--cycle", "model.json"), "is also an input of this command"),
         ((*TRIANGLE, "--lines", 3), "--lines: got 3 with --scan triangle, which takes --low"),
         ((*TRIANGLE[:-2],), "--scan triangle: got no --frequency, need --low, --high, --frequency"),
         ((*TRIANGLE, "--axis", "y"), "--axis: got 'y', need 'x'"),
@@ -187,8 +187,8 @@ def test_a_long_homing_is_told_before_it_is_written(folder):
     "arguments, said",
     [
         (("--start-up", 10_000_000), "--start-up: got 10000000, 4e+09 samples of start-up, need 12500 at most"),
-        (("--cycles", 100_000_000), "--cycles: got 100000000, 4e+10 rows, need 12500 at most"),
-        (("--cycles", 12_500), "5e+06 rows at most; try a lower --sample-rate"),
+        (("--cycles", 100_000_000), "--cycles: got 100000000, 4e+10 rows, need at most 12500"),
+        (("--cycles", 12_500), "at most 5e+06 rows; try a lower --sample-rate"),
     ],
 )
 def test_files_that_no_one_can_use_are_not_written(folder, arguments, said):

@@ -1,4 +1,4 @@
-"""What every model must do, ours and every rival. To enter a model, add one line to `MODELS`.
+"""What every model must do, ours and every baseline. To enter a model, add one line to `MODELS`.
 
 A candidate makes a model that answers voltages between 0 and 100 V with displacements it can also be asked for.
 """
@@ -59,25 +59,25 @@ def wider(elements, *, creep):
 
 
 def goldfarb():
-    """Return the rival identified from a rise to 10 um and 100 V."""
+    """Return the baseline identified from a rise to 10 um and 100 V."""
     u = np.linspace(0, 1, 101)
     return GoldfarbCelanovic.fit(Record(u, VOLTS * (0.7 * u + 0.3 * np.sqrt(u)), 1e-5 * u))
 
 
 def preisach():
-    """Return a rival with a ridge of relays, more of them at high voltages."""
+    """Return a baseline with a ridge of relays, more of them at high voltages."""
     nodes = np.linspace(0, 1, 13)
     alpha, beta = np.meshgrid(nodes, nodes, indexing="ij")
     return Preisach((0.0, VOLTS), 1e-5 * (alpha - beta) * (0.6 + 0.3 * (alpha - beta) + 0.2 * alpha), 2e-6)
 
 
 def boucwen():
-    """Return a rival with a bent map."""
+    """Return a baseline with a bent map."""
     return BoucWen(0.45, 0.04, 0.02, (-5.0, 95.0), [1e-6, 1.2e-5, -6e-6, 4e-6])
 
 
 def duhem():
-    """Return a rival with a bent middle line."""
+    """Return a baseline with a bent middle line."""
     return Duhem((0.0, VOLTS), 5.0, [1e-6, 1.2e-5, -3e-6, 1e-6], [8e-6, -1e-6])
 
 
@@ -89,7 +89,7 @@ def smooth():
 
 @cache
 def fitted(kind, **options):
-    """Return a rival identified from loops of falling tops up to 100 V."""
+    """Return a baseline identified from loops of falling tops up to 100 V."""
     voltage = standard.descending_tops(VOLTS, steps=5, drive=standard.Sampling(sample_rate=1.0)).voltage
     y = PlayActuator(highest=VOLTS).play(voltage)
     return kind.fit(Record(np.arange(y.size), voltage, y), delay=0.0, **options)

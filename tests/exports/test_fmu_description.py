@@ -34,7 +34,7 @@ from fmu_runner import (
 )
 
 from dehyst import Compensator, FileFormatError, ModelError
-from dehyst.cli.common import start_state
+from dehyst.cli.start import start_state
 from dehyst.exports import SourceOnlyWarning, export_fmu
 
 
@@ -201,8 +201,8 @@ def test_the_command_line_writes_both_kinds(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ([], "an FMU? give --fmu"),
-        (["--kind", "actuator"], "an FMU? give --fmu"),
+        ([], "without --fmu; give --fmu"),
+        (["--kind", "actuator"], "without --fmu; give --fmu"),
         (["--fmu", "2.0", "--number", "float"], "an FMU has doubles"),
         (["--fmu", "--name", "x"], "an FMU has its model's name"),
         (["--fmu", "--no-measure"], "an FMU has its model's name"),

@@ -215,7 +215,7 @@ def test_the_shift_is_that_of_equation_10(result):
     assert predicted == pytest.approx(result.symmetric.shift.loop, rel=0.02)
 
 
-def test_the_rival_needs_a_relaxed_start(numbers):
+def test_the_baseline_needs_a_relaxed_start(numbers):
     for which in ("asymmetric", "symmetric"):
         relaxed, energised = (value(numbers, which, "major", key) for key in ("goldfarb", "goldfarb_energised"))
         assert energised > 3 * relaxed > 3 * value(numbers, which, "major", "breakpoints")

@@ -149,14 +149,14 @@ def test_a_look_at_a_wider_model(name):
     assert found.knowledge[0].judged == (name == "graded, transformer")
     text = "\n".join(sections(found))
     for words in (
-        "What the records tell of each part",
-        "How sharp the numbers are",
+        "What the records determine of each part",
+        "How accurate the numbers are",
         "The trajectory",
-        "What was not judged",
-        "From when on the state is known",
+        "Not judged",
+        "When the state becomes known",
     ):
         assert words in text
-    assert "What the records tell of each part" in render(fit, insight=found)
+    assert "What the records determine of each part" in render(fit, insight=found)
 
 
 def test_the_state_is_known_from_the_voltage_as_from_two_simulations():
@@ -229,7 +229,7 @@ def test_the_command(tmp_path):
         "the displacement on the major loop",
         "Not judged of a wider model",
         "not judged from the voltage alone",
-        "Error to be expected on the trajectory",
+        "Largest error to expect on the trajectory",
     ):
         assert words in said.stdout
     assert "models that the records do not contradict" not in said.stdout

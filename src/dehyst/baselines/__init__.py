@@ -1,11 +1,7 @@
-"""What others do: rival models and identifications behind the common interface, to compare with on equal terms.
-
-`BASELINES` holds one entry for each way to get a model: its name, and a function of training records that returns the
-model or raises a sentence that says why these records give none.
-"""
+"""Baselines: published models and identifications behind the common interface, and their comparison with dehyst's."""
 
 from dehyst.baselines.bouc_wen import BoucWen
-from dehyst.baselines.comparison import ModelComparison, compare
+from dehyst.baselines.comparison import compare
 from dehyst.baselines.duhem import Duhem
 from dehyst.baselines.generalized_prandtl_ishlinskii import GeneralizedPrandtlIshlinskii
 from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
@@ -15,6 +11,7 @@ from dehyst.baselines.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinsk
 from dehyst.baselines.prandtl_ishlinskii import PrandtlIshlinskii
 from dehyst.baselines.preisach import Preisach
 from dehyst.baselines.registry import BASELINES
+from dehyst.baselines.scores import ModelComparison
 
 __all__ = [
     "BASELINES",

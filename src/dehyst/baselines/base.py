@@ -1,4 +1,4 @@
-"""What every rival shares: both directions, checked, from the state that it is given or its own."""
+"""The base class of every baseline: both directions, with checked input, from a given state or its own."""
 
 from __future__ import annotations
 
@@ -19,40 +19,39 @@ class AbstractBaseline(AbstractModel):
     Attributes
     ----------
     state : Any
-        Where a motion starts if it is not told.
+        Default start of a motion.
     delay : float
-        Seconds by which the measured displacement lagged the voltage; `simulate` and `compensate` leave it to the
-        caller.
+        Seconds by which the measured displacement lagged the voltage; `simulate` and `compensate` do not apply it.
     """
 
     state: Any
     delay: float
 
     def simulate(self, voltage: ArrayLike, *, state: Any = None, time: ArrayLike | None = None) -> Motion:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes.
+        """Return the displacement (n,) [m] that a voltage (n,) [V] causes.
 
         Parameters
         ----------
         voltage : (n,) array_like
             [V].
         state : optional
-            Before the first sample, as a motion of this model left it; by default the model's own.
+            State before the first sample, as a motion of this model returned it; default: the model's own.
         time : (n,) array_like, optional
-            [s], increasing; models without creep do not look at it.
+            [s], increasing; models without creep ignore it.
 
         Raises
         ------
         ModelError
-            If the voltage is no path of finite numbers, the state is none of this model, or a model with creep is not
-            told an increasing time, or a displacement is too large to be computed.
+            If the voltage is not a path of finite numbers, the state is not one of this model, a model with creep gets
+            no increasing time, or a displacement is too large to be computed.
         """
         v = vector(voltage, "voltage")
-        y, after = self._displaced(v, self.state if state is None else state, time)
+        y, after = self._simulate(v, self.state if state is None else state, time)
         demand_result(y, "displacement")
         return Motion(v, y, after)
 
     def compensate(self, displacement: ArrayLike, *, state: Any = None, time: ArrayLike | None = None) -> Motion:
-        """Voltage (n,) [V] for a displacement (n,) [m]; arguments as `simulate`.
+        """Return the voltage (n,) [V] for a displacement (n,) [m]; arguments as `simulate`.
 
         Raises
         ------
@@ -60,14 +59,14 @@ class AbstractBaseline(AbstractModel):
             As `simulate`, and if no voltage reaches a displacement.
         """
         y = vector(displacement, "displacement")
-        v, after = self._driven(y, self.state if state is None else state, time)
+        v, after = self._compensate(y, self.state if state is None else state, time)
         demand_result(v, "voltage")
         return Motion(v, y, after)
 
     @abstractmethod
-    def _displaced(self, v: Array, state: Any, time: ArrayLike | None) -> tuple[Array, Any]:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes, and the state after it."""
+    def _simulate(self, v: Array, state: Any, time: ArrayLike | None) -> tuple[Array, Any]:
+        """Return the displacement (n,) [m] that a voltage (n,) [V] causes, and the state after it."""
 
     @abstractmethod
-    def _driven(self, y: Array, state: Any, time: ArrayLike | None) -> tuple[Array, Any]:
-        """Voltage (n,) [V] for a displacement (n,) [m], and the state after it."""
+    def _compensate(self, y: Array, state: Any, time: ArrayLike | None) -> tuple[Array, Any]:
+        """Return the voltage (n,) [V] for a displacement (n,) [m], and the state after it."""

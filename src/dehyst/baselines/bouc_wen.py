@@ -1,4 +1,4 @@
-"""Bouc and Wen's model, seen through a cubic map.
+"""Bouc and Wen's model, followed by a cubic map.
 
     h' = alpha v' - beta |v'| h - gamma v' |h|,     w = v - h,     y = p(w)
 
@@ -20,16 +20,15 @@ from dehyst import _validation
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number, vector
-from dehyst.baselines import _native_fields
+from dehyst.baselines import _native
 from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.fitting import least_missing
-from dehyst.baselines.training import Training
+from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.identification.solvers.program import Solution, solve
 from dehyst.records import Record
 from dehyst.records.metrics import rms
 
 _SEARCH_ROWS = 2000
-# Of alpha, of the part of v that a reversal hides at first, and of (beta + gamma) times the range of v.
+# Bounds of alpha, of the part of v that a reversal hides at first, and of log((beta + gamma) times the range of v).
 _LEAST, _MOST = np.array([0.02, 0.02, np.log(0.3)]), np.array([0.98, 0.98, np.log(60.0)])
 _POLISHED = 6
 _MAJOR_LOOPS = 8
@@ -62,14 +61,14 @@ class BoucWen(AbstractBaseline):
     cubic : (4,) array_like
         c [m]; it increases from 0 to 1.
     state : BoucWenState, optional
-        Where a motion starts if it is not told: at the lower limit, as a long fall leaves it.
+        Default start of a motion: at the lower limit, after a long fall.
     delay : float, optional
         Seconds by which the measured displacement lagged the voltage; the model itself has no time.
 
     Raises
     ------
     ModelError
-        If voltage would pull back somewhere.
+        If the displacement would fall somewhere while the voltage rises.
     """
 
     alpha: float
@@ -87,7 +86,7 @@ class BoucWen(AbstractBaseline):
         if not (0 < self.alpha < 1 and self.beta > 0 and total > 0 and 2 * self.alpha * self.beta < total):
             raise ModelError(
                 f"alpha {self.alpha:g}, beta {self.beta:g}, gamma {self.gamma:g}: need 0 < alpha < 1, beta > 0 and "
-                "beta + gamma > 2 alpha beta, or voltage would pull back"
+                "beta + gamma > 2 alpha beta; otherwise the displacement would fall while the voltage rises"
             )
         low, high = (number(end, "limits") for end in self.limits)
         object.__setattr__(self, "limits", (low, high))
@@ -97,7 +96,7 @@ class BoucWen(AbstractBaseline):
         t = np.linspace(0, 1, 201)
         if np.any(np.polynomial.polynomial.polyval(t, cubic[1:] * [1, 2, 3]) <= 0):
             raise ModelError(
-                f"cubic: got {cubic}, which does not increase from 0 to 1, so that voltage would pull back"
+                f"cubic: got {cubic}, which does not increase from 0 to 1; need four coefficients of an increasing map"
             )
         cubic.flags.writeable = False
         object.__setattr__(self, "cubic", cubic)
@@ -110,20 +109,20 @@ class BoucWen(AbstractBaseline):
         """Number of coefficients: three of the equation, four of the map."""
         return 7
 
-    def _displaced(self, v: Array, state: BoucWenState, time: ArrayLike | None) -> tuple[Array, BoucWenState]:
+    def _simulate(self, v: Array, state: BoucWenState, time: ArrayLike | None) -> tuple[Array, BoucWenState]:
         return self._run(v, state, _SIMULATE)
 
-    def _driven(self, y: Array, state: BoucWenState, time: ArrayLike | None) -> tuple[Array, BoucWenState]:
+    def _compensate(self, y: Array, state: BoucWenState, time: ArrayLike | None) -> tuple[Array, BoucWenState]:
         # Each sample solves one equation in v, which increases: by Newton's method within a bracket.
         return self._run(y, state, _COMPENSATE)
 
     def _run(self, drive: Array, begin: BoucWenState, what: int) -> tuple[Array, BoucWenState]:
         most = self.alpha / (self.beta + self.gamma) * (1 + 1e-9)
         if not isinstance(begin, BoucWenState) or not abs(begin.hidden) <= most:
-            raise ModelError(f"state: got {begin!r}, need a Lag whose hidden part is {most:g} V at most")
+            raise ModelError(f"state: got {begin!r}, need a BoucWenState whose hidden part is at most {most:g} V")
         low, high = self.limits
         numbers = np.array([self.alpha, self.beta, self.gamma, low, high - low, *self.cubic])
-        out, v, h = _native_fields.bouc_wen(numbers, begin.voltage, begin.hidden, drive, what)
+        out, v, h = _native.bouc_wen(numbers, begin.voltage, begin.hidden, drive, what)
         return out, BoucWenState(v, h)
 
     @classmethod
@@ -163,57 +162,57 @@ class BoucWen(AbstractBaseline):
         _validation.fraction(slope_floor, "slope_floor")
         begins = np.random.default_rng(seed).uniform(_LEAST, _MOST, (starts, 3))
 
-        def solved(ready: Training) -> tuple[BoucWen, float]:
-            best = _BoucWenFit(ready.thinned(_SEARCH_ROWS), slope_floor).polished(begins)
-            problem = _BoucWenFit(ready, slope_floor)
-            return cls(*problem.equation(best), *problem.map(best), delay=ready.delay), rms(problem.residual(best))
+        def fit_model(training: Training) -> tuple[BoucWen, float]:
+            best = _BoucWenFit(training.subsample(_SEARCH_ROWS), slope_floor).polished(begins)
+            problem = _BoucWenFit(training, slope_floor)
+            return cls(*problem.equation(best), *problem.map(best), delay=training.delay), rms(problem.residual(best))
 
-        return least_missing(records, delay, solved)
+        return fit_with_delay(records, delay, fit_model)
 
 
 @dataclass(frozen=True, eq=False)
 class _BoucWenFit:
     """The least squares in alpha, the part hidden at first and log((beta + gamma) range)."""
 
-    ready: Training
+    training: Training
     slope_floor: float
 
     def equation(self, at: Array) -> tuple[float, float, float]:
-        """Alpha, beta and gamma of the three unknowns."""
+        """Return alpha, beta and gamma for the three unknowns."""
         alpha, hidden, log_rate = (float(x) for x in at)
-        low, high = self.ready.limits
+        low, high = self.training.limits
         total = float(np.exp(log_rate)) / (high - low)
         beta = hidden * total / (2 * alpha)
         return alpha, beta, total - beta
 
-    def solved(self, at: Array) -> tuple[Solution, Array, tuple[float, float]]:
-        """The map in Bernstein's form and the constants, its least slopes, and the limits of w."""
+    def solve(self, at: Array) -> tuple[Solution, Array, tuple[float, float]]:
+        """Return the map in Bernstein's form with the constants, its least slopes, and the limits of w."""
         alpha, beta, gamma = self.equation(at)
         numbers = np.array([alpha, beta, gamma, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0])
-        low, high = self.ready.limits
-        # What a record remembers of its past is not known: take the closed major loop's.
+        low, high = self.training.limits
+        # The state before a record is not known: take that of the closed major loop.
         past = np.array([high, low] * _MAJOR_LOOPS)
 
         def lag(v: Array) -> Array:
-            return _native_fields.bouc_wen(numbers, low, -alpha / (beta + gamma), np.concatenate([past, v]), _LAG)[0][
+            return _native.bouc_wen(numbers, low, -alpha / (beta + gamma), np.concatenate([past, v]), _LAG)[0][
                 past.size :
             ]
 
-        w = self.ready.played(lag)
+        w = self.training.map_voltages(lag)
         low, high = float(w.min()), float(w.max())
         t = (w - low) / (high - low)
         # Integrals of Bernstein's quadratics: a slope whose coefficients are positive is positive.
         columns = np.column_stack([1 - (1 - t) ** 3, t * t * (3 - 2 * t), t**3]) / 3
-        floor = np.full(3, self.slope_floor * self.ready.stroke)
-        target = self.ready.displacement - columns @ floor
-        return solve(self.ready.nuisances, columns, target, norm="l2"), floor, (low, high)
+        floor = np.full(3, self.slope_floor * self.training.stroke)
+        target = self.training.displacement - columns @ floor
+        return solve(self.training.nuisances, columns, target, norm="l2"), floor, (low, high)
 
     def residual(self, at: Array) -> Array:
-        """Residuals (n,) in parts of the stroke."""
-        return self.solved(at)[0].residual / self.ready.stroke
+        """Return the residuals (n,) in parts of the stroke."""
+        return self.solve(at)[0].residual / self.training.stroke
 
     def polished(self, starts: Array) -> Array:
-        """The best end of the search from the most promising starts."""
+        """Return the best end of the search from the most promising starts."""
         from scipy.optimize import least_squares
 
         costs = [float(np.sum(self.residual(start) ** 2)) for start in starts]
@@ -224,8 +223,8 @@ class _BoucWenFit:
         return np.asarray(min(ends, key=lambda end: float(end.cost)).x)
 
     def map(self, at: Array) -> tuple[tuple[float, float], Array]:
-        """Limits and coefficients of the cubic."""
-        answer, floor, limits = self.solved(at)
-        a, b, c = answer.nonnegative + floor
-        constant = float(answer.free[self.ready.reference])
+        """Return the limits and coefficients of the cubic."""
+        solution, floor, limits = self.solve(at)
+        a, b, c = solution.nonnegative + floor
+        constant = float(solution.free[self.training.reference])
         return limits, np.array([constant, a, b - a, (a - 2 * b + c) / 3])

@@ -1,10 +1,10 @@
-"""Ours and every rival on the same records: one split, one set of figures, a row for each."""
+"""Comparison of dehyst's models with every baseline: the same records, the same split, the same figures."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import isfinite
 from numbers import Real
 from typing import Any
@@ -16,7 +16,8 @@ from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.baselines.registry import BASELINES, Identification
-from dehyst.baselines.tracking_trials import TrackingErrors, TrackingTrial, trial
+from dehyst.baselines.scores import OURS, ModelComparison, ModelScore, RecordScore
+from dehyst.baselines.tracking_trials import TrackingTrial, trial
 from dehyst.identification import identify
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import epochs
@@ -26,141 +27,14 @@ from dehyst.model.replay import timed
 from dehyst.records import Record
 from dehyst.records.metrics import largest, percent, rms
 
-OURS = "dehyst"
 _SAMPLES_TO_TIME = 20_000
 _RUNS_TO_TIME = 5
 # DehystError and NumPy's LinAlgError are among them.
 _FAILURES = (ValueError, ArithmeticError, RuntimeError)
 
 
-@dataclass(frozen=True)
-class RecordScore:
-    """Measured minus simulated displacement of one record, in % of the training stroke.
-
-    Attributes
-    ----------
-    role : str
-        "training" or "validation".
-    samples, left_out : int
-        Counted, and not: before the voltage has been through its range, or within the lead.
-    largest, rms : float
-        With one constant for the record free: its residual strain and its sensor's zero are not known.
-    largest_without, rms_without : float
-        Without it, on the model's own axis; after a lead, on the axis that the lead told.
-    """
-
-    record: str
-    role: str
-    samples: int
-    left_out: int
-    largest: float
-    rms: float
-    largest_without: float
-    rms_without: float
-
-
-@dataclass(frozen=True)
-class ModelScore:
-    """One model.
-
-    Attributes
-    ----------
-    name : str
-    said : str
-        Why there is no model or no figure, as a sentence; empty if all went well.
-    parameters : int or None
-        Number of coefficients.
-    seconds : float or None
-        That the fit took.
-    scores : tuple of RecordScore
-        One a record, training first.
-    tracking : Mapping
-        By virtual actuator, each of whose models was fitted to its own records.
-    simulate, compensate : float or None
-        Nanoseconds a sample.
-    """
-
-    name: str
-    said: str = ""
-    parameters: int | None = None
-    seconds: float | None = None
-    scores: tuple[RecordScore, ...] = ()
-    tracking: Mapping[str, TrackingErrors] = field(default_factory=dict)
-    simulate: float | None = None
-    compensate: float | None = None
-
-    def worst(self, role: str) -> RecordScore | None:
-        """The score of the record of that role with the largest error."""
-        return max((score for score in self.scores if score.role == role), key=lambda s: s.largest, default=None)
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
-        return {
-            "model": self.name,
-            "said": self.said or None,
-            "parameters": self.parameters,
-            "fit_s": self.seconds,
-            "errors": [
-                {
-                    "record": s.record,
-                    "role": s.role,
-                    "samples": s.samples,
-                    "left_out": s.left_out,
-                    "largest_percent": s.largest,
-                    "rms_percent": s.rms,
-                    "largest_without_constant_percent": s.largest_without,
-                    "rms_without_constant_percent": s.rms_without,
-                }
-                for s in self.scores
-            ],
-            "tracking": {
-                truth: {"largest_percent": one.largest, "rms_percent": one.rms, "beyond_voltage_percent": one.beyond}
-                for truth, one in self.tracking.items()
-            },
-            "simulate_ns": self.simulate,
-            "compensate_ns": self.compensate,
-        }
-
-
-@dataclass(frozen=True)
-class ModelComparison:
-    """A table: one row for each model, the stroke [m] of its percentages, and the virtual actuators tracked on.
-
-    The lead is that of the held-out records [s].
-    """
-
-    rows: tuple[ModelScore, ...]
-    stroke: float
-    records: tuple[str, ...]
-    held_out: tuple[str, ...]
-    truths: tuple[str, ...]
-    lead: float = 0.0
-
-    @property
-    def note(self) -> str:
-        """What models were told of held-out records, as a sentence; empty if nothing but the voltage."""
-        if not (self.lead and self.held_out):
-            return ""
-        return (
-            f"The displacement measured in the first {self.lead:g} s of held-out records, which do not count, told our "
-            "own models their state and an offset of the voltage, every other model a constant, its mean error there."
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
-        return {
-            "stroke_m": self.stroke,
-            "training": list(self.records),
-            "validation": list(self.held_out),
-            "truths": list(self.truths),
-            "lead_s": self.lead,
-            "note": self.note or None,
-            "models": [row.as_dict() for row in self.rows],
-        }
-
-
 def contenders() -> dict[str, Identification]:
-    """Ours, of the structure that the records support and of the paper's, then every rival: name -> identification."""
+    """Return all models, name -> identification: dehyst's with the selected and the plain structure, then baselines."""
     return {
         OURS: lambda records: identify(records, structure="auto").actuator,
         f"{OURS}, paper's": lambda records: identify(records, structure="paper").actuator,
@@ -178,11 +52,11 @@ def compare(
     models: Mapping[str, Identification] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> ModelComparison:
-    """Fit every model to the same records and hold it against the same others.
+    """Fit every model to the same training records and score it on the same held-out records.
 
-    A model is played the voltage of a record, delayed by its own delay, from the record's first sample and its own
-    start. Samples count once the voltage has been through all of the record's range: what a model cannot know of its
-    state adds a constant from then on.
+    A model is simulated with the voltage of a record, delayed by the model's own delay, from the record's first sample
+    and the model's own start. Samples count once the voltage has been through all of the record's range: from then on
+    an unknown initial state adds a constant only.
 
     Parameters
     ----------
@@ -193,25 +67,25 @@ def compare(
     truths : sequence of str, optional
         Virtual actuators ("play", "creep", "preisach", "boucwen") to track on: models are fitted to records of each.
     lead : float, optional
-        Seconds at the start of held-out records that are played but not counted: give it where a held-out stretch goes
-        on from one that is known. What was measured there tells an actuator of ours its state and an offset of the
-        voltage, any other model a constant: its mean error there.
+        Lead-in [s]: the start of held-out records that is simulated but does not count. Give it where a held-out
+        stretch continues a known one. From the displacement measured there an actuator of this package takes its state
+        and an offset of the voltage, any other model takes a constant: its mean error there.
     models : Mapping, optional
         Name -> function of the training records; default: `contenders()`.
     progress : callable, optional
-        Called with a few words at each step.
+        Called with a short description of each step.
 
     Returns
     -------
     ModelComparison
-        A model that fails has a row with its sentence.
+        A model that fails has a row with the reason.
 
     Raises
     ------
     RecordError
         If a record cannot be used at all.
     IdentifyError
-        If there is neither a record nor a virtual actuator, or the lead is impossible.
+        If there is neither a record nor a virtual actuator, or the lead-in is impossible.
     ModelError
         If there is no such virtual actuator.
     """
@@ -220,38 +94,37 @@ def compare(
         raise IdentifyError(f"lead: got {lead!r}, need seconds, 0 or more")
     given = as_list(records)
     training, held_out = _records(given, as_list(validate), trials)
-    job = _ComparisonRun(training, [prepare(one) for one in training], [prepare(one) for one in held_out], float(lead))
-    # The same list, so that its fit serves for both.
-    own = [(one, list(one.records()) if given or i else training) for i, one in enumerate(trials)]
+    run = _ComparisonRun(training, list(map(prepare, training)), list(map(prepare, held_out)), float(lead))
+    # The same list, so that one fit serves both.
+    trial_records = [(item, list(item.records()) if given or i else training) for i, item in enumerate(trials)]
     chosen = contenders() if models is None else models
-    tell = progress or (lambda _: None)
-    rows = tuple(_row(name, fit, job, own, tell) for name, fit in chosen.items())
+    rows = tuple(_row(name, fit, run, trial_records, progress or (lambda _: None)) for name, fit in chosen.items())
     return ModelComparison(
         rows,
-        job.stroke,
-        tuple(one.name for one in training),
-        tuple(one.name for one in held_out),
-        tuple(one.name for one in trials),
-        job.lead,
+        run.stroke,
+        tuple(record.name for record in training),
+        tuple(record.name for record in held_out),
+        tuple(item.name for item in trials),
+        run.lead,
     )
 
 
 def _records(
     training: list[Record], held_out: list[Record], trials: Sequence[TrackingTrial]
 ) -> tuple[list[Record], list[Record]]:
-    """Records to train on and held out: those given, or those of the first virtual actuator."""
+    """Return the training and the held-out records: those given, or those of the first virtual actuator."""
     if training:
         return training, held_out
     if not trials:
-        raise IdentifyError("got neither records nor a virtual actuator; give one of them at least")
+        raise IdentifyError("got neither records nor a virtual actuator; give at least one of them")
     if held_out:
-        raise IdentifyError("got held-out records and none to train on; give these too")
+        raise IdentifyError("got held-out records but no training records; give these too")
     return list(trials[0].records()), list(trials[0].held_out())
 
 
 @dataclass(frozen=True, eq=False)
 class _ComparisonRun:
-    """The records, as they were given and made ready."""
+    """The records, as given and as prepared."""
 
     records: list[Record]
     training: list[Prepared]
@@ -262,8 +135,8 @@ class _ComparisonRun:
         for item in self.held_out:
             if not _counted(item, self.lead):
                 raise IdentifyError(
-                    f"{item.name}: no sample counts after {self.lead:g} s; need a range that has been seen before. "
-                    "Give a longer record or a shorter lead"
+                    f"{item.name}: no sample counts after {self.lead:g} s; need samples after the voltage has been "
+                    "through its range. Give a longer record or a shorter lead-in"
                 )
 
     @property
@@ -272,7 +145,7 @@ class _ComparisonRun:
         return max(high - low for low, high in (item.span() for item in self.training))
 
     def scores(self, model: AbstractModel) -> tuple[RecordScore, ...]:
-        """One a record, training first."""
+        """Return one score for each record, training first."""
         items = [(item, "training", 0.0) for item in self.training]
         items += [(item, "validation", self.lead) for item in self.held_out]
         return tuple(_score(model, item, role, lead, self.stroke) for item, role, lead in items)
@@ -281,33 +154,33 @@ class _ComparisonRun:
 def _row(
     name: str,
     fit: Identification,
-    job: _ComparisonRun,
+    run: _ComparisonRun,
     trials: list[tuple[TrackingTrial, list[Record]]],
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> ModelScore:
-    """Fit one model and take all its figures; a failure is a sentence."""
-    tell(f"fitting {name}")
-    known: dict[int, AbstractModel] = {}
-    row, said = ModelScore(name), []
+    """Fit one model and compute all its figures; a failure becomes a sentence."""
+    progress(f"fitting {name}")
+    fitted: dict[int, AbstractModel] = {}
+    row, failures = ModelScore(name), []
     begin = time.perf_counter()
     try:
-        model = known[id(job.records)] = fit(job.records)
+        model = fitted[id(run.records)] = fit(run.records)
         row = replace(row, seconds=time.perf_counter() - begin, parameters=parameters_of(model))
-        tell(f"simulating {name}")
-        simulate, compensate = speeds(model, job.training[0].record)
-        row = replace(row, scores=job.scores(model), simulate=simulate, compensate=compensate)
+        progress(f"simulating {name}")
+        simulate, compensate = speeds(model, run.training[0].record)
+        row = replace(row, scores=run.scores(model), simulate=simulate, compensate=compensate)
     except _FAILURES as error:
-        said.append(_sentence(error))
+        failures.append(_sentence(error))
     tracking = {}
-    for one, records in trials:
-        if records is job.records and not known:
+    for item, records in trials:
+        if records is run.records and not fitted:
             continue
-        tell(f"tracking with {name} on {one.name}")
+        progress(f"tracking with {name} on {item.name}")
         try:
-            tracking[one.name] = one.track(known.get(id(records)) or fit(records))
+            tracking[item.name] = item.track(fitted.get(id(records)) or fit(records))
         except _FAILURES as error:
-            said.append(f"{one.name}: {_sentence(error)}")
-    return replace(row, tracking=tracking, said=" ".join(said))
+            failures.append(f"{item.name}: {_sentence(error)}")
+    return replace(row, tracking=tracking, failure=" ".join(failures))
 
 
 def _sentence(error: Exception) -> str:
@@ -317,7 +190,7 @@ def _sentence(error: Exception) -> str:
 def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke: float) -> RecordScore:
     delay = float(getattr(model, "delay", 0.0))
     residuals = [
-        _missed_after(model, piece, kept, item.noise, stroke) if lead else _missed(model, piece)[kept]
+        _error_after_lead_in(model, piece, kept, item.noise, stroke) if lead else _error(model, piece)[kept]
         for piece, kept in _counted(item, lead, delay)
     ]
     error = np.concatenate([np.zeros(0), *residuals])
@@ -328,44 +201,46 @@ def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke:
     return RecordScore(item.name, role, error.size, item.samples - error.size, *figures)
 
 
-def _missed(model: AbstractModel, piece: Record) -> Array:
-    """Measured less simulated displacement, played from the first sample."""
+def _error(model: AbstractModel, piece: Record) -> Array:
+    """Return measured minus simulated displacement, simulated from the first sample."""
     return np.asarray(piece.displacement - simulated(model, piece.voltage, piece.time).displacement)
 
 
-def _missed_after(model: AbstractModel, piece: Record, kept: NDArray[np.bool_], noise: float, stroke: float) -> Array:
-    """The same of the samples that count, on the axis that those measured before them tell."""
+def _error_after_lead_in(
+    model: AbstractModel, piece: Record, kept: NDArray[np.bool_], noise: float, stroke: float
+) -> Array:
+    """Return the error of the samples that count, on the axis found from the samples before them."""
     before = int(np.argmax(kept))
     if not before:
-        return _missed(model, piece)[kept]
-    lead = piece.slice(0, before + 1)
+        return _error(model, piece)[kept]
+    lead_in = piece.slice(0, before + 1)
     if not isinstance(model, Actuator):
-        error = _missed(model, piece)
+        error = _error(model, piece)
         # As `state_after` does: over the samples that count, or from the last one.
-        last = epochs(lead, noise)[-1:]
+        last = epochs(lead_in, noise)[-1:]
         return np.asarray(error[kept] - error[last[0].start if last else before : before + 1].mean())
-    state, offset = state_after(replace(model, delay=0.0), lead, stroke)
+    state, offset = state_after(replace(model, delay=0.0), lead_in, stroke)
     rest = piece.slice(before, len(piece))
     voltage = without_offset(model, rest.voltage, offset)
-    played = model.simulate(voltage, state=state, **timed(model, rest.time)).displacement
-    return np.asarray((rest.displacement - played)[kept[before:]])
+    displacement = model.simulate(voltage, state=state, **timed(model, rest.time)).displacement
+    return np.asarray((rest.displacement - displacement)[kept[before:]])
 
 
 def _counted(item: Prepared, lead: float, delay: float = 0.0) -> list[tuple[Record, Any]]:
-    """Pieces with their delayed voltage, and which of their samples count."""
-    found = []
+    """Return pieces with their voltage delayed, and which of their samples count."""
+    counted = []
     for _, piece, _ in item.delayed(0, delay):
         kept = np.zeros(len(piece), dtype=bool)
         for epoch in epochs(piece, item.noise)[-1:]:
             kept[epoch.start : epoch.stop] = True
         kept &= piece.time >= item.start + lead
         if kept.any():
-            found.append((piece, kept))
-    return found
+            counted.append((piece, kept))
+    return counted
 
 
 def parameters_of(model: AbstractModel) -> int | None:
-    """Number of coefficients of a model: what it says, or elements and knots of an actuator."""
+    """Return the number of coefficients of a model: its `parameters`, or the elements and knots of an actuator."""
     inner = getattr(model, "actuator", model)
     if isinstance(inner, Actuator):
         tables = [inner.slip.stiffness, inner.spring.voltage]
@@ -378,13 +253,13 @@ def parameters_of(model: AbstractModel) -> int | None:
 
 
 def speeds(model: AbstractModel, record: Record) -> tuple[float, float]:
-    """Nanoseconds a sample to simulate and to compensate, the best of five runs over a record said again and again."""
+    """Return the nanoseconds a sample to simulate and to compensate: the best of five runs over a repeated record."""
     long = np.resize(record.voltage, max(len(record), _SAMPLES_TO_TIME))
     options = timed(model, record.sample_time * np.arange(long.size, dtype=np.float64))
     path = model.simulate(long, **options).displacement
     both = _nanoseconds(model.simulate, long, options), _nanoseconds(model.compensate, path, options)
     if not all(map(isfinite, both)):
-        raise IdentifyError("the clock gave no time")
+        raise IdentifyError("the clock gave no time: got an infinite or undefined duration; run the comparison again")
     return both
 
 

@@ -22,10 +22,9 @@ from dehyst import _validation
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import number, vector
-from dehyst.baselines import _native_fields
+from dehyst.baselines import _native
 from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.fitting import least_missing
-from dehyst.baselines.training import Training
+from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.records import Record
 
 _SEARCH_ROWS = 3000
@@ -47,9 +46,9 @@ class DuhemState:
 class Duhem(AbstractBaseline):
     """Coleman and Hodgdon's model with polynomials of t, 0 to 1 between the limits; exact while v is monotone.
 
-    With polynomials, each branch is one polynomial, which depends on the direction alone, and what is left of the
-    distance from it, which decays: ``y = P(t) + (y_0 - P(t_0)) exp(-rate |t - t_0|)``. Beyond the limits y goes on
-    with its mean slope, and forgets nothing.
+    Each branch is a polynomial P, which depends on the direction alone, plus a distance from it that decays:
+    ``y = P(t) + (y_0 - P(t_0)) exp(-rate |t - t_0|)``. Beyond the limits y continues with its mean slope, and the
+    distance does not decay.
 
     Parameters
     ----------
@@ -60,7 +59,7 @@ class Duhem(AbstractBaseline):
     anhysteretic, reversible : (k,) array_like
         Coefficients [m] of f, and of g times the range, the constant first.
     state : DuhemState, optional
-        Where a motion starts if it is not told: at the lowest voltage, at the bottom of the major loop.
+        Default start of a motion: at the lowest voltage, at the bottom of the major loop.
     delay : float, optional
         Seconds by which the measured displacement lagged the voltage; the model itself has no time.
 
@@ -103,26 +102,26 @@ class Duhem(AbstractBaseline):
 
     @cached_property
     def _tables(self) -> tuple[Array, Array, Array]:
-        """Numbers and both polynomials as the stepper wants them."""
+        """Numbers and both polynomials as the stepper takes them."""
         low, high = self.limits
         rise, fall = _branches(self.rate, self.anhysteretic, self.reversible)
         mean = float(np.ptp(_major_loop(self.rate, rise, fall)[0])) / (high - low)
         return np.array([low, high - low, self.rate, mean, mean]), rise, fall
 
-    def _displaced(self, v: Array, state: DuhemState, time: ArrayLike | None) -> tuple[Array, DuhemState]:
+    def _simulate(self, v: Array, state: DuhemState, time: ArrayLike | None) -> tuple[Array, DuhemState]:
         return self._run(v, state, inverse=False)
 
-    def _driven(self, y: Array, state: DuhemState, time: ArrayLike | None) -> tuple[Array, DuhemState]:
+    def _compensate(self, y: Array, state: DuhemState, time: ArrayLike | None) -> tuple[Array, DuhemState]:
         # Each sample solves one equation in v, which increases: by Newton's method within a bracket.
         return self._run(y, state, inverse=True)
 
     def _run(self, drive: Array, begin: DuhemState, *, inverse: bool) -> tuple[Array, DuhemState]:
         if not isinstance(begin, DuhemState):
-            raise ModelError(f"state: got {type(begin).__name__}, need a Point that a motion of this model left")
+            raise ModelError(
+                f"state: got {type(begin).__name__}, need a DuhemState that a motion of this model returned"
+            )
         numbers, rise, fall = self._tables
-        out, v, y = _native_fields.coleman_hodgdon(
-            numbers, rise, fall, begin.voltage, begin.displacement, drive, inverse
-        )
+        out, v, y = _native.coleman_hodgdon(numbers, rise, fall, begin.voltage, begin.displacement, drive, inverse)
         return out, DuhemState(v, y)
 
     @classmethod
@@ -134,9 +133,9 @@ class Duhem(AbstractBaseline):
         slope_floor: float = 0.1,
         delay: float | None = None,
     ) -> Duhem:
-        """Least squares of the simulated displacement: linear in f and g, nonlinear in the rate alone.
+        """Fit by least squares of the simulated displacement: linear in f and g, nonlinear in the rate alone.
 
-        The rate is searched from 25 starts over two decades; f and g are kept such that y follows v.
+        The rate is searched from 25 starts over two decades; f and g are constrained so that y follows v.
 
         Parameters
         ----------
@@ -158,16 +157,16 @@ class Duhem(AbstractBaseline):
         _validation.count(degree, "degree", most=_HIGHEST_DEGREE)
         _validation.fraction(slope_floor, "slope_floor")
 
-        def solved(ready: Training) -> tuple[Duhem, float]:
-            rate = _searched(ready.thinned(_SEARCH_ROWS), degree, slope_floor)
-            f, g, miss = _solved(ready, rate, degree, slope_floor)
-            return cls(ready.limits, rate, f, g, delay=ready.delay), miss
+        def fit_model(training: Training) -> tuple[Duhem, float]:
+            rate = _search_rate(training.subsample(_SEARCH_ROWS), degree, slope_floor)
+            f, g, residual = _solve(training, rate, degree, slope_floor)
+            return cls(training.limits, rate, f, g, delay=training.delay), residual
 
-        return least_missing(records, delay, solved)
+        return fit_with_delay(records, delay, fit_model)
 
 
 def _branches(rate: float, f: Array, g: Array) -> tuple[Array, Array]:
-    """Polynomials to which a rise and a fall tend: a P + P' = a f + g and a P - P' = a f - g."""
+    """Return the polynomials to which a rise and a fall tend: a P + P' = a f + g and a P - P' = a f - g."""
     size = max(f.size, g.size)
     both = []
     for sign in (1.0, -1.0):
@@ -181,10 +180,10 @@ def _branches(rate: float, f: Array, g: Array) -> tuple[Array, Array]:
 
 
 def _major_loop(rate: float, rise: Array, fall: Array) -> tuple[Array, Array]:
-    """Displacement rising and falling at `_PLACES` once the loop is closed; linear in the polynomials."""
+    """Return the closed loop's displacement, rising and falling, at `_PLACES`; linear in the polynomials."""
     up, down = polyval(_PLACES, rise), polyval(_PLACES, fall)
     decay = np.exp(-rate)
-    # Bottom and top: each is the other's branch after the whole way.
+    # Each turning point is the end of the branch that begins at the other one.
     over, under = up[-1] - decay * up[0], down[0] - decay * down[-1]
     bottom = (under + decay * over) / (1 - decay**2)
     top = over + decay * bottom
@@ -192,7 +191,7 @@ def _major_loop(rate: float, rise: Array, fall: Array) -> tuple[Array, Array]:
 
 
 def _slopes(rate: float, f: Array, g: Array) -> Array:
-    """The least slopes dy/dt within the major loop, right after a turn from the other branch; linear in f and g."""
+    """Return the least slopes dy/dt within the major loop, just after a turn from the other branch; linear in f, g."""
     lower, upper = _major_loop(rate, *_branches(rate, f, g))
     middle, share = polyval(_PLACES, f), polyval(_PLACES, g)
     return np.concatenate([share + rate * (middle - upper), share - rate * (middle - lower)])
@@ -202,9 +201,9 @@ def _unit(k: int, size: int) -> Array:
     return np.asarray(np.eye(1, size, k)[0])
 
 
-def _solved(ready: Training, rate: float, degree: int, slope_floor: float) -> tuple[Array, Array, float]:
-    """Coefficients of f and g for a rate, and the RMS residual in parts of the stroke."""
-    low, high = ready.limits
+def _solve(training: Training, rate: float, degree: int, slope_floor: float) -> tuple[Array, Array, float]:
+    """Return the coefficients of f and g for a rate, and the RMS residual in parts of the stroke."""
+    low, high = training.limits
     numbers = np.array([low, high - low, rate, 0.0, 0.0])
     # The constant of f is that of the record.
     units = [(_unit(k, degree + 1), np.zeros(degree)) for k in range(1, degree + 1)]
@@ -213,52 +212,52 @@ def _solved(ready: Training, rate: float, degree: int, slope_floor: float) -> tu
     def column(f: Array, g: Array) -> Array:
         rise, fall = _branches(rate, f, g)
         begin = float(_major_loop(rate, rise, fall)[0][0])
-        return ready.played(lambda v: _native_fields.coleman_hodgdon(numbers, rise, fall, low, begin, v, False)[0])
+        return training.map_voltages(lambda v: _native.coleman_hodgdon(numbers, rise, fall, low, begin, v, False)[0])
 
     columns = np.column_stack([column(f, g) for f, g in units])
     slopes = np.column_stack([_slopes(rate, f, g) for f, g in units])
-    m = ready.nuisances.shape[1]
-    x, miss = _least_squares(
-        np.hstack([ready.nuisances, columns]),
-        ready.displacement / ready.stroke,
+    m = training.nuisances.shape[1]
+    x, residual = _least_squares(
+        np.hstack([training.nuisances, columns]),
+        training.displacement / training.stroke,
         np.hstack([np.zeros((len(slopes), m)), slopes]),
         slope_floor * 1.0,
     )
-    x *= ready.stroke
-    return np.concatenate([[x[ready.reference]], x[m : m + degree]]), x[m + degree :], miss
+    x *= training.stroke
+    return np.concatenate([[x[training.reference]], x[m : m + degree]]), x[m + degree :], residual
 
 
-def _least_squares(columns: Array, goal: Array, sides: Array, least: float) -> tuple[Array, float]:
-    """Least squares with sides @ x >= least, as the least distance of a point from a polyhedron (Lawson and Hanson)."""
+def _least_squares(columns: Array, target: Array, sides: Array, least: float) -> tuple[Array, float]:
+    """Solve least squares with sides @ x >= least as a least-distance problem (Lawson and Hanson)."""
     from scipy.linalg import solve_triangular
     from scipy.optimize import nnls
 
     q, triangle = np.linalg.qr(columns)
-    near = q.T @ goal
-    turned = solve_triangular(triangle, sides.T, trans="T").T
-    short = least - turned @ near
-    moved = np.zeros(near.size)
-    if short.max() > 0:
-        size = np.linalg.norm(turned, axis=1)
-        system = np.vstack([(turned / size[:, None]).T, short / size])
-        weights, _ = nnls(system, np.append(np.zeros(near.size), 1.0), maxiter=100 * len(sides))
-        rest = system @ weights - np.append(np.zeros(near.size), 1.0)
+    optimum = q.T @ target
+    constraints = solve_triangular(triangle, sides.T, trans="T").T
+    violation = least - constraints @ optimum
+    shift = np.zeros(optimum.size)
+    if violation.max() > 0:
+        size = np.linalg.norm(constraints, axis=1)
+        system = np.vstack([(constraints / size[:, None]).T, violation / size])
+        weights, _ = nnls(system, np.append(np.zeros(optimum.size), 1.0), maxiter=100 * len(sides))
+        rest = system @ weights - np.append(np.zeros(optimum.size), 1.0)
         if -rest[-1] < 1e-12:
             raise IdentifyError("no Duhem model of this degree follows the voltage everywhere; try another degree")
-        moved = rest[:-1] / -rest[-1]
-    x = solve_triangular(triangle, near + moved)
-    return x, float(np.sqrt(np.mean((columns @ x - goal) ** 2)))
+        shift = rest[:-1] / -rest[-1]
+    x = solve_triangular(triangle, optimum + shift)
+    return x, float(np.sqrt(np.mean((columns @ x - target) ** 2)))
 
 
-def _searched(ready: Training, degree: int, slope_floor: float) -> float:
-    """The rate of least residual: a scan, then Brent's method beside its best."""
+def _search_rate(training: Training, degree: int, slope_floor: float) -> float:
+    """Return the rate of least residual: by a scan, then by Brent's method around its best."""
     from scipy.optimize import minimize_scalar
 
     def cost(log_rate: float) -> float:
-        return _solved(ready, float(np.exp(log_rate)), degree, slope_floor)[2]
+        return _solve(training, float(np.exp(log_rate)), degree, slope_floor)[2]
 
     scan = np.log(_RATES)
     k = int(np.argmin([cost(float(x)) for x in scan]))
     bounds = scan[max(k - 1, 0)], scan[min(k + 1, scan.size - 1)]
-    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6})
-    return float(np.exp(found.x))
+    minimum = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6})
+    return float(np.exp(minimum.x))

@@ -1,4 +1,4 @@
-"""First-order reversal curves in records, and the Everett function that they tell."""
+"""First-order reversal curves in records, and the Everett function that they determine."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dehyst._types import Array
 from dehyst.baselines.training import Training
 from dehyst.records import Record
 
-# Part of the range within which an end of it counts as reached, and within which two curves are one.
+# Part of the range within which an end of it counts as reached, and within which two curves count as one.
 _NEAR = 0.01
-# A curve that was driven this many times as fast as another of the same turn does not count beside it.
+# A curve driven more than this many times as fast as the slowest of the same turn does not count.
 _SLOW = 2.0
 
 
@@ -22,40 +22,40 @@ _SLOW = 2.0
 class _Curve:
     """One curve: the voltage at which it turned off the major loop, and E along it; voltages increase.
 
-    `pace` is how fast it was driven [V/s].
+    `rate` is the mean rate of its voltage [V/s].
     """
 
     turn: float
     voltage: Array
-    moved: Array
-    pace: float
+    everett: Array
+    rate: float
 
     def at(self, nodes: Array, near: float) -> Array:
-        """E at voltages, not a number where the curve does not come, but for `near` [V]."""
+        """Return E at voltages; NaN at those farther than `near` [V] from the curve."""
         reached = (nodes >= self.voltage[0] - near) & (nodes <= self.voltage[-1] + near)
-        return np.where(reached, np.interp(nodes, self.voltage, self.moved), np.nan)
+        return np.where(reached, np.interp(nodes, self.voltage, self.everett), np.nan)
 
 
-def everett_table(ready: Training, n: int, least: float) -> Array:
-    """Read E [m] at the nodes (n + 1, n + 1), and let it grow by `least` [m] at least from node to node.
+def everett_table(training: Training, n: int, least: float) -> Array:
+    """Read E [m] at the nodes (n + 1, n + 1), and make it increase by at least `least` [m] from node to node.
 
     Raises
     ------
     IdentifyError
         If there are fewer than three curves of one kind.
     """
-    low, high = ready.limits
+    low, high = training.limits
     falling: list[_Curve] = []
     rising: list[_Curve] = []
-    for piece, rows in zip(ready.pieces, ready.kept, strict=True):
+    for piece, rows in zip(training.pieces, training.kept, strict=True):
         for falls, curve in _curves(piece, int(rows[0]) if rows.size else len(piece), low, high):
             (falling if falls else rising).append(curve)
     kinds = [_merged(curves, _NEAR * (high - low)) for curves in (falling, rising)]
     enough = [len(curves) > 2 for curves in kinds]
     if not any(enough):
         raise IdentifyError(
-            f"got {len(kinds[0])} falling and {len(kinds[1])} rising first-order reversal curves, need three of one "
-            "kind at least. Record descending tops or reversal curves (dehyst excite), or use non-negative least "
+            f"got {len(kinds[0])} falling and {len(kinds[1])} rising first-order reversal curves, need at least three "
+            "of one kind. Record descending tops or reversal curves (dehyst excite), or use non-negative least "
             "squares, which takes records of any shape"
         )
     nodes = np.linspace(low, high, n + 1)
@@ -64,7 +64,7 @@ def everett_table(ready: Training, n: int, least: float) -> Array:
 
 
 def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tuple[bool, _Curve]]:
-    """Legs that turned off a branch of the major loop, from sample `first` on: whether it falls, and the curve."""
+    """Yield whether it falls, and the curve, of each leg after `first` that turned off a branch of the major loop."""
     v, y, near = piece.voltage, piece.displacement, _NEAR * (high - low)
     turns = piece.reversals()
     ends = np.append(turns, len(v) - 1)
@@ -78,18 +78,18 @@ def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tupl
         if outermost or (k and from_end):
             leg = slice(a, b + 1)
             order = np.argsort(v[leg], kind="stable")
-            moved = y[a] - y[leg] if falls else y[leg] - y[a]
-            pace = float(abs(v[b] - v[a]) / (piece.time[b] - piece.time[a]))
-            yield falls, _Curve(float(v[a]), v[leg][order], moved[order], pace)
+            everett = y[a] - y[leg] if falls else y[leg] - y[a]
+            rate = float(abs(v[b] - v[a]) / (piece.time[b] - piece.time[a]))
+            yield falls, _Curve(float(v[a]), v[leg][order], everett[order], rate)
 
 
 def _merged(curves: list[_Curve], near: float) -> list[_Curve]:
-    """One curve for each turning point, sorted: repeated ones averaged, each as far as it went.
+    """Return one curve for each turning point, sorted; repeated ones are averaged, each as far as it goes.
 
-    Where some were driven much faster than others, the slow ones count: the model has no time.
+    Where some were driven much faster than others, only the slow ones count: the model is rate-independent.
     """
     groups: list[list[_Curve]] = []
-    for curve in sorted(curves, key=lambda one: one.turn):
+    for curve in sorted(curves, key=lambda curve: curve.turn):
         if groups and curve.turn - groups[-1][0].turn < near:
             groups[-1].append(curve)
         else:
@@ -97,28 +97,28 @@ def _merged(curves: list[_Curve], near: float) -> list[_Curve]:
     merged = []
     for group in groups:
         shared = np.linspace(min(c.voltage[0] for c in group), max(c.voltage[-1] for c in group), 200)
-        moved = np.array([c.at(shared, near) for c in group])
-        told, pace = np.isfinite(moved), np.array([c.pace for c in group])
-        slowest = np.where(told, pace[:, None], np.inf).min(axis=0)
-        counts = told & (pace[:, None] <= _SLOW * slowest)
-        mean = np.where(counts, moved, 0.0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
-        known = told.any(axis=0)
+        everett = np.array([c.at(shared, near) for c in group])
+        finite, rate = np.isfinite(everett), np.array([c.rate for c in group])
+        slowest = np.where(finite, rate[:, None], np.inf).min(axis=0)
+        counts = finite & (rate[:, None] <= _SLOW * slowest)
+        mean = np.where(counts, everett, 0.0).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
+        known = finite.any(axis=0)
         turn = float(np.mean([c.turn for c in group]))
-        merged.append(_Curve(turn, shared[known], mean[known], float(pace.min())))
+        merged.append(_Curve(turn, shared[known], mean[known], float(rate.min())))
     return merged
 
 
 def _table(curves: list[_Curve], nodes: Array, *, falls: bool) -> Array:
-    """E at the nodes, between curves by monotone cubics and zero on the diagonal."""
+    """Return E at the nodes: zero on the diagonal, monotone cubics between curves."""
     from scipy.interpolate import PchipInterpolator
 
     n, near = nodes.size - 1, 0.5 * (nodes[1] - nodes[0])
     turns = np.array([curve.turn for curve in curves])
-    moved = np.array([curve.at(nodes, near) for curve in curves])
+    everett = np.array([curve.at(nodes, near) for curve in curves])
     table = np.zeros((n + 1, n + 1))
     for j, node in enumerate(nodes):
-        beyond = (turns > node + near if falls else turns < node - near) & np.isfinite(moved[:, j])
-        places, values = np.append(turns[beyond], node), np.append(moved[beyond, j], 0.0)
+        beyond = (turns > node + near if falls else turns < node - near) & np.isfinite(everett[:, j])
+        places, values = np.append(turns[beyond], node), np.append(everett[beyond, j], 0.0)
         if places.size < 2:
             continue
         order = np.argsort(places)
@@ -133,7 +133,7 @@ def _table(curves: list[_Curve], nodes: Array, *, falls: bool) -> Array:
 
 
 def _growing(table: Array, least: float) -> Array:
-    """The table with every node raised to what the nodes within its triangle ask for."""
+    """Raise every node to at least `least` above the nodes within its triangle."""
     for i in range(1, len(table)):
         for j in range(i - 1, -1, -1):
             inner = max(table[i - 1, j] if i - 1 > j else 0.0, table[i, j + 1] if j + 1 < i else 0.0)

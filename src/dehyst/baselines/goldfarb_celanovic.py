@@ -26,14 +26,14 @@ from dehyst.records import Record
 @final
 @dataclass(frozen=True, eq=False)
 class GoldfarbCelanovic(AbstractBaseline):
-    """A relaxed actuator with a linear spring, whose loops follow from its first rise alone (Masing's rule).
+    """A relaxed actuator with a linear spring; its loops follow from its first rise alone (Masing's rule).
 
     Attributes
     ----------
     actuator : Actuator
         It starts relaxed at the displacement and voltage at which the rise began.
     remarks : tuple of str
-        Sentences: what the user should know of the fit.
+        Remarks on the fit, as sentences.
     """
 
     actuator: Actuator
@@ -44,11 +44,11 @@ class GoldfarbCelanovic(AbstractBaseline):
     def __post_init__(self) -> None:
         object.__setattr__(self, "state", self.actuator.state)
 
-    def _displaced(self, v: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
+    def _simulate(self, v: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
         motion = self.actuator.simulate(v, time=time, state=state, extrapolate=True)
         return motion.displacement, motion.state
 
-    def _driven(self, y: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
+    def _compensate(self, y: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
         motion = self.actuator.compensate(y, time=time, state=state, extrapolate=True)
         return motion.voltage, motion.state
 
@@ -57,12 +57,12 @@ class GoldfarbCelanovic(AbstractBaseline):
         """Read the elements off the first rise of a record, in closed form.
 
         Between break points i and i + 1 of the rise its slope is that of the spring and of all elements m > i, so that
-        kappa_i = slope_{i-1} - slope_i; element i lets go at the elongation rho_i at which the rise has break point i,
-        and the slope beyond the last one is the spring's. Nothing after the rise is looked at.
+        kappa_i = slope_{i-1} - slope_i. Element i slips at the elongation rho_i at which the rise has break point i,
+        and the slope beyond the last one is the spring's. The record after the rise is not used.
 
         Where the rise is not concave a stiffness would be negative. Such a break point is left out, and the slopes
         beside it are those of one straight segment: the model's rise is the least concave one above the break points,
-        and meets all that were kept.
+        and passes through all that were kept.
 
         Parameters
         ----------
@@ -70,9 +70,9 @@ class GoldfarbCelanovic(AbstractBaseline):
             Its voltage rises first, from an actuator at rest and relaxed: no voltage for a day, or a decaying
             alternation. It may rest before; noise is allowed.
         elements : int, optional
-            Number N of elements; the rise X is cut in equal parts, rho_i = i X / (N + 1).
+            Number N of elements; the rise X is divided into equal parts, rho_i = i X / (N + 1).
         breakaway : (N,) array_like, optional
-            Elongations rho_i [m] in place of equal parts; `elements` is not looked at then.
+            Elongations rho_i [m] in place of equal parts; `elements` is then ignored.
 
         Returns
         -------
@@ -81,22 +81,22 @@ class GoldfarbCelanovic(AbstractBaseline):
         Raises
         ------
         IdentifyError
-            If `record` is no Record, its voltage does not rise first, the rise is too short for so many elements, or a
-            break point is impossible.
+            If `record` is not a Record, its voltage does not rise first, the rise is too short for so many elements,
+            or a break point is impossible.
         """
         if not isinstance(record, Record):
             raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")
-        record, _, said = remove_glitches(record)
+        record, _, repairs = remove_glitches(record)
         rise, rest, height = _first_rise(record)
-        rho = _equal_parts(elements, height) if breakaway is None else _given(breakaway, height, record.name)
+        rho = _equal_parts(elements, height) if breakaway is None else _checked(breakaway, height, record.name)
         if len(rise[0]) < rho.size + 2:
             raise IdentifyError(
-                f"record '{record.name}': its first rise has {len(rise[0])} samples, {rho.size} elements need "
-                f"{rho.size + 2} at least. Sample faster, rise slower, or use fewer elements"
+                f"record '{record.name}': its first rise has {len(rise[0])} samples, {rho.size} elements need at least "
+                f"{rho.size + 2}. Sample faster, rise slower, or use fewer elements"
             )
         places = np.concatenate([[0.0], rho, [height]])
         volts = voltage_at(rise, rest + places)
-        slopes, remarks = _falling(np.diff(volts) / np.diff(places), np.diff(places))
+        slopes, remarks = _non_increasing(np.diff(volts) / np.diff(places), np.diff(places))
         if slopes[-1] <= 0:
             raise IdentifyError(
                 f"record '{record.name}': the voltage does not rise beyond {rho[-1] * 1e6:.4g} um, so that no "
@@ -104,19 +104,19 @@ class GoldfarbCelanovic(AbstractBaseline):
             )
         slip = MaxwellSlip(rho, slopes[:-1] - slopes[1:])
         spring = Spring.of_slopes(rest + np.array([0.0, height]), slopes[-1:], float(volts[0]))
-        return cls(Actuator(slip, spring, State(rest, np.full(rho.size, rest)), name=record.name), (*said, *remarks))
+        return cls(Actuator(slip, spring, State(rest, np.full(rho.size, rest)), name=record.name), (*repairs, *remarks))
 
 
 def _first_rise(record: Record) -> tuple[Branch, float, float]:
-    """Branch from the first sample to the first turning point of the voltage, displacement at rest, height [m]."""
+    """Return the branch up to the first turning point of the voltage, the displacement at rest and the height [m]."""
     turns = record.reversals()
     end = int(turns[0]) if turns.size else len(record) - 1
     y, v = record.displacement[: end + 1], record.voltage[: end + 1]
     if v[-1] <= v[0]:
         raise IdentifyError(
             f"record '{record.name}': its voltage does not rise first but goes from {v[0]:.4g} to {v[-1]:.4g} V; "
-            "need a first rise from relaxation. Cut the record where such a rise begins, or use dehyst.identify, which "
-            "needs none"
+            "need a first rise of a relaxed actuator. Cut the record where such a rise begins, or use dehyst.identify, "
+            "which needs none"
         )
     rest = float(y[: np.argmax(v > v[0])].mean())
     height = float(y[-1]) - rest
@@ -129,12 +129,12 @@ def _first_rise(record: Record) -> tuple[Branch, float, float]:
 
 
 def _equal_parts(elements: int, height: float) -> Array:
-    """Break points that cut the rise in N + 1 equal parts, the last of which is the spring's."""
+    """Return break points that divide the rise into N + 1 equal parts, the last of which is the spring's."""
     count(elements, "elements", most=None)
     return np.asarray(height / (elements + 1) * np.arange(1, elements + 1), dtype=np.float64)
 
 
-def _given(breakaway: ArrayLike, height: float, name: str) -> Array:
+def _checked(breakaway: ArrayLike, height: float, name: str) -> Array:
     rho = vector(breakaway, "breakaway", error=IdentifyError)
     if not rho.size or rho[0] <= 0 or np.any(np.diff(rho) <= 0):
         raise IdentifyError(
@@ -143,29 +143,30 @@ def _given(breakaway: ArrayLike, height: float, name: str) -> Array:
     if rho[-1] >= height:
         raise IdentifyError(
             f"breakaway: the last is {rho[-1] * 1e6:.4g} um, but the first rise of '{name}' is {height * 1e6:.4g} um "
-            "high; need it smaller, for the slope beyond it is the spring's. Give smaller ones or record a higher rise"
+            "high; need a smaller one, because the slope beyond it is the spring's. Give smaller ones or record a "
+            "higher rise"
         )
     return rho
 
 
-def _falling(slopes: Array, widths: Array) -> tuple[Array, tuple[str, ...]]:
-    """The nearest slopes that do not increase, neighbours pooled by their widths, and what was done to get them."""
+def _non_increasing(slopes: Array, widths: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return the nearest slopes that do not increase (neighbours pooled by their widths), and remarks on the change."""
     from scipy.optimize import isotonic_regression
 
     pooled = np.asarray(isotonic_regression(slopes, weights=widths, increasing=False).x, dtype=np.float64)
-    # What rounding alone makes negative is no finding.
+    # Ignore what rounding alone makes negative.
     slight = 1e-9 * float(np.abs(slopes).max())
     steps = slopes[:-1] - slopes[1:]
     negative = steps < -slight
     if not negative.any():
         return pooled, ()
     beside = (pooled[:-1] == pooled[1:]) & (steps > slight)
-    also = f", nor did {_listed(beside)} beside" if beside.any() else ""
+    also = f"; so was that of neighbouring {_listed(beside)}" if beside.any() else ""
     part = 100 * float(-steps.min() / np.average(slopes, weights=widths))
     return pooled, (
-        f"The first rise is not concave: {_listed(negative)} came out with a negative stiffness, at most {part:.3g} % "
-        f"of the mean slope, and got none{also}. Small ones come from noise, large ones from residual strain or a "
-        "curved spring: then the loop is not that of this model.",
+        f"The first rise is not concave: the stiffness of {_listed(negative)} came out negative, by at most "
+        f"{part:.3g} % of the mean slope, and was set to 0{also}. Small negative stiffnesses come from noise, large "
+        "ones from residual strain or a curved spring: then the loop is not that of this model.",
     )
 
 

@@ -15,12 +15,9 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst._validation import count, fraction
-from dehyst.baselines.fitting import least_missing
-from dehyst.baselines.nonnegative_fit import differences
-from dehyst.baselines.play_bank import PlayBank
-from dehyst.baselines.play_model import AbstractPlayModel
-from dehyst.baselines.play_regressors import PlayRows, even_thresholds
-from dehyst.baselines.training import Training
+from dehyst.baselines.play_bank import AbstractPlayModel, PlayBank
+from dehyst.baselines.play_regressors import PlayRows, differences, even_thresholds
+from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.records import Record
 
 
@@ -32,12 +29,12 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
     With r a ramp from 0 at 0 to 1 at the grid's spacing a, the kernel is
     ``k_p <- min(max(k_p, r(v - p2)), r(v - p1))``. For clips commute with ramps, this is the ramp of a play of
     threshold (p2 - p1) / 2, ``r(z - (p1 + p2) / 2)``: kernels of one threshold are the segments of one curve, and the
-    inverse is walked exactly. Beyond the grid the kernels with p1 = p2 go on linearly, so that there is an inverse.
+    inverse is exact. Beyond the grid the kernels with p1 = p2 continue linearly, so that there is an inverse.
     """
 
     @property
     def parameters(self) -> int:
-        """Numbers that the fit chose: a weight for each kernel, and the offset."""
+        """Number of coefficients: a weight for each kernel, and the offset."""
         levels = self.bank.thresholds.size
         return levels * (levels + 1) // 2 + 1
 
@@ -59,15 +56,15 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
         records : Record or sequence of Record
             Loops; none needs to start relaxed. Each has an offset of its own.
         levels : int, optional
-            Parts L in which the grid cuts the voltage's range: L (L + 1) / 2 kernels.
+            Parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels.
         slope_floor : float, optional
-            Least slope of the kernels with p1 = p2, as a fraction of the mean slope, without which there is no inverse.
+            Least slope of the kernels with p1 = p2, as a fraction of the mean slope; 0 would have no inverse.
         smoothing : float, optional
-            Weight of the squared differences of neighbouring weights, for kernels of which the records say nothing.
+            Weight of the squared differences of neighbouring weights; it determines those that the records leave open.
         delay : float, optional
-            Seconds by which the displacement lags the voltage; by default looked for.
+            Seconds by which the displacement lags the voltage; default: estimated.
         drift : bool, optional
-            Whether a record may creep by a logarithm of the time since its start, which is then set aside.
+            Whether a record may creep by a logarithm of the time since its start; the drift is then removed.
 
         Raises
         ------
@@ -77,29 +74,29 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
         count(levels, "levels", most=60)
         fraction(slope_floor, "slope_floor")
 
-        def solved(ready: Training) -> tuple[KrasnoselskiiPokrovskii, float]:
-            rows = PlayRows.of(ready, even_thresholds(ready, levels))
-            knots = _knots(*ready.limits, levels)
-            # Every segment between knots is a kernel; what lies below the first and beyond the last is none.
+        def fit_model(training: Training) -> tuple[KrasnoselskiiPokrovskii, float]:
+            rows = PlayRows.from_training(training, even_thresholds(training, levels))
+            knots = _knots(*training.limits, levels)
+            # Every segment between knots is a kernel; the parts below the first and beyond the last are not.
             columns = rows.ramps(knots)[:, _kernels(levels)]
             floors = np.zeros(columns.shape[1])
-            floors[:levels] = slope_floor * ready.slope
+            floors[:levels] = slope_floor * training.slope
             rough = differences(range(levels, 0, -1), beside=((0, 1), (1, 0), (1, -1)))
-            weights, free, miss = rows.solved(columns, floors, rough, smoothing)
+            weights, nuisances, residual = rows.fit(columns, floors, rough, smoothing)
             parts = np.split(weights, np.cumsum(np.arange(levels, 1, -1)))
             slopes = [parts[0][[0, *range(levels), -1]], *(np.pad(part, 1) for part in parts[1:])]
-            bank = PlayBank(rows.thresholds, knots, slopes, float(free[ready.reference]))
-            return cls._of(bank, ready), miss
+            bank = PlayBank(rows.thresholds, knots, slopes, float(nuisances[training.reference]))
+            return cls._from_bank(bank, training), residual
 
-        return least_missing(records, delay, solved, drift=drift)
+        return fit_with_delay(records, delay, fit_model, drift=drift)
 
 
 def _knots(low: float, high: float, levels: int) -> list[Array]:
-    """Of each diagonal p2 - p1 = i a: ramps begin at (p1 + p2) / 2."""
+    """Return the knots of each diagonal p2 - p1 = i a: ramps begin at (p1 + p2) / 2."""
     spacing = (high - low) / levels
     return [np.asarray(low + spacing * (np.arange(levels - i + 1) + 0.5 * i)) for i in range(levels)]
 
 
 def _kernels(levels: int) -> Array:
-    """Which of the columns of `PlayRows.ramps` are kernels, (p,) bool."""
+    """Return whether each column of `PlayRows.ramps` is a kernel, (p,) bool."""
     return np.concatenate([[False, *[True] * (levels - i), False] for i in range(levels)])

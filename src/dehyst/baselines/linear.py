@@ -1,4 +1,4 @@
-"""No model of hysteresis at all: the ratio of the ends, as who has nothing else uses it.
+"""No model of hysteresis: the ratio of the end points, the usual feedforward without a model.
 
 y = y_0 + stroke (v - v_low) / (v_high - v_low)
 """
@@ -16,8 +16,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.fitting import least_missing
-from dehyst.baselines.training import Training
+from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.model import State
 from dehyst.records import Record
 from dehyst.records.metrics import rms
@@ -26,7 +25,7 @@ from dehyst.records.metrics import rms
 @final
 @dataclass(frozen=True)
 class Linear(AbstractBaseline):
-    """A straight line; its state is its displacement, which it does not need.
+    """A straight line; its state is its displacement, which has no effect.
 
     Parameters
     ----------
@@ -59,11 +58,11 @@ class Linear(AbstractBaseline):
         """Number of coefficients."""
         return 2
 
-    def _displaced(self, v: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
+    def _simulate(self, v: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
         y = self.offset + self.slope * v
         return y, self._after(y)
 
-    def _driven(self, y: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
+    def _compensate(self, y: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
         return (y - self.offset) / self.slope, self._after(y)
 
     def _after(self, y: Array) -> State:
@@ -71,7 +70,7 @@ class Linear(AbstractBaseline):
 
     @classmethod
     def fit(cls, records: Record | Sequence[Record], *, delay: float | None = None) -> Linear:
-        """Take the slope from the ends of the widest loop, the offset from least squares.
+        """Take the slope from the end points of the widest loop, and fit the offset by least squares.
 
         Raises
         ------
@@ -81,12 +80,12 @@ class Linear(AbstractBaseline):
             If no sample counts, or the delay is impossible.
         """
 
-        def solved(ready: Training) -> tuple[Linear, float]:
-            low, high = ready.limits
-            slope = ready.stroke / (high - low)
-            rest = ready.displacement - slope * ready.played(lambda v: v)
-            constants = np.linalg.lstsq(ready.nuisances, rest, rcond=None)[0]
-            miss = rms(rest - ready.nuisances @ constants)
-            return cls(slope, float(constants[ready.reference]), ready.delay), miss
+        def fit_model(training: Training) -> tuple[Linear, float]:
+            low, high = training.limits
+            slope = training.stroke / (high - low)
+            rest = training.displacement - slope * training.map_voltages(lambda v: v)
+            constants = np.linalg.lstsq(training.nuisances, rest, rcond=None)[0]
+            residual = rms(rest - training.nuisances @ constants)
+            return cls(slope, float(constants[training.reference]), training.delay), residual
 
-        return least_missing(records, delay, solved)
+        return fit_with_delay(records, delay, fit_model)

@@ -17,12 +17,9 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, vector
 from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.fitting import least_missing
-from dehyst.baselines.nonnegative_fit import nonnegative, ramps
-from dehyst.baselines.play_bank import PlayBank, PlayState
-from dehyst.baselines.play_inverse import PlayInverse
-from dehyst.baselines.play_regressors import PlayRows, even_thresholds
-from dehyst.baselines.training import Training
+from dehyst.baselines.play_bank import PlayBank, PlayInverse, PlayState
+from dehyst.baselines.play_regressors import PlayRows, even_thresholds, fit_nonnegative, ramps
+from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.model.elements import on_curve
 from dehyst.records import Record
 from dehyst.records.metrics import rms
@@ -44,13 +41,13 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
     bank : PlayBank
         The plays, whose sum is in volts; the first threshold is 0.
     places, values : (M,) array
-        S: [V], strictly increasing, and [m], strictly increasing; it goes on linearly beyond.
+        Knots of S: [V] and [m], both strictly increasing; S continues linearly beyond.
     state : PlayState
-        Where it starts: by default after a long descent to the lowest voltage of its records.
+        Default start: after a long descent to the lowest voltage of its records.
     delay : float
-        Seconds by which the displacement lags the voltage; `simulate` and `compensate` leave it to the caller.
+        Seconds by which the displacement lags the voltage; `simulate` and `compensate` do not apply it.
     remarks : tuple of str
-        Sentences: what was repaired in the records.
+        Repairs of the records, as sentences.
 
     Raises
     ------
@@ -84,14 +81,14 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
 
     @property
     def parameters(self) -> int:
-        """Numbers that the fit chose: weights, slopes and the offset; one scale is in both."""
+        """Number of coefficients: weights, slopes and the offset; weights and slopes share one scale."""
         return self.weights.size + self.places.size - 1
 
-    def _displaced(self, v: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
+    def _simulate(self, v: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
         x, after = self.bank.simulate(v, state, time)
         return on_curve(self.places, self.values, x), after
 
-    def _driven(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
+    def _compensate(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
         return self.inverse.compensate(on_curve(self.values, self.places, y), state)
 
     @classmethod
@@ -105,9 +102,9 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
         delay: float | None = None,
         drift: bool = True,
     ) -> ModifiedPrandtlIshlinskii:
-        """Fit weights and slopes together, by nonnegative least squares about the last ones until they settle.
+        """Fit weights and slopes together, by repeated nonnegative least squares linearised at the last solution.
 
-        Kuhnen's own program is linear in the weights and in the slopes of S's inverse, but wants one sensor zero for
+        Kuhnen's own program is linear in the weights and in the slopes of S's inverse, but needs one sensor zero for
         all records; here each record has an offset of its own.
 
         Parameters
@@ -115,16 +112,15 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
         records : Record or sequence of Record
             Loops; none needs to start relaxed.
         plays : int, optional
-            Their thresholds cut half of the voltage's range in equal parts, from 0.
+            Number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
         segments : int, optional
-            Of S, of equal length.
+            Number of segments of S, of equal length.
         slope_floor : float, optional
-            Least weight of threshold 0 and least slope of S, as a fraction of the mean ones, without which there is no
-            inverse.
+            Least weight of threshold 0 and least slope of S, as a fraction of the mean ones; 0 would have no inverse.
         delay : float, optional
-            Seconds by which the displacement lags the voltage; by default looked for.
+            Seconds by which the displacement lags the voltage; default: estimated.
         drift : bool, optional
-            Whether a record may creep by a logarithm of the time since its start, which is then set aside.
+            Whether a record may creep by a logarithm of the time since its start; the drift is then removed.
 
         Raises
         ------
@@ -135,42 +131,48 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
         count(segments, "segments")
         fraction(slope_floor, "slope_floor")
 
-        def solved(ready: Training) -> tuple[ModifiedPrandtlIshlinskii, float]:
-            problem = _AlternatingFit(PlayRows.of(ready, even_thresholds(ready, plays)), segments, slope_floor)
-            weights, values, miss = problem.solved()
-            low, thresholds = ready.limits[0], problem.thresholds
+        def fit_model(training: Training) -> tuple[ModifiedPrandtlIshlinskii, float]:
+            problem = _AlternatingFit(
+                PlayRows.from_training(training, even_thresholds(training, plays)), segments, slope_floor
+            )
+            weights, values, residual = problem.solve()
+            low, thresholds = training.limits[0], problem.thresholds
             bank = PlayBank(thresholds, [()] * plays, list(weights[:, None]), low - float(weights @ (low + thresholds)))
-            return cls(bank, problem.places, values, bank.descended(low), ready.delay, ready.sentences), miss
+            return cls(
+                bank, problem.places, values, bank.state_after_descent(low), training.delay, training.sentences
+            ), residual
 
-        return least_missing(records, delay, solved, drift=drift)
+        return fit_with_delay(records, delay, fit_model, drift=drift)
 
 
 class _AlternatingFit:
-    """Weights and slopes that fit rows; x runs from the lowest to the highest voltage on the major loop."""
+    """The fit of weights and slopes; x runs from the lowest to the highest voltage on the major loop."""
 
     def __init__(self, rows: PlayRows, segments: int, floor: float) -> None:
-        ready, thresholds = rows.training, rows.thresholds
-        low, high = ready.limits
+        training, thresholds = rows.training, rows.thresholds
+        low, high = training.limits
         self.thresholds = thresholds
         self.spacing = (high - low) / segments
         self.places: Array = np.asarray(low + self.spacing * np.arange(segments + 1), dtype=np.float64)
-        self._ready, self._low, self._reach = ready, low, high - low - 2 * thresholds
+        self._training, self._low, self._reach = training, low, high - low - 2 * thresholds
         self._z = (rows.plays - low - thresholds) * rows.known
-        self._floors = np.full(thresholds.size + segments, floor * ready.slope)
+        self._floors = np.full(thresholds.size + segments, floor * training.slope)
         self._floors[0], self._floors[1 : thresholds.size] = floor, 0.0
-        # A play that stands still adds a constant to x, for which each epoch that has one gets an unknown.
+        # A play that stands still adds a constant to x: each epoch with such a play gets an unknown.
         still = (rows.plays - low - thresholds) * ~rows.known
-        open_ = (ready.offsets.T @ np.any(~rows.known, axis=1)) > 0
-        self._stretches, self._still = ready.offsets[:, open_], still
+        open_ = (training.offsets.T @ np.any(~rows.known, axis=1)) > 0
+        self._stretches, self._still = training.offsets[:, open_], still
 
-    def solved(self) -> tuple[Array, Array, float]:
-        """Weights (N,), S at the places (M + 1,) [m], and the RMS residual [m]."""
-        weights = nonnegative(self._z, self._ready.nuisances, self._ready.displacement, self._scaled_floors()).weights
+    def solve(self) -> tuple[Array, Array, float]:
+        """Return the weights (N,), S at the places (M + 1,) [m], and the RMS residual [m]."""
+        weights = fit_nonnegative(
+            self._z, self._training.nuisances, self._training.displacement, self._scaled_floors()
+        ).weights
         weights, slopes = self._normal(weights, np.ones(self.places.size - 1))
         shifts = self._first_shifts(weights)
         best = self._cost(weights, slopes, shifts)
         for _ in range(_PASSES):
-            aim = self._improved(weights, slopes, shifts)
+            aim = self._gauss_newton_step(weights, slopes, shifts)
             for part in 0.5 ** np.arange(6):
                 trial = [old + part * (new - old) for old, new in zip((weights, slopes, shifts), aim, strict=True)]
                 cost = self._cost(*trial)
@@ -183,7 +185,7 @@ class _AlternatingFit:
             if settled:
                 break
         values = ramps(self.places, self.places[1:-1]) @ slopes
-        return weights, values + self._left(weights, slopes, shifts)[1][self._ready.reference], best
+        return weights, values + self._residual(weights, slopes, shifts)[1][self._training.reference], best
 
     def _scaled_floors(self) -> Array:
         floors = np.zeros(self._z.shape[1])
@@ -195,38 +197,38 @@ class _AlternatingFit:
         return np.asarray(share_of.T @ (self._still @ weights))
 
     def _gauge(self, weights: Array) -> float:
-        """What brings x to the range of the voltage on the major loop."""
+        """Return the factor that scales x to the range of the voltage on the major loop."""
         return float(self._reach[0] / (weights @ self._reach))
 
     def _normal(self, weights: Array, slopes: Array) -> tuple[Array, Array]:
         gauge = self._gauge(weights)
         return weights * gauge, slopes / gauge
 
-    def _bent(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array, Array]:
-        """Columns (n, M) of the slopes, S (n,) and S' (n,)."""
+    def _map(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array, Array]:
+        """Return the columns (n, M) of the slopes, S (n,) and S' (n,)."""
         x = self._low + self._z @ weights + self._stretches @ shifts
         columns = ramps(x, self.places[1:-1])
         j = np.clip(((x - self._low) / self.spacing).astype(int), 0, slopes.size - 1)
         return columns, columns @ slopes, slopes[j]
 
-    def _left(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array]:
-        """Residual (n,) [m], and what the nuisances take of it."""
-        left = self._ready.displacement - self._bent(weights, slopes, shifts)[1]
-        taken = np.asarray(np.linalg.lstsq(self._ready.nuisances, left, rcond=None)[0], dtype=np.float64)
-        return left - self._ready.nuisances @ taken, taken
+    def _residual(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array]:
+        """Return the residual (n,) [m], and the coefficients of the nuisances."""
+        rest = self._training.displacement - self._map(weights, slopes, shifts)[1]
+        nuisances = np.asarray(np.linalg.lstsq(self._training.nuisances, rest, rcond=None)[0], dtype=np.float64)
+        return rest - self._training.nuisances @ nuisances, nuisances
 
     def _cost(self, weights: Array, slopes: Array, shifts: Array) -> float:
-        return rms(self._left(weights, slopes, shifts)[0])
+        return rms(self._residual(weights, slopes, shifts)[0])
 
-    def _improved(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array, Array]:
-        """Weights, slopes and shifts that are best where S bends as it does now (Gauss-Newton)."""
-        columns, bent, steep = self._bent(weights, slopes, shifts)
-        of_weights, of_shifts = self._z * steep[:, None], self._stretches * steep[:, None]
-        target = self._ready.displacement - bent + of_weights @ weights + columns @ slopes + of_shifts @ shifts
-        nuisance = np.concatenate([self._ready.nuisances, of_shifts], axis=1)
-        # Volts beside metres: slopes are as large as weights where both are in units of their mean.
+    def _gauss_newton_step(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array, Array]:
+        """Return the weights, slopes and shifts that are best for S linearised at the present ones."""
+        columns, mapped, slope = self._map(weights, slopes, shifts)
+        of_weights, of_shifts = self._z * slope[:, None], self._stretches * slope[:, None]
+        target = self._training.displacement - mapped + of_weights @ weights + columns @ slopes + of_shifts @ shifts
+        nuisance = np.concatenate([self._training.nuisances, of_shifts], axis=1)
+        # In units of their mean, slopes are as large as weights.
         units = np.concatenate([np.ones(weights.size), np.full(slopes.size, slopes.mean())])
         both = np.concatenate([of_weights, columns], axis=1)
-        found = nonnegative(both * units, nuisance, target, self._floors / units).weights * units
-        rest = np.linalg.lstsq(nuisance, target - both @ found, rcond=None)[0]
-        return found[: weights.size], found[weights.size :], rest[self._ready.nuisances.shape[1] :]
+        solution = fit_nonnegative(both * units, nuisance, target, self._floors / units).weights * units
+        rest = np.linalg.lstsq(nuisance, target - both @ solution, rcond=None)[0]
+        return solution[: weights.size], solution[weights.size :], rest[self._training.nuisances.shape[1] :]

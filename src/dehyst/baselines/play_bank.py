@@ -1,9 +1,14 @@
-"""What rivals made of play operators share: the operators with curves on them, low-passes of the voltage, a state."""
+"""Play operators: banks of them with curves and low-passes, their closed-form inverse, and models made of one bank.
+
+The inverse: P. Krejci, K. Kuhnen, "Inverse control of systems with hysteresis and creep", IEE Proc. Control Theory
+Appl. 148(3), 2001, 185-192.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,12 +16,14 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number, vector
-from dehyst.baselines._native_plays import PlayCore
+from dehyst.baselines._native import PlayCore
+from dehyst.baselines.base import AbstractBaseline
+from dehyst.baselines.training import Training
 
 
 @dataclass(frozen=True, eq=False)
 class PlayState:
-    """What play operators remember.
+    """Memory of play operators and low-passes.
 
     Attributes
     ----------
@@ -27,7 +34,7 @@ class PlayState:
     lowpasses : (K,) array
         Outputs [V].
     time : float or None
-        When this was [s], if it matters.
+        Time of this state [s]; only low-passes need it.
     """
 
     voltage: float
@@ -118,22 +125,22 @@ class PlayBank:
         knot, value, slope = (np.concatenate([none, *parts]) for parts in (knots, values, slopes))
         return PlayCore(self.thresholds, first, knot, value, slope, self.times, self.shares, self.offset)
 
-    def risen(self, voltage: float) -> PlayState:
-        """The state after a long rise to a voltage [V] and a rest there."""
+    def state_after_rise(self, voltage: float) -> PlayState:
+        """Return the state after a long rise to a voltage [V] and a rest there."""
         return PlayState(voltage, voltage - self.thresholds, np.full(self.times.size, voltage))
 
-    def descended(self, voltage: float) -> PlayState:
-        """The state after a long descent to a voltage [V] and a rest there."""
+    def state_after_descent(self, voltage: float) -> PlayState:
+        """Return the state after a long descent to a voltage [V] and a rest there."""
         return PlayState(voltage, voltage + self.thresholds, np.full(self.times.size, voltage))
 
     def simulate(self, v: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
-        """Displacement (n,) [m] that a voltage (n,) [V] causes, and the state at its end."""
+        """Return the displacement (n,) [m] that a voltage (n,) [V] causes, and the state at its end."""
         after, steps = self._timed(state, time, v.size)
         y, plays, passed = self._core.simulate(v, steps, state.voltage, state.plays, state.lowpasses)
         return y, replace(after, voltage=float(v[-1]) if v.size else state.voltage, plays=plays, lowpasses=passed)
 
     def compensate(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
-        """Voltage (n,) [V] for a displacement (n,) [m], and the state at its end; exact."""
+        """Return the voltage (n,) [V] for a displacement (n,) [m], and the state at its end; exact."""
         after, steps = self._timed(state, time, y.size)
         v, plays, passed = self._core.compensate(y, steps, state.voltage, state.plays, state.lowpasses)
         return v, replace(after, voltage=float(v[-1]) if v.size else state.voltage, plays=plays, lowpasses=passed)
@@ -146,39 +153,39 @@ class PlayBank:
         ModelError
         """
         if not isinstance(state, PlayState):
-            raise ModelError(f"state: got {type(state).__name__}, need one that this model handed back")
+            raise ModelError(f"state: got {type(state).__name__}, need one that this model returned")
         if state.plays.size != self.thresholds.size or state.lowpasses.size != self.times.size:
             raise ModelError(
                 f"state: got {state.plays.size} plays and {state.lowpasses.size} low-passes, need "
-                f"{self.thresholds.size} and {self.times.size}; use one that this model handed back"
+                f"{self.thresholds.size} and {self.times.size}; use one that this model returned"
             )
         slack = 1e-9 * (abs(state.voltage) + float(self.thresholds.max(initial=0.0)))
         if np.any(np.abs(state.plays - state.voltage) > self.thresholds + slack):
             raise ModelError("state: a play lies farther from the voltage than its threshold")
 
     def _timed(self, state: PlayState, time: ArrayLike | None, count: int) -> tuple[PlayState, Array]:
-        """The state with the time at its end, and the seconds (n,) before each sample; none without low-passes."""
+        """Return the state with the time at its end and, with low-passes, the seconds (n,) before each sample."""
         self.check(state)
         if not self.times.size or not count:
             return state, np.zeros(0)
         if time is None:
             raise ModelError("this model creeps: it needs the time of each sample; give time=, in seconds")
-        return _stepped(state, vector(time, "time"), count)
+        return _time_steps(state, vector(time, "time"), count)
 
     @property
     def parameters(self) -> int:
-        """Numbers that a fit chooses: slopes, shares and the offset."""
+        """Number of coefficients: slopes, shares and the offset."""
         return sum(s.size for s in self.slopes) + self.shares.size + 1
 
 
-def _stepped(state: PlayState, time: Array, count: int) -> tuple[PlayState, Array]:
-    """A time that begins after the state's goes on from there; another follows it by its own first interval."""
+def _time_steps(state: PlayState, time: Array, count: int) -> tuple[PlayState, Array]:
+    """Continue from the state's time if `time` begins after it, else let it begin one interval later."""
     if time.size != count:
         raise ModelError(f"time: got {time.size} samples, need {count}, one for each")
     gaps = np.diff(time)
     if np.any(gaps <= 0):
         raise ModelError(f"time: does not increase at sample {int(np.argmax(gaps <= 0)) + 1}; need seconds, in order")
-    # Even sampling stays even where rounding made the steps differ: the core keeps what belongs to one step.
+    # Even sampling stays even where rounding made the steps differ: the core caches the numbers of one step.
     rounding = 4 * np.finfo(np.float64).eps * float(np.abs(time).max())
     usual = float(np.median(gaps)) if gaps.size else 0.0
     gaps = np.where(np.abs(gaps - usual) <= rounding, usual, gaps)
@@ -189,3 +196,100 @@ def _stepped(state: PlayState, time: Array, count: int) -> tuple[PlayState, Arra
     else:
         first = float(gaps[0]) if gaps.size else 0.0
     return replace(state, time=float(time[-1])), np.concatenate([[first], gaps])
+
+
+@dataclass(frozen=True, eq=False)
+class PlayInverse:
+    """Closed-form inverse of ``y = offset + sum_i w_i play_i[v]``, r_0 = 0 < r_1 < ..., w_0 > 0, other w_i >= 0.
+
+    ``v = sum_i w'_i play_{r'_i}[y - offset]`` with
+    ``r'_i = sum_{j<=i} w_j (r_i - r_j)``, ``w'_0 = 1 / w_0`` and ``w'_i = 1 / W_i - 1 / W_{i-1}``, W_i the sum of
+    w_0 ... w_i.
+
+    Raises
+    ------
+    ModelError
+        If the bank has no such inverse.
+    """
+
+    bank: PlayBank
+    weights: Array = field(init=False)
+    _back: Array = field(init=False, repr=False)
+    _core: PlayCore = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        r = self.bank.thresholds
+        if not r.size or r[0] != 0 or np.any(np.diff(r) <= 0) or any(k.size for k in self.bank.knots):
+            raise ModelError("no closed-form inverse: need plays of increasing thresholds from 0, on straight lines")
+        if self.bank.times.size or self.bank.slopes[0][0] <= 0:
+            raise ModelError("no closed-form inverse: need a positive weight at threshold 0 and no low-passes")
+        w = np.concatenate(self.bank.slopes)
+        summed = np.cumsum(w)
+        thresholds = np.concatenate([[0.0], np.cumsum(summed[:-1] * np.diff(r))])
+        back = np.diff(1 / summed, prepend=0.0)
+        zeros, none = np.zeros(r.size), np.zeros(0)
+        core = PlayCore(
+            thresholds, np.arange(r.size + 1, dtype=np.intc), zeros, zeros, np.repeat(back, 2), none, none, 0.0
+        )
+        object.__setattr__(self, "weights", w)
+        object.__setattr__(self, "_back", back)
+        object.__setattr__(self, "_core", core)
+
+    def compensate(self, y: Array, state: PlayState) -> tuple[Array, PlayState]:
+        """Return the voltage (n,) [V] for a displacement (n,) [m], and the state at its end; equals `bank.compensate`.
+
+        The closed form does not hold from a state that no history leads to, in which neighbours lie farther apart than
+        their thresholds; then `bank.compensate` is used.
+        """
+        self.bank.check(state)
+        steps = np.diff(self.bank.thresholds)
+        if not y.size or np.any(np.abs(np.diff(state.plays)) > steps + 1e-9 * self.bank.thresholds.max()):
+            return self.bank.compensate(y, state, None)
+        start = _through(self.weights, np.concatenate([[state.voltage], state.plays[1:]]))
+        none = np.zeros(0)
+        v, z, _ = self._core.simulate(y - self.bank.offset, none, float(start[0]), start, none)
+        return v, PlayState(float(v[-1]), _through(self._back, z), none, state.time)
+
+
+def _through(weights: Array, z: Array) -> Array:
+    """Return the outputs of the inverse operator's plays: sum_{j<=i} w_j z_i + sum_{j>i} w_j z_j."""
+    product = weights * z
+    return np.asarray(np.cumsum(weights) * z + product.sum() - np.cumsum(product))
+
+
+@dataclass(frozen=True, eq=False)
+class AbstractPlayModel(AbstractBaseline):
+    """A bank of play operators behind the common interface.
+
+    Attributes
+    ----------
+    bank : PlayBank
+        Its operators.
+    state : PlayState
+        Default start: after a long descent to the lowest voltage of its records.
+    delay : float
+        Seconds by which the displacement lags the voltage; `simulate` and `compensate` do not apply it.
+    remarks : tuple of str
+        Repairs of the records, as sentences.
+    """
+
+    bank: PlayBank
+    state: PlayState
+    delay: float = 0.0
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients."""
+        return self.bank.parameters
+
+    def _simulate(self, v: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
+        return self.bank.simulate(v, state, time)
+
+    def _compensate(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
+        return self.bank.compensate(y, state, time)
+
+    @classmethod
+    def _from_bank(cls, bank: PlayBank, training: Training) -> Self:
+        """Return the model of a bank fitted to these records."""
+        return cls(bank, bank.state_after_descent(training.limits[0]), training.delay, training.sentences)

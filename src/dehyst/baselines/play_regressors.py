@@ -1,39 +1,42 @@
-"""What plays and low-passes see of the records: the rows to which rivals made of them are fitted."""
+"""Regressors of models made of plays and low-passes, and the nonnegative least squares that fits their weights."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.baselines._native_plays import play_outputs
-from dehyst.baselines.nonnegative_fit import Solved, nonnegative, ramps
-from dehyst.baselines.training import Training
+from dehyst.baselines._native import play_outputs
 from dehyst.records import Record
+from dehyst.records.metrics import rms
+
+if TYPE_CHECKING:
+    from dehyst.baselines.training import Training
 
 _MOST_ROWS = 30_000
 _QUARTERS = 4
-# Least share of what decays leave beside constants and one another.
+# Least share of a decay that constants and the other decays do not explain already.
 _NEW = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class PlayRows:
-    """Samples that count, of all records, stacked.
+    """Outputs of plays and low-passes at the samples that count, stacked over all records.
 
     Attributes
     ----------
     training : Training
-        Displacements, and what records cannot be told without.
+        Displacements and nuisances.
     thresholds : (N,) array
         r_i [V].
     plays : (n, N) array
         Outputs z_i [V].
     known : (n, N) bool array
-        Whether play i is in a known state: else it stands still.
+        Whether the state of play i is known; a play whose state is not known stands still.
     lowpasses : (n, K) array
         Outputs [V].
     """
@@ -45,58 +48,60 @@ class PlayRows:
     lowpasses: Array
 
     @classmethod
-    def of(cls, training: Training, thresholds: Array, times: Array | None = None, most: int = _MOST_ROWS) -> PlayRows:
-        """Play the records to plays of these thresholds (N,) [V] and low-passes of these times (K,) [s]."""
-        few = training.thinned(most)
+    def from_training(
+        cls, training: Training, thresholds: Array, times: Array | None = None, most: int = _MOST_ROWS
+    ) -> PlayRows:
+        """Simulate plays of these thresholds (N,) [V] and low-passes of these times (K,) [s] on the records."""
+        few = training.subsample(most)
         constants = np.zeros(0) if times is None else times
-        plays = few.played(lambda v: play_outputs(thresholds, np.full(thresholds.size, v[0]), v))
-        passed = few.seen(lambda piece: lowpassed(piece, constants))
+        plays = few.map_voltages(lambda v: play_outputs(thresholds, np.full(thresholds.size, v[0]), v))
+        passed = few.map_records(lambda piece: low_pass(piece, constants))
         # The range of a sampled wave ends a rounding error short of its turns.
         known = 2 * thresholds <= few.reach[:, None] * (1 + 1e-9)
         return cls(few, thresholds, plays, known, passed)
 
     def ramps(self, knots: Sequence[Array] | None = None) -> Array:
-        """Columns (n, p) of the slopes of each play's curve, by default straight, and of the low-passes.
+        """Return the columns (n, p) of the slopes of each play's curve, by default straight, and of the low-passes.
 
-        Plays not known are left out.
+        A play whose state is not known contributes 0.
         """
         bends = [np.zeros(0)] * self.thresholds.size if knots is None else knots
         curves = [ramps(z, k) * known[:, None] for z, k, known in zip(self.plays.T, bends, self.known.T, strict=True)]
         return np.concatenate([*curves, self.lowpasses], axis=1)
 
-    def solved(
+    def fit(
         self, columns: Array, floors: Array | None = None, rough: Array | None = None, smoothing: float = 0.0
-    ) -> Solved:
-        """Weights of columns (n, p) by nonnegative least squares; see `nonnegative_fit.nonnegative`."""
-        few = self.training
-        return nonnegative(columns, few.nuisances, few.displacement, floors, rough, smoothing)
+    ) -> WeightFit:
+        """Fit the weights of columns (n, p) by nonnegative least squares; see `fit_nonnegative`."""
+        training = self.training
+        return fit_nonnegative(columns, training.nuisances, training.displacement, floors, rough, smoothing)
 
 
 def even_thresholds(training: Training, plays: int) -> Array:
-    """Thresholds (N,) [V] from 0 that cut half of the voltage's range in equal parts."""
+    """Return thresholds (N,) [V] from 0 that divide half of the voltage's range into equal parts."""
     low, high = training.limits
     return np.asarray(0.5 * (high - low) * np.arange(plays) / plays, dtype=np.float64)
 
 
-def from_anywhere(training: Training, times: Array) -> Training:
-    """The same for a model with low-passes of these times (K,) [s], which stand for drifts.
+def with_unknown_start(training: Training, times: Array) -> Training:
+    """Return a copy for a model with low-passes of these times (K,) [s], which replace the drifts.
 
-    What they held before the first sample is not known: its decay in each piece is a nuisance.
+    Their outputs before the first sample are not known: their decay in each piece is a nuisance.
     """
     constants = training.offsets / np.linalg.norm(training.offsets, axis=0)
     decays = np.concatenate(
         [
             np.concatenate(
                 [
-                    _decay(piece, times) if piece is own else np.zeros((len(piece), times.size))
-                    for own in training.pieces
+                    _decay(piece, times) if piece is decaying else np.zeros((len(piece), times.size))
+                    for decaying in training.pieces
                 ],
                 axis=1,
             )[rows]
             for piece, rows in zip(training.pieces, training.kept, strict=True)
         ]
     )
-    # Slow ones look like constants: only what is new is kept, on an orthogonal basis.
+    # Slow decays look like constants: keep only what is new, on an orthogonal basis.
     basis, sizes, _ = np.linalg.svd(decays - constants @ (constants.T @ decays), full_matrices=False)
     new = basis[:, sizes > _NEW * sizes.max(initial=0.0)] * np.sqrt(len(training))
     return replace(training, nuisances=np.hstack([training.offsets, new]))
@@ -106,8 +111,8 @@ def _decay(piece: Record, times: Array) -> Array:
     return np.asarray(np.exp(-(piece.time[:, None] - piece.time[0]) / times))
 
 
-def lowpassed(piece: Record, times: Array) -> Array:
-    """Low-passes (n, K) of a voltage (n,) [V], straight between samples, that rest at its first value before it."""
+def low_pass(piece: Record, times: Array) -> Array:
+    """Return low-passes (n, K) of a voltage (n,) [V]: linear between samples, at rest at its first value before it."""
     v = piece.voltage
     ratio = np.diff(piece.time)[:, None] / times
     kept, taken = np.exp(-ratio), 1 + np.expm1(-ratio) / ratio
@@ -119,17 +124,95 @@ def lowpassed(piece: Record, times: Array) -> Array:
     return out
 
 
-def left_out(training: Training, columns: Array, floors: Array, rough: Array, smoothing: float) -> float:
-    """RMS [m] over quarters of the epochs, each left out of a fit that then predicts it, but for its constant."""
+def cross_validation_error(training: Training, columns: Array, floors: Array, rough: Array, smoothing: float) -> float:
+    """Return the RMS error [m] of predicting each quarter of the epochs from a fit to the rest, its constant free."""
     blocks = np.zeros(len(training), dtype=np.intp)
     for offset in training.offsets.T:
         stretch = np.flatnonzero(offset)
         blocks[stretch] = np.arange(stretch.size) * _QUARTERS // max(stretch.size, 1)
     squares, y, nuisances = 0.0, training.displacement, training.nuisances
     for block in range(_QUARTERS):
-        kept, out = blocks != block, blocks == block
-        weights = nonnegative(columns[kept], nuisances[kept], y[kept], floors, rough, smoothing).weights
-        left, offsets = y[out] - columns[out] @ weights, training.offsets[out]
-        missed = left - offsets @ np.linalg.lstsq(offsets, left, rcond=None)[0]
-        squares += float(missed @ missed)
+        kept, held_out = blocks != block, blocks == block
+        weights = fit_nonnegative(columns[kept], nuisances[kept], y[kept], floors, rough, smoothing).weights
+        rest, offsets = y[held_out] - columns[held_out] @ weights, training.offsets[held_out]
+        residual = rest - offsets @ np.linalg.lstsq(offsets, rest, rcond=None)[0]
+        squares += float(residual @ residual)
     return float(np.sqrt(squares / len(training)))
+
+
+class WeightFit(NamedTuple):
+    """Weights (p,), coefficients of the nuisances (B,) and the RMS residual."""
+
+    weights: Array
+    nuisances: Array
+    rms: float
+
+
+def ramps(z: Array, knots: Array) -> Array:
+    """Return columns (n, K + 1) whose weights are the slopes of a curve through (knots[0], 0), without knots (0, 0)."""
+    edges = np.concatenate([[-np.inf], knots, [np.inf]])
+    origin = knots[0] if knots.size else 0.0
+    return np.asarray(np.clip(z[:, None], edges[:-1], edges[1:]) - np.clip(origin, edges[:-1], edges[1:]))
+
+
+def fit_nonnegative(
+    columns: Array,
+    nuisance: Array,
+    target: Array,
+    floors: Array | None = None,
+    rough: Array | None = None,
+    smoothing: float = 0.0,
+) -> WeightFit:
+    """Fit weights of columns, each at least its floor, beside nuisances of any sign, by least squares.
+
+    Parameters
+    ----------
+    columns : (n, p) array
+    nuisance : (n, B) array
+    target : (n,) array
+    floors : (p,) array, optional
+        Least weights; by default 0.
+    rough : (m, p) array, optional
+        Combinations of the weights that shall be small; by default each weight.
+    smoothing : float, optional
+        Weight of their squares, relative to the largest mean square of a column.
+
+    Returns
+    -------
+    WeightFit
+    """
+    from scipy.optimize import nnls
+
+    count = columns.shape[1]
+    least = np.zeros(count) if floors is None else floors
+    scale, y_scale = float(np.sqrt(np.mean(columns**2, axis=0)).max()), float(np.ptp(target))
+    rest = (target - columns @ least) / y_scale
+    # The triangular factor below the nuisances' rows is the same problem without them.
+    r = np.asarray(np.linalg.qr(np.column_stack([nuisance, columns / scale, rest]), mode="r"))
+    r = r[nuisance.shape[1] :, nuisance.shape[1] :]
+    penalty = np.sqrt(smoothing * target.size) * (np.eye(count) if rough is None else rough)
+    penalty_target = -penalty @ least * scale / y_scale
+    excess, _ = nnls(np.concatenate([r[:, :-1], penalty]), np.append(r[:, -1], penalty_target), maxiter=30 * count)
+    weights = least + excess * y_scale / scale
+    rest = target - columns @ weights
+    coefficients = np.asarray(np.linalg.lstsq(nuisance, rest, rcond=None)[0], dtype=np.float64)
+    return WeightFit(weights, coefficients, rms(rest - nuisance @ coefficients))
+
+
+def differences(shape: Sequence[int], *, beside: Sequence[tuple[int, int]] = ((0, 1), (1, 0))) -> Array:
+    """Return rows (m, p) that subtract neighbours in a table whose row i has shape[i] places; row 0 is left out.
+
+    `beside` holds the steps (rows, places) from a place to its neighbours.
+    """
+    first = np.cumsum([0, *shape])
+    pairs = [
+        (first[i] + j, first[i + di] + j + dj)
+        for i in range(1, len(shape))
+        for j in range(shape[i])
+        for di, dj in beside
+        if i + di < len(shape) and 0 <= j + dj < shape[i + di]
+    ]
+    rows = np.zeros((len(pairs), int(first[-1])))
+    for row, (a, b) in zip(rows, pairs, strict=True):
+        row[[a, b]] = 1.0, -1.0
+    return rows

@@ -15,12 +15,9 @@ from numpy.typing import ArrayLike
 
 from dehyst._types import Array
 from dehyst._validation import count, fraction
-from dehyst.baselines.fitting import least_missing
-from dehyst.baselines.play_bank import PlayBank, PlayState
-from dehyst.baselines.play_inverse import PlayInverse
-from dehyst.baselines.play_model import AbstractPlayModel
+from dehyst.baselines.play_bank import AbstractPlayModel, PlayBank, PlayInverse, PlayState
 from dehyst.baselines.play_regressors import PlayRows, even_thresholds
-from dehyst.baselines.training import Training
+from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.records import Record
 
 
@@ -39,7 +36,7 @@ class PrandtlIshlinskii(AbstractPlayModel):
         """w_i (N,) [m/V]."""
         return self.inverse.weights
 
-    def _driven(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
+    def _compensate(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
         return self.inverse.compensate(y, state)
 
     @classmethod
@@ -59,13 +56,13 @@ class PrandtlIshlinskii(AbstractPlayModel):
         records : Record or sequence of Record
             Loops; none needs to start relaxed. Each has an offset of its own.
         plays : int, optional
-            Their thresholds cut half of the voltage's range in equal parts, from 0.
+            Number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
         slope_floor : float, optional
-            Least weight of threshold 0, as a fraction of the mean slope, without which there is no inverse.
+            Least weight of threshold 0, as a fraction of the mean slope; 0 would have no inverse.
         delay : float, optional
-            Seconds by which the displacement lags the voltage; by default looked for.
+            Seconds by which the displacement lags the voltage; default: estimated.
         drift : bool, optional
-            Whether a record may creep by a logarithm of the time since its start, which is then set aside.
+            Whether a record may creep by a logarithm of the time since its start; the drift is then removed.
 
         Raises
         ------
@@ -75,12 +72,13 @@ class PrandtlIshlinskii(AbstractPlayModel):
         count(plays, "plays")
         fraction(slope_floor, "slope_floor")
 
-        def solved(ready: Training) -> tuple[PrandtlIshlinskii, float]:
-            rows = PlayRows.of(ready, even_thresholds(ready, plays))
+        def fit_model(training: Training) -> tuple[PrandtlIshlinskii, float]:
+            rows = PlayRows.from_training(training, even_thresholds(training, plays))
             floors = np.zeros(plays)
-            floors[0] = slope_floor * ready.slope
-            weights, free, miss = rows.solved(rows.ramps(), floors)
-            bank = PlayBank(rows.thresholds, [()] * plays, list(weights[:, None]), float(free[ready.reference]))
-            return cls._of(bank, ready), miss
+            floors[0] = slope_floor * training.slope
+            weights, nuisances, residual = rows.fit(rows.ramps(), floors)
+            offset = float(nuisances[training.reference])
+            bank = PlayBank(rows.thresholds, [()] * plays, list(weights[:, None]), offset)
+            return cls._from_bank(bank, training), residual
 
-        return least_missing(records, delay, solved, drift=drift)
+        return fit_with_delay(records, delay, fit_model, drift=drift)

@@ -1,4 +1,4 @@
-"""Preisach's model: relays on a triangular plane, their Everett function as a table, a staircase of reversals.
+"""Preisach's model: relays on a triangular plane, given by their Everett function as a table.
 
     y = y_R + E(v, v_R) rising from the last reversal R,     y = y_R - E(v_R, v) falling
 
@@ -21,11 +21,10 @@ from dehyst import _validation
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number
-from dehyst.baselines import _native_fields
+from dehyst.baselines import _native
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.everett import everett_table
-from dehyst.baselines.fitting import least_missing
-from dehyst.baselines.training import Training
+from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.identification.solvers.program import solve
 from dehyst.records import Record
 from dehyst.records.metrics import rms
@@ -42,7 +41,7 @@ class PreisachState:
     ----------
     turns : (k, 2) array
         Voltage and displacement at each; the first is the plane's lowest voltage, the next a maximum, and so on in
-        turn. An odd number of them rises.
+        turn. With an odd number of them the branch rises.
     """
 
     voltage: float
@@ -57,15 +56,15 @@ class Preisach(AbstractBaseline):
 
     Between nodes E is bilinear, which is a constant density in each square cell; in the triangles on the diagonal it is
     linear, which makes them reversible. Then y is piecewise linear along every branch, and the inverse exact. Beyond
-    the grid no relay switches and y goes on with its mean slope.
+    the grid no relay switches and y continues with its mean slope.
 
     Parameters
     ----------
     limits : (float, float)
         Lowest and highest voltage of the plane [V].
     everett : (n + 1, n + 1) array_like
-        E [m] at (alpha, beta) of node (i, j), i > j; the rest is not looked at. A greater triangle holds more:
-        strictly more than one it contains with the diagonal's part, for y has to follow v.
+        E [m] at (alpha, beta) of node (i, j), i > j; the rest is ignored. E is strictly greater for a triangle than for
+        any triangle inside it: y has to follow v.
     bottom : float
         Displacement with every relay down [m].
     delay : float, optional
@@ -99,8 +98,8 @@ class Preisach(AbstractBaseline):
         falls = -np.diff(table, axis=1)[np.tril_indices(n - 1, 0, n - 1)[0] + 1, np.tril_indices(n - 1, 0, n - 1)[1]]
         if np.any(rises <= 0) or np.any(falls <= 0):
             raise ModelError(
-                "everett: does not increase away from the diagonal everywhere, so that voltage would pull back; "
-                "need a density that is nowhere negative and a reversible share"
+                "everett: does not increase away from the diagonal everywhere, so that the displacement would fall "
+                "while the voltage rises; need a density that is nowhere negative and a reversible share"
             )
         object.__setattr__(self, "everett", table)
         object.__setattr__(self, "bottom", number(self.bottom, "bottom"))
@@ -120,16 +119,18 @@ class Preisach(AbstractBaseline):
         mean = float(self.everett[-1, 0]) / (high - low)
         return np.array([low, (high - low) / (len(self.everett) - 1), self.bottom, mean, mean])
 
-    def _displaced(self, v: Array, state: PreisachState, time: ArrayLike | None) -> tuple[Array, PreisachState]:
+    def _simulate(self, v: Array, state: PreisachState, time: ArrayLike | None) -> tuple[Array, PreisachState]:
         return self._run(v, state, inverse=False)
 
-    def _driven(self, y: Array, state: PreisachState, time: ArrayLike | None) -> tuple[Array, PreisachState]:
+    def _compensate(self, y: Array, state: PreisachState, time: ArrayLike | None) -> tuple[Array, PreisachState]:
         return self._run(y, state, inverse=True)
 
     def _run(self, drive: Array, start: PreisachState, *, inverse: bool) -> tuple[Array, PreisachState]:
         if not isinstance(start, PreisachState) or not _nested(start, *self.limits):
-            raise ModelError(f"state: got {type(start).__name__}, need a Staircase that a motion of this model left")
-        out, turns, v, y = _native_fields.preisach(
+            raise ModelError(
+                f"state: got {type(start).__name__}, need a PreisachState that a motion of this model returned"
+            )
+        out, turns, v, y = _native.preisach(
             self._numbers,
             self.everett.ravel(),
             len(self.everett) - 1,
@@ -151,20 +152,20 @@ class Preisach(AbstractBaseline):
         slope_floor: float = 0.1,
         delay: float | None = None,
     ) -> Preisach:
-        """Density by non-negative least squares, from records of any shape.
+        """Fit the density by non-negative least squares, from records of any shape.
 
-        Each sample is linear in the densities, once its staircase is known. What the records leave open, and there is
-        much of it, is filled by a penalty on the density's second differences.
+        Each sample is linear in the densities, once its nested reversals are known. The records leave much open; a
+        penalty on the density's second differences fills it.
 
         Parameters
         ----------
         records : Record or sequence of Record
         cells : int, optional
-            Of a side of the plane; n (n + 1) / 2 densities.
+            Cells n of a side of the plane; n (n + 1) / 2 densities.
         smoothing : float, optional
             Weight of the penalty; 0 for none.
         slope_floor : float, optional
-            Least slope dy/dv as a fraction of the mean slope, which the diagonal's relays hold.
+            Least slope dy/dv as a fraction of the mean slope; the relays on the diagonal provide it.
         delay : float, optional
             Seconds by which the displacement lags the voltage; default: estimated.
 
@@ -179,12 +180,12 @@ class Preisach(AbstractBaseline):
         _validation.fraction(smoothing, "smoothing", 0.0)
         _validation.fraction(slope_floor, "slope_floor", 1e-6)
 
-        def solved(ready: Training) -> tuple[Preisach, float]:
-            few = ready.thinned(_MOST_ROWS)
-            table, constants, miss = _densities(few, n, smoothing, slope_floor * few.stroke / n)
-            return cls(few.limits, table, float(constants[few.reference]), few.delay), miss
+        def fit_model(training: Training) -> tuple[Preisach, float]:
+            few = training.subsample(_MOST_ROWS)
+            table, constants, residual = _densities(few, n, smoothing, slope_floor * few.stroke / n)
+            return cls(few.limits, table, float(constants[few.reference]), few.delay), residual
 
-        return least_missing(records, delay, solved)
+        return fit_with_delay(records, delay, fit_model)
 
     @classmethod
     def from_reversal_curves(
@@ -195,11 +196,11 @@ class Preisach(AbstractBaseline):
         slope_floor: float = 0.1,
         delay: float | None = None,
     ) -> Preisach:
-        """Everett function read off first-order reversal curves, the classical identification (Mayergoyz, Sec. 1.2).
+        """Read the Everett function off first-order reversal curves, the classical way (Mayergoyz, Sec. 1.2).
 
-        A branch that falls from a top reached from the lowest voltage tells E(top, beta) down to where it turns, one
-        that rises from a bottom reached from the highest voltage E(alpha, bottom). Between curves E is interpolated
-        without overshoot, then made to increase away from the diagonal.
+        A branch that falls from a top reached from the lowest voltage gives E(top, beta) down to where it turns; one
+        that rises from a bottom reached from the highest voltage gives E(alpha, bottom). Between curves E is
+        interpolated without overshoot, then made to increase away from the diagonal.
 
         Parameters are those of `fit`.
 
@@ -213,19 +214,19 @@ class Preisach(AbstractBaseline):
         n = _validation.count(cells, "cells", 2, _MOST_CELLS)
         _validation.fraction(slope_floor, "slope_floor", 1e-6)
 
-        def solved(ready: Training) -> tuple[Preisach, float]:
-            table = everett_table(ready, n, slope_floor * ready.stroke / n)
-            found = cls(ready.limits, table, 0.0, ready.delay)
-            rest = ready.displacement - ready.played(lambda v: found.simulate(v).displacement)
-            constants = np.linalg.lstsq(ready.nuisances, rest, rcond=None)[0]
-            miss = rms(rest - ready.nuisances @ constants)
-            return replace(found, bottom=float(constants[ready.reference])), miss
+        def fit_model(training: Training) -> tuple[Preisach, float]:
+            table = everett_table(training, n, slope_floor * training.stroke / n)
+            model = cls(training.limits, table, 0.0, training.delay)
+            rest = training.displacement - training.map_voltages(lambda v: model.simulate(v).displacement)
+            constants = np.linalg.lstsq(training.nuisances, rest, rcond=None)[0]
+            residual = rms(rest - training.nuisances @ constants)
+            return replace(model, bottom=float(constants[training.reference])), residual
 
-        return least_missing(records, delay, solved)
+        return fit_with_delay(records, delay, fit_model)
 
 
 def _nested(start: PreisachState, low: float, high: float) -> bool:
-    """Whether a staircase begins with the lowest voltage, and its minima rise towards its maxima, which fall."""
+    """Return whether the reversals begin with the lowest voltage, their minima rise and their maxima fall."""
     if start.turns.ndim != 2 or not np.isfinite(start.turns).all() or not len(start.turns):
         return False
     at = start.turns[:, 0]
@@ -234,36 +235,36 @@ def _nested(start: PreisachState, low: float, high: float) -> bool:
     return bool(at[0] == low and at.max() <= high and np.all(np.diff(order) >= 0))
 
 
-def _columns(ready: Training, n: int) -> Array:
-    """How much of each cell is up at each sample that counts (rows, n (n + 1) / 2), cells by rows of the triangle."""
-    low, high = ready.limits
+def _columns(training: Training, n: int) -> Array:
+    """Return the part of each cell that is up at each sample that counts (rows, n (n + 1) / 2), by rows of cells."""
+    low, high = training.limits
     parts = []
-    for piece, rows in zip(ready.pieces, ready.kept, strict=True):
-        nodes = _native_fields.preisach_weights(low, (high - low) / n, n, piece.voltage, rows).reshape(-1, n + 1, n + 1)
+    for piece, rows in zip(training.pieces, training.kept, strict=True):
+        nodes = _native.preisach_weights(low, (high - low) / n, n, piece.voltage, rows).reshape(-1, n + 1, n + 1)
         # A node's triangle holds every cell with alpha below and beta above it.
         held = np.cumsum(nodes[:, :0:-1], axis=1)[:, ::-1]
         parts.append(np.cumsum(held, axis=2)[:, :, :-1][:, *np.tril_indices(n)])
     return np.concatenate(parts)
 
 
-def _densities(ready: Training, n: int, smoothing: float, least: float) -> tuple[Array, Array, float]:
-    """Everett's table, the nuisances' coefficients and the RMS residual; `least` [m] in each cell of the diagonal."""
-    columns = _columns(ready, n)
+def _densities(training: Training, n: int, smoothing: float, least: float) -> tuple[Array, Array, float]:
+    """Return Everett's table, the nuisances' coefficients and the RMS residual; diagonal cells hold `least` [m]."""
+    columns = _columns(training, n)
     floor = (least * np.eye(n))[np.tril_indices(n)]
-    rough = _second_differences(n) * np.sqrt(smoothing * len(ready)) * n
-    answer = solve(
-        np.vstack([ready.nuisances, np.zeros((len(rough), ready.nuisances.shape[1]))]),
+    rough = _second_differences(n) * np.sqrt(smoothing * len(training)) * n
+    solution = solve(
+        np.vstack([training.nuisances, np.zeros((len(rough), training.nuisances.shape[1]))]),
         np.vstack([columns, rough]),
-        np.concatenate([ready.displacement - columns @ floor, -rough @ floor]),
+        np.concatenate([training.displacement - columns @ floor, -rough @ floor]),
         norm="l2",
     )
     density = np.zeros((n, n))
-    density[np.tril_indices(n)] = answer.nonnegative + floor
-    return _integrated(density), answer.free, rms(answer.residual[: len(ready)])
+    density[np.tril_indices(n)] = solution.nonnegative + floor
+    return _everett_of(density), solution.free, rms(solution.residual[: len(training)])
 
 
-def _integrated(density: Array) -> Array:
-    """Everett's table (n + 1, n + 1) of the cells' densities (n, n)."""
+def _everett_of(density: Array) -> Array:
+    """Return Everett's table (n + 1, n + 1) of the cells' densities (n, n)."""
     n = len(density)
     table = np.zeros((n + 1, n + 1))
     table[1:, :-1] = np.cumsum(np.cumsum(density, axis=0)[:, ::-1], axis=1)[:, ::-1]
@@ -271,7 +272,7 @@ def _integrated(density: Array) -> Array:
 
 
 def _second_differences(n: int) -> Array:
-    """Second differences of the densities along both sides of the plane, diagonal cells apart: (rows, cells)."""
+    """Return second differences (rows, cells) of the densities along both sides of the plane and the diagonal."""
     place = np.full((n, n), -1)
     place[np.tril_indices(n)] = np.arange(n * (n + 1) // 2)
     lines = [place[i + 1 :, i] for i in range(n)] + [place[i, :i] for i in range(n)] + [np.diagonal(place)]

@@ -1,4 +1,4 @@
-"""Virtual actuators to try models on: recorded as on a bench, then driven along a path that no record held."""
+"""Tracking tests of models on virtual actuators: recorded as on a bench, then driven along a path not in any record."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dehyst.waveforms import Excitation, Sampling, descending_tops, raised_cosin
 
 _SAMPLES_A_FAST_CYCLE = 100
 _REVERSALS = 40
-# Turning points lie within these parts of the stroke, and a leg goes this far at least.
+# Turning points lie within these parts of the stroke, and a leg is at least this long.
 _LOWEST, _HIGHEST, _SHORTEST = 0.02, 0.98, 0.08
 
 
@@ -41,10 +41,10 @@ class TrackingTrial:
     truth : callable
         Noise seed -> a new actuator.
     slow, fast : float
-        Cycles a second [Hz]: of descending tops, one record at each; legs of the path take half a cycle of some rate in
-        between.
+        Cycles a second [Hz] of descending tops, one record at each; each leg of the path takes half a cycle of a rate
+        between them.
     hold : float
-        Of each step of the staircase [s].
+        Hold at each step of the staircase [s].
     """
 
     name: str
@@ -54,7 +54,7 @@ class TrackingTrial:
     hold: float
 
     def records(self) -> tuple[Record, ...]:
-        """Training records, in one run: descending tops at both rates and a staircase with steps back."""
+        """Return training records, in one run: descending tops at both rates and a staircase with steps back."""
         return self._run(
             0,
             lambda highest: [
@@ -65,7 +65,7 @@ class TrackingTrial:
         )
 
     def held_out(self) -> tuple[Record, ...]:
-        """Records to be predicted: a major loop and loops of other heights, at the slow rate."""
+        """Return records to be predicted: a major loop and loops of other heights, at the slow rate."""
         return self._run(
             1,
             lambda highest: [
@@ -76,9 +76,9 @@ class TrackingTrial:
     def track(self, model: AbstractModel, seed: int = 7) -> TrackingErrors:
         """Compensate a random path of 40 reversals and play the voltage into the actuator, both homed first.
 
-        Homing, up to the highest voltage and back, makes the state known; a creeping actuator goes on creeping. The
-        first leg leads from where homing ended onto the path and does not count. A model that knows a delay is asked
-        for the path that much earlier.
+        Homing, up to the highest voltage and back, makes the state known; a creeping actuator continues to creep. The
+        first leg leads from the end of homing onto the path and does not count. A model with a delay compensates the
+        path that much earlier.
         """
         truth = self.truth(1000 + seed)
         homing = raised_cosine(truth.highest, cycles=2, drive=self._drive(self.slow)).voltage
@@ -88,25 +88,25 @@ class TrackingTrial:
         reached = truth.play(np.concatenate([homing, voltage]), time=time, measured=False)[homing.size :]
         error = (wanted - reached)[_first_leg(wanted) :]
         beyond = max(float(voltage.max()) - truth.highest, -float(voltage.min()), 0.0)
-        missed = percent(largest(error), truth.stroke), percent(rms(error), truth.stroke)
-        return TrackingErrors(*missed, percent(beyond, truth.highest))
+        figures = percent(largest(error), truth.stroke), percent(rms(error), truth.stroke)
+        return TrackingErrors(*figures, percent(beyond, truth.highest))
 
     def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array) -> Array:
-        """Voltage for the path after homing; the model is asked for both in one piece, lest there be a jump."""
+        """Return the voltage for the path after homing; both are compensated in one piece to avoid a jump."""
         from scipy.interpolate import CubicSpline
 
         homed = simulated(model, homing, time[: homing.size]).displacement
         when = time[homing.size :]
         delay = float(getattr(model, "delay", 0.0))
         ahead = np.asarray(CubicSpline(when, wanted)(np.minimum(when + delay, when[-1])))
-        # From where the model thinks that it was left.
+        # Begin at the model's own displacement after homing.
         n = _first_leg(wanted)
         ahead[:n] += (homed[-1] - ahead[0]) * (1 - _smooth(np.arange(n) / n))
-        asked, start = np.concatenate([homed, ahead]), beginning(model, homing)
-        return model.compensate(asked, state=start, **timed(model, time)).voltage[homing.size :]
+        path, start = np.concatenate([homed, ahead]), beginning(model, homing)
+        return model.compensate(path, state=start, **timed(model, time)).voltage[homing.size :]
 
     def path(self, seed: int = 7) -> Array:
-        """A path of 40 reversals from 0, as parts of the stroke: at rest and not accelerated at each turn."""
+        """Return a path of 40 reversals from 0, in parts of the stroke, with no velocity or acceleration at a turn."""
         rng = np.random.default_rng(seed)
         turns = [0.0]
         while len(turns) < _REVERSALS + 2:
@@ -132,20 +132,20 @@ class TrackingTrial:
 
     def _run(self, seed: int, kinds: Callable[[float], list[Excitation]]) -> tuple[Record, ...]:
         truth = self.truth(seed)
-        found = []
+        records = []
         for i, excitation in enumerate(kinds(truth.highest)):
             y = truth.play(excitation.voltage, time=excitation.time)
-            found.append(Record(excitation.time, excitation.voltage, y, f"{self.name}-{seed}{'abc'[i]}"))
-        return tuple(found)
+            records.append(Record(excitation.time, excitation.voltage, y, f"{self.name}-{seed}{'abc'[i]}"))
+        return tuple(records)
 
 
 def _smooth(u: Array) -> Array:
-    """From 0 to 1, at rest and not accelerated at either end."""
+    """Return a curve from 0 to 1 with no velocity or acceleration at either end."""
     return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
 
 
 def _first_leg(path: Array) -> int:
-    """Samples before the first turn."""
+    """Return the number of samples before the first turn."""
     return int(np.argmax(np.diff(path) < 0))
 
 
@@ -158,7 +158,7 @@ TRIALS: Mapping[str, TrackingTrial] = {
 
 
 def trial(name: str) -> TrackingTrial:
-    """The trial of that name.
+    """Return the trial of that name.
 
     Raises
     ------

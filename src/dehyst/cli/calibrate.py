@@ -33,11 +33,11 @@ REPORT = "report.html"
     type=PATH,
     default=Path("dehyst-calibration"),
     show_default=True,
-    help="Folder for records, model and report. Records in it that are whole are not played again, "
-    "but for one loop that must agree with them.",
+    help="Folder for records, model and report. Complete records in it are not played again, "
+    "except one loop that must agree with them.",
 )
 @click.option(
-    "--limits", type=(float, float), metavar="LOW HIGH", help="Voltages to drive it through.  [default: the device's]"
+    "--limits", type=(float, float), metavar="LOW HIGH", help="Range of the voltage.  [default: the device's]"
 )
 @click.option("--slew", type=float, metavar="V/S", help="Largest slew rate.  [default: the whole range in 0.1 s]")
 @click.option("--frequency", type=float, default=1.0, show_default=True, metavar="HZ", help="Loops a second.")
@@ -47,14 +47,16 @@ REPORT = "report.html"
     type=PATH,
     multiple=True,
     metavar="FILE",
-    help="Record this voltage (of dehyst excite) instead of what insight chooses; may be given again.",
+    help="Record this voltage (from dehyst excite) instead of suggested ones; may be repeated.",
 )
-@click.option("--rounds", type=int, default=2, show_default=True, metavar="N", help="Times insight may ask for more.")
+@click.option(
+    "--rounds", type=int, default=2, show_default=True, metavar="N", help="Rounds of further, suggested recordings."
+)
 @click.option(
     "--goal", type=float, default=1.0, show_default=True, metavar="PERCENT", help="Largest error allowed on the path."
 )
 @force_option
-@click.option("--dry-run", is_flag=True, help="Say what would be sent, and send nothing.")
+@click.option("--dry-run", is_flag=True, help="Print what would be sent, and send nothing.")
 @size_option
 @json_option
 def calibrate(
@@ -70,7 +72,7 @@ def calibrate(
 
     RIG: pi://HOST:PORT, epics://PREFIX, sim://play, or FILE.py:FUNCTION, which returns a rig of your own.
 
-    Ctrl-C brings the voltage to a safe value; the same command goes on from what is on disk.
+    Ctrl-C brings the voltage to a safe value; the same command continues from the records on disk.
     """
     from dehyst.instruments import open_rig
     from dehyst.instruments.calibration import Plan
@@ -80,18 +82,18 @@ def calibrate(
     plan = Plan(protocol=given, **options)
     if not dry_run:
         _refuse_replacing(output)
-    with _told(output), open_rig(rig, limits=limits, slew_rate=slew) as instrument:
-        _say_less(instrument, limits, slew)
+    with _reported_errors(output), open_rig(rig, limits=limits, slew_rate=slew) as instrument:
+        _note_narrower(instrument, limits, slew)
         if dry_run:
-            _say_steps(instrument, plan, as_json)
+            _print_plan(instrument, plan, as_json)
             return
-        found = _run(instrument, output, plan)
-    _print(found, output, as_json)
-    sys.exit(0 if found.good else 1)
+        calibration = _run(instrument, output, plan)
+    _print(calibration, output, as_json)
+    sys.exit(0 if calibration.good else 1)
 
 
 def _refuse_replacing(folder: Path) -> None:
-    """Refuse a folder in which results would replace files of others."""
+    """Refuse a folder in which results would replace foreign files."""
     from dehyst._io.marks import format_of
     from dehyst.instruments.calibration.experiment import RESULTS
     from dehyst.instruments.calibration.session import FORMAT
@@ -101,7 +103,7 @@ def _refuse_replacing(folder: Path) -> None:
 
 
 def _excitation(path: Path, max_bytes: float) -> Excitation:
-    """A voltage to play from a file with a uniform time."""
+    """Read a voltage to play from a file with evenly spaced times."""
     import numpy as np
 
     from dehyst._errors import FileFormatError
@@ -114,12 +116,12 @@ def _excitation(path: Path, max_bytes: float) -> Excitation:
     time = time_of(table, voltage.size, None, None)
     steps = np.diff(time)
     if not steps.size or float(np.ptp(steps)) > 1e-3 * float(np.median(steps)):
-        raise FileFormatError(f"{path}: the times are not evenly spaced; make it with dehyst excite, or resample it")
+        raise FileFormatError(f"{path}: the times are not evenly spaced; write it with dehyst excite, or resample it")
     return Excitation(path.stem, voltage, 1 / float(np.median(steps)))
 
 
-def _say_less(rig: AbstractRig, limits: tuple[float, float] | None, slew: float | None) -> None:
-    """Say where the device allows less than was asked for."""
+def _note_narrower(rig: AbstractRig, limits: tuple[float, float] | None, slew: float | None) -> None:
+    """Print where the device allows less than was requested."""
     allowed = rig.limits
     if limits is not None and (allowed.low, allowed.high) != limits:
         note(f"{limits[0]:g} to {limits[1]:g} V was given, the device allows {allowed.words}")
@@ -127,26 +129,26 @@ def _say_less(rig: AbstractRig, limits: tuple[float, float] | None, slew: float 
         note(f"{slew:g} V/s was given, the device allows {rig.slew_rate:.6g} V/s")
 
 
-def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
+def _print_plan(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
     """Print what would be sent."""
     import numpy as np
 
     from dehyst.instruments.calibration.plan import steps
 
-    found = []
+    entries = []
     for step in steps(rig, plan):
-        told: dict[str, Any] = {"step": step.name, "what": step.words}
+        entry: dict[str, Any] = {"step": step.name, "what": step.words}
         if (voltage := step.excitation) is not None:
             rate = rig.nearest_rate(voltage.sample_rate)
             low, high = voltage.voltage_range
-            told |= {
+            entry |= {
                 "samples": len(voltage),
                 "seconds": (len(voltage) - 1) / rate,
                 "lowest_V": low,
                 "highest_V": high,
                 "steepest_V_per_s": float(np.abs(np.diff(voltage.voltage)).max()) * rate,
             }
-        found.append(told)
+        entries.append(entry)
     allowed = {
         "rig": rig.name,
         "axis": rig.axis,
@@ -155,19 +157,19 @@ def _say_steps(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
         "safe_V": rig.safe,
     }
     if as_json:
-        echo_json({**allowed, "steps": found})
+        echo_json({**allowed, "steps": entries})
         return
     echo(f"{rig.name}, axis {rig.axis}: {rig.limits.words}, at most {rig.slew_rate:.6g} V/s; nothing was sent")
-    for told in found:
+    for entry in entries:
         numbers = ""
-        if "samples" in told:
+        if "samples" in entry:
             numbers = (
-                f"{told['seconds']:8.1f} s {told['samples']:7d} samples, {told['lowest_V']:.6g} to "
-                f"{told['highest_V']:.6g} V, up to {told['steepest_V_per_s']:.4g} V/s; "
+                f"{entry['seconds']:8.1f} s {entry['samples']:7d} samples, {entry['lowest_V']:.6g} to "
+                f"{entry['highest_V']:.6g} V, up to {entry['steepest_V_per_s']:.4g} V/s; "
             )
-        echo(f"  {told['step']:12s}{numbers}{told['what']}")
-    seconds = sum(told.get("seconds", 0.0) for told in found)
-    echo(f"up to {seconds:.0f} s of playing in all, and what insight asks for besides")
+        echo(f"  {entry['step']:12s}{numbers}{entry['what']}")
+    seconds = sum(entry.get("seconds", 0.0) for entry in entries)
+    echo(f"up to {seconds:.0f} s of playing in all, and further recordings that are suggested on the way")
 
 
 def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
@@ -178,15 +180,15 @@ def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
 
     command = shlex.join(["dehyst", *sys.argv[1:]])
     with display(STEPS) as live:
-        found = run(rig, output, plan=plan, watcher=live)
+        calibration = run(rig, output, plan=plan, watcher=live)
         live.step("report")
-        write_calibration(output / REPORT, found, command=command)
-        return found
+        write_calibration(output / REPORT, calibration, command=command)
+        return calibration
 
 
 @contextmanager
-def _told(output: Path) -> Iterator[None]:
-    """Say what became of voltage and samples when an instrument or the user stops it; instead of a traceback."""
+def _reported_errors(output: Path) -> Iterator[None]:
+    """Print what happened to voltage and samples, instead of a traceback, when an instrument or the user stops it."""
     from dehyst._errors import DehystError
 
     with warnings.catch_warnings():
@@ -194,31 +196,31 @@ def _told(output: Path) -> Iterator[None]:
         try:
             yield
         except (DehystError, KeyboardInterrupt, SystemExit) as error:
-            said = str(error) if isinstance(error, DehystError) else f"stopped by {_stopper(error)}"
-            for line in (said, *getattr(error, "__notes__", ()), *_left(output, error)):
+            reason = str(error) if isinstance(error, DehystError) else f"stopped by {_stopper(error)}"
+            for line in (reason, *getattr(error, "__notes__", ()), *_left(output, error)):
                 note(line)
             sys.exit(_status(error))
 
 
 def _stopper(error: BaseException) -> str:
-    """What stopped it: Ctrl-C, or a signal by its name."""
+    """Name what stopped it: Ctrl-C, or a signal."""
     if isinstance(error, KeyboardInterrupt):
         return "Ctrl-C"
     try:
         return signal.Signals(_status(error) - 128).name
     except ValueError:
-        return "something that asked it to"
+        return "a request to exit"
 
 
 def _left(output: Path, error: BaseException) -> Iterator[str]:
-    """Where samples are, and whether the same command may go on, as sentences."""
+    """Yield where samples are, and whether the same command continues, as sentences."""
     from dehyst._errors import RigError
 
     records = output / "records"
     if any(records.glob("*.h5*")):
-        # A full disk may have room later; a folder of another instrument stays one.
-        mended = isinstance(error, RigError) or isinstance(error.__cause__, OSError)
-        again = not isinstance(error, Exception) or mended
+        # A full disk may have room later; a folder of another instrument remains one.
+        temporary = isinstance(error, RigError) or isinstance(error.__cause__, OSError)
+        again = not isinstance(error, Exception) or temporary
         yield f"what was recorded is in {records}" + ("; the same command goes on from there" if again else "")
 
 
@@ -232,26 +234,29 @@ def _status(error: BaseException) -> int:
     return 1 if isinstance(error, LinkError | DeviceError | SensorError) else 2
 
 
-def _kept(found: Calibration) -> Iterator[str]:
-    """Say what was not measured now."""
-    if found.agreement is not None:
-        yield found.agreement.words
-    if found.kept and not found.played:
-        yield f"nothing else was played: all is from records on disk, {found.since}; give another -o to measure anew"
-    elif found.kept:
+def _kept(calibration: Calibration) -> Iterator[str]:
+    """Yield what was not measured now, as sentences."""
+    if calibration.agreement is not None:
+        yield calibration.agreement.words
+    if calibration.kept and not calibration.played:
         yield (
-            f"from records on disk, {found.since}, not played again: {', '.join(found.kept)}; give another -o "
-            "to measure anew"
+            f"nothing else was played: all else is from records on disk, {calibration.since}; give another -o to "
+            "measure anew"
+        )
+    elif calibration.kept:
+        yield (
+            f"from records on disk, {calibration.since}, not played again: {', '.join(calibration.kept)}; give "
+            "another -o to measure anew"
         )
 
 
-def _print(found: Calibration, output: Path, as_json: bool) -> None:
+def _print(calibration: Calibration, output: Path, as_json: bool) -> None:
     if as_json:
-        echo_json({**found.as_dict(), "output": str(output)})
+        echo_json({**calibration.as_dict(), "output": str(output)})
         return
-    for warning in (*_kept(found), *found.warnings()):
+    for warning in (*_kept(calibration), *calibration.warnings()):
         note(warning)
-    fit = found.fit
+    fit = calibration.fit
     echo(f"{fit.outcome.value}")
     for error in fit.errors:
         echo(
@@ -259,6 +264,6 @@ def _print(found: Calibration, output: Path, as_json: bool) -> None:
             f"{error.rms_percent:6.3f} % of the stroke"
         )
     echo("Measured along a path of nine reversals, in % of the stroke:")
-    for name, one in (("nominal", found.nominal), ("compensated", found.compensated)):
-        echo(f"  {name:12s} largest {one.largest_percent:6.3f} %  RMS {one.rms_percent:6.3f} %")
+    for name, path in (("nominal", calibration.nominal), ("compensated", calibration.compensated)):
+        echo(f"  {name:12s} largest {path.largest_percent:6.3f} %  RMS {path.rms_percent:6.3f} %")
     echo(f"model.json, report.html, calibration.json and records: {output}")

@@ -1,4 +1,4 @@
-"""What every command shares: options, reading, refusing, progress and printing."""
+"""What the commands share: options, reading, refusals and the printing of results."""
 
 from __future__ import annotations
 
@@ -18,20 +18,18 @@ from dehyst.cli.terminal import echo, echo_json, guarded_streams, note, worded
 from dehyst.records.formats.file_content import MOST
 
 if TYPE_CHECKING:
-    from dehyst.model import Actuator, State
+    from dehyst.model import Actuator
     from dehyst.records import Record
     from dehyst.records.formats.columns import Table
 
 PATH = click.Path(path_type=Path)
-# Voltages farther outside of a model's limits than this part of their range have nothing to do with its records.
-_FAR = 0.1
 
 _FORCE = "dehyst.force"
 _INTERRUPTED = 130
 
 
 class Commands(click.Group):
-    """Commands whose refusals are sentences on standard error and status 2, without a traceback."""
+    """Commands that report errors as sentences on standard error, with status 2 and without a traceback."""
 
     def main(
         self,
@@ -41,7 +39,7 @@ class Commands(click.Group):
         standalone_mode: bool = True,
         **extra: Any,
     ) -> Any:
-        """Run as a program, whatever its standard streams are."""
+        """Run as a program, even with closed or full standard streams."""
         if not standalone_mode:
             return super().main(args, prog_name, complete_var, standalone_mode=False, **extra)
         with guarded_streams():
@@ -75,7 +73,7 @@ class Commands(click.Group):
 
 
 def leave_cleanly(context: click.Context) -> None:
-    """Leave on SIGTERM as on an error, so that drafts and temporary folders go; until the context ends."""
+    """End on SIGTERM as on an error, so that drafts and temporary folders are removed; until the context ends."""
 
     def leave(number: int, _: object) -> None:
         sys.exit(128 + number)
@@ -89,7 +87,7 @@ class ManyToValidate(click.Command):
     """A command whose --validate takes every name up to the next option."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Say --validate before each of its names, as click wants it."""
+        """Insert --validate before each of its names, as click requires."""
         spread: list[str] = []
         inside = False
         for word in args:
@@ -101,7 +99,7 @@ class ManyToValidate(click.Command):
 
 
 def columns_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Options that say which column of a file is what."""
+    """Add the options that name the columns of a file."""
     for name, text in (
         ("--displacement", "Column of the displacement, e.g. displacement_um."),
         ("--voltage", "Column of the voltage, e.g. drive_V."),
@@ -113,7 +111,7 @@ def columns_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def size_option(command: Callable[..., None]) -> Callable[..., None]:
-    """The option that lets large files in; its value in bytes."""
+    """Add the option that admits large files; its value is in bytes."""
     return click.option(
         "--max-size",
         "max_bytes",
@@ -122,25 +120,13 @@ def size_option(command: Callable[..., None]) -> Callable[..., None]:
         default=MOST / 1e6,
         show_default=f"{MOST / 1e6:g}",
         callback=lambda _context, _option, size: size * 1e6,
-        help="Largest file that is read, and most memory for its numbers.",
+        help="Largest file to read, and most memory for its numbers.",
     )(command)
 
 
 def json_option(command: Callable[..., None]) -> Callable[..., None]:
-    """The switch to JSON."""
+    """Add the switch to JSON."""
     return click.option("--json", "as_json", is_flag=True, help="Print JSON for a program.")(command)
-
-
-def start_option(command: Callable[..., None]) -> Callable[..., None]:
-    """The option that says in what state a model starts."""
-    return click.option(
-        "--start",
-        type=click.Choice(["top", "bottom", "relaxed", "homed"]),
-        default="top",
-        show_default=True,
-        help="State before the first sample: turned at the top or bottom of the identified range, relaxed at 0 V, or "
-        "as 'dehyst excite homing --model' leaves it without other options: another --base or --hold ends elsewhere.",
-    )(command)
 
 
 def read_records(paths: tuple[Path, ...], columns: dict[str, Any]) -> list[Record]:
@@ -151,7 +137,7 @@ def read_records(paths: tuple[Path, ...], columns: dict[str, Any]) -> list[Recor
 
 
 def force_option(command: Callable[..., None]) -> Callable[..., None]:
-    """The switch that lets outputs replace files of others; `refuse_overwriting` looks at it."""
+    """Add the switch that lets outputs replace foreign files; `refuse_overwriting` reads it."""
 
     def keep(ctx: click.Context, _: click.Parameter, value: bool) -> None:
         ctx.meta[_FORCE] = value
@@ -162,15 +148,15 @@ def force_option(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
-    """Refuse outputs that are inputs, or files of others unless there is --force, before anything is read."""
+    """Refuse outputs that are inputs or, without --force, foreign files, before anything is read."""
     from dehyst._errors import FileFormatError
 
     named = [output for output in outputs if output is not None]
     if len({os.path.realpath(output) for output in named}) < len(named):
-        raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own")
+        raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own name")
     for output in named:
         if any(_same(output, path) for path in inputs):
-            raise FileFormatError(f"{output}: is an input of this command too; give another name for the output")
+            raise FileFormatError(f"{output}: is also an input of this command; give another name for the output")
         refuse_replacing(output)
         if output.is_dir():
             raise FileFormatError(f"{output}: is a folder; give the name of a file in it")
@@ -179,27 +165,27 @@ def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
 
 
 def refuse_replacing(*outputs: Path | None) -> None:
-    """Refuse to write over files of others unless there is --force: at first, and again when all is computed."""
+    """Refuse to overwrite foreign files without --force: before the computation, and again before writing."""
     from dehyst._io.marks import demand_replaceable
 
     context = click.get_current_context()
-    # An export takes its own as an argument.
+    # `dehyst export` takes --force as an argument of its own.
     force = bool(context.meta.get(_FORCE) or context.params.get("force"))
     for output in outputs:
         if output is not None:
             demand_replaceable(output, force=force)
 
 
-def _same(one: Path, other: Path) -> bool:
-    """Whether two names are of one file."""
+def _same(first: Path, second: Path) -> bool:
+    """Return whether two names are of one file."""
     try:
-        return one.samefile(other)
+        return first.samefile(second)
     except OSError:
-        return os.path.realpath(one) == os.path.realpath(other)
+        return os.path.realpath(first) == os.path.realpath(second)
 
 
 def time_of_table(table: Table, size: int, columns: dict[str, Any]) -> dict[str, Any]:
-    """The time column, if the file has one or a rate was given."""
+    """Return the time column, if the file has one or a rate was given."""
     from dehyst.records.files import time_of
 
     if columns["time"] is None and columns["sample_rate"] is None and not table.has("time"):
@@ -208,7 +194,7 @@ def time_of_table(table: Table, size: int, columns: dict[str, Any]) -> dict[str,
 
 
 def path_of(trajectory: Path, wanted: str | None, max_bytes: float = MOST) -> tuple[Any, dict[str, Any]]:
-    """Displacement of a trajectory file and, if it has one, its time column."""
+    """Return the displacement of a trajectory file and, if it has one, its time column."""
     from dehyst._errors import FileFormatError
     from dehyst.records import read_table
 
@@ -216,13 +202,13 @@ def path_of(trajectory: Path, wanted: str | None, max_bytes: float = MOST) -> tu
     try:
         path = table.column("displacement", wanted)
     except FileFormatError as error:
-        # --displacement is the records' column here.
+        # --displacement names the column of the records here.
         raise FileFormatError(str(error).replace("displacement=", "wanted=")) from error
     return path, time_of_table(table, path.size, {"time": None, "sample_rate": None})
 
 
 def read_model(path: Path) -> Actuator:
-    """Read a model, and warn of one that was not found to be of use."""
+    """Read a model, and warn if its identification was not usable."""
     from dehyst.model import Actuator, Outcome
 
     actuator = Actuator.load(path)
@@ -230,119 +216,6 @@ def read_model(path: Path) -> Actuator:
     if isinstance(outcome, Outcome) and not outcome.good:
         note(f"{path}: when this model was identified: {outcome.value}")
     return actuator
-
-
-def start_within(actuator: Actuator, start: str, limits: tuple[float, float] | None) -> State:
-    """Return the state that the word of the option means, or the nearest that the limits let the actuator have."""
-    from dehyst.control.reachable import state_within_limits
-
-    state, allowed = start_state(actuator, start), limits or actuator.limits
-    return state if allowed is None else state_within_limits(actuator, state, allowed)
-
-
-def start_state(actuator: Actuator, start: str) -> State:
-    """Return the state that the word of the option means."""
-    knots = actuator.spring.displacement
-    if start == "relaxed":
-        return actuator.relaxed()
-    if start == "homed":
-        return _homed(actuator)
-    return actuator.turned(float(knots[-1])) if start == "top" else actuator.turned(float(knots[0]), rising=False)
-
-
-def _homed(actuator: Actuator) -> State:
-    """The state that the homing's own voltage, played as the command makes it by default, leads to."""
-    from dehyst.control import shortest_homing
-    from dehyst.waveforms import Sampling
-
-    low, high = actuator.limits or (0.0, 0.0)
-    end = min(max(0.0, low), high)
-    return shortest_homing(actuator, present=end, stiff_only=True, drive=Sampling()).state
-
-
-def came_from(actuator: Actuator, start: str, state: State | None = None) -> str:
-    """What the first sample takes for granted: the state that the word means, or the one that was made of it."""
-    voltage = f"{actuator.voltage(start_within(actuator, start, None) if state is None else state):.4g} V"
-    said = {"relaxed": f"(from rest, relaxed, at {voltage})", "homed": f"(homed, at {voltage})"}
-    return said.get(start, f"(coming from the {start}, {voltage})")
-
-
-def state_dict(state: State) -> dict[str, Any]:
-    """Return a state as JSON values."""
-    more = {"creep_m": state.creep, "motion_m_and_m_per_s": state.motion}
-    return {
-        "displacement_m": state.displacement,
-        "carts_m": state.carts.tolist(),
-        **{name: values.tolist() for name, values in more.items() if values.size},
-    }
-
-
-def lagging(displacement: Any, actuator: Actuator, time: dict[str, Any]) -> Any:
-    """The displacement as a sensor shows it, which lags by the actuator's delay."""
-    import numpy as np
-
-    from dehyst._errors import FileFormatError
-
-    if "time_s" not in time:
-        raise FileFormatError("--lag needs the time of each sample: a time column, or --sample-rate")
-    return np.interp(time["time_s"] - actuator.delay, time["time_s"], displacement)
-
-
-def before_and_after(actuator: Actuator, first: float, start: str, state: State, slew: float | None) -> list[str]:
-    """What the file cannot hold: the way from the state to its first voltage, and the lag of the stage."""
-    said = []
-    present = actuator.voltage(state)
-    if abs(first - present) > 0.01 * max(abs(value) for value in (present, *(actuator.limits or ()))):
-        within = "slowly" if slew is None else "within the slew rate"
-        said.append(
-            f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from that of the start, "
-            f"{present:.6g} V: ramp there {within} before you play the file"
-        )
-    if actuator.creep is not None and start != "homed":
-        longest = float(actuator.creep.time_constants[-1])
-        said.append(
-            f"this model creeps, and --start {start} takes it to have stood there for long, beside {longest:.3g} s; if "
-            "it has not, it will be off: make a homing (dehyst excite homing --model) and use --start homed"
-        )
-    return [*said, *late_words(actuator)]
-
-
-def late_words(actuator: Actuator) -> list[str]:
-    """What is to be said of the lag of the stage."""
-    if not actuator.delay:
-        return []
-    return [f"the displacement was measured to lag by {actuator.delay * 1e3:.4g} ms: expect it that much later"]
-
-
-def outside_words(actuator: Actuator, voltage: Any) -> tuple[int, bool, list[str]]:
-    """How many voltages [V] lie outside the identified range, whether one lies far outside, and a warning if so.
-
-    Far is more than a tenth of the range away: there the model is a straight line that nothing was measured of.
-    """
-    import numpy as np
-
-    if actuator.limits is None:
-        return 0, False, []
-    low, high = actuator.limits
-    beyond = np.maximum(low - voltage, voltage - high)
-    count = int(np.count_nonzero(beyond > 0))
-    if not count:
-        return 0, False, []
-    said = f"{count} of {voltage.size} voltages lie outside the identified range {range_words(actuator)}: extrapolated"
-    far = float(beyond.max()) > _FAR * (high - low)
-    if far:
-        said += (
-            f", and far: {float(voltage[int(np.argmax(beyond))]):.6g} V lies {float(beyond.max()):.6g} V beyond, "
-            f"more than {100 * _FAR:.0f} % of the range. Nothing was measured there: record these voltages and "
-            "identify again"
-        )
-    return count, far, [said]
-
-
-def range_words(actuator: Actuator) -> str:
-    """Write the identified range."""
-    low, high = actuator.limits or (0.0, 0.0)
-    return f"{low:.6g} to {high:.6g} V"
 
 
 def conclude(as_json: bool, result: dict[str, Any], lines: str | Iterable[str], warnings: Iterable[str]) -> None:

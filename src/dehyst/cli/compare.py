@@ -1,4 +1,4 @@
-"""`dehyst compare`: ours and every rival on the same records."""
+"""`dehyst compare`: the models of dehyst and every baseline on the same records."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dehyst.cli.terminal import echo, echo_json, progress_line
 
 if TYPE_CHECKING:
     from dehyst.baselines import ModelComparison
-    from dehyst.baselines.comparison import ModelScore
+    from dehyst.baselines.scores import ModelScore
 
 _TRUTHS = ["play", "creep", "preisach", "boucwen"]
 
@@ -40,14 +40,14 @@ _TRUTHS = ["play", "creep", "preisach", "boucwen"]
     default=0.0,
     metavar="SECONDS",
     show_default=True,
-    help="Start of each held-out record that is not counted, but may tell a model its constant.",
+    help="Lead-in of each held-out record: it does not count, but a model may take its constant from it.",
 )
 @click.option(
     "--truth",
     "truths",
     multiple=True,
     type=click.Choice([*_TRUTHS, "all"]),
-    help="Track on this virtual actuator, fitted to its own records; may be repeated.",
+    help="Track on this virtual actuator with models fitted to its own records; may be repeated.",
 )
 @click.option("--only", multiple=True, metavar="MODEL", help="This model only; may be repeated.  [default: all]")
 @click.option("-o", "--output", type=PATH, help="Write every figure here (JSON).")
@@ -66,38 +66,38 @@ def compare(
     as_json: bool,
     **columns: Any,
 ) -> None:
-    """Hold our model against every rival: fitted to RECORDs, judged on held-out ones and on virtual actuators.
+    """Compare dehyst's model with every baseline: fitted to RECORDs, scored on held-out ones and virtual actuators.
 
-    Without a RECORD, those of the first --truth are taken. Status 1 if our own model fails.
+    Without a RECORD, those of the first --truth are used. Status 1 if dehyst's own model fails.
     """
     from dehyst._io.json_files import write_json
     from dehyst.baselines import compare as run
-    from dehyst.baselines.comparison import OURS
+    from dehyst.baselines.scores import OURS
 
     refuse_overwriting([*records, *validate], output, report)
     chosen = _chosen(only)
     named = _TRUTHS if "all" in truths else list(dict.fromkeys(truths))
-    tell = progress_line()
-    tell("reading")
+    progress = progress_line()
+    progress("reading")
     training, held_out = read_records(records, columns), read_records(validate, columns)
-    found = run(training, validate=held_out, truths=named, lead=lead, models=chosen, progress=tell)
+    comparison = run(training, validate=held_out, truths=named, lead=lead, models=chosen, progress=progress)
     refuse_replacing(output, report)
     if output is not None:
-        write_json(output, {"format": "dehyst-comparison", "version": 1, **finite(found.as_dict())})
+        write_json(output, {"format": "dehyst-comparison", "version": 1, **finite(comparison.as_dict())})
     if report is not None:
         from dehyst.report import write_comparison
 
-        write_comparison(report, found, command=shlex.join(["dehyst", *sys.argv[1:]]))
-    tell("")
+        write_comparison(report, comparison, command=shlex.join(["dehyst", *sys.argv[1:]]))
+    progress("")
     if as_json:
-        echo_json(found.as_dict())
+        echo_json(comparison.as_dict())
     else:
-        print_comparison(found, output, report)
-    sys.exit(1 if any(row.said for row in found.rows if row.name == OURS) else 0)
+        print_comparison(comparison, output, report)
+    sys.exit(1 if any(row.failure for row in comparison.rows if row.name == OURS) else 0)
 
 
 def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
-    """Return the models of those names, however they are written."""
+    """Return the models of those names, in capitals or not."""
     from dehyst._errors import IdentifyError
     from dehyst.baselines.comparison import contenders
 
@@ -105,34 +105,34 @@ def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
     if not only:
         return known
     names = {name.casefold(): name for name in known}
-    for asked in only:
-        if asked.casefold() not in names:
-            raise IdentifyError(f"--only: no model '{asked}'; try {', '.join(known)}")
-    return {names[asked.casefold()]: known[names[asked.casefold()]] for asked in only}
+    for name in only:
+        if name.casefold() not in names:
+            raise IdentifyError(f"--only: no model '{name}'; try {', '.join(known)}")
+    return {names[name.casefold()]: known[names[name.casefold()]] for name in only}
 
 
-def print_comparison(found: ModelComparison, output: Path | None, report: Path | None) -> None:
+def print_comparison(comparison: ModelComparison, output: Path | None, report: Path | None) -> None:
     """Print a row for each model, then what failed."""
-    width = max(len("model"), *(len(row.name) for row in found.rows))
-    groups = ["training", "held out", "no constant", *(f"track {name}" for name in found.truths)]
+    width = max(len("model"), *(len(row.name) for row in comparison.rows))
+    groups = ["training", "held out", "no constant", *(f"track {name}" for name in comparison.truths)]
     echo(f"{'':<{width}}" + "".join(f"  {group:^15}" for group in groups) + f"{'':>9}{'ns a sample':>18}")
     echo(
         f"{'model':<{width}}" + len(groups) * f"  {'largest':>8}{'RMS':>7}" + f"{'fit, s':>9}"
         f"{'simulate':>10}{'invert':>8}{'numbers':>9}"
     )
-    for row in found.rows:
-        echo(_line(row, found.truths, width))
-    stroke = f"{found.stroke * 1e6:.4g} um"
+    for row in comparison.rows:
+        echo(_line(row, comparison.truths, width))
+    stroke = f"{comparison.stroke * 1e6:.4g} um"
     echo()
     echo(
-        f"Errors in % of the stroke, {stroke}, of the record with the largest. Training and held out: one "
-        "constant a record free."
+        f"Errors in % of the stroke, {stroke}, of the record with the largest error. Training and held out: with one "
+        "free constant for each record."
     )
-    if found.note:
-        echo(found.note)
-    for row in found.rows:
-        if row.said:
-            echo(f"{row.name}: {row.said}")
+    if comparison.note:
+        echo(comparison.note)
+    for row in comparison.rows:
+        if row.failure:
+            echo(f"{row.name}: {row.failure}")
     for name, path in (("Figures", output), ("Report", report)):
         if path is not None:
             echo(f"{name}: {path}")
@@ -144,7 +144,7 @@ def _line(row: ModelScore, truths: tuple[str, ...], width: int) -> str:
         None if training is None else (training.largest, training.rms),
         None if held_out is None else (held_out.largest, held_out.rms),
         None if held_out is None else (held_out.largest_without, held_out.rms_without),
-        *(None if (one := row.tracking.get(name)) is None else (one.largest, one.rms) for name in truths),
+        *(None if (track := row.tracking.get(name)) is None else (track.largest, track.rms) for name in truths),
     ]
     cells = "".join(f"  {'-':>8}{'-':>7}" if p is None else f"  {p[0]:>8.3f}{p[1]:>7.3f}" for p in pairs)
     last = (

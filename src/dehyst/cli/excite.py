@@ -1,4 +1,4 @@
-"""`dehyst excite KIND`: voltages that make an actuator show its loops, as files to play."""
+"""`dehyst excite KIND`: voltages that excite an actuator's loops, as files to play."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from dehyst.cli.terminal import echo, echo_json, note, worded
 if TYPE_CHECKING:
     from dehyst.waveforms import Excitation, Sampling
 
-# A negative voltage is no option.
+# A negative voltage is not an option.
 _NEGATIVE = {"ignore_unknown_options": True}
 
 
 @click.group()
 def excite() -> None:
-    """Voltage of a protocol (KIND) to play: within limits and slew rate, from the present voltage on."""
+    """Write the voltage of a protocol (KIND) to play: within limits and slew rate, from the present voltage on."""
 
 
 def _play_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Options that all kinds share."""
+    """Add the options that all kinds share."""
     for flags, options in (
         (
             ("--pace",),
@@ -33,7 +33,7 @@ def _play_options(command: Callable[..., None]) -> Callable[..., None]:
                 "type": click.Choice(["frequency", "rate"]),
                 "default": "frequency",
                 "show_default": True,
-                "help": "Every leg takes half a cycle, or only the highest one.",
+                "help": "frequency: every leg takes half a cycle; rate: only the highest leg does.",
             },
         ),
         (
@@ -42,12 +42,12 @@ def _play_options(command: Callable[..., None]) -> Callable[..., None]:
                 "type": click.Choice(["cosine", "triangle"]),
                 "default": "cosine",
                 "show_default": True,
-                "help": "Of a leg.",
+                "help": "Shape of a leg.",
             },
         ),
         (("--slew",), {"type": float, "metavar": "V/S", "help": "Largest slew rate; steeper legs take longer."}),
         (("--limits",), {"type": (float, float), "metavar": "LOW HIGH", "help": "Voltages allowed."}),
-        (("--present",), {"type": float, "metavar": "V", "help": "Voltage now: a ramp leads from it."}),
+        (("--present",), {"type": float, "metavar": "V", "help": "Present voltage: a ramp leads from it."}),
         (("--base",), {"type": float, "default": 0.0, "show_default": True, "help": "Voltage to start from."}),
         (("--sample-rate",), {"type": float, "metavar": "HZ", "help": "Samples a second.  [default: 400 a cycle]"}),
         (("--frequency",), {"type": float, "default": 0.01, "show_default": True, "help": "Cycles a second."}),
@@ -59,10 +59,10 @@ def _play_options(command: Callable[..., None]) -> Callable[..., None]:
 
 @excite.command("raised-cosine", context_settings=_NEGATIVE)
 @click.argument("peaks", nargs=-1, required=True, type=float)
-@click.option("--cycles", type=int, default=1, show_default=True, help="Of each peak.")
+@click.option("--cycles", type=int, default=1, show_default=True, help="Cycles to each peak.")
 @_play_options
 def raised_cosine(peaks: tuple[float, ...], cycles: int, **options: Any) -> None:
-    """Cycles from the base to each of the PEAKS [V] and back."""
+    """Write cycles from the base to each of the PEAKS [V] and back."""
     from dehyst.waveforms import standard
 
     _write(lambda drive: standard.raised_cosine(peaks, cycles=cycles, drive=drive), options)
@@ -74,7 +74,7 @@ def raised_cosine(peaks: tuple[float, ...], cycles: int, **options: Any) -> None
 @click.option("--majors", type=int, default=2, show_default=True, help="Cycles to the highest before them.")
 @_play_options
 def descending_tops(highest: float, steps: int, majors: int, **options: Any) -> None:
-    """Cycles to tops falling from HIGHEST [V] in equal steps: tells every stiffness that loops can tell."""
+    """Write cycles to tops falling from HIGHEST [V] in equal steps: they determine all stiffnesses that loops can."""
     from dehyst.waveforms import standard
 
     _write(lambda drive: standard.descending_tops(highest, steps=steps, majors=majors, drive=drive), options)
@@ -87,7 +87,7 @@ def descending_tops(highest: float, steps: int, majors: int, **options: Any) -> 
 @click.option("--majors", type=int, default=1, show_default=True, help="Cycles to the highest before them.")
 @_play_options
 def reversal_curves(highest: float, lowest: float | None, count: int, majors: int, **options: Any) -> None:
-    """First-order reversal curves: HIGHEST [V] down to ever lower voltages, and back up."""
+    """Write first-order reversal curves: from HIGHEST [V] down to ever lower voltages, and back up."""
     from dehyst.waveforms import standard
 
     _write(
@@ -99,11 +99,11 @@ def reversal_curves(highest: float, lowest: float | None, count: int, majors: in
 @click.argument("low", type=float)
 @click.argument("high", type=float)
 @click.option("--highest", type=float, required=True, help="Top of the major cycles [V].")
-@click.option("--cycles", type=int, default=1, show_default=True, help="Of the minor loop.")
+@click.option("--cycles", type=int, default=1, show_default=True, help="Cycles of the minor loop.")
 @click.option("--majors", type=int, default=2, show_default=True, help="Cycles to the highest before it.")
 @_play_options
 def minor_loop(low: float, high: float, highest: float, cycles: int, majors: int, **options: Any) -> None:
-    """A minor loop between LOW and HIGH [V], with its approach, after major cycles."""
+    """Write a minor loop between LOW and HIGH [V], with its approach, after major cycles."""
     from dehyst.waveforms import standard
 
     def make(drive: Sampling) -> Excitation:
@@ -114,13 +114,13 @@ def minor_loop(low: float, high: float, highest: float, cycles: int, majors: int
 
 @excite.command("staircase", context_settings=_NEGATIVE)
 @click.argument("highest", type=float)
-@click.option("--steps", type=int, default=5, show_default=True, help="Up, and as many down.")
+@click.option("--steps", type=int, default=5, show_default=True, help="Steps up, and as many down.")
 @click.option("--hold", type=float, default=60.0, show_default=True, metavar="S", help="Time at each voltage.")
 @click.option("--ramp", type=float, metavar="S", help="Time between two voltages.  [default: half a cycle in all]")
 @click.option("--back", is_flag=True, help="Each two steps followed by one back: inner loops at all levels.")
 @_play_options
 def staircase(highest: float, steps: int, hold: float, ramp: float | None, back: bool, **options: Any) -> None:
-    """Steps up to HIGHEST [V] and down again with holds: shows creep."""
+    """Write steps up to HIGHEST [V] and down again with holds: they show creep."""
     from dehyst.waveforms import standard
 
     _write(
@@ -131,22 +131,22 @@ def staircase(highest: float, steps: int, hold: float, ramp: float | None, back:
 @excite.command("homing", context_settings=_NEGATIVE)
 @click.argument("highest", type=float, required=False)
 @click.option(
-    "--model", type=PATH, help="The shortest waveform that is certified to end in a known state of this model."
+    "--model", type=PATH, help="Write the shortest waveform that is certified to end in a known state of this model."
 )
 @click.option(
     "--hold",
     type=float,
     metavar="S",
-    help="With a model that creeps: time at either limit.  [default: what is needed]",
+    help="With a model that creeps: time at either limit.  [default: as long as needed]",
 )
 @_play_options
 def homing(highest: float | None, model: Path | None, hold: float | None, **options: Any) -> None:
-    """Up to HIGHEST [V] and back; or, with --model, the shortest certified way to a known state."""
+    """Write a homing: up to HIGHEST [V] and back, or with --model the shortest certified way to a known state."""
     from dehyst._errors import ModelError
     from dehyst.waveforms import standard
 
     if (highest is None) == (model is None):
-        raise ModelError("homing: need either a highest voltage or --model, and not both")
+        raise ModelError("homing: need either a highest voltage or --model, not both")
     if model is None:
         _write(lambda drive: standard.homing(highest, drive=drive), options)
         return
@@ -176,12 +176,12 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
         echo("homing: the state is known already, nothing to play and nothing written")
         return
     if way.played is None:
-        word = "certified to end in a known state" if way.certified else "NOT certified: the state stays unknown"
-        made = standard.homing(turns=way.turns, drive=drive)
+        remark = "certified to end in a known state" if way.certified else "NOT certified: the state stays unknown"
+        excitation = standard.homing(turns=way.turns, drive=drive)
     else:
-        made, sure = way.played, "certified" if way.certified else "NOT certified"
-        word = f"{sure}: the displacement is known to {way.error * 1e6:.3g} um after it"
-    _save(made, options, word)
+        excitation, certificate = way.played, "certified" if way.certified else "NOT certified"
+        remark = f"{certificate}: the displacement is known to {way.error * 1e6:.3g} um after it"
+    _save(excitation, options, remark)
     sys.exit(0 if way.certified else 1)
 
 
@@ -205,33 +205,34 @@ def _drive(options: dict[str, Any]) -> Sampling:
     )
 
 
-def _save(made: Excitation, options: dict[str, Any], word: str) -> None:
+def _save(excitation: Excitation, options: dict[str, Any], remark: str) -> None:
     from dehyst.records import write_columns
 
     output = options["output"]
     refuse_replacing(output)
-    write_columns(output, {"time_s": made.time, "voltage_V": made.voltage})
-    for warning in made.warnings:
+    write_columns(output, {"time_s": excitation.time, "voltage_V": excitation.voltage})
+    for warning in excitation.warnings:
         note(warning)
-    low, high = made.voltage_range
+    low, high = excitation.voltage_range
     if options["as_json"]:
         echo_json(
             {
-                "kind": made.name,
-                "samples": len(made),
-                "seconds": made.duration,
-                "sample_rate_Hz": made.sample_rate,
+                "kind": excitation.name,
+                "samples": len(excitation),
+                "seconds": excitation.duration,
+                "sample_rate_Hz": excitation.sample_rate,
                 "lowest_V": low,
                 "highest_V": high,
-                "first_V": float(made.voltage[0]),
-                "last_V": float(made.voltage[-1]),
-                "turns_V": made.turns.tolist(),
-                "warnings": list(worded(made.warnings)),
+                "first_V": float(excitation.voltage[0]),
+                "last_V": float(excitation.voltage[-1]),
+                "turns_V": excitation.turns.tolist(),
+                "warnings": list(worded(excitation.warnings)),
                 "output": str(output),
             }
         )
         return
+    first, last = excitation.voltage[[0, -1]]
     echo(
-        f"{made.name}: {len(made)} samples, {made.duration:.6g} s at {made.sample_rate:.6g} Hz, {low:.6g} to "
-        f"{high:.6g} V, from {made.voltage[0]:.6g} to {made.voltage[-1]:.6g} V{f'; {word}' if word else ''}: {output}"
+        f"{excitation.name}: {len(excitation)} samples, {excitation.duration:.6g} s at {excitation.sample_rate:.6g} "
+        f"Hz, {low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V{f'; {remark}' if remark else ''}: {output}"
     )

@@ -10,14 +10,12 @@ import click
 
 from dehyst.cli.common import (
     PATH,
-    came_from,
     conclude,
     json_option,
     read_model,
     refuse_overwriting,
-    start_option,
-    start_state,
 )
+from dehyst.cli.start import start_option, start_state, start_words
 
 if TYPE_CHECKING:
     from dehyst.control import Compensator
@@ -25,9 +23,9 @@ if TYPE_CHECKING:
     from dehyst.model import Actuator, State
 
 
-# Limits that no voltage meets.
+# Limits that no voltage reaches.
 _NONE = -1e300, 1e300
-# Share of the limits' range by which a start may lie outside without a word.
+# Share of the limits' range by which a start may lie outside without a warning.
 _NEAR = 0.01
 
 
@@ -39,26 +37,26 @@ _NEAR = 0.01
     type=click.Choice(["double", "float"]),
     default="double",
     show_default=True,
-    help="double: the same bits as Python. float: for a processor that has no more.",
+    help="double: the same bits as Python. float: for a processor without doubles.",
 )
 @click.option(
     "--limits", type=(float, float), metavar="LOW HIGH", help="Voltages allowed.  [default: those of the records]"
 )
 @click.option("--slew", type=float, metavar="V/S", help="Largest slew rate; needs --period.")
-@click.option("--period", type=float, metavar="S", help="Seconds between steps; a model with time in it needs them.")
-@click.option("--preview", is_flag=True, help="Make up for delay and inertia; displacements are then given ahead.")
+@click.option("--period", type=float, metavar="S", help="Seconds between steps; a model that depends on time needs it.")
+@click.option("--preview", is_flag=True, help="Compensate delay and inertia too; displacements are then given ahead.")
 @click.option(
     "--name",
     metavar="NAME",
-    help="Of files, type and calls, so that several models go into one firmware.  [default: piezo]",
+    help="Name of files, type and calls, so that several models fit into one firmware.  [default: piezo]",
 )
 @click.option(
     "--measure/--no-measure",
     default=True,
-    help="Compile it to tell its bytes and the error of floats, which takes seconds.  [default: measure]",
+    help="Compile it and report its size and the error of floats; takes seconds.  [default: measure]",
 )
 @click.option(
-    "--force", is_flag=True, help="Replace an earlier export, or a file where an FMU goes that dehyst did not write."
+    "--force", is_flag=True, help="Replace an earlier export or, for an FMU, a file that dehyst did not write."
 )
 @click.option(
     "--fmu",
@@ -98,7 +96,7 @@ def export(
     from dehyst.exports import export as run
 
     if fmu is None and directory.suffix == ".fmu":
-        raise click.UsageError(f"{directory}: an FMU? give --fmu; a folder's name cannot end in .fmu")
+        raise click.UsageError(f"{directory}: got a name that ends in .fmu without --fmu; give --fmu or another folder")
     _demand_of_fmu(fmu, kind, number, name, measure, limited=limits is not None or slew is not None or preview)
     actuator = read_model(model)
     state = start_state(actuator, start)
@@ -107,17 +105,23 @@ def export(
     )
     if fmu is not None:
         refuse_overwriting([model], directory)
-        result, line, said = _write_fmu(compensator, state, directory, fmu, kind or "compensator", force)
-        conclude(as_json, result, [line, _begin_words(compensator, actuator, start, kind)], said)
+        result, line, remarks = _write_fmu(compensator, state, directory, fmu, kind or "compensator", force)
+        conclude(as_json, result, [line, _begin_words(compensator, actuator, start, kind)], remarks)
         return
     named = {} if name is None else {"name": name}
-    made = run(compensator, directory, number, force=force, measure=measure, **named)
-    said = _start_words(compensator, state)
-    if measure and made.unmeasured is not None:
-        said.append(f"bytes and errors were not measured on this computer: {made.unmeasured}")
-    result = {"directory": str(directory), "number": number, "warnings": said, **_begins(compensator), **_numbers(made)}
+    exported = run(compensator, directory, number, force=force, measure=measure, **named)
+    remarks = _limit_warnings(compensator, state)
+    if measure and exported.unmeasured is not None:
+        remarks.append(f"bytes and errors were not measured on this computer: {exported.unmeasured}")
+    result = {
+        "directory": str(directory),
+        "number": number,
+        "warnings": remarks,
+        **_begins(compensator),
+        **_numbers(exported),
+    }
     begin = _begin_words(compensator, actuator, start)
-    conclude(as_json, result, [f"{directory}: a compensator of {number}s", begin, *_table(made)], said)
+    conclude(as_json, result, [f"{directory}: a compensator of {number}s", begin, *_table(exported)], remarks)
 
 
 def _demand_of_fmu(
@@ -125,84 +129,84 @@ def _demand_of_fmu(
 ) -> None:
     """Refuse options that do not go together."""
     if fmu is None and kind is not None:
-        raise click.UsageError("--kind is of an FMU: give --fmu too")
+        raise click.UsageError("--kind applies to an FMU: give --fmu too")
     if fmu is not None and (name is not None or not measure):
-        raise click.UsageError("--name and --no-measure are of C: an FMU has its model's name; leave them out")
+        raise click.UsageError("--name and --no-measure apply to C: an FMU has its model's name; leave them out")
     if fmu is not None and number != "double":
         raise click.UsageError("--number float: an FMU has doubles; leave it out")
     if kind == "actuator" and limited:
         raise click.UsageError(
-            "--kind actuator has no limits and looks not ahead: leave out --limits, --slew, --preview"
+            "--kind actuator has neither limits nor a preview: leave out --limits, --slew, --preview"
         )
 
 
 def _write_fmu(
     compensator: Compensator, state: State, path: Path, version: Any, kind: Any, force: bool
 ) -> tuple[dict[str, Any], str, list[str]]:
-    """What is to be told of it: as JSON, in a line, and in words of warning."""
+    """Write an FMU; return its result as JSON values, as a line, and warnings."""
     from dehyst.exports import SourceOnlyWarning, export_fmu
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)
         export_fmu(compensator, path, version, kind, force=force)
-    said = [str(one.message) for one in caught if issubclass(one.category, SourceOnlyWarning)]
-    result = {"fmu": str(path), "version": version, "kind": kind, "binary": not said, **_begins(compensator)}
-    said += _start_words(compensator, state) if kind == "compensator" else []
-    holds = "sources and a binary for Linux x86-64" if result["binary"] else "sources"
-    return {**result, "warnings": said}, f"{path}: an FMU {version} of the {kind}, {holds}", said
+    remarks = [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
+    result = {"fmu": str(path), "version": version, "kind": kind, "binary": not remarks, **_begins(compensator)}
+    remarks += _limit_warnings(compensator, state) if kind == "compensator" else []
+    content = "sources and a binary for Linux x86-64" if result["binary"] else "sources"
+    return {**result, "warnings": remarks}, f"{path}: an FMU {version} of the {kind}, {content}", remarks
 
 
-def _start_words(compensator: Compensator, state: State) -> list[str]:
-    """A state that is clearly not within the limits."""
+def _limit_warnings(compensator: Compensator, state: State) -> list[str]:
+    """Warn of a start state clearly outside the limits."""
     (low, high), present = compensator.limits, compensator.actuator.voltage(state)
     if low - _NEAR * (high - low) <= present <= high + _NEAR * (high - low):
         return []
     return [
-        f"the state that it starts in is held by {present:.6g} V, outside the limits {low:.6g} to {high:.6g} V: memory "
-        "begins at the nearest limit; choose another state with --start"
+        f"the start state needs {present:.6g} V, outside the limits {low:.6g} to {high:.6g} V: memory begins at the "
+        "nearest limit; choose another state with --start"
     ]
 
 
 def _begins(compensator: Compensator) -> dict[str, Any]:
     from dehyst.exports.start import ExportedStart
 
-    outset = ExportedStart.of(compensator)
-    return {"begins": {"displacement_m": outset.displacement, "voltage_V": outset.voltage, "way": outset.way}}
+    begin = ExportedStart.of(compensator)
+    return {"begins": {"displacement_m": begin.displacement, "voltage_V": begin.voltage, "way": begin.way}}
 
 
 def _begin_words(compensator: Compensator, actuator: Actuator, start: str, kind: str | None = None) -> str:
     from dehyst.exports.start import ExportedStart
 
-    outset = ExportedStart.of(compensator)
-    said = f"memory begins at {outset.words} {came_from(actuator, start, compensator.state)}"
-    return said if kind == "actuator" else f"{said}; to bring the actuator there, {outset.way}"
+    begin = ExportedStart.of(compensator)
+    sentence = f"memory begins at {begin.words} {start_words(actuator, start, compensator.state)}"
+    return sentence if kind == "actuator" else f"{sentence}; to bring the actuator there, {begin.way}"
 
 
-def _numbers(made: Exported) -> dict[str, Any]:
-    operations = made.operations
+def _numbers(exported: Exported) -> dict[str, Any]:
+    operations = exported.operations
     return {
-        "bytes": {name: one._asdict() for name, one in made.footprints.items()},
+        "bytes": {name: footprint._asdict() for name, footprint in exported.footprints.items()},
         "operations": {
             "arithmetic": operations.arithmetic,
             "divisions": operations.divisions,
             "comparisons": operations.comparisons,
         },
-        "error_of_range": made.error,
-        "unmeasured": made.unmeasured,
+        "error_of_range": exported.error,
+        "unmeasured": exported.unmeasured,
     }
 
 
-def _table(made: Exported) -> list[str]:
-    worst = made.operations
-    rows = [f"{'bytes':<40}{'flash':>8}{'RAM':>8}{'stack':>8}"] if made.footprints else []
+def _table(exported: Exported) -> list[str]:
+    worst = exported.operations
+    rows = [f"{'bytes':<40}{'flash':>8}{'RAM':>8}{'stack':>8}"] if exported.footprints else []
     rows += [
-        f"{name:<40}{one.flash:>8}{one.ram:>8}{'-' if one.stack is None else one.stack:>8}"
-        for name, one in made.footprints.items()
+        f"{name:<40}{size.flash:>8}{size.ram:>8}{'-' if size.stack is None else size.stack:>8}"
+        for name, size in exported.footprints.items()
     ]
     rows.append(
         f"a step: at most {worst.arithmetic} additions, subtractions and multiplications, {worst.divisions} divisions, "
         f"{worst.comparisons} comparisons"
     )
-    if made.error is not None:
-        rows.append(f"floats: errors up to {made.error:.1e} of the range")
+    if exported.error is not None:
+        rows.append(f"floats: errors up to {exported.error:.1e} of the range")
     return rows

@@ -1,4 +1,4 @@
-"""How a calibration goes on, for who watches: on a terminal a picture that moves, else a line where a step turns."""
+"""The progress of a calibration: on a terminal a picture that moves, elsewhere a line when a step begins or ends."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from dehyst.records.recording import SampleBlock
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-Fate = Literal["waits", "runs", "done", "failed"]
+Status = Literal["waits", "runs", "done", "failed"]
 
-# Marks, for terminals that know no others too, and styles.
-_MARKS: dict[Fate, tuple[str, str, str]] = {
+# Marks, their ASCII form and their styles.
+_MARKS: dict[Status, tuple[str, str, str]] = {
     "waits": ("·", ".", "dim"),
     "runs": ("▶", ">", "bold"),
     "done": ("✓", "x", "green"),
@@ -31,11 +31,11 @@ _MARKS: dict[Fate, tuple[str, str, str]] = {
 
 @dataclass
 class ShownStep:
-    """One step: what became of it, how long it plays [s], when it began and what it took [s of the host]."""
+    """One step: its status, how long it plays [s], when it began and how long it took [s of the host]."""
 
     name: str
     seconds: float = 0.0
-    fate: Fate = "waits"
+    status: Status = "waits"
     began: float = 0.0
     took: float = 0.0
     samples: int = 0
@@ -46,81 +46,81 @@ class ShownStep:
 
     @property
     def share(self) -> float | None:
-        """How much of what it plays has been played, 0 to 1, by the device's clock; None if nobody knows."""
+        """Played share of the step, 0 to 1, by the device's clock; None if it is not known."""
         if not self.seconds or not self.samples:
             return None
         return min(1.0, self.played / self.seconds)
 
     def left(self, now: float) -> float | None:
-        """Seconds of the host until it has been played; a device's clock may run faster."""
+        """Return the seconds of the host until the end of the step; a device's clock may run faster."""
         if not self.seconds:
             return None
         return self.seconds if not self.share else (now - self.began) * (1 - self.share) / self.share
 
 
 class Display(Protocol):
-    """Where it is shown."""
+    """A form of the display."""
 
     def begin(self, live: Live, step: ShownStep) -> None:
-        """A step begins."""
+        """Show that a step begins."""
 
     def end(self, live: Live, step: ShownStep) -> None:
-        """It ended."""
+        """Show that a step ended."""
 
     def close(self) -> None:
-        """Nothing more comes."""
+        """End the display."""
 
 
 class Live:
-    """What is known of a calibration while it runs; made by `display`.
+    """The state of a running calibration; made by `display`.
 
-    Its `steps`, the `count` of samples that came, the last `voltage` [V] and `displacement` [m], and in `words` what
-    the step does now.
+    Its `steps`, the `count` of received samples, the last `voltage` [V] and `displacement` [m], and the `message` of
+    the present step.
     """
 
-    def __init__(self, names: Sequence[str], face: Callable[[Live], Display], clock: Callable[[], float]) -> None:
+    def __init__(self, names: Sequence[str], form: Callable[[Live], Display], clock: Callable[[], float]) -> None:
         self.steps = [ShownStep(name) for name in names]
-        self.count, self.words = 0, ""
+        self.count, self.text = 0, ""
         self.voltage: float | None = None
         self.displacement: float | None = None
         self._low, self._high = np.inf, -np.inf
         self._present: ShownStep | None = None
         self.clock = clock
-        self._face = face(self)
+        self._display = form(self)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         self._end("done" if error is None else "failed")
-        self._face.close()
+        self._display.close()
 
     @property
     def present(self) -> ShownStep | None:
-        """The step that runs."""
+        """The running step."""
         return self._present
 
     def step(self, name: str, seconds: float = 0.0) -> None:
-        """Begin a step, and so end the one before; it plays for so long [s], 0 if it computes."""
+        """End the present step and begin another; it plays for `seconds` [s], 0 if it computes."""
         self._end("done")
-        waiting = next((step for step in self.steps if step.fate == "waits" and step.name == name), None)
+        waiting = next((step for step in self.steps if step.status == "waits" and step.name == name), None)
         if waiting is None:
             waiting = ShownStep(name)
-            self.steps.insert(sum(step.fate != "waits" for step in self.steps), waiting)
-        waiting.seconds, waiting.fate, waiting.began = float(seconds), "runs", self.clock()
-        self._present, self.words = waiting, ""
-        self._face.begin(self, waiting)
+            self.steps.insert(sum(step.status != "waits" for step in self.steps), waiting)
+        waiting.seconds, waiting.status, waiting.began = float(seconds), "runs", self.clock()
+        self._present, self.text = waiting, ""
+        self._display.begin(self, waiting)
 
     def samples(self, samples: SampleBlock, expected: ArrayLike | None = None, stroke: float | None = None) -> None:
-        """Show samples that came.
+        """Show received samples.
 
         Parameters
         ----------
         samples : SampleBlock
         expected : (n,) array_like, optional
-            The displacement wanted of each [m]; NaN where none is.
+            Wanted displacement of each sample [m]; NaN where there is none.
         stroke : float, optional
-            What errors refer to [m]; by default as far as the displacement went until now.
+            Stroke to which errors refer [m]; default: the range of the displacement until now.
         """
         t, v, y = (
             np.asarray(column, dtype=np.float64) for column in (samples.time, samples.voltage, samples.displacement)
@@ -146,12 +146,12 @@ class Live:
 
     def message(self, text: str) -> None:
         """Show what the step does now."""
-        self.words = text
+        self.text = text
 
-    def _end(self, fate: Fate) -> None:
+    def _end(self, status: Status) -> None:
         if (step := self._present) is not None:
-            step.fate, step.took, self._present = fate, self.clock() - step.began, None
-            self._face.end(self, step)
+            step.status, step.took, self._present = status, self.clock() - step.began, None
+            self._display.end(self, step)
 
 
 def display(
@@ -161,7 +161,7 @@ def display(
     stream: TextIO | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Live:
-    """Show how a calibration goes on, on standard error.
+    """Show the progress of a calibration on standard error.
 
     ::
 
@@ -172,19 +172,19 @@ def display(
     Parameters
     ----------
     steps : sequence of str, optional
-        Names of steps that are known to come.
+        Names of the planned steps.
     console : rich.console.Console, optional
-        Where to draw.
+        Console for the picture.
     stream : text file, optional
-        Where to write lines; default standard error, by which is also found whether it is a terminal.
+        Stream for lines; default: standard error. The picture is drawn only if it is a terminal.
     clock : callable, optional
         Seconds of the host.
 
     Returns
     -------
     Live
-        To be used in a with-statement. Without a terminal, or without the package rich, it writes one line where a step
-        begins and one where it ends.
+        For a with-statement. Without a terminal, or without the package rich, it writes one line when a step begins
+        and one when it ends.
     """
     stream = sys.stderr if stream is None else stream
     if console is None and stream.isatty():
@@ -204,7 +204,7 @@ def _console(stream: TextIO) -> Console | None:
 
 
 class _Lines:
-    """One line where a step begins, one where it ends."""
+    """One line when a step begins, one when it ends."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -213,19 +213,19 @@ class _Lines:
         self._write(f"{step.name}: begins" + (f", {_duration(step.seconds)}" if step.seconds else ""))
 
     def end(self, live: Live, step: ShownStep) -> None:
-        self._write(f"{step.name}: {step.fate} {'in' if step.fate == 'done' else 'after'} {summary(step)}")
+        self._write(f"{step.name}: {step.status} {'in' if step.status == 'done' else 'after'} {summary(step)}")
 
     def close(self) -> None:
         pass
 
     def _write(self, line: str) -> None:
-        # Whoever read this may be gone.
+        # The reader may be gone.
         with suppress(OSError):
             print(f"dehyst: {escaped(line)}", file=self._stream, flush=True)
 
 
 class _Picture:
-    """All steps, a bar and the present numbers, drawn anew some times a second."""
+    """All steps, a bar and the present numbers, redrawn eight times a second."""
 
     def __init__(self, live: Live, console: Console) -> None:
         from rich.live import Live as Screen
@@ -245,7 +245,7 @@ class _Picture:
 
 
 def picture(live: Live, *, plain: bool = False) -> RenderableType:
-    """All that is known, drawn by rich; `plain` in ASCII."""
+    """Return the picture for rich; `plain` in ASCII."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
@@ -255,19 +255,19 @@ def picture(live: Live, *, plain: bool = False) -> RenderableType:
     rows.add_column(no_wrap=True)
     rows.add_column(no_wrap=True, overflow="ellipsis")
     for step in live.steps:
-        mark, letter, style = _MARKS[step.fate]
-        told = summary(step) if step.fate in ("done", "failed") else _going(live, step)
+        mark, letter, style = _MARKS[step.status]
+        text = summary(step) if step.status in ("done", "failed") else _progress(live, step)
         rows.add_row(
             Text(letter if plain else mark, style),
-            Text(escaped(step.name), "" if step.fate == "done" else style),
-            Text(escaped(told)),
+            Text(escaped(step.name), "" if step.status == "done" else style),
+            Text(escaped(text)),
         )
     lines = [Text(f"  {line}", no_wrap=True, overflow="ellipsis") for line in _numbers(live)]
     return Group(rows, *_bars(live), *lines)
 
 
 def _bars(live: Live) -> Iterator[RenderableType]:
-    """A bar for the step that plays, if one does."""
+    """Yield a bar for the step that plays, if there is one."""
     from rich.padding import Padding
     from rich.progress_bar import ProgressBar
 
@@ -277,34 +277,34 @@ def _bars(live: Live) -> Iterator[RenderableType]:
         yield Padding(bar, (0, 0, 0, 2))
 
 
-def _going(live: Live, step: ShownStep) -> str:
-    if step.fate != "runs":
+def _progress(live: Live, step: ShownStep) -> str:
+    if step.status != "runs":
         return ""
     now = live.clock()
     left = step.left(now)
     if left is None:
-        return f"{live.words or 'computing'}, {_duration(now - step.began)}"
-    return f"{100 * (step.share or 0.0):.0f} %, {_duration(left)} left" + (f", {live.words}" if live.words else "")
+        return f"{live.text or 'computing'}, {_duration(now - step.began)}"
+    return f"{100 * (step.share or 0.0):.0f} %, {_duration(left)} left" + (f", {live.text}" if live.text else "")
 
 
 def _numbers(live: Live) -> Iterator[str]:
-    """Samples, voltage and displacement, and the error, a line each."""
+    """Yield a line of samples, voltage and displacement, and a line of the error."""
     if live.voltage is None or live.displacement is None:
         return
     yield f"{_grouped(live.count)} samples on disk   {live.voltage:8.3f} V   {1e6 * live.displacement:9.4f} um"
     step = live.present
     if step is not None and step.error is not None and step.largest is not None:
-        yield f"off the path by {step.error:.3f} % of the stroke now, {step.largest:.3f} % at most"
+        yield f"off the path by {step.error:.3f} % of the stroke now, at most {step.largest:.3f} %"
 
 
 def summary(step: ShownStep) -> str:
-    """What a step that ended took."""
-    told = [_duration(step.took)]
+    """Return what an ended step took, as words."""
+    parts = [_duration(step.took)]
     if step.samples:
-        told.append(f"{_grouped(step.samples)} samples")
+        parts.append(f"{_grouped(step.samples)} samples")
     if step.largest is not None:
-        told.append(f"off the path by {step.largest:.3f} % of the stroke at most")
-    return ", ".join(told)
+        parts.append(f"off the path by at most {step.largest:.3f} % of the stroke")
+    return ", ".join(parts)
 
 
 def _grouped(count: int) -> str:

@@ -1,4 +1,4 @@
-"""What commands print: a fit, what records tell, the paper's experiment."""
+"""Printed results: a fit, an assessment of a model, the experiment of the paper."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SHOWN = 5
 
 
 def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
-    """Print what an identification found."""
+    """Print the result of an identification."""
     echo(fit.outcome.value)
     if fit.errors:
         names = [escaped(error.record) for error in fit.errors]
@@ -39,13 +39,13 @@ def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
 
         echo()
         echo("Structures tried, RMS error of cycles held out in turn:")
-        made = fit.options.get("structure")
-        for trial in sorted(fit.trials, key=lambda one: one.held_out)[:_SHOWN]:
-            chosen = " (chosen)" if trial.structure.as_dict() == made else ""
+        structure = fit.options.get("structure")
+        for trial in sorted(fit.trials, key=lambda trial: trial.held_out)[:_SHOWN]:
+            chosen = " (chosen)" if trial.structure.as_dict() == structure else ""
             echo(f"  {trial.held_out * 1e9:>7.1f} nm  {label(trial.structure, fit.trials)}{chosen}")
-        echo("  (A part has to lower it by 3 % at least.)")
+        echo("  (A part is kept only if it lowers this error by at least 3 %.)")
     _print_parts(fit.actuator)
-    for title, sentences in (("Repaired or left out", fit.repairs), ("To know", fit.remarks)):
+    for title, sentences in (("Repaired or left out", fit.repairs), ("Remarks", fit.remarks)):
         if sentences:
             echo()
             echo(f"{title}:")
@@ -59,7 +59,7 @@ def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
 
 
 def _print_parts(actuator: Any) -> None:
-    """What a wider actuator is made of."""
+    """Print the parts of a wider actuator."""
     from dehyst.model import Actuator
     from dehyst.model.summary import parts_of
 
@@ -71,22 +71,22 @@ def _print_parts(actuator: Any) -> None:
 
 
 def print_insight(found: Insight, output: Path | None, report: Path | None) -> None:
-    """Print what records tell, in the order in which it matters."""
+    """Print an assessment of a model, in the order in which it matters."""
     for warning in worded(found.warnings()):
-        echo(f"BEWARE: {warning}")
+        echo(f"WARNING: {warning}")
         echo()
-    missed = 100 * found.misfit / found.evidence.stroke
-    echo(f"The model misses these records by {missed:.3g} % of their range at most.")
+    misfit = 100 * found.misfit / found.evidence.stroke
+    echo(f"The largest error of the model on these records is {misfit:.3g} % of their range.")
     if found.structured:
-        _print_told(found)
+        _print_parts_known(found)
     else:
         _print_directions(found)
     echo()
-    echo("State, if nothing is known before:")
+    echo("When the state becomes known, if nothing is known before:")
     for known in found.knowledge:
-        seen, played = (_moment(t) for t in (known.by_displacement, known.by_voltage))
+        measured, played = (_moment(t) for t in (known.by_displacement, known.by_voltage))
         echo(
-            f"  - {known.record}: known {seen} to one who sees the displacement, "
+            f"  - {known.record}: {measured} from the measured displacement, "
             f"{played if known.judged else 'not judged'} from the voltage alone"
         )
     _print_homing(found)
@@ -96,37 +96,40 @@ def print_insight(found: Insight, output: Path | None, report: Path | None) -> N
 
 
 def _print_directions(found: Insight) -> None:
-    told = found.identifiability
-    echo(f"Known of the stiffnesses: {told.determined} of {told.of} directions")
-    for sentence in _first_few(told.sentences()):
+    identifiability = found.identifiability
+    echo(f"Known of the stiffnesses: {identifiability.determined} of {identifiability.of} directions")
+    for sentence in _first_few(identifiability.sentences()):
         echo(f"  - {sentence}")
-    values = " ".join(f"{value:.2g}" for value in told.values)
-    echo(f"  singular values, V a volt of breakaway voltage: {values}")
+    values = " ".join(f"{value:.2g}" for value in identifiability.values)
+    echo(f"  singular values, V for each volt of breakaway voltage: {values}")
     _print_stiffnesses(found)
     _print_band(found)
     if found.advice:
         echo()
         echo("To record next, best first:")
-        for one in found.advice[:3]:
-            echo(f"  - {one.words}: {one.determined} of {one.of} in {one.seconds:.4g} s")
-            echo(f"      {one.command}")
-    elif told.determined == told.of:
+        for excitation in found.advice[:3]:
+            echo(f"  - {excitation.words}: {excitation.determined} of {excitation.of} in {excitation.seconds:.4g} s")
+            echo(f"      {excitation.command}")
+    elif identifiability.determined == identifiability.of:
         echo()
-        echo("To record next: nothing; no loop tells more directions.")
+        echo("To record next: nothing; no loop determines more directions.")
 
 
-def _print_told(found: Insight) -> None:
-    """What records tell of each part of a wider model, and how sharp its numbers are."""
+def _print_parts_known(found: Insight) -> None:
+    """Print what records determine of each part of a wider model, and how accurate its numbers are."""
     from dehyst.uncertainty.part_identifiability import SHARP
 
-    probed = found.identifiability
-    echo(f"Their turning points tell {probed.determined} of {probed.of} directions of plain elements.")
-    echo(f"Known of each part, all else being free, to {100 * SHARP:g} % of the voltages:")
-    for one in found.parts:
-        echo(f"  - {one.sentence}")
+    identifiability = found.identifiability
+    echo(
+        f"Their turning points determine {identifiability.determined} of {identifiability.of} directions of plain "
+        "elements."
+    )
+    echo(f"Known of each part, with all other parts free, to {100 * SHARP:g} % of the voltages:")
+    for part in found.parts:
+        echo(f"  - {part.sentence}")
     if found.intervals is not None:
         echo()
-        echo(f"How far things may be off by noise ({100 * found.intervals.level:.0f} % intervals):")
+        echo(f"Uncertainty due to noise ({100 * found.intervals.level:.0f} % intervals):")
         if found.loop is not None:
             off = found.loop.off
             share = 100 * off / found.evidence.stroke
@@ -134,7 +137,7 @@ def _print_told(found: Insight) -> None:
         for name, (model, noise) in found.numbers().items():
             if noise is not None and abs(model).max(initial=0.0) > 0:
                 width = 0.5 * (noise[1] - noise[0]).mean() / abs(model).max()
-                echo(f"  - {name.split('_')[0]:<33}{100 * width:8.2g} % of its largest number, in the mean")
+                echo(f"  - {name.split('_')[0]:<33}{100 * width:8.2g} % of its largest number, on average")
     _print_band(found)
     echo()
     echo(found.not_judged)
@@ -144,12 +147,12 @@ def _print_homing(found: Insight) -> None:
     if found.homing is None:
         return
     turns = ", ".join(f"{v:.6g}" for v in found.homing.turns)
-    word = "certified" if found.homing.certified else "NOT certified"
+    verdict = "certified" if found.homing.certified else "NOT certified"
     if found.homing.played is None:
-        echo(f"  - shortest homing: {turns} V ({word}: from any state to within {found.homing.width * 1e6:.1g} um)")
+        echo(f"  - shortest homing: {turns} V ({verdict}: from any state to within {found.homing.width * 1e6:.1g} um)")
     else:
         echo(
-            f"  - homing: {turns} V in {found.homing.played.duration:.4g} s ({word}: the displacement is known to "
+            f"  - homing: {turns} V in {found.homing.played.duration:.4g} s ({verdict}: the displacement is known to "
             f"{found.homing.error * 1e6:.3g} um after it)"
         )
     for remark in worded(found.homing.remarks):
@@ -169,19 +172,19 @@ def _print_stiffnesses(found: Insight) -> None:
         return
     slip, level = found.actuator.slip, 100 * found.intervals.level
     echo()
-    echo(f"  i  breakaway  stiffness   {level:.0f} % by noise          what the records do not contradict")
+    echo(f"  i  breakaway  stiffness   {level:.0f} % by noise          compatible with the records")
     echo("            um       V/um           V/um                 V/um")
     alone, movable = found.identifiability.alone, found.identifiability.movable
     for i, (rho, kappa) in enumerate(zip(slip.breakaway * 1e6, slip.stiffness * 1e-6, strict=True)):
         if not movable[i]:
-            echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   never slides: one with the spring")
+            echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   never slides: part of the spring")
             continue
         noise = _ends(found.intervals.stiffness[:, i]) if alone[i] else "open"
         free = _ends(found.feasible_set.stiffness[:, i])
         echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   {noise:<22}{free}")
-    echo("By noise: what noise biased is taken off, so that an interval need not hold the model's own value.")
+    echo("By noise: the bias due to noise is removed, so an interval may not contain the model's own value.")
     if not alone[movable].all():
-        echo("Open: by itself not told by these records, whatever their noise; the last column says how far.")
+        echo("Open: these records do not determine it by itself, whatever their noise; see the last column.")
 
 
 def _ends(pair: Any) -> str:
@@ -195,19 +198,19 @@ def _print_band(found: Insight) -> None:
 
     stroke = found.evidence.stroke
     echo()
-    echo("Error to be expected on the trajectory, largest, in % of the range:")
+    echo("Largest error to expect on the trajectory, in % of the range:")
     for name, error in found.band.errors().items():
         if error or name != "clamped":
             echo(f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm")
 
 
 def print_paper(found: Paper, output: Path) -> None:
-    """Print the paper's numbers beside ours, for the virtual actuator and for one whose loop has a symmetric width."""
+    """Print the paper's numbers beside those of this package, for both virtual actuators."""
     from dehyst.studies.paper.tables import summary
 
     titles = {
         "asymmetric": "Virtual E-280.10",
-        "symmetric": "The same without its asymmetric map: what is left is the method's, not the model class's",
+        "symmetric": "The same without its asymmetric map: the errors are those of the method, not of the model class",
     }
     for key, experiment in found.experiments.items():
         echo(f"{titles[key]} (errors against the truth)")
@@ -217,11 +220,11 @@ def print_paper(found: Paper, output: Path) -> None:
             cells = [row.models.get(name) for name in ("breakpoints", "record", "record_tops", "goldfarb")]
             if row.actuator is not None:
                 cells = [row.actuator, None, None, None] if not row.models else cells
-            written = [("" if value is None else f"{value:.3f}") for value in (row.paper, *cells)]
+            cells_written = [("" if value is None else f"{value:.3f}") for value in (row.paper, *cells)]
             unit = "um" if row.unit == "µm" else row.unit
             echo(
                 f"  {row.words + ', ' + unit:<42}"
-                + "".join(f"{text:>{width}}" for text, width in zip(written, (9, 12, 13, 12, 12), strict=True))
+                + "".join(f"{text:>{width}}" for text, width in zip(cells_written, (9, 12, 13, 12, 12), strict=True))
             )
         echo()
     echo(f"Written to {output}/: open index.html")

@@ -1,4 +1,4 @@
-"""`dehyst rig`: emulated instruments, to rehearse on before there is a real one."""
+"""`dehyst rig`: emulated instruments for rehearsals without a real one."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 
 class Finite(click.FloatRange):
-    """A range of numbers that NaN and infinity are not in."""
+    """A range of numbers without NaN and infinity."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Refuse what is not finite."""
-        found = float(super().convert(value, param, ctx))
-        if not math.isfinite(found):
-            self.fail(f"{value} is no finite number", param, ctx)
-        return found
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
 
 
 @click.group()
 def rig() -> None:
-    """Instruments: serve an emulated one."""
+    """Serve an emulated instrument."""
 
 
 @rig.command()
@@ -41,7 +41,7 @@ def rig() -> None:
     default="play",
     show_default=True,
     metavar="play|creep|preisach|boucwen|MODEL.json",
-    help="What is driven: a virtual actuator that no model is an instance of, or a model file.",
+    help="Actuator to drive: a virtual one that is not an instance of any model, or a model file.",
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Interface to listen on; 0.0.0.0 is all.")
 @click.option("--port", type=click.IntRange(0, 65535), default=50000, show_default=True, help="0: any that is free.")
@@ -53,10 +53,13 @@ def rig() -> None:
     default=1.0,
     show_default=True,
     metavar="X",
-    help="Seconds of the instrument in each second.",
+    help="Seconds of the instrument for each second of the clock.",
 )
 @click.option(
-    "--noise", type=Finite(min=0, max=1e6), metavar="NM", help="Of the sensor.  [default: the actuator's, 2 nm]"
+    "--noise",
+    type=Finite(min=0, max=1e6),
+    metavar="NM",
+    help="Noise of the sensor.  [default: the actuator's, 2 nm]",
 )
 @click.option(
     "--wave-points",
@@ -64,7 +67,7 @@ def rig() -> None:
     default=65536,
     show_default=True,
     metavar="N",
-    help="Samples that wave generator and recorder take.",
+    help="Samples that wave generator and recorder hold.",
 )
 @click.option(
     "--fault",
@@ -74,8 +77,8 @@ def rig() -> None:
     help="A fault to rehearse, after so many samples of a wave (drop@2000) or seconds (unplug@3.5s), or in the middle "
     "of the first wave: drop, silence, garble, truncate, error, narrow, saturate, unplug, refuse, stall.",
 )
-@click.option("--seconds", type=Finite(min=0), metavar="S", help="End by itself.  [default: Ctrl-C]")
-@click.option("--epics", metavar="PREFIX", help="Serve the same instrument by EPICS Channel Access too.")
+@click.option("--seconds", type=Finite(min=0), metavar="S", help="Stop after this time.  [default: at Ctrl-C]")
+@click.option("--epics", metavar="PREFIX", help="Also serve the same instrument by EPICS Channel Access.")
 def serve(
     actuator: str,
     host: str,
@@ -91,22 +94,22 @@ def serve(
 ) -> None:
     """Serve an emulated piezo controller that speaks GCS 2.0 over TCP.
 
-    At the end it says which voltages it has put out.
+    At the end it prints the voltages that it has put out.
     """
     from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
 
     rehearsed = [Fault.parse(text) for text in faults]
-    instrument, told = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
+    instrument, reported = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
     lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, report=lambda words: echo(f"fault: {words}"))
-    controller = Controller(instrument, reported_limits=told)
+    controller = Controller(instrument, reported_limits=reported)
     server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
     if epics is not None:
         _serve_epics(instrument, epics, lock)
-    with _until_told(server):
-        echo(f"serving {actuator}, {told[0]:g} to {told[1]:g} V, on pi://{host}:{server.port}")
+    with _stop_by_signal(server):
+        echo(f"serving {actuator}, {reported[0]:g} to {reported[1]:g} V, on pi://{host}:{server.port}")
         sys.stdout.flush()
         server.serve(seconds)
-    echo(f"{_tally(instrument)}, {controller.recorder.rows_sent} samples told")
+    echo(f"{_tally(instrument)}, {controller.recorder.rows_sent} samples reported")
 
 
 def _instrument(
@@ -118,26 +121,26 @@ def _instrument(
     wave_points: int,
     faults: list[Fault],
 ) -> tuple[VirtualBench, tuple[float, float]]:
-    """The virtual bench, and the limits [V] that it tells."""
+    """Return the virtual bench, and the limits [V] that it reports."""
     from dehyst.model import Actuator
     from dehyst.virtual import ModelledActuator, VirtualBench
     from dehyst.virtual.emulator.faults import actual_limits
     from dehyst.virtual.modelled import virtual_actuator
 
-    found = virtual_actuator(actuator)
-    if isinstance(found, Actuator):
-        limits, found = limits or found.limits, ModelledActuator(found)
-    told = limits or (0.0, found.highest)
-    made = VirtualBench(
-        found,
-        limits=actual_limits(told, faults),
+    driven = virtual_actuator(actuator)
+    if isinstance(driven, Actuator):
+        limits, driven = limits or driven.limits, ModelledActuator(driven)
+    reported = limits or (0.0, driven.highest)
+    bench = VirtualBench(
+        driven,
+        limits=actual_limits(reported, faults),
         slew_rate=slew,
         wave_points=wave_points,
         record_points=wave_points,
         speed=speed,
         noise=None if noise is None else 1e-9 * noise,
     )
-    return made, told
+    return bench, reported
 
 
 def _serve_epics(instrument: VirtualBench, prefix: str, lock: threading.Lock) -> None:
@@ -147,14 +150,14 @@ def _serve_epics(instrument: VirtualBench, prefix: str, lock: threading.Lock) ->
     from dehyst._errors import RigError
 
     if find_spec("dehyst.virtual.emulator.epics_ioc") is None:
-        raise RigError("--epics: this version of dehyst serves no EPICS; leave it out")
+        raise RigError("--epics: this version of dehyst does not serve EPICS; leave it out")
     import_module("dehyst.virtual.emulator.epics_ioc").serve_ioc(instrument, prefix, lock)
     echo(f"serving epics://{prefix}")
 
 
 @contextmanager
-def _until_told(server: Server) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the serving, and not the program."""
+def _stop_by_signal(server: Server) -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM stop the server, and not the program."""
     before = {number: signal.signal(number, lambda *_: server.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield

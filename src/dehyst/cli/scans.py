@@ -1,8 +1,10 @@
-"""Options of the command line that name a scan, in micrometres, and the scan that they mean."""
+"""Named scans on the command line: their options, in micrometres, the scan that they define, and its messages."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -22,31 +24,37 @@ _OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
         {
             "type": float,
             "metavar": "SHARE",
-            "help": "Of the time, spent turning.  [default: 0.1, or as short as --acceleration allows]",
+            "help": "Share of the time spent turning.  [default: 0.1, or as short as --acceleration allows]",
         },
     ),
     ("--speed", {"type": float, "metavar": "UM/S", "help": "Largest speed of an axis."}),
     ("--acceleration", {"type": float, "metavar": "UM/S2", "help": "Largest acceleration of an axis."}),
-    ("--rising", {"type": float, "metavar": "SHARE", "help": "Of the time, spent rising.  [default: 0.5]"}),
+    ("--rising", {"type": float, "metavar": "SHARE", "help": "Share of the time spent rising.  [default: 0.5]"}),
     (
         "--rounding",
         {
             "type": click.Choice(["parabola", "cosine"]),
-            "help": "Of turns: constant acceleration, or without "
+            "help": "Shape of turns: parabola has constant acceleration; cosine has no "
             "jumps of it, for a stage that resonates.  [default: parabola]",
         },
     ),
-    ("--lines", {"type": int, "metavar": "N", "help": "Of a raster."}),
+    ("--lines", {"type": int, "metavar": "N", "help": "Lines of a raster."}),
     ("--slow", {"type": click.Choice(["staircase", "ramp"]), "help": "Y of a raster.  [default: staircase]"}),
     ("--back", {"type": int, "metavar": "N", "help": "Lines that y of a raster takes back.  [default: fewest]"}),
-    ("--revolutions", {"type": int, "metavar": "N", "help": "Of a spiral, out; 1/4 is added."}),
+    ("--revolutions", {"type": int, "metavar": "N", "help": "Revolutions of a spiral outwards; 1/4 is added."}),
     ("--constant", {"type": click.Choice(["linear", "angular"]), "help": "Speed of a spiral.  [default: linear]"}),
     ("--ratio", {"type": (int, int), "metavar": "P Q", "help": "Lissajous: cycles of x and y.  [default: 1 1]"}),
-    ("--phase", {"type": float, "metavar": "DEGREES", "help": "Lissajous: of y.  [default: widest figure]"}),
-    ("--levels", {"metavar": "UM,UM,...", "help": "Steps: where to stand."}),
+    ("--phase", {"type": float, "metavar": "DEGREES", "help": "Lissajous: phase of y.  [default: widest figure]"}),
+    ("--levels", {"metavar": "UM,UM,...", "help": "Steps: the levels."}),
     ("--dwell", {"type": float, "metavar": "S", "help": "Steps: time on each level."}),
     ("--edge", {"type": float, "metavar": "S", "help": "Steps: time between levels.  [default: as the limits allow]"}),
-    ("--shape", {"type": click.Choice(["minimum-jerk", "trapezoid"]), "help": "Steps.  [default: minimum-jerk]"}),
+    (
+        "--shape",
+        {
+            "type": click.Choice(["minimum-jerk", "trapezoid"]),
+            "help": "Steps: shape of a change of level.  [default: minimum-jerk]",
+        },
+    ),
 )
 _LIMITS = ("speed", "acceleration")
 _TURNING = ("low", "high", "frequency", "turns", *_LIMITS, "rounding")
@@ -71,19 +79,19 @@ _MOST_DEGREES = 36_000
 
 
 def scan_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Options of all named scans."""
+    """Add the options of all named scans."""
     for flag, settings in reversed(_OPTIONS):
         command = click.option(flag, **settings)(command)
     return click.option("--scan", type=click.Choice(list(_TAKES)), help="A named path instead of a file.")(command)
 
 
 def named_scan(kind: str, sample_rate: float | None, options: dict[str, Any]) -> Scan:
-    """The scan that the options mean.
+    """Return the scan that the options define.
 
     Raises
     ------
     RecordError
-        If one is missing, is none of this scan's, or is impossible.
+        If an option is missing, does not belong to this scan, or is impossible.
     """
     from dehyst._errors import RecordError
 
@@ -91,10 +99,10 @@ def named_scan(kind: str, sample_rate: float | None, options: dict[str, Any]) ->
     missing = [name for name in _NEEDS[kind] if name not in given]
     if missing:
         raise RecordError(f"--scan {kind}: got no {' and no '.join(map(_flag, missing))}, need {_needs(kind)}")
-    other = [name for name in given if name not in _TAKES[kind]]
-    if other:
+    foreign = [name for name in given if name not in _TAKES[kind]]
+    if foreign:
         takes = ", ".join(map(_flag, _TAKES[kind]))
-        raise RecordError(f"{_flag(other[0])}: got {given[other[0]]!r} with --scan {kind}, which takes {takes}")
+        raise RecordError(f"{_flag(foreign[0])}: got {given[foreign[0]]!r} with --scan {kind}, which takes {takes}")
     for name in ("low", "high", "y_low", "y_high", "speed", "acceleration"):
         if name in given:
             given[name] *= _MICRO
@@ -125,11 +133,11 @@ def _spiral(given: dict[str, Any], rate: float | None) -> Scan:
     from dehyst._errors import RecordError
     from dehyst.waveforms import Spiral
 
-    (x, radius), (y, other) = _middles(given)
-    if abs(radius - other) > 1e-9 * radius:
+    (x, radius), (y, y_radius) = _middles(given)
+    if abs(radius - y_radius) > 1e-9 * radius:
         raise RecordError(
-            f"--y-low, --y-high: got {2e6 * other:.6g} um, but x has {2e6 * radius:.6g} um, and a spiral is round; "
-            "give as much"
+            f"--y-low, --y-high: got a range of {2e6 * y_radius:.6g} um, but x has {2e6 * radius:.6g} um, and a spiral "
+            "is round; give equal ranges"
         )
     return Spiral(radius, centre=(x, y), **given, sample_rate=rate)
 
@@ -159,12 +167,12 @@ def _steps(given: dict[str, Any], rate: float | None) -> Scan:
     except ValueError as error:
         raise RecordError(f"--levels: {error}; need displacements in um with commas, such as 0,10,20") from error
     if len(levels) < 2:
-        raise RecordError(f"--levels: got {levels[0] / _MICRO:g} um alone, need two at least, such as 0,10,20")
+        raise RecordError(f"--levels: got {levels[0] / _MICRO:g} um alone, need at least two, such as 0,10,20")
     return Steps(levels, seconds=given.pop("edge", None), **given, sample_rate=rate)
 
 
 def _middles(given: dict[str, Any]) -> list[tuple[float, float]]:
-    """Middle and half of the range along x and y [m]."""
+    """Return the middle and half of the range along x and y [m]."""
     from dehyst.waveforms.scan import between
 
     x = between(given.pop("low"), given.pop("high"))
@@ -179,3 +187,73 @@ _MAKERS: dict[str, Callable[[dict[str, Any], float | None], Scan]] = {
     "lissajous": _lissajous,
     "steps": _steps,
 }
+
+
+# Arguments of scans with another name on the command line.
+_RENAMED = {"cycles": "start-up", "seconds": "edge", "slew_rate": "slew", "base": "present"}
+_SAME = (
+    "low",
+    "high",
+    "y_low",
+    "y_high",
+    "frequency",
+    "turns",
+    "speed",
+    "acceleration",
+    "rising",
+    "rounding",
+    "lines",
+    "slow",
+    "back",
+    "revolutions",
+    "constant",
+    "ratio",
+    "phase",
+    "levels",
+    "dwell",
+    "shape",
+    "sample_rate",
+    "axis",
+    "limits",
+    "present",
+    "approach",
+    "tolerance",
+)
+_FLAGS = {name: f"--{name.replace('_', '-')}" for name in _SAME} | {
+    name: f"--{flag}" for name, flag in _RENAMED.items()
+}
+_ARGUMENTS = "|".join(_FLAGS)
+_NUMBER = r"-?\d[\d.]*(?:e[+-]?\d+)?"
+_ENTRIES = (
+    # The library gives both units where either may be meant.
+    (re.compile(rf"{_NUMBER} m/s(?:\^2)? \(({_NUMBER} um/s(?:\^2)?)\)"), r"\1"),
+    (re.compile("give metres, such as 5e-6"), "give micrometres, such as 5"),
+    (re.compile(r"give more cycles="), "give a larger --start-up"),
+    (re.compile(r"limits=\([^)]*\)"), "--limits LOW HIGH"),
+    (re.compile(rf"\b({_ARGUMENTS})=(?=\S)"), lambda match: f"{_FLAGS[match[1]]} "),
+)
+_LENGTHS = re.compile(rf"({_NUMBER})(?: and ({_NUMBER}))? m\b(?!/)")
+_HEAD = re.compile(rf"^(?:{_ARGUMENTS})(?:, (?:{_ARGUMENTS}))*(?=:)")
+
+
+def in_options(sentence: str) -> str:
+    """Write a sentence of a scan with options for arguments, and micrometres for metres."""
+    sentence = _HEAD.sub(lambda match: ", ".join(_FLAGS[name] for name in match[0].split(", ")), sentence)
+    for pattern, words in _ENTRIES:
+        sentence = pattern.sub(words, sentence)
+    return _LENGTHS.sub(_micro, sentence)
+
+
+@contextmanager
+def errors_in_options() -> Iterator[None]:
+    """Re-raise errors in the words of the command line."""
+    from dehyst._errors import ModelError, RecordError
+
+    try:
+        yield
+    except (ModelError, RecordError) as error:
+        raise type(error)(in_options(str(error))) from error
+
+
+def _micro(match: re.Match[str]) -> str:
+    return " and ".join(f"{float(length) * 1e6:.6g}" for length in match.groups() if length) + " um"

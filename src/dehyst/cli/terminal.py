@@ -1,4 +1,4 @@
-"""What commands print: lines that hold no more than a line, on streams that may be closed, full or of few letters."""
+"""Output of the commands: one line at a time, on streams that may be closed, full or of a small character set."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dehyst.cli.option_words import in_words_of
 
 
 class UnprintedError(Exception):
-    """Standard output took no more."""
+    """Standard output cannot be written."""
 
 
 def echo(line: object = "", *, err: bool = False) -> None:
@@ -27,37 +27,37 @@ def echo(line: object = "", *, err: bool = False) -> None:
 
 
 def echo_json(value: Any) -> None:
-    """Print JSON values, null for numbers that JSON has not."""
+    """Print JSON values, with null for numbers that are not finite."""
     _write(f"{json.dumps(finite(value), indent=1)}\n", err=False)
 
 
 def worded(sentences: Iterable[str]) -> tuple[str, ...]:
-    """Return sentences of the library in the words of the command that runs."""
+    """Return sentences of the library in the words of the running command."""
     context = click.get_current_context(silent=True)
     return tuple(sentences) if context is None else in_words_of(context.command, sentences)
 
 
 def note(sentence: object) -> None:
-    """Print a warning or a refusal on standard error, in the words of the command that runs."""
+    """Print a warning or an error on standard error, in the words of the running command."""
     echo(f"dehyst: {worded([str(sentence)])[0]}", err=True)
 
 
 def progress_line() -> Callable[[str], None]:
-    """One line on a terminal that is overwritten; nothing in a file or a pipe."""
+    """Return a function that shows progress: it overwrites one line on a terminal, and is silent elsewhere."""
     if not sys.stderr.isatty():
         return lambda _: None
 
-    def tell(words: str) -> None:
+    def progress(words: str) -> None:
         _write(f"\r\033[K{escaped(words)}{' ...' if words else ''}", err=True)
 
-    return tell
+    return progress
 
 
 def _write(text: str, *, err: bool) -> None:
     try:
         click.echo(text, file=sys.stderr if err else sys.stdout, nl=False, color=True)
     except OSError as error:
-        # What is said beside the result may be lost; click leaves quietly when the reader of a pipe has gone.
+        # Messages beside the result may be lost; click exits quietly when the reader of a pipe has gone.
         if err:
             _silence(sys.stderr)
         elif error.errno == errno.EPIPE:
@@ -68,27 +68,27 @@ def _write(text: str, *, err: bool) -> None:
 
 @contextmanager
 def guarded_streams() -> Iterator[None]:
-    """Run a command so that a standard stream that is closed or full ends in a sentence and status 1."""
+    """Run a command so that a closed or full standard stream ends with a message and status 1."""
     _prepare()
     try:
         try:
             yield
         finally:
-            # What nobody reads any more shall not decide on the status when the program ends.
-            _flushed(sys.stderr)
+            # A stream without a reader shall not change the status when the program ends.
+            _flush(sys.stderr)
             sys.stdout.flush()
     except UnprintedError as error:
         sys.exit(_unprinted(error))
     except OSError as error:
-        # An error of a file has its name; that of a stream, such as click's own when it prints a help, has none.
+        # An error of a file has its name; an error of a stream, such as click's own when it prints a help, has none.
         if error.filename is None:
             sys.exit(_unprinted(error.strerror))
         note(error)
         sys.exit(2)
 
 
-def _flushed(stream: TextIO) -> None:
-    """Flush a stream, or let what it holds go nowhere."""
+def _flush(stream: TextIO) -> None:
+    """Flush a stream, or discard what it holds."""
     try:
         stream.flush()
     except OSError:
@@ -102,7 +102,7 @@ def _unprinted(why: object) -> int:
 
 
 def _prepare() -> None:
-    """Give closed streams a place, lest a file that is opened next takes it; escape what a stream cannot spell."""
+    """Open closed streams, so that the next file does not take their number; escape what a stream cannot encode."""
     for number in range(3):
         with suppress(OSError):
             os.fstat(number)
@@ -114,12 +114,12 @@ def _prepare() -> None:
     if sys.stderr is None:
         sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
     for stream in (sys.stdout, sys.stderr):
-        if (spell := getattr(stream, "reconfigure", None)) is not None:
-            spell(errors="backslashreplace")
+        if (reconfigure := getattr(stream, "reconfigure", None)) is not None:
+            reconfigure(errors="backslashreplace")
 
 
 def _silence(stream: TextIO) -> None:
-    """Let what a stream still holds go nowhere, so that the end of the program is quiet."""
+    """Discard what a stream still holds, so that the program ends quietly."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

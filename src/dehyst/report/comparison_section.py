@@ -6,7 +6,7 @@ from os import PathLike
 
 from dehyst._io.drafts import write_atomically
 from dehyst.baselines import ModelComparison
-from dehyst.baselines.comparison import OURS, RecordScore
+from dehyst.baselines.scores import OURS, RecordScore
 from dehyst.baselines.tracking_trials import TrackingErrors
 from dehyst.report.html import Row, document, escape, length, number, table
 
@@ -14,7 +14,7 @@ _NONE = "–"
 
 
 def write_comparison(path: str | PathLike[str], found: ModelComparison, *, command: str | None = None) -> None:
-    """Write a page of its own to one HTML file that asks for nothing from outside.
+    """Write a comparison to one HTML file that loads nothing from outside.
 
     Parameters
     ----------
@@ -22,17 +22,17 @@ def write_comparison(path: str | PathLike[str], found: ModelComparison, *, comma
         Replaced if it exists; never left half written.
     found : ModelComparison
     command : str, optional
-        The command line that made it, to be shown.
+        The command line to show.
 
     Raises
     ------
     FileFormatError
         If the file cannot be written.
     """
-    said = f"Training: {', '.join(found.records)} · held out: {', '.join(found.held_out) or 'none'}"
+    records = f"Training: {', '.join(found.records)} · held out: {', '.join(found.held_out) or 'none'}"
     parts = [
         "<h1>Models compared</h1>",
-        f'<p class="muted">{escape(said)} · stroke {escape(length(found.stroke))}</p>',
+        f'<p class="muted">{escape(records)} · stroke {escape(length(found.stroke))}</p>',
         *comparison_sections(found),
         f"<h2>How to reproduce</h2>\n<pre>{escape(command)}</pre>" if command else "",
     ]
@@ -40,7 +40,7 @@ def write_comparison(path: str | PathLike[str], found: ModelComparison, *, comma
 
 
 def comparison_sections(found: ModelComparison) -> list[str]:
-    """The page's sections, to stand in the report too."""
+    """Return the page's sections, which the report can contain too."""
     return [part for part in (_table(found), _each(found), _costs(found), _failures(found)) if part]
 
 
@@ -65,9 +65,9 @@ def _table(found: ModelComparison) -> str:
     return (
         "<h2>Models compared</h2>\n"
         '<p class="muted">Every model fitted to the same records. Measured minus simulated displacement of the record '
-        f"with the largest error, in % of the stroke ({escape(length(found.stroke))}): largest and, small, RMS. One "
-        "constant for each record is free, or none. Tracking: wanted minus reached displacement of a virtual actuator, "
-        "to whose own records the model was fitted, along a random path of 40 reversals."
+        f"with the largest error, in % of the stroke ({escape(length(found.stroke))}): largest and, in small print, "
+        "RMS, with one free constant for each record or with none. Tracking: wanted minus reached displacement of a "
+        "virtual actuator along a random path of 40 reversals; the model was fitted to that actuator's own records."
         f"{' ' + escape(found.note) if found.note else ''}</p>\n"
         f"{table(head, rows, texts=1)}"
     )
@@ -83,7 +83,7 @@ def _costs(found: ModelComparison) -> str:
         )
         for row in found.rows
     ]
-    return f"<h2>What they cost</h2>\n{table(head, rows, texts=1)}"
+    return f"<h2>Cost</h2>\n{table(head, rows, texts=1)}"
 
 
 def _without(score: RecordScore | None) -> str | tuple[str, str]:
@@ -98,8 +98,8 @@ def _errors(score: RecordScore | None) -> str | tuple[str, str]:
     return _NONE if score is None else _pair(score.largest, score.rms)
 
 
-def _tracking(one: TrackingErrors | None) -> str | tuple[str, str]:
-    return _NONE if one is None else _pair(one.largest, one.rms)
+def _tracking(errors: TrackingErrors | None) -> str | tuple[str, str]:
+    return _NONE if errors is None else _pair(errors.largest, errors.rms)
 
 
 def _each(found: ModelComparison) -> str:
@@ -134,5 +134,5 @@ def _each(found: ModelComparison) -> str:
 
 
 def _failures(found: ModelComparison) -> str:
-    said = "\n".join(f"<li>{escape(row.name)}: {escape(row.said)}</li>" for row in found.rows if row.said)
-    return f"<h2>What failed</h2>\n<ul>\n{said}\n</ul>" if said else ""
+    items = "\n".join(f"<li>{escape(row.name)}: {escape(row.failure)}</li>" for row in found.rows if row.failure)
+    return f"<h2>Failures</h2>\n<ul>\n{items}\n</ul>" if items else ""

@@ -1,4 +1,4 @@
-"""The furniture of a self-contained HTML page: style, tables, figures and numbers as text."""
+"""Parts of a self-contained HTML page: style, tables, figures and numbers as text."""
 
 from __future__ import annotations
 
@@ -54,17 +54,17 @@ pre{background:#f5f5f5;padding:.7rem .9rem;white-space:pre-wrap;overflow-wrap:an
 @media print{body{max-width:none;padding:0;font-size:10pt}h2,figcaption{break-after:avoid;break-inside:avoid}
  .panels{grid-template-columns:1fr 1fr}.outcome{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
 """
-# The policy forbids the browser any request, whatever a name or a sentence holds.
+# The policy forbids the browser any request, whatever a name or a sentence contains.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
 def escape(text: str, *, quote: bool = True) -> str:
-    """Write text for HTML: its marks, and what a browser would obey or not show."""
+    """Escape text for HTML: marks and control characters."""
     return html.escape(escaped(text), quote=quote)
 
 
 def document(title: str, parts: Iterable[str]) -> str:
-    """Set parts into a page that asks for nothing from outside."""
+    """Assemble parts to a page that loads nothing from outside."""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'

@@ -1,4 +1,4 @@
-"""Figures of what a wider actuator is made of: its transformer, its creep, its graded and its smooth elements."""
+"""Figures of the parts of a wider actuator: its transformer, its creep, its graded and its smooth elements."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def transformer(tau: Transformer, *, name: str) -> str:
-    """Tau(v) less the straight line between its ends, its slope beneath."""
+    """Draw tau(v) minus the straight line between its ends, its slope beneath."""
 
     def draw(upper: Axes, lower: Axes) -> None:
         upper.plot(tau.voltage, bend(tau), color=MEASURED, lw=1, marker="o", ms=2.6)
@@ -30,7 +30,7 @@ def transformer(tau: Transformer, *, name: str) -> str:
 
 
 def creep(actuator: Actuator, *, name: str) -> str:
-    """Displacement after a sudden rise through all voltages, and the stiffness of each branch beneath."""
+    """Draw the displacement after a sudden rise through all voltages, with the time constants marked."""
     time, share = step_response(actuator)
     branches = actuator.creep
 
@@ -48,7 +48,7 @@ def creep(actuator: Actuator, *, name: str) -> str:
 
 
 def graded(slip: GradedSlip, *, name: str) -> str:
-    """What each element would hold were it as stiff everywhere as it is where its cart sits: darker is more."""
+    """Draw stiffness times breakaway elongation of each element over the position of its cart; darker is more."""
     factor, unit = length_unit(float(np.ptp(slip.knots)))
     edges = np.concatenate([[0.0], slip.breakaway]) * factor
 
@@ -65,39 +65,39 @@ def graded(slip: GradedSlip, *, name: str) -> str:
 
 
 def slopes(slip: GradedSlip | MaxwellSlip, spring: Spring, *, name: str) -> str:
-    """How steep slow motion is: just after a turn, and when every element slides."""
-    found = Slopes.of(slip, spring)
-    factor, unit = length_unit(float(np.ptp(found.displacement)))
+    """Draw the slope of slow motion: just after a turn, and when every element slides."""
+    steepness = Slopes.of(slip, spring)
+    factor, unit = length_unit(float(np.ptp(steepness.displacement)))
 
     def draw(ax: Axes) -> None:
         for values, colour, label in (
-            (found.turned, INK, "just after a turn"),
-            (found.rising, RISING, "rising"),
-            (found.falling, FALLING, "falling"),
+            (steepness.turned, INK, "just after a turn"),
+            (steepness.rising, RISING, "rising"),
+            (steepness.falling, FALLING, "falling"),
         ):
-            ax.plot(found.displacement * factor, values * 1e-6, color=colour, lw=1, label=label)
+            ax.plot(steepness.displacement * factor, values * 1e-6, color=colour, lw=1, label=label)
         ax.set(xlabel=f"displacement ({unit})", ylabel="slope of the voltage (V/µm)")
-        ax.set_ylim(0, 1.3 * float(found.turned.max()) * 1e-6)
+        ax.set_ylim(0, 1.3 * float(steepness.turned.max()) * 1e-6)
         ax.legend(loc="upper left", ncols=3)
 
     return inline(name, draw, height=3.6)
 
 
 def smooth(elements: SmoothSlip, *, name: str) -> str:
-    """What each smooth element holds at most, over its length."""
+    """Draw the largest voltage that each smooth element holds, over its length."""
     factor, unit = length_unit(float(elements.length.max()))
 
     def draw(ax: Axes) -> None:
         held, length = elements.stiffness * elements.length, elements.length * factor
         dahl = elements.closing > 0.75
-        for own, colour, aside, label in (
+        for kind, colour, aside, label in (
             (~dahl, MEASURED, -1, "back on a straight line"),
             (dahl, SIMULATED, 1, "back on a curve (Dahl)"),
         ):
-            if own.any():
-                x = length[own] + 0.008 * aside * length.max()
-                ax.vlines(x, 0, held[own], color=colour, lw=1.2)
-                ax.plot(x, held[own], ls="none", marker="o", ms=4, color=colour, label=label)
+            if kind.any():
+                x = length[kind] + 0.008 * aside * length.max()
+                ax.vlines(x, 0, held[kind], color=colour, lw=1.2)
+                ax.plot(x, held[kind], ls="none", marker="o", ms=4, color=colour, label=label)
         ax.set(xlabel=f"length ({unit})", ylabel="holds at most (V)")
         ax.set_xlim(0, 1.08 * float(length.max()))
         ax.set_ylim(0, 1.3 * float(held.max()) if held.any() else 1.0)

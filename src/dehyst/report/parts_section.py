@@ -1,4 +1,4 @@
-"""What a wider actuator is made of, as a section of the report."""
+"""The parts of a wider actuator, as a section of the report."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dehyst.report.html import Row, figure, number, panel, table
 
 
 def made_of(actuator: Actuator) -> str:
-    """The section; nothing for a plain actuator, whose two figures say it all.
+    """Return the section; empty for a plain actuator, which two other figures show completely.
 
     Raises
     ------
@@ -34,7 +34,8 @@ def made_of(actuator: Actuator) -> str:
 
 
 _CAPTION = (
-    "The parts that the paper's class has not. It would draw tau as zero, elements as even stripes, and no creep."
+    "The parts beyond a plain Maxwell-slip model. In a plain model this line of tau is zero, elements are even "
+    "stripes, and there is no creep."
 )
 
 

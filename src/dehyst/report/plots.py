@@ -1,4 +1,4 @@
-"""Figures of an identification, each as SVG text to stand inside a page; the only door to matplotlib."""
+"""Figures of an identification, each as SVG text for a page; the only door to matplotlib."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Measured and simulated from Okabe and Ito, the branches from Tol: told apart by any colour vision, and in grey.
+# Measured and simulated from Okabe and Ito, the branches from Tol: distinct in any colour vision, and in grey.
 MEASURED, SIMULATED = "#0072B2", "#D55E00"
 RISING, FALLING = "#44AA99", "#332288"
 INK, _PALE = "#333333", "#D9D9D9"
@@ -38,8 +38,8 @@ _VECTOR_VERTICES = 20_000
 MOST_BRANCH_POINTS = 20_000
 # A line leaves out vertices that do not move by this part of its range, a quarter of a printed pixel.
 _CELLS = 2000
-# What an SVG file says of its making, which would make each one different.
-_UNSAID = ("Creator", "Date", "Format", "Type")
+# Metadata that would make each SVG file different.
+_NO_METADATA = ("Creator", "Date", "Format", "Type")
 _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "font.size": 8.5,
@@ -73,14 +73,14 @@ _STYLE: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Drawing:
-    """A finished figure: a whole SVG file, the part of it that may stand in a page, and a PNG file."""
+    """A finished figure: an SVG file, its part for a page, and a PNG file."""
 
     svg: str
     inline: str
     png: bytes
 
     def save(self, path: str | PathLike[str]) -> list[Path]:
-        """Write path.svg and path.png, each wholly or not at all; raises FileFormatError if that cannot be."""
+        """Write path.svg and path.png, each wholly or not at all; raises FileFormatError if that is impossible."""
         target = Path(path)
         written: list[tuple[Path, str | bytes]] = [
             (target.with_name(f"{target.name}.svg"), self.svg),
@@ -135,24 +135,24 @@ def drawing(
         )
         draw(*axes.ravel())
         figure.align_ylabels()
-        figure.savefig(text, format="svg", metadata=dict.fromkeys(_UNSAID))
+        figure.savefig(text, format="svg", metadata=dict.fromkeys(_NO_METADATA))
         figure.savefig(picture, format="png", dpi=_JOURNAL_DPI, metadata={"Software": None})
     return Drawing(text.getvalue(), _inline(text.getvalue()), picture.getvalue())
 
 
 def line(ax: Axes, x: Array, y: Array, **style: Any) -> None:
-    """Draw a line through many samples with the vertices that print can show."""
+    """Draw a line through many samples with only the vertices that print can show."""
     ax.plot(*_thinned(np.arange(x.size, dtype=np.float64), x, y), **style)
 
 
 def loop(trace: Trace, *, name: str) -> str:
-    """Displacement against voltage, measured and simulated.
+    """Draw displacement against voltage, measured and simulated.
 
     Parameters
     ----------
     trace : Trace
     name : str
-        Tells this figure from others on a page: makes the ids inside it unique.
+        Makes the ids inside the SVG unique on a page.
     """
     factor, unit = length_unit(float(np.ptp(trace.measured)))
 
@@ -171,7 +171,7 @@ def loop(trace: Trace, *, name: str) -> str:
 
 
 def residual_in_time(trace: Trace, stroke: float, limit: float, *, name: str) -> str:
-    """Residual against time, from -limit to limit [% of stroke]; a circle marks the largest."""
+    """Draw the residual against time, from -limit to limit [% of stroke]; a circle marks the largest."""
 
     def draw(ax: Axes) -> None:
         percent = 100 * trace.residual / stroke
@@ -184,7 +184,7 @@ def residual_in_time(trace: Trace, stroke: float, limit: float, *, name: str) ->
 
 
 def residual_in_displacement(trace: Trace, stroke: float, limit: float, *, name: str) -> str:
-    """Residual against measured displacement, rising and falling branches apart; a circle marks the largest."""
+    """Draw the residual against displacement, rising and falling branches apart; a circle marks the largest."""
     factor, unit = length_unit(float(np.ptp(trace.measured)))
 
     def draw(ax: Axes) -> None:
@@ -204,7 +204,7 @@ def residual_in_displacement(trace: Trace, stroke: float, limit: float, *, name:
 
 
 def slip_elements(slip: MaxwellSlip, *, name: str) -> str:
-    """Stiffness and breakaway voltage of each element against its breakaway elongation; hollow where zero."""
+    """Draw stiffness and breakaway voltage of each element over its breakaway elongation; hollow where zero."""
     factor, unit = length_unit(float(slip.breakaway[-1]))
 
     def draw(upper: Axes, lower: Axes) -> None:
@@ -217,7 +217,7 @@ def slip_elements(slip: MaxwellSlip, *, name: str) -> str:
 
 
 def parallel_spring(spring: Spring, *, name: str) -> str:
-    """Voltage of the parallel spring over displacement, its slope beneath with the least one marked."""
+    """Draw the voltage of the parallel spring over displacement, its slope beneath with the least one marked."""
     factor, unit = length_unit(float(np.ptp(spring.displacement)))
     y, slopes = spring.displacement * factor, spring.slopes * 1e-6
 
@@ -236,13 +236,13 @@ def parallel_spring(spring: Spring, *, name: str) -> str:
 
 
 def length_unit(length: float) -> tuple[float, str]:
-    """Factor from metres and name of the unit in which a length is told: µm, or nm below 1 µm."""
+    """Return the factor from metres, and the name, of the unit in which a length is written: µm, or nm below 1 µm."""
     return (1e9, "nm") if abs(length) < 1e-6 else (1e6, "µm")
 
 
 def rising(trace: Trace) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Whether each sample lies on a rising branch (n,); a hold counts to the branch before it."""
-    # The simulated displacement goes the way of the voltage, and a hold of the voltage holds it.
+    """Return whether each sample lies on a rising branch (n,); a hold belongs to the branch before it."""
+    # The simulated displacement moves in the direction of the voltage, and stands still with it.
     sign = np.sign(np.diff(trace.simulated, prepend=trace.simulated[:1]))
     last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))
     up: np.ndarray[Any, np.dtype[np.bool_]] = sign[last] >= 0
@@ -266,7 +266,7 @@ def _points(ax: Axes, x: Array, y: Array, colour: str, *, of: int, label: str | 
 
 
 def _sample(size: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Pick at random, but the same ones each time: every k-th sample would fall in step with the cycles."""
+    """Pick samples at random but reproducibly: every k-th sample could be in step with the cycles."""
     some = np.ones(size, bool)
     if size > MOST_BRANCH_POINTS:
         some[:] = False
@@ -294,39 +294,39 @@ def _stems(ax: Axes, x: Array, height: Array, label: str) -> None:
     zero = height <= 0
     ax.vlines(x[~zero], 0, height[~zero], color=MEASURED, lw=1.2)
     ax.plot(x[~zero], height[~zero], ls="none", marker="o", ms=3.4, color=MEASURED)
-    if zero.any():  # the layout cannot take an empty line that is not clipped
+    if zero.any():  # the layout fails on an empty line that is not clipped
         ax.plot(x[zero], height[zero], ls="none", marker="o", ms=3.4, mfc="white", mec=MEASURED, mew=0.8, clip_on=False)
     ax.set_ylabel(label)
     ax.set_ylim(0, 1.12 * float(height.max()) if height.any() else 1.0)
 
 
 def _thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Vertices of the line that samples draw, fewer where they are dense, and broken where samples are missing."""
+    """Return the vertices of a line through samples, fewer where they are dense, broken where samples are missing."""
     steps = np.diff(time)
     cuts = np.flatnonzero(steps > 3 * np.median(steps)) + 1 if steps.size else np.empty(0, np.intp)
     cell = np.column_stack([(z - z.min()) * (_CELLS / (float(np.ptp(z)) or 1.0)) for z in (x, y)]).round()
     keep = np.ones(x.size, bool)
     keep[1:] = np.any(np.diff(cell, axis=0) != 0, axis=1)
     keep[-1:] = keep[cuts] = keep[cuts - 1] = True
-    # A NaN lifts the pen.
+    # A NaN interrupts the line.
     where = np.cumsum(keep)[cuts - 1] if cuts.size else cuts
     return np.insert(x[keep], where, np.nan), np.insert(y[keep], where, np.nan)
 
 
 def inline(name: str, draw: Callable[..., None], *, rows: int = 1, height: float = 3.3) -> str:
-    """Draw on `rows` axes, one above the other: SVG text to stand inside a page."""
+    """Draw on `rows` axes, one above the other, and return SVG text for a page."""
     text = io.StringIO()
     with _figure(name, (_INCHES, height)) as figure:
         axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         draw(*axes)
         figure.align_ylabels()
-        figure.savefig(text, format="svg", dpi=_DPI, metadata=dict.fromkeys(_UNSAID))
+        figure.savefig(text, format="svg", dpi=_DPI, metadata=dict.fromkeys(_NO_METADATA))
     return _inline(text.getvalue())
 
 
 @contextmanager
 def _figure(name: str, size: tuple[float, float]) -> Iterator[Figure]:
-    """An empty figure in the house style, whatever the user's settings are."""
+    """Yield an empty figure in the house style, whatever the user's settings are."""
     try:
         import matplotlib
         from matplotlib.figure import Figure
@@ -340,7 +340,7 @@ def _figure(name: str, size: tuple[float, float]) -> Iterator[Figure]:
 
 
 def _inline(svg: str) -> str:
-    """Leave of an SVG file what may stand many times in one page: no prolog, no size, no ids that nothing refers to."""
+    """Remove from an SVG file what a page cannot contain many times: prolog, size, and ids without a reference."""
     body = svg[svg.index("<svg") :]
     body = re.sub(r'<g id="[^"]*"', "<g", body)
     head, rest = body.split(">", 1)

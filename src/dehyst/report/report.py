@@ -1,24 +1,20 @@
-"""What an identification found, as one self-contained HTML file to read, print and pass on."""
+"""The report of an identification: one self-contained HTML file."""
 
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from dehyst._io.drafts import PathLike, write_atomically
-from dehyst._types import Array
 from dehyst.baselines import ModelComparison
 from dehyst.control import TrackedPath
 from dehyst.identification.structure_selection import label
-from dehyst.model import Actuator, Fit, GradedSlip, MaxwellSlip, Outcome, RecordErrors, Structure, Trace
-from dehyst.report import plots
+from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure
 from dehyst.report.comparison_section import comparison_sections
-from dehyst.report.html import MINUS, Row, document, escape, figure, length, number, panel, table
+from dehyst.report.fit_figures import loops, numbers, residuals, slip_and_spring
+from dehyst.report.html import Row, document, escape, length, number, table
 from dehyst.report.parts_section import made_of
 from dehyst.report.tracking_section import followed_sections
 from dehyst.report.uncertainty_section import sections
@@ -27,16 +23,15 @@ from dehyst.uncertainty import Insight
 if TYPE_CHECKING:
     from dehyst.instruments.calibration import Calibration
 
-MOST_RECORDS = 6
 NONE: Mapping[str, TrackedPath] = {}
 _LABELS = {
     "program": "Program",
     "method": "Method",
     "norm": "Norm",
-    "elements": "Slip elements asked for",
+    "elements": "Slip elements requested",
     "slope_floor": "Floor of the slope (part of the mean)",
     "shared_datum": "Sensor zero shared by all records",
-    "drift": "Drift of a record set aside",
+    "drift": "Drift of a record removed",
 }
 
 
@@ -49,7 +44,7 @@ def write_report(
     comparison: ModelComparison | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> None:
-    """Write a report of `fit` to one HTML file that asks for nothing from outside.
+    """Write a report of `fit` to one HTML file that loads nothing from outside.
 
     Parameters
     ----------
@@ -57,13 +52,13 @@ def write_report(
         Replaced if it exists; never left half written.
     fit : Fit
     command : str, optional
-        The command line that made it, to be shown.
+        The command line to show.
     insight : Insight, optional
-        What the records can and cannot tell, to be shown too.
+        Assessment of the model, to show too.
     comparison : ModelComparison, optional
-        Ours and rival models on the same records, to be shown too.
+        Comparison with the baselines on the same records, to show too.
     followed : mapping of str to TrackedPath, optional
-        What was measured along a path, by how its voltage was made.
+        Measurements along a path, by the kind of its voltage.
 
     Raises
     ------
@@ -84,7 +79,7 @@ def write_calibration(path: PathLike, calibration: Calibration, *, command: str 
         Replaced if it exists; never left half written.
     calibration : Calibration
     command : str, optional
-        The command line that made it, to be shown.
+        The command line to show.
 
     Raises
     ------
@@ -122,10 +117,10 @@ def render(
         _trials(fit),
         _checks(fit, actuator),
         _sentences("What was repaired or left out", fit.repairs, "Nothing was repaired or left out."),
-        _sentences("What to know", fit.remarks, "No remarks."),
-        _loops(fit),
-        _residuals(fit),
-        *([made_of(actuator), _model(actuator), _numbers(actuator)] if actuator else []),
+        _sentences("Remarks", fit.remarks, "No remarks."),
+        loops(fit),
+        residuals(fit),
+        *([made_of(actuator), slip_and_spring(actuator), numbers(actuator)] if actuator else []),
         *(sections(insight) if insight else []),
         *(comparison_sections(comparison) if comparison else []),
         _reproduce(fit, actuator, command),
@@ -153,7 +148,7 @@ def _outcome(outcome: Outcome) -> str:
         colour, word = "amber", "Usable, with care"
     else:
         colour, word = "red", "Not usable"
-    return f'<p class="outcome {colour}" role="status"><strong>{word}</strong> {_said(escape(outcome.value))}</p>'
+    return f'<p class="outcome {colour}" role="status"><strong>{word}</strong> {_with_units(escape(outcome.value))}</p>'
 
 
 def _errors(errors: Sequence[RecordErrors]) -> str:
@@ -189,26 +184,29 @@ def _errors(errors: Sequence[RecordErrors]) -> str:
 
 
 def _trials(fit: Fit) -> str:
-    """Structures that were tried, the chosen one first."""
+    """List the structures that were tried, best first."""
     if not fit.trials:
         return ""
-    best = min(fit.trials, key=lambda one: one.structure.as_dict() != fit.options.get("structure"))
+    best = min(fit.trials, key=lambda trial: trial.structure.as_dict() != fit.options.get("structure"))
     first = fit.trials[0]
     rows: list[Row] = [
         (
-            label(one.structure, fit.trials) + (" (chosen)" if one is best else ""),
-            str(one.structure.parameters),
-            length(one.held_out),
-            length(one.training),
+            label(trial.structure, fit.trials) + (" (chosen)" if trial is best else ""),
+            str(trial.structure.parameters),
+            length(trial.held_out),
+            length(trial.training),
         )
-        for one in sorted(fit.trials, key=lambda one: one.held_out)
+        for trial in sorted(fit.trials, key=lambda trial: trial.held_out)
     ]
-    head = ("Structure", "Coefficients", "RMS error of cycles held out", "of the records themselves")
-    why = "A part is added where it lowers the error of cycles held out in turn by 3 % at least."
+    head = ("Structure", "Coefficients", "RMS error of held-out cycles", "RMS error of the records themselves")
+    why = "A part is added if it lowers the error of cycles held out in turn (cross-validation) by at least 3 %."
     if best is not first and first.structure.plain:
         times = number(first.held_out / best.held_out)
-        why += f" The plain class that was tried first, {first.structure.words}, misses them {times} times as far."
-    return f'<h2>How much model</h2>\n<p class="muted">{why}</p>\n{table(head, rows, texts=1)}'
+        why += (
+            f" The plain structure that was tried first, {first.structure.words}, has {times} times the error of the "
+            "chosen one."
+        )
+    return f'<h2>Choice of the structure</h2>\n<p class="muted">{why}</p>\n{table(head, rows, texts=1)}'
 
 
 def _checks(fit: Fit, actuator: Actuator | None) -> str:
@@ -217,119 +215,38 @@ def _checks(fit: Fit, actuator: Actuator | None) -> str:
         return ""
     rows: list[Row] = [
         (
-            *(check.name, check.verdict.value, _said(check.sentence)),
-            *(("–" if x is None else (number(x), _said(check.unit))) for x in (check.value, check.floor)),
+            *(check.name, check.verdict.value, _with_units(check.sentence)),
+            *(("–" if x is None else (number(x), _with_units(check.unit))) for x in (check.value, check.floor)),
         )
         for check in checks
     ]
-    head = ("Taken for granted", "Verdict", "What was found", "Value", "Floor")
+    head = ("Assumption", "Verdict", "Finding", "Value", "Floor")
     where, slope = "the records", "Assumption I"
     if wide:
-        where = "what it leaves of the records (it needs neither symmetry nor closed loops, as the plain class does)"
+        where = "its residuals (it needs neither symmetry nor closed loops, as a plain model does)"
         slope = "rising branches"
     return (
         "<h2>Assumptions</h2>\n"
-        f'<p class="muted">What the model takes for granted, looked for in {where}. Floor: what noise alone gives, '
-        f"with 95 % probability no more; for {slope} the least slope that was allowed. Less than 0.1 % of the "
-        f"range passes in any case.</p>\n{table(head, rows, texts=3)}"
+        f'<p class="muted">The assumptions of the model, tested on {where}. Floor: with 95 % probability noise alone '
+        f"gives no more; for {slope} it is the least slope that was allowed. A value below 0.1 % of the range passes "
+        f"in any case.</p>\n{table(head, rows, texts=3)}"
     )
 
 
 def _sentences(title: str, sentences: Sequence[str], none: str) -> str:
     if not sentences:
         return f'<h2>{title}</h2>\n<p class="muted">{none}</p>'
-    items = "\n".join(f"<li>{_said(escape(sentence))}</li>" for sentence in sentences)
+    items = "\n".join(f"<li>{_with_units(escape(sentence))}</li>" for sentence in sentences)
     return f"<h2>{title}</h2>\n<ul>\n{items}\n</ul>"
 
 
-def _said(sentence: str) -> str:
-    """The text with micrometres spelt as they are; not yet fit for HTML."""
+def _with_units(sentence: str) -> str:
+    """Write um as µm; the text is not yet escaped for HTML."""
     return re.sub(r"(?<=\d |V/)um\b", "µm", sentence)
 
 
-def _shown(fit: Fit) -> list[tuple[Trace, float]]:
-    """Traces to draw, each with the stroke to which its percentages refer."""
-    traces = [trace for trace in fit.traces if trace.time.size > 1]
-    widest = max((float(np.ptp(trace.measured)) for trace in traces), default=0.0)
-    stroke = fit.errors[0].stroke if fit.errors else widest
-    return [(trace, stroke) for trace in traces[:MOST_RECORDS]]
-
-
-def _only(fit: Fit) -> str:
-    if len(fit.traces) <= MOST_RECORDS:
-        return ""
-    return f" The first {MOST_RECORDS} of {len(fit.traces)} records are drawn; the table above tells of all."
-
-
-def _loops(fit: Fit) -> str:
-    panels = [panel(_whose(t), plots.loop(t, name=f"loop{i}"), "Loop of") for i, (t, _) in enumerate(_shown(fit))]
-    caption = (
-        "Where the thin line (simulated) leaves the broad one (measured), the model misses; look at the turning points "
-        "and at the minor loops." + _only(fit)
-    )
-    return figure("Loops", caption, panels)
-
-
-def _residuals(fit: Fit) -> str:
-    shown = _shown(fit)
-    if not shown:
-        return ""
-    worst = max(float(np.abs(100 * trace.residual / stroke).max()) for trace, stroke in shown)
-    limit = 1.3 * worst or 1.0
-    panels = []
-    for i, (trace, stroke) in enumerate(shown):
-        time = plots.residual_in_time(trace, stroke, limit, name=f"time{i}")
-        place = plots.residual_in_displacement(trace, stroke, limit, name=f"place{i}")
-        panels.append(panel(_whose(trace), time, "Residual against time of"))
-        panels.append(panel(_whose(trace), place, "Residual against displacement of"))
-    caption = (
-        "A slow trend in time is drift or creep; a pattern in displacement, or rising and falling branches apart, is "
-        "what the model cannot follow; an even band is the sensor's noise. The circle marks the largest residual; all "
-        "panels share one scale." + _only(fit)
-    )
-    if any(trace.time.size > plots.MOST_BRANCH_POINTS for trace, _ in shown):
-        caption += f" Against displacement, {plots.MOST_BRANCH_POINTS} samples of a longer record are drawn."
-    return figure("Residuals: measured minus simulated", caption, panels)
-
-
-def _model(actuator: Actuator) -> str:
-    slip = panel(("Slip elements", ""), plots.slip_elements(_plain(actuator), name="slip"), "")
-    spring = panel(("Parallel spring", ""), plots.parallel_spring(actuator.spring, name="spring"), "")
-    caption = (
-        "Among the slip elements, lone large values between zeros (hollow circles) hint that the records tell sums of "
-        "stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
-    )
-    if isinstance(actuator.slip, GradedSlip):
-        caption += " These elements are graded: each is shown as stiff as the most that it can hold makes it."
-    return figure("Its slip elements and spring" if actuator.wide else "The model", caption, [slip, spring])
-
-
-def _plain(actuator: Actuator) -> MaxwellSlip:
-    return actuator.slip if isinstance(actuator.slip, MaxwellSlip) else actuator.slip.stiffest()
-
-
-def _whose(trace: Trace) -> tuple[str, str]:
-    return trace.record, trace.role
-
-
-def _numbers(actuator: Actuator) -> str:
-    slip, spring = _plain(actuator), actuator.spring
-    each = [str(i) for i in range(1, len(slip) + 1)]
-    columns = (slip.breakaway * 1e6, slip.stiffness * 1e-6, slip.friction)
-    elements = zip(each, *map(_column, columns), strict=True)
-    each = [str(i) for i in range(1, spring.voltage.size + 1)]
-    knots = zip(each, _column(spring.displacement * 1e6), _column(spring.voltage), strict=True)
-    first = table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0)
-    second = table(("Knot", "y (µm)", "η (V)"), knots, texts=0)
-    return (
-        "<details>\n<summary>The model's numbers</summary>\n"
-        f'<div class="panels tables">\n<div><h3>Slip elements</h3>\n{first}'
-        f"</div>\n<div><h3>Knots of the parallel spring</h3>\n{second}</div>\n</div>\n</details>"
-    )
-
-
 def _constants(errors: Iterable[RecordErrors]) -> str:
-    """Show each record's nuisances, which a critical reader asks for: they are fitted to held-out records too."""
+    """Show each record's nuisances: they are fitted to held-out records too."""
     rows: list[Row] = [
         (
             (error.record, error.role),
@@ -353,12 +270,12 @@ def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
     stroke = options.pop("stroke_m", None)
     structure = options.pop("structure", None)
     if isinstance(structure, Mapping):
-        # It has elements of its own.
+        # A structure contains its number of elements.
         options.pop("elements", None)
     entries = [(_LABELS.get(str(key), str(key)), _value(value)) for key, value in options.items()]
     if isinstance(structure, Mapping):
-        made = Structure(**structure)
-        entries.append(("Structure", f"{made.words}; smoothing {made.smoothing:g}"))
+        chosen = Structure(**structure)
+        entries.append(("Structure", f"{chosen.words}; smoothing {chosen.smoothing:g}"))
     if isinstance(delay, int | float):
         entries.append(("Delay of the displacement", f"{number(1e3 * delay, 4)} ms"))
     if isinstance(stroke, int | float):
@@ -386,10 +303,3 @@ def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
-
-
-def _column(values: Array) -> list[str]:
-    """Write a column with the decimals that give its largest value six digits."""
-    largest = float(np.abs(values).max())
-    decimals = min(12, max(0, 5 - math.floor(math.log10(largest)))) if largest > 0 else 0
-    return [f"{float(value):.{decimals}f}".replace("-", MINUS) if value else "0" for value in values]

@@ -1,4 +1,4 @@
-"""What was measured along a path, as a section of the report."""
+"""Measurements along a path, as a section of the report."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _WORDS = {"nominal": "by a constant ratio", "compensated": "by the model"}
 
 
 def followed_sections(followed: Mapping[str, TrackedPath]) -> list[str]:
-    """The section: a table, what was wanted and reached, and the errors; nothing if nothing was followed."""
+    """Return a table and figures of the wanted and the reached path and of the errors; empty without a path."""
     if not followed:
         return []
     head = ("Voltage", "Largest error, % of the stroke", "RMS, %", "Largest")
     rows = [
         (
             (name, _WORDS.get(name, "")),
-            number(one.largest_percent),
-            number(one.rms_percent),
-            length(float(np.abs(one.error).max())),
+            number(path.largest_percent),
+            number(path.rms_percent),
+            length(float(np.abs(path.error).max())),
         )
-        for name, one in followed.items()
+        for name, path in followed.items()
     ]
     caption = (
         "The actuator was homed, driven along the path by each voltage, and measured: wanted and reached displacement, "
@@ -50,8 +50,8 @@ def _paths(followed: Mapping[str, TrackedPath]) -> str:
     factor, unit = length_unit(next(iter(followed.values())).stroke)
 
     def draw(ax: Axes) -> None:
-        for (name, one), colour in zip(followed.items(), _COLOURS, strict=False):
-            ax.plot(one.time, one.reached * factor, color=colour, lw=1.2, label=name)
+        for (name, path), colour in zip(followed.items(), _COLOURS, strict=False):
+            ax.plot(path.time, path.reached * factor, color=colour, lw=1.2, label=name)
         first = next(iter(followed.values()))
         ax.plot(first.time, first.wanted * factor, color=INK, lw=0.8, ls="--", label="wanted")
         ax.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
@@ -62,12 +62,12 @@ def _paths(followed: Mapping[str, TrackedPath]) -> str:
 
 
 def _errors(followed: Mapping[str, TrackedPath]) -> list[str]:
-    """One panel each, on a scale of its own: they differ too much for one."""
+    """Return one panel for each voltage, on its own scale: the errors differ too much for one scale."""
     panels = []
-    for (name, one), colour in zip(followed.items(), _COLOURS, strict=False):
+    for (name, path), colour in zip(followed.items(), _COLOURS, strict=False):
 
-        def draw(ax: Axes, one: TrackedPath = one, colour: str = colour) -> None:
-            ax.plot(one.time, 100 * one.error / one.stroke, color=colour, lw=1)
+        def draw(ax: Axes, path: TrackedPath = path, colour: str = colour) -> None:
+            ax.plot(path.time, 100 * path.error / path.stroke, color=colour, lw=1)
             ax.axhline(0, color=INK, lw=0.8)
             ax.set(xlabel="time (s)", ylabel="error (% of the stroke)")
 

@@ -1,4 +1,4 @@
-"""Figures of what records determine: singular values, intervals of stiffnesses and spring, error bands."""
+"""Figures of uncertainty: singular values, intervals of stiffnesses and spring, the prediction band of a trajectory."""
 
 from __future__ import annotations
 
@@ -20,15 +20,13 @@ _FREE = "#BBBBBB"
 _FOOT = 1e-5
 
 
-def singular_values(directions: Identifiability, *, name: str) -> str:
-    """Singular value of each direction, filled if the records determine it, hollow if not."""
+def singular_values(identifiability: Identifiability, *, name: str) -> str:
+    """Draw the singular value of each direction, filled if the records determine it, hollow if not."""
+    values = identifiability.values
 
     def draw(ax: Axes) -> None:
-        number, known = (
-            np.arange(1, directions.values.size + 1),
-            np.arange(directions.values.size) < directions.determined,
-        )
-        shown = np.maximum(directions.values, _FOOT)
+        number, known = np.arange(1, values.size + 1), np.arange(values.size) < identifiability.determined
+        shown = np.maximum(values, _FOOT)
         for some, face, label in ((known, MEASURED, "known"), (~known, "white", "open")):
             if some.any():
                 ax.plot(
@@ -44,21 +42,21 @@ def singular_values(directions: Identifiability, *, name: str) -> str:
                 )
         ax.set(yscale="log", xlabel="direction", ylabel="singular value (V/V)")
         ax.set_ylim(bottom=min(_FOOT, float(shown.min())))
-        ax.set_xlim(0.5, directions.values.size + 0.5)
+        ax.set_xlim(0.5, values.size + 0.5)
         ax.legend(loc="lower left")
 
     return inline(name, draw)
 
 
 def stiffness_intervals(found: Insight, *, name: str) -> str:
-    """Each stiffness with its interval by noise, and behind it what the records do not contradict."""
+    """Draw each stiffness with its interval by noise, and behind it its range among compatible models."""
     slip, noise, free, alone = found.actuator.slip, found.intervals, found.feasible_set, found.identifiability.alone
     factor, unit = length_unit(float(slip.breakaway[-1]))
 
     def draw(ax: Axes) -> None:
         rho = slip.breakaway * factor
         if free is not None:
-            ax.vlines(rho, *free.stiffness * 1e-6, color=_FREE, lw=5, label="not contradicted")
+            ax.vlines(rho, *free.stiffness * 1e-6, color=_FREE, lw=5, label="compatible")
         if noise is not None and alone.any():
             low, high = noise.stiffness[:, alone] * 1e-6
             ax.vlines(rho[alone], low, high, color=SIMULATED, lw=1.6, label=f"{100 * noise.level:.0f} % by noise")
@@ -72,7 +70,7 @@ def stiffness_intervals(found: Insight, *, name: str) -> str:
 
 
 def spring_intervals(found: Insight, *, name: str) -> str:
-    """How far the spring's voltage may be off at its knots, by noise and by what the records do not contradict."""
+    """Draw the uncertainty of the spring's voltage at its knots, by noise and among compatible models."""
     spring, noise, free = found.actuator.spring, found.intervals, found.feasible_set
     factor, unit = length_unit(float(np.ptp(spring.displacement)))
     centre = spring.voltage - spring.voltage[0]
@@ -80,9 +78,7 @@ def spring_intervals(found: Insight, *, name: str) -> str:
     def draw(ax: Axes) -> None:
         y = spring.displacement * factor
         if free is not None:
-            ax.fill_between(
-                y, free.spring[0] - centre, free.spring[1] - centre, color=_FREE, lw=0, label="not contradicted"
-            )
+            ax.fill_between(y, free.spring[0] - centre, free.spring[1] - centre, color=_FREE, lw=0, label="compatible")
         if noise is not None:
             ax.fill_between(
                 y,
@@ -101,7 +97,7 @@ def spring_intervals(found: Insight, *, name: str) -> str:
 
 
 def loop_interval(found: Insight, *, name: str) -> str:
-    """How far the displacement may be off by noise on the rise and the fall through the limits."""
+    """Draw the uncertainty of the displacement by noise on the rise and the fall through the limits."""
     loop = found.loop
 
     def draw(ax: Axes) -> None:
@@ -121,7 +117,7 @@ def loop_interval(found: Insight, *, name: str) -> str:
 
 
 def drive_interval(found: Insight, *, name: str) -> str:
-    """How far tau may be off at its knots by noise."""
+    """Draw the uncertainty of tau at its knots by noise."""
     tau, noise = found.actuator.transformer, found.intervals
 
     def draw(ax: Axes) -> None:
@@ -138,7 +134,7 @@ def drive_interval(found: Insight, *, name: str) -> str:
 
 
 def creep_intervals(found: Insight, *, name: str) -> str:
-    """Stiffness of each creep branch with its interval by noise."""
+    """Draw the stiffness of each creep branch with its interval by noise."""
     creep, noise = found.actuator.creep, found.intervals
 
     def draw(ax: Axes) -> None:
@@ -159,7 +155,7 @@ def creep_intervals(found: Insight, *, name: str) -> str:
 
 
 def band(found: PredictionBand, stroke: float, *, name: str) -> str:
-    """The error to be expected along a trajectory, part by part, and the trajectory above."""
+    """Draw the error to expect along a trajectory, part by part, and the trajectory above."""
     factor, unit = length_unit(float(np.ptp(found.displacement)))
     sample = np.arange(found.displacement.size)
 
@@ -177,7 +173,7 @@ def band(found: PredictionBand, stroke: float, *, name: str) -> str:
                 percent(found.open[1]),
                 color="#AAAAAA",
                 lw=0,
-                label="not contradicted by the records",
+                label="compatible with the records",
             )
         lower.fill_between(
             sample, percent(found.noise[0]), percent(found.noise[1]), color=SIMULATED, lw=0, label="noise"

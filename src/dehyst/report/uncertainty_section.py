@@ -1,4 +1,4 @@
-"""What records determine of an actuator, as a section of the report or as a page of its own."""
+"""The assessment of a model, as a section of the report or as a page of its own."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MOST_SENTENCES = 24
 
 
 def write_insight(path: PathLike, found: Insight, *, command: str | None = None) -> None:
-    """Write a page of its own to one HTML file that asks for nothing from outside.
+    """Write an assessment to one HTML file that loads nothing from outside.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def write_insight(path: PathLike, found: Insight, *, command: str | None = None)
         Replaced if it exists; never left half written.
     found : Insight
     command : str, optional
-        The command line that made it, to be shown.
+        The command line to show.
 
     Raises
     ------
@@ -47,16 +47,16 @@ def write_insight(path: PathLike, found: Insight, *, command: str | None = None)
 
 
 def sections(found: Insight) -> list[str]:
-    """Return the page's sections, to stand in the report too."""
+    """Return the page's sections, which the report can contain too."""
     share = number(100 * found.misfit / found.evidence.stroke)
     if found.structured:
-        good = f"The model misses these records by {share} % of their range at most; no check speaks against its use."
+        good = f"The largest error of the model on these records is {share} % of their range, and there is no warning."
         parts = (
             _verdict(found, "No warnings", good),
             _parts(found),
             _part_intervals(found),
             _trajectory(found),
-            f'<h2>What was not judged</h2>\n<p class="muted">{escape(found.not_judged)}</p>',
+            f'<h2>Not judged</h2>\n<p class="muted">{escape(found.not_judged)}</p>',
             _state(found),
         )
     else:
@@ -79,10 +79,9 @@ def _directions(found: Insight) -> str:
         items.append(f"and {len(sentences) - _MOST_SENTENCES} more")
     listed = "\n".join(f"<li>{item}</li>" for item in items)
     caption = (
-        f"The turning points of the records determine {directions.determined} of {directions.of} directions of "
-        f"the stiffnesses, the "
-        "spring and each record's constant being free. A singular value is the RMS voltage by which one volt of "
-        "breakaway voltages in its direction shows, whatever the spring does; hollow ones are open."
+        f"The turning points of the records determine {directions.determined} of {directions.of} directions of the "
+        "stiffnesses, with the spring and each record's constant free. A singular value is the RMS voltage that one "
+        "volt of breakaway voltages in its direction causes and no spring can cancel; hollow ones are open."
     )
     drawn = panel(("Singular values", ""), uncertainty_plots.singular_values(directions, name="singular"), "")
     body = f'<div class="panel"><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>'
@@ -90,7 +89,7 @@ def _directions(found: Insight) -> str:
 
 
 def _subscripts(sentence: str) -> str:
-    """k_12 as k₁₂."""
+    """Write k_12 as k₁₂."""
     digits = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
     words = sentence.split(" ")
     return " ".join("k" + word[2:].translate(digits) if word.startswith("k_") else word for word in words)
@@ -107,23 +106,22 @@ def _intervals(found: Insight) -> str:
         for i, (rho, kappa) in enumerate(zip(slip.breakaway, slip.stiffness, strict=True), 1)
     ]
     level = f"{100 * found.intervals.level:.0f} %"
-    head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "not contradicted")
+    head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "compatible")
     caption = (
-        f"By noise: {level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles, their "
-        "bias taken off, so that an interval need not hold the model's own value; an open stiffness is not "
-        "determined by "
-        "itself, whatever the noise. Not contradicted: the least and the largest value among all models that meet the "
-        "records nearly as well as this one. A stiffness may be uncertain "
-        "while a sum of neighbours is sharp; what counts for a motion is the band along its trajectory."
+        f"By noise: {level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles "
+        "(bootstrap). Their bias is removed, so an interval may not contain the model's own value. An open stiffness "
+        "is not determined by itself, whatever the noise. Compatible: the least and the largest value among all models "
+        "that agree with the records nearly as well as this one. A stiffness may be uncertain while a sum of "
+        "neighbours is accurate; what counts for a motion is the band along its trajectory."
     )
     numbers = (
         f"<details>\n<summary>The intervals' numbers</summary>\n<div>{table(head, rows, texts=0)}</div>\n</details>"
     )
-    return figure("How sharp the numbers are", caption, [stiffness, spring]) + "\n" + numbers
+    return figure("How accurate the numbers are", caption, [stiffness, spring]) + "\n" + numbers
 
 
 def _ranges(found: Insight, i: int) -> tuple[str, str]:
-    """An element's interval by noise, and what the records do not contradict."""
+    """Return an element's interval by noise, and its range among compatible models."""
     assert found.intervals is not None
     assert found.feasible_set is not None
     if not found.identifiability.movable[i]:
@@ -143,8 +141,13 @@ def _next(found: Insight) -> str:
             return ""
         return '<h2>What to record next</h2>\n<p class="muted">Nothing: no loop determines more directions.</p>'
     rows: list[Row] = [
-        ((one.words, one.command), f"{one.determined} of {one.of}", f"{number(one.weakest, 2)}", f"{one.seconds:.4g} s")
-        for one in found.advice[:6]
+        (
+            (advice.words, advice.command),
+            f"{advice.determined} of {advice.of}",
+            f"{number(advice.weakest, 2)}",
+            f"{advice.seconds:.4g} s",
+        )
+        for advice in found.advice[:6]
     ]
     head = ("Excitation", "Known with it", "Weakest (V/V)", "Time")
     return f"<h2>What to record next</h2>\n{table(head, rows, texts=1)}"
@@ -152,17 +155,16 @@ def _next(found: Insight) -> str:
 
 def _parts(found: Insight) -> str:
     rows: list[Row] = [
-        (one.part.capitalize(), str(one.of), str(one.known), *_spread(one.deviations)) for one in found.parts
+        (part.part.capitalize(), str(part.of), str(part.known), *_spread(part.deviations)) for part in found.parts
     ]
     head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
     caption = (
         f"The turning points of the records determine {found.identifiability.determined} of {found.identifiability.of} "
-        "directions of plain "
-        "elements: whether there are inner loops enough. "
+        "directions of plain elements; this shows whether there are enough inner loops. "
         "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
-        f"deviation is {100 * SHARP:g} % of the voltages at most, all other parts being free to make up for it. "
-        "What is not known by itself may be sharp together with other parts: what counts for a motion is the band "
-        "along it."
+        f"deviation is at most {100 * SHARP:g} % of the voltages, with all other parts free to compensate for it. "
+        "A combination that is not known by itself may be accurate together with other parts: what counts for a motion "
+        "is the band along it."
     )
     title = "<h2>What the records determine of each part</h2>"
     return f'{title}\n<p class="muted">{caption}</p>\n{table(head, rows, texts=1)}'
@@ -170,7 +172,7 @@ def _parts(found: Insight) -> str:
 
 def _spread(deviations: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[str, str]:
     best, middle = float(deviations.min()), float(np.median(deviations))
-    return tuple("nothing" if np.isinf(one) else number(one, 2) for one in (best, middle))  # type: ignore[return-value]
+    return tuple("nothing" if np.isinf(x) else number(x, 2) for x in (best, middle))  # type: ignore[return-value]
 
 
 def _part_intervals(found: Insight) -> str:
@@ -185,24 +187,24 @@ def _part_intervals(found: Insight) -> str:
         panels.append(panel(("Creep", ""), uncertainty_plots.creep_intervals(found, name="creep-interval"), ""))
     level = f"{100 * found.intervals.level:.0f} %"
     caption = (
-        f"{level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles under the same "
-        "structure, their bias taken off, so that an interval need not hold the model's own value. The largest error "
-        f"on the records, {length(found.misfit)}, comes on top: it is what this structure cannot follow. Single "
-        "stiffnesses and the spring trade with one another, and are sharp only together."
+        f"{level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles (bootstrap) with "
+        "the same structure. Their bias is removed, so an interval may not contain the model's own value. The largest "
+        f"error on the records, {length(found.misfit)}, comes on top: this structure cannot follow it. Single "
+        "stiffnesses and the spring compensate one another, and are accurate only together."
     )
-    return figure("How sharp the numbers are", caption, panels)
+    return figure("How accurate the numbers are", caption, panels)
 
 
 def _verdict(found: Insight, word: str, good: str) -> str:
-    """Warnings, or what is good if there are none."""
+    """Return the warnings, or the good verdict if there are none."""
     warnings = found.warnings()
     if not warnings:
         return f'<p class="outcome green"><strong>{word}</strong> {good}</p>'
-    return f'<p class="outcome amber"><strong>Beware</strong> {"<br>".join(map(escape, warnings))}</p>'
+    return f'<p class="outcome amber"><strong>Warning</strong> {"<br>".join(map(escape, warnings))}</p>'
 
 
 def _trajectory(found: Insight) -> str:
-    """The band along a trajectory; nothing without one."""
+    """Return the prediction band along a trajectory; empty without one."""
     if found.band is None:
         return ""
     stroke, errors = found.evidence.stroke, found.band.errors()
@@ -212,25 +214,23 @@ def _trajectory(found: Insight) -> str:
         if error or key != "clamped"
     ]
     drawn = panel(("Along the trajectory", ""), uncertainty_plots.band(found.band, stroke, name="band"), "")
-    body = (
-        f'<div class="panel"><h3>Largest error to be expected</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
-    )
+    body = f'<div class="panel"><h3>Largest error to expect</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
     caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
     return figure("The trajectory", caption, [drawn, body])
 
 
 def _state(found: Insight) -> str:
-    """From when on the state is known, and the homing."""
+    """Return a table of when the state becomes known, and the homing."""
 
     def moment(seconds: float | None) -> str:
         return "never" if seconds is None else f"{number(seconds)} s"
 
     rows: list[Row] = [
-        (one.record, moment(one.by_displacement), moment(one.by_voltage) if one.judged else "not judged")
-        for one in found.knowledge
+        (known.record, moment(known.by_displacement), moment(known.by_voltage) if known.judged else "not judged")
+        for known in found.knowledge
     ]
-    head = ("Record", "to one who sees the displacement", "from the voltage alone")
-    parts = ["<h2>From when on the state is known</h2>", table(head, rows, texts=1)]
+    head = ("Record", "from the measured displacement", "from the voltage alone")
+    parts = ["<h2>When the state becomes known</h2>", table(head, rows, texts=1)]
     if found.homing is not None:
         parts.append(_homing(found.homing, creeps=found.actuator.creep is not None))
     return "\n".join(parts)
@@ -246,7 +246,7 @@ def _homing(homing: Homing, *, creeps: bool) -> str:
     way = ", ".join(f"{v:.6g}" for v in homing.turns)
     sentence = escape(
         f"{way} V in {number(homing.played.duration)} s{', with holds at both limits' if creeps else ''} ({word}): "
-        f"whatever was before within the limits, the displacement is known to {length(homing.error)} after it."
+        f"after any history within the limits, it makes the displacement known to {length(homing.error)}."
     )
     items = "\n".join(f"<li>{escape(remark.replace(' um', ' µm'))}</li>" for remark in homing.remarks)
     return f"<p>Homing: {sentence}</p>\n<ul>\n{items}\n</ul>"

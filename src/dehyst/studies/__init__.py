@@ -1,1 +1,1 @@
-"""Studies: the demo and the paper, done again with virtual actuators."""
+"""Studies on virtual actuators: the demo, and the experiment of the paper."""

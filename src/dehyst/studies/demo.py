@@ -1,4 +1,4 @@
-"""The journey on a virtual actuator that is no instance of the model: record, identify, compensate, verify."""
+"""The workflow on a virtual actuator that is not an instance of the model: record, identify, compensate, verify."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dehyst.waveforms import Sampling, descending_tops, raised_cosine
 
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
-# By this file a folder is known as the demo's.
+# A folder with this file is the demo's.
 _OWN = ("demo.json", "dehyst-demo")
 # The paper: Sec. 4.3 and Fig. 12.
 _PAPER = {"linear": 13.63, "compensated": 0.76}
@@ -32,7 +32,7 @@ _PAPER = {"linear": 13.63, "compensated": 0.76}
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """What the demo found; errors in % of the stroke."""
+    """Result of the demo; errors in % of the stroke."""
 
     records: tuple[Record, Record]
     fit: Fit
@@ -44,7 +44,7 @@ class Demo:
     stroke: float
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Return JSON values."""
         return {
             "stroke_um": self.stroke * 1e6,
             "linear": self._errors(self.linear),
@@ -63,7 +63,7 @@ class Demo:
 
 
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
-    """Two major loops and descending tops in one run, for training; loops of other heights, for validation."""
+    """Record two major loops and descending tops in one run for training, loops of other heights for validation."""
     drive = Sampling(sample_rate=_RATE)
     tops = descending_tops(truth.highest, drive=drive)
     others = raised_cosine([0.75 * truth.highest, 0.45 * truth.highest], cycles=2, drive=drive)
@@ -74,14 +74,14 @@ def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
 
 
 def run(progress: Callable[[str], None] = lambda _: None) -> Demo:
-    """Run the whole journey; everything is seeded, so that it always gives the same numbers."""
+    """Run the whole workflow; seeded and thus reproducible."""
     truth = PlayActuator()
     progress("recording loops of a virtual actuator")
     records = record_loops(truth)
     fit = identify(records[0], validate=records[1], progress=progress)
     progress("playing the compensating voltage into the virtual actuator")
     wanted = wanted_path(truth.stroke)
-    # Up to the highest voltage and down to 0 V: after it the state is known, whatever it was.
+    # Up to the highest voltage and down to 0 V: after it the state is known.
     homing = np.concatenate([np.linspace(0, truth.highest, _SAMPLES), np.linspace(truth.highest, 0, _SAMPLES)])
     actuator = fit.actuator
     homed = actuator.simulate(homing, time=np.arange(homing.size) / _RATE).state
@@ -101,17 +101,17 @@ def demand_folder(folder: PathLike) -> None:
 
 
 def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
-    """Leave the records, the model, the path, the numbers and the report in a folder; returns what was written.
+    """Write the records, the model, the path, the numbers and the report to a folder; return the paths.
 
     Raises
     ------
     FileFormatError
-        If the folder cannot be made, or holds files that are not of a demo.
+        If the folder cannot be made, or contains files that are not of a demo.
     MissingExtraError
-        If a report is wanted and matplotlib is missing.
+        If a report is requested and matplotlib is missing.
     """
     target = make_own_folder(folder, *_OWN)
-    # First, so that the folder is known as the demo's even if it is not finished.
+    # First, so that the folder counts as the demo's even if it is not finished.
     write_json(target / "demo.json", {"format": _OWN[1], "version": 1, **demo.as_dict()})
     for record in demo.records:
         write_record(target / f"{record.name}.csv", record)

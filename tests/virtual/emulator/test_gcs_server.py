@@ -325,7 +325,7 @@ def test_the_command_ends_with_the_tally_of_its_voltages(number):
     assert process.returncode == 0
     assert re.fullmatch(
         r"put out -5 to 64 V, largest step 69 V, steepest [\d.e+]+ V/s, now at 64 V, 1 requests refused, "
-        r"0 samples told\n",
+        r"0 samples reported\n",
         said,
     )
 

@@ -1,4 +1,4 @@
-"""What the captions of the paper's figures say of a virtual actuator: what to look at, what differs from the paper."""
+"""Captions of the paper's figures for a virtual actuator: what to look at, and what differs from the paper."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from dehyst.studies.paper.tables import PAPER, physical
 
 
 def captions(found: Experiment, symmetric: Experiment) -> dict[int, str]:
-    """One caption a figure, by the paper's number.
+    """Return one caption for each figure, by the paper's number.
 
     Parameters
     ----------
     found, symmetric : Experiment
         With the virtual E-280.10, and with the same without its asymmetric map.
     """
-    alone: dict[int, Callable[[Experiment], str]] = {
+    single: dict[int, Callable[[Experiment], str]] = {
         3: _typical_loop,
         5: _break_points,
         6: _initial_states,
@@ -40,7 +40,7 @@ def captions(found: Experiment, symmetric: Experiment) -> dict[int, str]:
         11: _trajectories,
     }
     both = {4: _antisymmetry(found, symmetric), 12: _tracking_errors(found, symmetric)}
-    return {number: say(found) for number, say in alone.items()} | both
+    return {number: caption(found) for number, caption in single.items()} | both
 
 
 def _typical_loop(found: Experiment) -> str:
@@ -48,8 +48,8 @@ def _typical_loop(found: Experiment) -> str:
     return (
         f"Voltage up to {PEAKS['major']:g} V at {DRIVE.frequency:g} Hz, from the relaxed state. Look at the residual "
         f"displacement of {1e6 * loop.bottom:.2f} µm to which 0 V leads back, and at the range of "
-        f"{1e6 * loop.range:.3f} µm from there to the peak. The paper's loop is not anti-symmetric either; in what way "
-        "it bends is not in the readable text."
+        f"{1e6 * loop.range:.3f} µm from there to the peak. The paper's loop is not anti-symmetric either; the "
+        "readable text does not describe how it bends."
     )
 
 
@@ -66,10 +66,10 @@ def _antisymmetry(found: Experiment, symmetric: Experiment) -> str:
 
 def _break_points(found: Experiment) -> str:
     return (
-        f"The range from y(T₀) to y(T₀/2) is cut in N = {ELEMENTS} equal parts; where a branch crosses Yᵢ its voltage "
-        "is a break voltage: v↓ᵢ at Yᵢ on the descending branch, v↑ᵢ at Y₁₀₋ᵢ on the ascending one. The paper's method "
-        "sees nothing of the loop but these points. Look at the first segment after each turning point: straight in "
-        f"the model, bent in the loop by up to {chord_error(found.exact, ELEMENTS):.2f} % of the range."
+        f"The range from y(T₀) to y(T₀/2) is divided into N = {ELEMENTS} equal parts; where a branch crosses Yᵢ its "
+        "voltage is a break voltage: v↓ᵢ at Yᵢ on the descending branch, v↑ᵢ at Y₁₀₋ᵢ on the ascending one. The "
+        "paper's method uses only these points of the loop. Look at the first segment after each turning point: "
+        f"straight in the model, bent in the loop by up to {chord_error(found.exact, ELEMENTS):.2f} % of the range."
     )
 
 
@@ -77,14 +77,14 @@ def _initial_states(found: Experiment) -> str:
     moved = found.shift
     by_paper, by_record = (1e6 * found.trials[key].shift for key in ("breakpoints", "record_tops"))
     return (
-        f"(a) The same voltage from the relaxed state, and after {PRE_ENERGISED:g} V were applied and taken away; in "
+        f"(a) The same voltage from the relaxed state, and after {PRE_ENERGISED:g} V were applied and removed; in "
         "both the sensor reads zero at t = 0. (b) The difference: from the first peak on it is the same everywhere, "
         f"{1e6 * moved.loop:.3f} µm with a standard deviation of {1e9 * moved.deviation:.1f} nm, the noise of two "
-        f"records. Eq. 10 asks for minus what a sensor that is not zeroed anew reads at t = 0: {1e6 * moved.rest:.3f} "
-        f"µm. The models predict from the voltage before alone {by_paper:.2f} µm (paper's method) and {by_record:.2f} "
-        "µm (whole record, tops added); for that they need the spring below the identified range, where it is "
-        "extrapolated. The paper discharges quickly; this actuator knows no rate, so how quickly does not matter. The "
-        "readable text gives no number for the paper's shift."
+        "records. By Eq. 10 it is minus the reading at t = 0 of a sensor that is not zeroed again: "
+        f"{1e6 * moved.rest:.3f} µm. From the earlier voltage alone the models predict {by_paper:.2f} µm (paper's "
+        f"method) and {by_record:.2f} µm (whole record, tops added); for that they need the spring below the "
+        "identified range, where it is extrapolated. The paper discharges quickly; this actuator is rate-independent, "
+        "so the speed does not matter. The readable text gives no number for the paper's shift."
     )
 
 
@@ -94,11 +94,11 @@ def _loops(found: Experiment) -> str:
     return (
         f"Raised cosines of {peaks} V, {CYCLES} cycles each in one run; the major and the small loop were fitted, the "
         "medium one only simulated. The readable text does not give the peaks of the paper's minor loops. Below, "
-        "measured less simulated in the last cycle. Largest errors against the truth (major, medium, small): "
+        "measured minus simulated in the last cycle. Largest errors against the truth (major, medium, small): "
         f"{paper} % by the paper's method, which reports {PAPER['major']:g}, {PAPER['medium']:g} and "
         f"{PAPER['small']:g} %; {record} % by the whole record; {tops} % with descending tops in the training. In (b) "
-        "the medium loop is off because two loops leave directions of the stiffnesses open. In (c) none is open; of "
-        f"what is left there no model of the class avoids {symmetric_width_floor(found.exact):.2f} %."
+        "the medium loop is wrong because two loops leave directions of the stiffnesses open. In (c) none is open; no "
+        f"model of the class avoids {symmetric_width_floor(found.exact):.2f} % of the remaining error."
     )
 
 
@@ -116,18 +116,18 @@ def _parallel_spring(found: Experiment) -> str:
         f"constants g comes out strongly negative, {p.nonlinear[-1]:.1f} N at the peak: keq x = km y, over the range "
         f"alone {needed:.1f} N, but T v₀ is {p.transformer_ratio * PEAKS['major']:.1f} N (T/km = "
         f"{1e9 * p.transformer_ratio / p.mechanical_stiffness:.0f} nm/V would make 6 µm of 200 V, not 16). Only h "
-        "matters. x is counted from where h holds no force, by extrapolation, and is larger than the displacement by "
-        f"far: y = {ratio:.4f} x."
+        "matters. x is counted from the place where h has no force, by extrapolation, and is much larger than the "
+        f"displacement: y = {ratio:.4f} x."
     )
 
 
 def _right_extreme(found: Experiment) -> str:
     step = 1e6 * found.loops[0].range / ELEMENTS
     return (
-        "The medium minor loop, held out, where it turns. The model's branch is straight until the first element lets "
-        f"go, 2δ keq/km = {step:.3f} µm below the peak, while the measured one bends at once; on the major loop the "
-        f"chord misses {chord_error(found.exact, 10):.2f} % of the range with 10 elements, "
-        f"{chord_error(found.exact, 40):.2f} % with 40. The paper sees the largest errors of its minor loops in this "
+        "The medium minor loop, held out, where it turns. The model's branch is straight until the first element "
+        f"slips, 2δ keq/km = {step:.3f} µm below the peak, while the measured one bends at once; on the major loop the "
+        f"chord is wrong by {chord_error(found.exact, 10):.2f} % of the range with 10 elements, by "
+        f"{chord_error(found.exact, 40):.2f} % with 40. The paper finds the largest errors of its minor loops at this "
         "place and suspects inertia; here there is none, and at 0.01 Hz it would be 1e-10 of the force."
     )
 
@@ -146,18 +146,18 @@ def _trajectories(found: Experiment) -> str:
     return (
         "The path wanted, and what the actuator does with the voltages of Fig. 10: its true displacement on the "
         f"sensor's axis. With the nominal ratio it lags behind both ways. The path starts at {bottom:.2f} µm, where "
-        "the major loop ends, after one cycle that makes the state known; the paper does not say how it started."
+        "the major loop ends, after one cycle that makes the state known; the paper does not describe its start."
     )
 
 
 def _tracking_errors(found: Experiment, symmetric: Experiment) -> str:
     of, without = (_tracked(experiment.trials) for experiment in (found, symmetric))
     return (
-        f"Reached less wanted. (a) Nominal ratio {found.nominal.largest:.2f} % (paper {PAPER['nominal']:g} %), "
+        f"Reached minus wanted. (a) Nominal ratio {found.nominal.largest:.2f} % (paper {PAPER['nominal']:g} %), "
         f"Goldfarb and Celanovic {of['goldfarb']:.2f} %. (b) The paper's method {of['breakpoints']:.2f} % (paper "
         f"{PAPER['tracking']:g} %), whole record with descending tops {of['record_tops']:.2f} %. (c) The same on an "
         f"actuator that differs only in having no asymmetric map: {without['breakpoints']:.2f} and "
-        f"{without['record_tops']:.2f} %. What is lost from (c) to (b) is the model class's."
+        f"{without['record_tops']:.2f} %. The difference between (c) and (b) is due to the model class."
     )
 
 

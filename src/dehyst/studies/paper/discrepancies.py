@@ -1,4 +1,4 @@
-"""Where the experiment on a virtual actuator differs from the paper, and why: sentences with their numbers."""
+"""Differences between the experiment on a virtual actuator and the paper, with reasons: sentences with numbers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dehyst.studies.paper.tables import PAPER, floors, open_directions, physical
 
 
 def findings(found: Experiment, symmetric: Experiment) -> tuple[str, ...]:
-    """What a reader in a hurry should know.
+    """Return the main findings as sentences.
 
     Parameters
     ----------
@@ -23,43 +23,44 @@ def findings(found: Experiment, symmetric: Experiment) -> tuple[str, ...]:
         f"Inverse control by the paper's method brings it to {paper.tracking.largest:.2f} % (paper "
         f"{PAPER['tracking']:g} %), by the whole record with descending tops to {tops.tracking.largest:.2f} %; on an "
         f"actuator without the asymmetric map to {plain.tracking.largest:.2f} and {plain_tops.tracking.largest:.2f} %.",
-        f"Of the paper's method it is the grid that limits: {_loops(plain)} % (major, medium, small loop) without the "
-        "asymmetric map are one first segment of ten.",
-        f"Of the whole record it is the records, then the model class: {_loops(found.trials['record'])} % with the "
-        f"paper's two loops, {_loops(tops)} % with descending tops, {_loops(plain_tops)} % with them and without the "
-        "asymmetric map.",
+        f"The paper's method is limited by the grid: {_loops(plain)} % (major, medium, small loop) without the "
+        "asymmetric map are due to the first of ten segments.",
+        "The whole-record method is limited by the records, then by the model class: "
+        f"{_loops(found.trials['record'])} % with the paper's two loops, {_loops(tops)} % with descending tops, "
+        f"{_loops(plain_tops)} % with them and without the asymmetric map.",
     )
 
 
 def discrepancies(found: Experiment, symmetric: Experiment) -> dict[str, str]:
-    """What is not as the paper has it, or is left open by it: sentences under a word each."""
+    """Return what differs from the paper, or what the paper leaves open: a text under each heading."""
     return {
         "The grid": _grid(found, symmetric),
         "The model class": _model_class(found, symmetric),
         "Open directions": _open(found, symmetric),
         "The noise": _noise(found),
         "The turning points of minor loops": _turning_points(),
-        "Goldfarb and Celanovic": _rival(found, symmetric),
+        "Goldfarb and Celanovic": _baseline(found, symmetric),
         "Table 1": _stiffnesses(found),
         "The constants": _constants(found),
         "What was chosen to meet the paper": _chosen(found),
-        "What the readable text leaves open": _untold(),
+        "What the readable text leaves open": _unknown(),
         "What the virtual actuator lacks": _lacking(),
         "The shift of Fig. 6": _shift(found),
     }
 
 
 def _grid(found: Experiment, symmetric: Experiment) -> str:
-    misses, without = (one.trials["breakpoints"].errors["major"].true for one in (found, symmetric))
+    error, without = (item.trials["breakpoints"].errors["major"].true for item in (found, symmetric))
     under = floors(found)
     return (
-        f"The paper's method misses the major loop by {misses:.2f} % where the paper reports {PAPER['major']:g} %, "
-        f"because break points {PAPER['spacing']:g} µm apart leave the first segment after each turning point "
-        f"straight, while the loop bends there by {under['chords_10']:.2f} % of the range. Without the asymmetric map "
-        f"this is all, {without:.2f} %; with it the model class adds the rest. It is no matter of this actuator alone: "
-        f"on a branch that is a parabola (Rayleigh's law) and leaves the straight line by {PAPER['nominal']:g} %, ten "
-        f"chords miss {under['parabola_chords_10']:.2f} %. An error of {PAPER['major']:g} % with N = 10 asks for a "
-        "branch that turns less sharply than a parabola, or counts at break points only."
+        f"The error of the paper's method on the major loop is {error:.2f} % where the paper reports "
+        f"{PAPER['major']:g} %, because break points {PAPER['spacing']:g} µm apart leave the first segment after each "
+        f"turning point straight, while the loop bends there by {under['chords_10']:.2f} % of the range. Without the "
+        f"asymmetric map this is all, {without:.2f} %; with it the model class adds the rest. This is not a property "
+        "of this actuator alone: on a branch that is a parabola (Rayleigh's law) and leaves the straight line by "
+        f"{PAPER['nominal']:g} %, ten chords are wrong by {under['parabola_chords_10']:.2f} %. An error of "
+        f"{PAPER['major']:g} % with N = 10 requires a branch that bends less sharply than a parabola, or an error that "
+        "is counted at break points only."
     )
 
 
@@ -71,33 +72,33 @@ def _model_class(found: Experiment, symmetric: Experiment) -> str:
     }
     leaves = ", ".join(f"{found.trials[key].errors['major'].true:.2f} % ({word})" for key, word in words.items())
     return (
-        "At one displacement the branches of a plain Maxwell-slip model lie as far apart as at the mirror image of it, "
-        "whatever N and the spring; this actuator's do not, for its loop is seen through an asymmetric map. No model "
-        f"of the class comes below {floors(found)['symmetric_width']:.2f} % on this major loop, by any method. With no "
-        f"direction open, the whole record leaves {leaves}; without the map "
-        f"{symmetric.trials['record_tops'].errors['major'].true:.2f} %. Below the bound only a wider class helps."
+        "At one displacement the branches of a plain Maxwell-slip model lie as far apart as at its mirror image, "
+        "whatever N and the spring. Those of this actuator do not, because an asymmetric map follows its loop. No "
+        f"model of the class comes below {floors(found)['symmetric_width']:.2f} % on this major loop, by any method. "
+        f"With no direction open, the whole record leaves {leaves}; without the map "
+        f"{symmetric.trials['record_tops'].errors['major'].true:.2f} %. Only a wider class comes below the bound."
     )
 
 
 def _open(found: Experiment, symmetric: Experiment) -> str:
-    two, without = (one.trials["record"].errors["medium"].true for one in (found, symmetric))
-    tops, tops_without = (one.trials["record_tops"].errors["medium"].true for one in (found, symmetric))
+    two, without = (item.trials["record"].errors["medium"].true for item in (found, symmetric))
+    tops, tops_without = (item.trials["record_tops"].errors["medium"].true for item in (found, symmetric))
     return (
         "The major and the small loop alone leave the medium one to chance. "
-        f"{open_directions(found.trials['record'])} The medium loop is missed by {two:.2f} % (without the map "
-        f"{without:.2f} %), with another seed of the noise by more or by less. Ten descending tops in the training "
-        f"leave nothing open: {tops:.2f} % ({tops_without:.2f} %). The paper's method has the same gap; ten elements "
-        "and a vertex with few of them stiff make little of it here."
+        f"{open_directions(found.trials['record'])} The error on the medium loop is {two:.2f} % (without the map "
+        f"{without:.2f} %); with another seed of the noise it is more or less. Ten descending tops in the training "
+        f"leave nothing open: {tops:.2f} % ({tops_without:.2f} %). The paper's method has the same gap; with ten "
+        "elements, few of them stiff, its effect is small here."
     )
 
 
 def _noise(found: Experiment) -> str:
     perfect, noisy = (found.trials[key].errors for key in ("record_noiseless", "record"))
     return (
-        "With a perfect sensor the whole record misses the major and the small loop by "
+        "With a perfect sensor the errors of the whole-record method on the major and the small loop are "
         f"{perfect['major'].true:.2f} and {perfect['small'].true:.2f} %, with {1e9 * found.truth.noise:g} nm of noise "
-        f"by {noisy['major'].true:.2f} and {noisy['small'].true:.2f} %: noise decides nothing but which of the open "
-        "optima is found."
+        f"{noisy['major'].true:.2f} and {noisy['small'].true:.2f} %: noise only decides which of the open optima is "
+        "found."
     )
 
 
@@ -108,25 +109,25 @@ def _turning_points() -> str:
     )
 
 
-def _rival(found: Experiment, symmetric: Experiment) -> str:
+def _baseline(found: Experiment, symmetric: Experiment) -> str:
     relaxed, energised = (found.trials[key].errors["major"].true for key in ("goldfarb", "goldfarb_energised"))
     without = symmetric.trials["goldfarb"].errors["major"].true
     return (
         f"Read off the first rise, their model misses the major loop by {relaxed:.1f} % even from the relaxed state, "
         f"as it has no nonlinear spring ({without:.1f} % without the asymmetric map, where none is needed). After "
-        f"{PRE_ENERGISED:g} V the rise is not the one that the model takes it for: {energised:.0f} %. The paper says "
-        "so and gives no numbers."
+        f"{PRE_ENERGISED:g} V the rise is not the one that the model assumes: {energised:.0f} %. The paper states this "
+        "without numbers."
     )
 
 
 def _stiffnesses(found: Experiment) -> str:
     k = physical(found, "breakpoints").stiffness
     return (
-        "The paper's k₁₀ is much larger than its other stiffnesses, and its footnote 5 takes this for a compensation "
-        "of errors in km and ke. An element that lets go at half of the range never slides over all of it: it is one "
-        f"with the spring, and its direction is open. Here the program came to k₁₀ = {k[-1]:.0f} N/m and to a largest "
-        f"one of {k.max():.0f} N/m, k{subscript(int(np.argmax(k)) + 1)}; other vertices simulate the fitted loops as "
-        "well."
+        "The paper's k₁₀ is much larger than its other stiffnesses; its footnote 5 explains this as a compensation of "
+        "errors in km and ke. An element that slips at half of the range never slides over all of it: it acts as part "
+        f"of the spring, and its direction is open. Here the program found k₁₀ = {k[-1]:.0f} N/m and a largest "
+        f"stiffness of {k.max():.0f} N/m, k{subscript(int(np.argmax(k)) + 1)}; other vertices simulate the fitted "
+        "loops equally well."
     )
 
 
@@ -134,8 +135,8 @@ def _constants(found: Experiment) -> str:
     p = physical(found, "breakpoints")
     return (
         f"T/km = {1e9 * p.transformer_ratio / p.mechanical_stiffness:.0f} nm/V makes 6 µm of 200 V, not 16.152: the "
-        "linear feedforward must be the ratio of the end points, 16.152 µm to 200 V, and it is here. For the same "
-        f"reason keq x is far too stiff and g comes out strongly negative (Fig. 8, {p.nonlinear[-1]:.1f} N at the "
+        "linear feedforward must be the ratio of the end points, 16.152 µm to 200 V, as it is here. For the same "
+        f"reason keq x is much too stiff and g comes out strongly negative (Fig. 8, {p.nonlinear[-1]:.1f} N at the "
         "peak); h = keq x + g rises, and the displacement depends on h and the kᵢ alone."
     )
 
@@ -145,11 +146,11 @@ def _chosen(found: Experiment) -> str:
     return (
         "Stroke and voltage, and one number, the share of the plays, so that the nominal ratio tracks with its largest "
         f"error ({found.nominal.largest:.2f} %). The map that makes the loop asymmetric is that of the package's demo; "
-        f"by it the error is {error.min():.1f} % on the way up and {error.max():.1f} % on the way down."
+        f"with it the error is {error.min():.1f} % on the way up and {error.max():.1f} % on the way down."
     )
 
 
-def _untold() -> str:
+def _unknown() -> str:
     minor = " and ".join(f"{peak:g}" for name, peak in PEAKS.items() if name != "major")
     return (
         f"The peaks of the minor loops ({minor} V here); the number of cycles ({CYCLES} here); whether the sensor was "
@@ -167,8 +168,8 @@ def _lacking() -> str:
 
 def _shift(found: Experiment) -> str:
     return (
-        f"It is {1e6 * found.shift.loop:.3f} µm, and Eq. 10 holds to the noise. To predict it from the voltage before, "
-        "a model needs h below the identified range, where the paper does not identify it and this package "
+        f"It is {1e6 * found.shift.loop:.3f} µm, and Eq. 10 holds within the noise. To predict it from the earlier "
+        "voltage, a model needs h below the identified range, where the paper does not identify it and this package "
         f"extrapolates: {1e6 * found.trials['breakpoints'].shift:.2f} µm by the paper's method."
     )
 

@@ -1,4 +1,4 @@
-"""What no model of a class can do better than: floors under the error, read off a true loop."""
+"""Lower bounds of the error of any model of a class, read off a true loop."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ class ClosedLoop:
         return float(np.ptp(self.falling[0]))
 
     def width(self, places: Array, apart: float) -> Array:
-        """Voltage between the branches at displacements, the rising one moved down, the falling one up by `apart`."""
+        """Return the voltage between the branches, the rising one moved down, the falling one up by `apart`."""
         up, down = (places + apart, places - apart)
         return np.asarray(np.interp(up, *self.rising) - np.interp(down, *self.falling))
 
 
 def symmetric_width_floor(loop: ClosedLoop) -> float:
-    """Least largest error [% of the range] of any model whose loop is equally wide at mirrored places.
+    """Return the least largest error [% of the range] of any model whose loop is equally wide at mirrored places.
 
     At one y the branches of a plain Maxwell-slip model lie ``sum_i 2 kappa_i min(...)`` apart, which is the same at the
-    mirror image of y about the loop's centre (theory, section 6), whatever N and the spring. If the model misses
-    neither branch by more than e, its width at y lies between that of the true loop with the branches moved together by
-    e and that with them moved apart. The floor is the least e for which these intervals overlap at every mirrored pair;
+    mirror image of y about the loop's centre (theory, section 6), whatever N and the spring. If the error of the model
+    is at most e on both branches, its width at y lies between that of the true loop with the branches moved together by
+    e and that with them moved apart. The bound is the least e for which these intervals overlap at every mirrored pair;
     the centre of the model's loop is free within e.
     """
     places = np.linspace(float(loop.falling[0, 0]), float(loop.falling[0, -1]), _PLACES)
@@ -72,9 +72,9 @@ def symmetric_width_floor(loop: ClosedLoop) -> float:
 
 
 def chord_error(loop: ClosedLoop, elements: int) -> float:
-    """Largest error [% of the range] of straight segments through the break points of N = `elements`.
+    """Return the largest error [% of the range] of straight segments through the break points of N = `elements`.
 
-    A model that meets every break point has it; most of it lies in the first segment after a turning point.
+    A model that passes through every break point has it; most of it lies in the first segment after a turning point.
     """
     errors = []
     for displacement, voltage in (loop.rising, loop.falling):
@@ -85,7 +85,7 @@ def chord_error(loop: ClosedLoop, elements: int) -> float:
 
 
 def parabola_chord_error(nominal: float, elements: int) -> float:
-    """`chord_error` [%] of a branch that is a parabola (Rayleigh's law) and leaves the straight line by `nominal` [%].
+    """Return `chord_error` [%] of a parabola (Rayleigh's law) that leaves the straight line by `nominal` [%].
 
     With y = s u + (1 - s) u^2, u the share of the voltage, y that of the displacement, the branch leaves the line by
     (1 - s)/4; the first chord ends where y = 1/N, and leaves the branch by (1 - s) u^2 / 4.
@@ -97,7 +97,7 @@ def parabola_chord_error(nominal: float, elements: int) -> float:
 
 
 def _overlap(places: Array, least: Array, most: Array, moved: float) -> bool:
-    """Whether one width fits at each place and at its mirror image about the centre moved by `moved`."""
+    """Return whether one width fits at each place and at its mirror image about the centre moved by `moved`."""
     mirrored = places[0] + places[-1] + 2 * moved - places
     inside = (mirrored >= places[0]) & (mirrored <= places[-1])
     rounding = 1e-9 * float(most.max())

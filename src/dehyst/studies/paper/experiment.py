@@ -33,7 +33,7 @@ _HALF, _CYCLE = int(DRIVE.rate * DRIVE.half), int(2 * DRIVE.rate * DRIVE.half)
 
 
 class Start(NamedTuple):
-    """What was done to the actuator before t = 0: the voltage that it was given since it was relaxed (n,) [V]."""
+    """A history before t = 0: the voltage applied since the actuator was relaxed (n,) [V]."""
 
     name: str
     voltage: Array
@@ -70,17 +70,17 @@ class Measured:
     start: Start
 
     def cut(self, loop: str) -> Record:
-        """The cycles of one amplitude."""
+        """Return the cycles of one amplitude."""
         first = CYCLES * _CYCLE * list(PEAKS).index(loop)
         return self.record.slice(first, first + CYCLES * _CYCLE + 1).with_name(loop)
 
     def known(self, loop: str) -> slice[int, int, None]:
-        """Samples of one amplitude from the first peak on, where the state no longer depends on the start (Lemma 1)."""
+        """Return the samples of one amplitude from the first peak on, where the start has no effect (Lemma 1)."""
         first = CYCLES * _CYCLE * list(PEAKS).index(loop)
         return slice(max(first, _HALF), first + CYCLES * _CYCLE + 1)
 
     def noiseless(self) -> Measured:
-        """The same with a perfect sensor."""
+        """Return a copy with a perfect sensor."""
         return replace(self, record=replace(self.record, displacement=self.true))
 
 
@@ -168,7 +168,7 @@ class PaperTrial:
 class Shift(NamedTuple):
     """The loop after pre-energising minus the relaxed loop [m]: mean and standard deviation from the first peak on.
 
-    `rest` is what Eq. 10 says it is, in measured numbers: minus what the sensor, not zeroed anew, reads at t = 0.
+    `rest` is its value by Eq. 10 from measured numbers: minus the reading at t = 0 of a sensor not zeroed again.
     """
 
     loop: float
@@ -189,40 +189,40 @@ class Experiment:
 
     @property
     def shift(self) -> Shift:
-        """What pre-energising did to the loop."""
+        """Shift of the loop by pre-energising."""
         before, after = self.runs[RELAXED.name], self.runs[ENERGISED.name]
         moved = (after.record.displacement - before.record.displacement)[_HALF:]
         return Shift(float(moved.mean()), float(moved.std()), before.zero - after.zero)
 
 
 def midpoints(found: Experiment) -> Array:
-    """Midpoints of the pairs of break points of the major loop less half of its peak (N - 1,) [V], 0 by Lemma 2."""
+    """Return midpoints of pairs of break points of the major loop minus half of its peak (N - 1,) [V]; 0 by Lemma 2."""
     loop = found.loops[0]
     return np.asarray(0.5 * (loop.descending[1:-1, 1] + loop.ascending[1:-1, 1] - PEAKS["major"]))
 
 
 def virtual_actuator(*, asymmetric: bool = True) -> PlayActuator:
-    """The virtual E-280.10, 16.152 um at 200 V, with its asymmetric map or with none."""
+    """Return the virtual E-280.10, 16.152 um at 200 V, with its asymmetric map or without."""
     return PlayActuator(width=WIDTH) if asymmetric else PlayActuator(width=WIDTH, asymmetry=0.0, bend=0.0)
 
 
-def run(truth: PlayActuator, tell: Progress) -> Experiment:
-    """Run the paper's protocol on an actuator and identify it in every way; it is seeded, and so is the outcome."""
-    tell("recording loops, relaxed and pre-energised")
+def run(truth: PlayActuator, progress: Progress) -> Experiment:
+    """Run the paper's protocol on an actuator and identify it in every way; seeded and thus reproducible."""
+    progress("recording loops, relaxed and pre-energised")
     loops = raised_cosine(list(PEAKS.values()), cycles=CYCLES, drive=DRIVE).voltage
-    runs = {start.name: _recorded(truth, start, loops, seed) for seed, start in enumerate((RELAXED, ENERGISED))}
-    runs["tops"] = _recorded(truth, RELAXED, descending_tops(PEAKS["major"], drive=DRIVE).voltage, len(runs))
+    runs = {start.name: _record(truth, start, loops, seed) for seed, start in enumerate((RELAXED, ENERGISED))}
+    runs["tops"] = _record(truth, RELAXED, descending_tops(PEAKS["major"], drive=DRIVE).voltage, len(runs))
     relaxed = runs[RELAXED.name]
-    trials = {plan.key: _tried(truth, runs, plan, tell) for plan in PLANS}
-    tell("fitting Goldfarb and Celanovic's model")
+    trials = {plan.key: _identify(truth, runs, plan, progress) for plan in PLANS}
+    progress("fitting Goldfarb and Celanovic's model")
     for key, start in (("goldfarb", RELAXED), ("goldfarb_energised", ENERGISED)):
-        rival = GoldfarbCelanovic.fit(runs[start.name].record, elements=ELEMENTS)
-        trials[key] = _trial(truth, runs[start.name], key, rival.actuator, "CLOSED_FORM", rival.remarks)
-    found = tuple(loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS))
-    return Experiment(truth, runs, found, trials, _tracked(truth, relaxed, None), ClosedLoop.of(truth))
+        baseline = GoldfarbCelanovic.fit(runs[start.name].record, elements=ELEMENTS)
+        trials[key] = _trial(truth, runs[start.name], key, baseline.actuator, "CLOSED_FORM", baseline.remarks)
+    break_points = tuple(loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS))
+    return Experiment(truth, runs, break_points, trials, _track(truth, relaxed, None), ClosedLoop.of(truth))
 
 
-def _recorded(truth: PlayActuator, start: Start, voltage: Array, seed: int) -> Measured:
+def _record(truth: PlayActuator, start: Start, voltage: Array, seed: int) -> Measured:
     """Play a voltage from a start; the sensor is zeroed by its first, noisy, sample."""
     sensed, exact = replace(truth, seed=truth.seed + seed), replace(truth, noise=0.0)
     for actuator in (sensed, exact):
@@ -233,9 +233,9 @@ def _recorded(truth: PlayActuator, start: Start, voltage: Array, seed: int) -> M
     return Measured(record, true - zero, zero, start)
 
 
-def _tried(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan, tell: Progress) -> PaperTrial:
-    """Identify on the major and the small loop, and on what else the plan says."""
-    tell(f"identifying, {plan.key.replace('_', ' ')}")
+def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan, progress: Progress) -> PaperTrial:
+    """Identify on the major and the small loop, and on the further records of the plan."""
+    progress(f"identifying, {plan.key.replace('_', ' ')}")
     relaxed = runs[RELAXED.name]
     seen = relaxed.noiseless() if plan.noiseless else relaxed
     records = [seen.cut("major"), seen.cut("small")]
@@ -269,11 +269,11 @@ def _trial(
         misses = (simulated[samples] - y[samples] for y in (run.true, run.record.displacement))
         errors[loop] = PaperError(*(percent(largest(miss), truth.stroke) for miss in misses))
     energised = _after(actuator, ENERGISED.voltage, actuator.relaxed())
-    tracking = _tracked(truth, run, actuator)
+    tracking = _track(truth, run, actuator)
     return PaperTrial(key, actuator, simulated, errors, tracking, shift(actuator, energised), outcome, tuple(remarks))
 
 
-def _tracked(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> PaperTracking:
+def _track(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> PaperTracking:
     """Track two raised cosines of the full stroke after a major loop, by inverse control or by the nominal ratio."""
     shape = raised_cosine(1.0, cycles=2, drive=DRIVE).voltage
     wanted = _bottom(run) + truth.stroke * shape
@@ -291,7 +291,7 @@ def _tracked(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> P
 
 
 def _after(actuator: Actuator, voltage: Array, state: State | None = None) -> State:
-    """The state that a voltage of the drive's rate leads to."""
+    """Return the state after a voltage sampled at the drive's rate."""
     reached: State = actuator.simulate(
         voltage, time=np.arange(voltage.size) / DRIVE.rate, state=state, extrapolate=True
     ).state
@@ -299,5 +299,5 @@ def _after(actuator: Actuator, voltage: Array, state: State | None = None) -> St
 
 
 def _bottom(run: Measured) -> float:
-    """Lower turning point of the major loop as the sensor shows it [m]."""
+    """Return the lower turning point of the major loop as the sensor shows it [m]."""
     return float(run.record.displacement[[_CYCLE * i for i in range(1, CYCLES + 1)]].mean())

@@ -1,4 +1,4 @@
-"""The paper's Figs. 3 to 12, drawn from a virtual actuator: each a drawing and its data."""
+"""Figs. 3 to 12 of the paper for a virtual actuator: drawings and their data."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _DISPLACEMENT, _VOLTAGE, _TIME = "displacement (µm)", "voltage (V)", "time (s)"
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """A figure of the paper, redone.
+    """A figure of the paper for the virtual actuator.
 
     Attributes
     ----------

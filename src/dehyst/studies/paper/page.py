@@ -37,7 +37,7 @@ def render(found: Experiment, symmetric: Experiment, plates: Sequence[Plate], fi
     files : sequence of str
         Names of the files that lie beside the page.
     """
-    said = captions(found, symmetric)
+    words = captions(found, symmetric)
     parts = [
         f"<h1>{_TITLE}</h1>",
         f'<p class="muted">{escape(_SOURCE)}</p>',
@@ -47,7 +47,7 @@ def render(found: Experiment, symmetric: Experiment, plates: Sequence[Plate], fi
         _summary("The same actuator without its asymmetric map", symmetric),
         _limits({"Virtual E-280.10": found, "Without its asymmetric map": symmetric}),
         _table1(found),
-        *(_plate(plate, said[plate.number], files) for plate in plates),
+        *(_plate(plate, words[plate.number], files) for plate in plates),
         _named("Where this differs from the paper, and why", discrepancies(found, symmetric)),
         _reproduce(files),
     ]
@@ -58,7 +58,7 @@ def _facts(found: Experiment) -> str:
     truth = found.truth
     peaks = ", ".join(f"{peak:g}" for peak in PEAKS.values())
     facts = (
-        f"{truth.plays} play operators of the voltage behind an asymmetric map: no instance of the model",
+        f"{truth.plays} play operators of the voltage with an asymmetric map: not an instance of the model",
         f"{1e6 * truth.stroke:.3f} µm at {truth.highest:g} V",
         f"sensor noise {1e9 * truth.noise:g} nm",
         f"raised cosines of {peaks} V at {DRIVE.frequency:g} Hz, {CYCLES} cycles each, {DRIVE.rate:g} samples a second",
@@ -75,8 +75,8 @@ def _summary(title: str, found: Experiment) -> str:
     return (
         f"<h2>{escape(title)}</h2>\n"
         '<p class="muted">Largest errors in % of the range of the major loop, against the truth, which is known here; '
-        "small: against the measurement with its noise. Simulated from the voltage alone, from the first peak on; no "
-        "constant is fitted. The major and the small loop were fitted, the medium one not.</p>\n"
+        "in small print: against the measurement with its noise. Simulated from the voltage alone, from the first peak "
+        "on; no constant is fitted. The major and the small loop were fitted, the medium one was not.</p>\n"
         f"{table(head, rows, texts=1)}"
     )
 
@@ -117,9 +117,9 @@ def _limits(experiments: Mapping[str, Experiment]) -> str:
         under = floors(found)
         chords = ", ".join(f"{under[f'chords_{n}']:.2f} % (N = {n})" for n in (10, 20, 40))
         note = (
-            f"On the major loop, chords through N + 1 points a branch miss {chords}. A model whose loop is equally "
-            "wide at mirrored places, as that of every plain Maxwell-slip model is, misses it by "
-            f"{under['symmetric_width']:.2f} % at least."
+            f"On the major loop, chords through N + 1 points of a branch are wrong by {chords}. The loop of every "
+            "plain Maxwell-slip model is equally wide at mirrored places; such a model is wrong by at least "
+            f"{under['symmetric_width']:.2f} %."
         )
         tables.append(f'<h3>{title}</h3>\n{table(head, rows, texts=1)}\n<p class="muted">{escape(note)}</p>')
     return "<h2>What limits the errors</h2>\n" + "\n".join(tables)
@@ -141,8 +141,8 @@ def _table1(found: Experiment) -> str:
     ratio, mechanical, electrical = CONSTANTS.values()
     note = (
         f"With the paper's T = {ratio:g} N/V, km = {mechanical:.3g} N/m and ke = {electrical:.3g} N/m. The paper's own "
-        f"numbers are not in the readable text. {open_directions(found.trials['record_10'])} So single values, zeros "
-        "above all, are one of many optima."
+        f"numbers are not in the readable text. {open_directions(found.trials['record_10'])} So single values, "
+        "especially zeros, belong to one of many optima."
     )
     return (
         "<h2>Table 1: stiffness and breakaway friction, N = 10</h2>\n"
@@ -157,21 +157,23 @@ def _plate(plate: Plate, caption: str, files: Sequence[str]) -> str:
     links = " · ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in own)
     return (
         f'<h2>{escape(title)}</h2>\n<figure class="plate {"two" if plate.wide else "one"}">\n{image}\n'
-        f'<p class="files">{links}</p>\n<figcaption>{_said(caption)}</figcaption>\n</figure>'
+        f'<p class="files">{links}</p>\n<figcaption>{_typeset(caption)}</figcaption>\n</figure>'
     )
 
 
 def _list(title: str, sentences: Sequence[str]) -> str:
-    items = "\n".join(f"<li>{_said(sentence)}</li>" for sentence in sentences)
+    items = "\n".join(f"<li>{_typeset(sentence)}</li>" for sentence in sentences)
     return f"<h2>{escape(title)}</h2>\n<ul>\n{items}\n</ul>"
 
 
 def _named(title: str, sentences: Mapping[str, str]) -> str:
-    items = "\n".join(f"<li><strong>{_said(name)}.</strong> {_said(said)}</li>" for name, said in sentences.items())
+    items = "\n".join(
+        f"<li><strong>{_typeset(name)}.</strong> {_typeset(text)}</li>" for name, text in sentences.items()
+    )
     return f"<h2>{escape(title)}</h2>\n<ul>\n{items}\n</ul>"
 
 
-def _said(sentence: str) -> str:
+def _typeset(sentence: str) -> str:
     return re.sub(r"(?<![\w.-])-(?=\d)", MINUS, escape(sentence, quote=False))
 
 

@@ -1,4 +1,4 @@
-"""`dehyst paper`: the paper redone on a virtual actuator, every figure and table beside the paper's own numbers."""
+"""`dehyst paper`: the experiment of the paper on a virtual actuator, with every figure and table."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from dehyst.studies.paper import experiment, tables
 from dehyst.studies.paper.experiment import Experiment
 from dehyst.studies.paper.tables import MODELS, PAPER
 
-# By this file a folder is known as one of the paper's.
+# A folder with this file is one of the paper's.
 _OWN = ("results.json", "dehyst-paper")
 _ACTUATORS = {"asymmetric": "virtual E-280.10", "symmetric": "without its asymmetric map"}
 
 
 @dataclass(frozen=True, eq=False)
 class Paper:
-    """What the experiment found.
+    """The result of the experiment.
 
     Attributes
     ----------
     asymmetric : Experiment
         On the virtual E-280.10.
     symmetric : Experiment
-        On the same without its asymmetric map: the difference between the two is what the model class cannot do.
+        On the same without its asymmetric map: the difference between the two is due to the model class.
     """
 
     asymmetric: Experiment
@@ -43,13 +43,13 @@ class Paper:
         return {name: getattr(self, name) for name in _ACTUATORS}
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values: errors in % of the range of the major loop, lengths in um."""
-        found = {name: tables.as_dict(one) for name, one in self.experiments.items()}
-        return {"paper": dict(PAPER), "protocol": tables.protocol(), **found}
+        """Return JSON values: errors in % of the range of the major loop, lengths in um."""
+        experiments = {name: tables.as_dict(result) for name, result in self.experiments.items()}
+        return {"paper": dict(PAPER), "protocol": tables.protocol(), **experiments}
 
 
 def run(progress: Callable[[str], None] = lambda _: None) -> Paper:
-    """Run the paper's protocol, identify and track; seeded, so that it always gives the same numbers."""
+    """Run the paper's protocol, identify and track; seeded and thus reproducible."""
 
     def of(name: str) -> Experiment:
         truth = experiment.virtual_actuator(asymmetric=name == "asymmetric")
@@ -64,7 +64,7 @@ def demand_folder(folder: PathLike) -> None:
 
 
 def write(result: Paper, folder: PathLike) -> list[Path]:
-    """Leave every figure (SVG, PNG, CSV), the tables, the numbers and a page in a folder; returns what was written.
+    """Write every figure (SVG, PNG, CSV), the tables, the numbers and a page to a folder; return the paths.
 
     Files are index.html, results.json, summary.csv, limits.csv, table1.csv, and figNN.svg, .png and .csv. Each is
     written wholly or not at all, the page last, and none if a figure cannot be drawn.
@@ -81,7 +81,7 @@ def write(result: Paper, folder: PathLike) -> list[Path]:
 
     target = make_own_folder(folder, *_OWN)
     drawn, written = plates(result.asymmetric, result.symmetric), []
-    # First, so that the folder is known as the paper's even if it is not finished.
+    # First, so that the folder counts as the paper's even if it is not finished.
     write_json(target / _OWN[0], {"format": _OWN[1], "version": 1, **result.as_dict()})
     for plate in drawn:
         written += plate.drawing.save(target / plate.name)
@@ -117,7 +117,7 @@ def _limits(result: Paper) -> Iterator[list[Any]]:
 
 
 def _csv(rows: Iterator[list[Any]]) -> str:
-    """Rows as CSV, numbers at full precision, cells empty where there is none."""
+    """Write rows as CSV, with numbers at full precision and empty cells for None."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()

@@ -1,4 +1,4 @@
-"""The paper's numbers beside ours: the summary, what limits the errors, and Table 1."""
+"""The paper's numbers beside those of this package: the summary, the limits of the errors, and Table 1."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Quantity:
     actuator : float or None
         What was measured on the virtual actuator, where no model is needed.
     models : Mapping
-        By each model, where it applies; errors are against the truth.
+        Value by model, where it applies; errors are against the truth.
     against_noise : Mapping
         The same against the noisy measurement.
     """
@@ -70,7 +70,7 @@ class Quantity:
     against_noise: Mapping[str, float]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Return JSON values."""
         return {
             "key": self.key,
             "quantity": self.words,
@@ -92,18 +92,18 @@ class Limit:
 
     @property
     def words(self) -> tuple[str, str]:
-        """Method, and what it was given."""
+        """Method, and its records."""
         method = "The paper's method" if self.plan.method == "breakpoints" else "Whole record"
         given = "perfect sensor" if self.plan.noiseless else "descending tops added" if self.plan.tops else ""
         return method, given
 
     @property
     def norm(self) -> str:
-        """What of the residuals is made least."""
+        """The minimised function of the residuals."""
         return _NORMS[self.plan.norm]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Return JSON values."""
         plan = self.plan
         return {
             "key": plan.key,
@@ -118,7 +118,7 @@ class Limit:
 
 
 def summary(found: Experiment) -> tuple[Quantity, ...]:
-    """The paper's numbers beside those of one virtual actuator."""
+    """Return the paper's numbers beside those of one virtual actuator."""
     trials = {key: found.trials[key] for key in MODELS}
     rows = [
         Quantity(
@@ -147,7 +147,7 @@ def summary(found: Experiment) -> tuple[Quantity, ...]:
 
 
 def limits(found: Experiment) -> tuple[Limit, ...]:
-    """Every identification with its errors against the truth."""
+    """Return every identification with its errors against the truth."""
     rows = []
     for plan in PLANS:
         trial = found.trials[plan.key]
@@ -157,19 +157,19 @@ def limits(found: Experiment) -> tuple[Limit, ...]:
 
 
 def floors(found: Experiment) -> dict[str, float]:
-    """What no model can do better than, [% of the range]; see `dehyst.studies.paper.error_floors`."""
+    """Return lower bounds of the error of any model [% of the range]; see `dehyst.studies.paper.error_floors`."""
     chords = {f"chords_{n}": chord_error(found.exact, n) for n in (10, 20, 40)}
     parabola = parabola_chord_error(PAPER["nominal"], 10)
     return {"symmetric_width": symmetric_width_floor(found.exact), **chords, "parabola_chords_10": parabola}
 
 
 def physical(found: Experiment, key: str) -> Physical:
-    """A trial's model in the paper's symbols, with the paper's constants."""
+    """Return a trial's model in the paper's symbols, with the paper's constants."""
     return found.trials[key].actuator.physical(**CONSTANTS)
 
 
 def table1(found: Experiment) -> dict[str, Array]:
-    """Columns of Table 1, N = 10: by the paper's method, and by the whole-record method."""
+    """Return the columns of Table 1, N = 10: by the paper's method, and by the whole-record method."""
     ours, record = physical(found, "breakpoints"), physical(found, "record_10")
     return {
         "i": np.arange(1.0, ours.stiffness.size + 1),
@@ -182,7 +182,7 @@ def table1(found: Experiment) -> dict[str, Array]:
 
 
 def open_directions(trial: PaperTrial) -> str:
-    """The identification's own sentence about what its records leave open; empty if nothing is."""
+    """Return the identification's sentence about directions that its records leave open; empty if there are none."""
     return next((f"{remark.split(';')[0]}." for remark in trial.remarks if "directions" in remark), "")
 
 
@@ -192,7 +192,7 @@ def subscript(i: int) -> str:
 
 
 def as_dict(found: Experiment) -> dict[str, Any]:
-    """JSON values of all that was found of one actuator."""
+    """Return all results of one actuator as JSON values."""
     moved = found.shift
     return {
         "actuator": actuator(found.truth),
@@ -207,7 +207,7 @@ def as_dict(found: Experiment) -> dict[str, Any]:
 
 
 def actuator(truth: PlayActuator) -> dict[str, Any]:
-    """What the virtual actuator is, as JSON values."""
+    """Return the parameters of the virtual actuator as JSON values."""
     return {
         "stroke_um": 1e6 * truth.stroke,
         "highest_V": truth.highest,
@@ -221,7 +221,7 @@ def actuator(truth: PlayActuator) -> dict[str, Any]:
 
 
 def protocol() -> dict[str, Any]:
-    """What was played, as JSON values."""
+    """Return the protocol as JSON values."""
     return {
         "frequency_Hz": DRIVE.frequency,
         "sample_rate_Hz": DRIVE.rate,

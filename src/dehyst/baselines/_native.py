@@ -1,4 +1,4 @@
-"""The only door to the compiled play operators of the rivals."""
+"""The only door to the compiled steppers of the baselines. Equations: `core/baselines/fields.h`, `core/baselines/plays.h`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from numpy.typing import NDArray
 
 from dehyst import _rivals
 from dehyst._errors import ModelError
+from dehyst._rivals import bouc_wen, coleman_hodgdon, preisach, preisach_weights
 from dehyst._types import Array
+
+__all__ = ["PlayCore", "bouc_wen", "coleman_hodgdon", "play_outputs", "preisach", "preisach_weights"]
 
 
 class PlayCore:
@@ -45,29 +48,29 @@ class PlayCore:
         self._core = _rivals.Plays(thresholds, first, knots, values, slopes, times, shares, offset)
 
     def simulate(self, v: Array, steps: Array, start: float, plays: Array, passed: Array) -> tuple[Array, Array, Array]:
-        """Voltages [V] to displacements [m], `steps` [s] apart; returns the plays and low-passes reached too."""
+        """Return displacements [m] for voltages [V], `steps` [s] apart, and the plays and low-passes at the end."""
         y, _, _, plays, passed = self._core.simulate(v, steps, start, plays, passed)
         return y, plays, passed
 
     def compensate(
         self, y: Array, steps: Array, start: float, plays: Array, passed: Array
     ) -> tuple[Array, Array, Array]:
-        """Displacements [m] to voltages [V]; returns the plays and low-passes reached too.
+        """Return voltages [V] for displacements [m], and the plays and low-passes at the end.
 
         Raises
         ------
         ModelError
             If a displacement is beyond what the model can reach.
         """
-        v, met, _, plays, passed = self._core.compensate(y, steps, start, plays, passed)
-        if met < y.size:
+        v, reached, _, plays, passed = self._core.compensate(y, steps, start, plays, passed)
+        if reached < y.size:
             raise ModelError(
-                f"displacement: {y[met] * 1e6:.6g} um at index {met} is beyond what this model reaches at any voltage; "
-                "stay within the range of the records it was fitted to"
+                f"displacement: {y[reached] * 1e6:.6g} um at index {reached} is beyond what this model reaches at any "
+                "voltage; stay within the range of the records it was fitted to"
             )
         return v, plays, passed
 
 
 def play_outputs(thresholds: Array, start: Array, v: Array) -> Array:
-    """Outputs (n, N) of plays of `thresholds` driven by v (n,), from `start` (N,); all [V]."""
+    """Return the outputs (n, N) of plays of `thresholds` driven by v (n,), from `start` (N,); all [V]."""
     return _rivals.play_outputs(thresholds, start, v)

@@ -1,0 +1,136 @@
+"""`dehyst identify`: an actuator from records of voltage and displacement."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dehyst.cli.common import (
+    PATH,
+    ManyToValidate,
+    columns_options,
+    force_option,
+    json_option,
+    read_records,
+    refuse_overwriting,
+    refuse_replacing,
+)
+from dehyst.cli.printing import print_fit
+from dehyst.cli.terminal import echo_json, progress_line, worded
+
+if TYPE_CHECKING:
+    from dehyst.model import Check
+
+
+@click.command(cls=ManyToValidate)
+@click.argument("records", nargs=-1, required=True, metavar="RECORD...", type=PATH)
+@click.option("-o", "--output", type=PATH, help="Write the model here (JSON).")
+@click.option(
+    "--validate",
+    multiple=True,
+    type=PATH,
+    metavar="RECORD...",
+    help="Held-out records, simulated only; all names up to the next option.",
+)
+@click.option("--report", type=PATH, help="Write a self-contained HTML report here.")
+@click.option(
+    "--method", type=click.Choice(["record", "breakpoints", "antisymmetric"]), default="record", show_default=True
+)
+@click.option(
+    "--elements",
+    type=int,
+    metavar="N",
+    help="Number of slip elements.  [default: 20; 10 for breakpoints and antisymmetric]",
+)
+@click.option(
+    "--structure",
+    type=click.Choice(["auto", "paper"]),
+    default="auto",
+    show_default=True,
+    help="auto: select the parts (transformer, graded elements, creep, ...) by cross-validation. paper: Maxwell-slip, "
+    "plain (slip elements and a spring, as in Yeh's paper); --elements, --knots and another --method imply it.",
+)
+@click.option("--refine", is_flag=True, help="Minimise the simulation error in a second, slow step.")
+@click.option("--norm", type=click.Choice(["l1", "l2", "linf"]), default="l1", show_default=True)
+@click.option("--knots", type=int, metavar="M", help="Knots of the spring.  [default: N + 1, at most 41]")
+@click.option(
+    "--slope-floor",
+    type=float,
+    default=0.2,
+    show_default=True,
+    help="Least slope of the spring, as a part of its mean.",
+)
+@click.option("--delay", type=float, metavar="SECONDS", help="Lag of the displacement.  [default: estimated]")
+@click.option("--shared-datum", is_flag=True, help="All records share one sensor zero.")
+@click.option("--no-drift", is_flag=True, help="Do not estimate and remove the drift of a record.")
+@force_option
+@columns_options
+@json_option
+def identify(
+    records: tuple[Path, ...],
+    output: Path | None,
+    validate: tuple[Path, ...],
+    report: Path | None,
+    method: Any,
+    elements: int | None,
+    structure: Any,
+    refine: bool,
+    norm: Any,
+    knots: int | None,
+    slope_floor: float,
+    delay: float | None,
+    shared_datum: bool,
+    no_drift: bool,
+    as_json: bool,
+    **columns: Any,
+) -> None:
+    """Identify an actuator from RECORDs of voltage and displacement."""
+    from dehyst.identification import identify as run
+    from dehyst.uncertainty import insight as assess
+
+    refuse_overwriting([*records, *validate], output, report)
+    progress = progress_line()
+    progress("reading")
+    training = read_records(records, columns)
+    fit = run(
+        training,
+        validate=read_records(validate, columns),
+        method=method,
+        elements=elements,
+        structure=structure,
+        refine=refine,
+        norm=norm,
+        knots=knots,
+        slope_floor=slope_floor,
+        delay=delay,
+        shared_datum=shared_datum,
+        drift=not no_drift,
+        throw=False,
+        progress=progress,
+    )
+    refuse_replacing(output, report)
+    fit = replace(fit, repairs=worded(fit.repairs), remarks=worded(fit.remarks), checks=_worded_checks(fit.checks))
+    if output is not None and fit.actuator is not None:
+        fit.actuator.save(output)
+    if report is not None:
+        from dehyst.report import write_report
+
+        progress("drawing the report")
+        assessment = None if fit.actuator is None else assess(fit.actuator, training, repeats=0)
+        write_report(report, fit, command=shlex.join(["dehyst", *sys.argv[1:]]), insight=assessment)
+    progress("")
+    if as_json:
+        echo_json(fit.as_dict())
+    else:
+        print_fit(fit, output, report)
+    sys.exit(0 if fit.outcome.good else 1)
+
+
+def _worded_checks(checks: tuple[Check, ...]) -> tuple[Check, ...]:
+    sentences = worded(check.sentence for check in checks)
+    return tuple(replace(check, sentence=sentence) for check, sentence in zip(checks, sentences, strict=True))

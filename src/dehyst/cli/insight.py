@@ -1,0 +1,97 @@
+"""`dehyst insight`: how far to trust a model, and what to record next."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from dehyst.cli.common import (
+    PATH,
+    columns_options,
+    force_option,
+    json_option,
+    path_of,
+    read_model,
+    read_records,
+    refuse_overwriting,
+    refuse_replacing,
+)
+from dehyst.cli.printing import print_insight
+from dehyst.cli.terminal import echo_json, progress_line
+
+
+@click.command()
+@click.argument("model", type=PATH)
+@click.argument("records", nargs=-1, required=True, metavar="RECORD...", type=PATH)
+@click.option("--trajectory", type=PATH, help="Predict the error along this path: a file with a displacement.")
+@click.option("--wanted", metavar="NAME", help="Column of the trajectory's displacement.  [default: found by its name]")
+@click.option("--limits", type=(float, float), metavar="LOW HIGH", help="Voltages allowed.  [default: the model's]")
+@click.option("--seconds", type=float, help="Longest excitation to suggest.")
+@click.option("--level", type=float, default=0.9, show_default=True, help="Confidence level of the intervals.")
+@click.option("--repeats", type=int, default=100, show_default=True, help="Resampled records; 0: no intervals.")
+@click.option("-o", "--output", type=PATH, help="Write the trajectory with its band here (CSV).")
+@click.option("--report", type=PATH, help="Write a self-contained HTML page here.")
+@force_option
+@columns_options
+@json_option
+def insight(
+    model: Path,
+    records: tuple[Path, ...],
+    trajectory: Path | None,
+    wanted: str | None,
+    limits: tuple[float, float] | None,
+    seconds: float | None,
+    level: float,
+    repeats: int,
+    output: Path | None,
+    report: Path | None,
+    as_json: bool,
+    **columns: Any,
+) -> None:
+    """Assess a MODEL: what the RECORDs that it was identified from determine, and what they leave open.
+
+    The status is 1 if there is a warning.
+    """
+    from dehyst._errors import ModelError
+    from dehyst.records import write_columns
+    from dehyst.uncertainty import insight as run
+
+    if output is not None and trajectory is None:
+        raise ModelError("-o: got no trajectory, need one to write its prediction band; give --trajectory")
+    if wanted is not None and trajectory is None:
+        raise ModelError(f"--wanted: got '{wanted}' and no trajectory; give --trajectory, the file with this column")
+    refuse_overwriting([model, *records, *([trajectory] if trajectory else [])], output, report)
+    actuator = read_model(model)
+    progress = progress_line()
+    path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted, columns["max_bytes"])
+    if trajectory is not None and actuator.needs_time and not time:
+        raise ModelError(f"{trajectory}: got no time column, need one: this model depends on time; add time_s")
+    assessment = run(
+        actuator,
+        read_records(records, columns),
+        trajectory=path,
+        time=time.get("time_s"),
+        limits=limits,
+        seconds=seconds,
+        level=level,
+        repeats=repeats,
+        progress=progress,
+    )
+    refuse_replacing(output, report)
+    if output is not None and assessment.band is not None:
+        write_columns(output, {**time, **assessment.band.columns()})
+    if report is not None:
+        from dehyst.report import write_insight
+
+        progress("drawing the page")
+        write_insight(report, assessment, command=shlex.join(["dehyst", *sys.argv[1:]]))
+    progress("")
+    if as_json:
+        echo_json(assessment.as_dict())
+    else:
+        print_insight(assessment, output, report)
+    sys.exit(1 if assessment.warnings() else 0)

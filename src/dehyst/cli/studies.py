@@ -1,0 +1,73 @@
+"""`dehyst demo` and `dehyst paper`: studies on virtual actuators."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from dehyst.cli.common import PATH, json_option
+from dehyst.cli.printing import print_fit, print_paper
+from dehyst.cli.terminal import echo, echo_json, progress_line
+
+
+@click.command()
+@click.option(
+    "-o",
+    "--output",
+    type=PATH,
+    default=Path("dehyst-demo"),
+    show_default=True,
+    help="Folder for the files: new, empty, or an earlier demo's.",
+)
+@click.option("--report/--no-report", default=True, help="Draw the report (needs matplotlib).")
+@json_option
+def demo(output: Path, report: bool, as_json: bool) -> None:
+    """Record, identify, compensate and verify on an embedded virtual actuator."""
+    from dehyst.studies import demo as study
+
+    study.demand_folder(output)
+    progress = progress_line()
+    result = study.run(progress)
+    progress("writing")
+    written = study.write(result, output, report=report)
+    progress("")
+    numbers = result.as_dict()
+    if as_json:
+        echo_json({**numbers, "written": [str(path) for path in written]})
+        return
+    print_fit(result.fit, None, None)
+    echo()
+    echo("Tracking a path with nine reversals, largest error in % of the stroke")
+    for name, key in (("linear feedforward (end-point ratio)", "linear"), ("dehyst", "compensated")):
+        largest, rms = numbers[key]["largest_percent"], numbers[key]["rms_percent"]
+        paper = numbers["paper"][f"{key}_largest_percent"]
+        echo(f"  {name:<38}{largest:7.2f} %   RMS {rms:5.2f} %   (paper {paper:5.2f} %)")
+    echo()
+    echo(f"Written to {output}/: {', '.join(path.name for path in written)}")
+
+
+@click.command()
+@click.option(
+    "-o",
+    "--output",
+    type=PATH,
+    default=Path("dehyst-paper"),
+    show_default=True,
+    help="Folder for the files: new, empty, or one of an earlier run.",
+)
+@json_option
+def paper(output: Path, as_json: bool) -> None:
+    """Repeat the experiment of the paper on a virtual actuator: every table and figure, beside the paper's numbers."""
+    from dehyst.studies.paper import run as study
+
+    study.demand_folder(output)
+    progress = progress_line()
+    result = study.run(progress)
+    progress("drawing")
+    written = study.write(result, output)
+    progress("")
+    if as_json:
+        echo_json({**result.as_dict(), "written": [str(path) for path in written]})
+        return
+    print_paper(result, output)

@@ -1,0 +1,158 @@
+"""The steady cycle of a scan as a wave table, for `dehyst compensate --cycle`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dehyst._text import counted
+from dehyst.cli.common import conclude, refuse_replacing
+from dehyst.cli.scans import in_options
+from dehyst.cli.start import delay_warnings, file_warnings, start_within, state_dict
+from dehyst.cli.terminal import note, progress_line
+
+if TYPE_CHECKING:
+    from dehyst.control import WaveTable
+    from dehyst.model import Actuator
+    from dehyst.waveforms import Scan
+
+# A larger file is more than 300 MB.
+_MOST_ROWS = 5_000_000
+
+
+def tabulate(
+    actuator: Actuator,
+    scan: Scan,
+    axis: str,
+    cycles: int,
+    outputs: tuple[Path, Path],
+    limits: tuple[float, float] | None,
+    slew: float | None,
+    start: str,
+    as_json: bool,
+    options: dict[str, Any],
+) -> None:
+    """Write the wave table of a scan with its homing and start-up, and exit."""
+    from dehyst._errors import RecordError
+    from dehyst.control import wave_table
+    from dehyst.records import write_columns
+
+    refuse_cycles(scan, cycles)
+    tolerance, progress = options["tolerance"], progress_line()
+    if tolerance is not None and not tolerance > 0:
+        raise RecordError(f"--tolerance: got {tolerance:g}, need a length above 0 in um")
+    progress("homing, and the steady cycle")
+    try:
+        table = wave_table(
+            actuator,
+            scan,
+            axis=axis,
+            limits=limits,
+            slew_rate=slew,
+            state=None if options["homing"] else start_within(actuator, start, limits),
+            present=options["present"],
+            approach=options["approach"],
+            cycles=options["start_up"],
+            tolerance=None if tolerance is None else tolerance * 1e-6,
+        )
+    finally:
+        progress("")
+    _note_duration(table, cycles)
+    progress(f"writing {table.rows(cycles)} rows")
+    played, cycle = table.played(cycles), table.cycle
+    refuse_replacing(*outputs)
+    write_columns(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
+    write_columns(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
+    progress("")
+    warnings = [*map(in_options, table.warnings), *_unwritten_warnings(actuator, table, start, limits, slew)]
+    low, high = float(played.voltage.min()), float(played.voltage.max())
+    result = {
+        "samples": played.voltage.size,
+        "sample_rate_Hz": table.sample_rate,
+        "frequency_Hz": 1 / scan.period,
+        "homing_samples": table.homing_rows.size,
+        "homing_s": _homing_seconds(table),
+        "start_up_samples": len(table.start_up),
+        "start_up_cycles": table.cycles,
+        "cycle_samples": len(cycle),
+        "error_um": table.error * 1e6,
+        "unknown_um": table.unknown * 1e6,
+        "certified": table.certified,
+        "settled": table.settled,
+        "clamped": table.clamped,
+        "lowest_V": low,
+        "highest_V": high,
+        "warnings": warnings,
+        "state": state_dict(table.state),
+        "output": str(outputs[0]),
+        "table": str(outputs[1]),
+    }
+    cycles_of = f"{table.cycles} cycle{'s' * (table.cycles != 1)} of start-up, to {table.error * 1e6:.3g} um"
+    line = (
+        f"{counted(played.voltage.size, 'sample')}, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: "
+        f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}"
+    )
+    conclude(as_json, result, line, warnings)
+    sys.exit(0 if table.settled and table.certified and not table.clamped else 1)
+
+
+def _columns(part: Any) -> dict[str, Any]:
+    return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}
+
+
+def _unwritten_warnings(
+    actuator: Actuator, table: WaveTable, start: str, limits: tuple[float, float] | None, slew: float | None
+) -> list[str]:
+    """Warn of what the file does not contain."""
+    if table.homing is not None:
+        return delay_warnings(actuator)
+    begin = start_within(actuator, start, limits)
+    return file_warnings(actuator, float(table.start_up.voltage[0]), start, begin, slew)
+
+
+def _homing_seconds(table: WaveTable) -> float:
+    return 0.0 if table.homing is None else table.homing.duration
+
+
+def refuse_cycles(scan: Scan, cycles: int) -> None:
+    """Refuse a number of cycles that no file should hold."""
+    from dehyst._errors import RecordError
+
+    if cycles < 0:
+        raise RecordError(f"--cycles: got {cycles}, need a whole number, 0 or more")
+    if scan.samples > _MOST_ROWS:
+        raise RecordError(
+            f"--scan: got {scan.samples} rows a period at {scan.rate:g} Hz, need at most {_MOST_ROWS:g}; try a lower "
+            "--sample-rate, or a scan of fewer lines"
+        )
+    if cycles * scan.samples > _MOST_ROWS:
+        raise RecordError(
+            f"--cycles: got {cycles}, {cycles * scan.samples:.4g} rows, need at most {_MOST_ROWS // scan.samples} "
+            f"({_MOST_ROWS:g} rows); repeat one cycle instead"
+        )
+
+
+def _note_duration(table: WaveTable, cycles: int) -> None:
+    """Print how long the written voltage plays; raises RecordError if a file should not hold so many rows."""
+    from dehyst._errors import RecordError
+
+    rows, rate = table.rows(cycles), table.sample_rate
+    parts = (
+        (_homing_seconds(table), "homing"),
+        (len(table.start_up) / rate, "start-up"),
+        (cycles * len(table.cycle) / rate, "cycles"),
+    )
+    durations = ", ".join(f"{seconds:.4g} s of {name}" for seconds, name in parts if seconds)
+    if rows > _MOST_ROWS:
+        raise RecordError(
+            f"--output: got {durations}, {rows} rows at {rate:g} Hz, need at most {_MOST_ROWS:g} rows; try a lower "
+            "--sample-rate, fewer --cycles or --start-up, or no --homing and --start where the actuator stands"
+        )
+    note(f"{durations}: {rows} rows")
+    homing = table.homing
+    if homing is not None and table.homing_rows.size < homing.duration * rate - 0.5:
+        note(
+            f"the homing has {table.homing_rows.size} rows, {1 / homing.sample_rate:.3g} s or more apart: play it "
+            "by its time column, straight from row to row"
+        )
