@@ -39,7 +39,7 @@ def recorded_model(prefix):
 
 
 def proportional(actuator, limits):
-    """What who knows nothing of hysteresis takes an actuator for: displacement in proportion to voltage."""
+    """Return a model without hysteresis: displacement in proportion to voltage."""
     reach = dehyst.Compensator(actuator, limits).reach
     nothing = dehyst.MaxwellSlip([1e-9], [0.0])
     return dehyst.Actuator(nothing, dehyst.Spring(reach, limits), limits=limits, name="proportional")

@@ -1,4 +1,4 @@
-"""The only door to the compiled steppers of the baselines. Equations: `core/baselines/fields.h`, `core/baselines/plays.h`."""
+"""The only door to the compiled steppers of the baselines. Equations: `core/baselines/fields.h`, `plays.h`."""
 
 from __future__ import annotations
 

@@ -72,6 +72,8 @@ class Linear(AbstractBaseline):
     def fit(cls, records: Record | Sequence[Record], *, delay: float | None = None) -> Linear:
         """Take the slope from the end points of the widest loop, and fit the offset by least squares.
 
+        `records` are the training records. `delay` [s] is searched for by default.
+
         Raises
         ------
         RecordError

@@ -202,7 +202,7 @@ class Preisach(AbstractBaseline):
         that rises from a bottom reached from the highest voltage gives E(alpha, bottom). Between curves E is
         interpolated without overshoot, then made to increase away from the diagonal.
 
-        Parameters are those of `fit`.
+        Parameters are those of `fit`. `records` hold the curves. `cells`, `slope_floor` and `delay` are as in `fit`.
 
         Raises
         ------

@@ -35,7 +35,10 @@ _CALL = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
 
 
 class Footprint(NamedTuple):
-    """Bytes of flash (code and numbers), of RAM for one piezo, and of stack below a call, None if unknown."""
+    """Bytes of `flash` (code and numbers), of RAM for one piezo, and of `stack` below a call, None if unknown.
+
+    RAM is `ram`.
+    """
 
     flash: int
     ram: int

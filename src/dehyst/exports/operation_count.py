@@ -39,7 +39,8 @@ def worst_case(compensator: Compensator) -> Operations:
     """Bound the operations of `dehyst_loop_step`, `piezo_step` and `piezo_simulate`, whatever came before.
 
     The count follows the functions of `core/` on their most expensive branches: an offer, then a simulation of the
-    actuator with another voltage than the candidate's, past every breakaway and every knot on the way.
+    actuator with another voltage than the candidate's, past every breakaway and every knot on the way. `compensator` is
+    the one that is exported.
 
     Raises
     ------

@@ -126,7 +126,7 @@ class Actuator(AbstractModel):
         return plausibility.reach(self)
 
     def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
-        """Return the displacements [m] at both limits [V] of slow loops between them, creep at rest at both."""
+        """Return the displacements [m] at both `limits` [V] of slow loops between them, creep at rest at both."""
         return plausibility.major_loop_ends(self, limits)
 
     @cached_property
@@ -268,6 +268,8 @@ class Actuator(AbstractModel):
     def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
         """Return the state in which no element is strained and the spring alone holds `voltage` [V].
 
+        With `extrapolate`, any voltage will do.
+
         Raises
         ------
         ModelError
@@ -282,7 +284,8 @@ class Actuator(AbstractModel):
     def turned(self, displacement: float, *, rising: bool = True, extrapolate: bool = False) -> State:
         """Return the state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II).
 
-        Every smooth element has yielded fully. Creep is at rest, as after a slow motion.
+        Every smooth element has yielded fully. Creep is at rest, as after a slow motion. With `rising` the motion went
+        up, else down. With `extrapolate`, any displacement will do.
 
         Raises
         ------
@@ -409,7 +412,7 @@ class Actuator(AbstractModel):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Actuator:
-        """Rebuild from `as_dict`, strictly.
+        """Rebuild from `as_dict`, strictly. `data` is what `as_dict` returns.
 
         Raises
         ------
@@ -419,7 +422,7 @@ class Actuator(AbstractModel):
         return cls(**serialization.parts(data))
 
     def save(self, path: PathLike) -> None:
-        """Write the model file (JSON), completely or not at all.
+        """Write the model file (JSON), completely or not at all. The file's `path` ends in .json.
 
         Raises
         ------
@@ -430,7 +433,7 @@ class Actuator(AbstractModel):
 
     @classmethod
     def load(cls, path: PathLike) -> Actuator:
-        """Read a model file, strictly.
+        """Read a model file, strictly. `path` is the file's.
 
         Raises
         ------
@@ -450,9 +453,9 @@ class Actuator(AbstractModel):
         return replace(self, provenance={**self.provenance, **entries})
 
     def implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
-        """Return why displacements (n,) [m] under a load (n,) [N] cannot be meant for this actuator; empty if they can.
+        """Return why displacements (n,) [m] under a `load` (n,) [N] are implausible here; empty if they are not.
 
-        A displacement is implausible if it lies farther outside of `plausible` and `others` than these are wide.
+        A `displacement` is implausible if it lies farther outside of `plausible` and `others` than these are wide.
         """
         return plausibility.implausibility(self, displacement, load, *others)
 

@@ -66,7 +66,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Voltage (n,) [V] and displacement (n,) [m] that belong together, and the state at the last sample."""
+    """`voltage` (n,) [V] and `displacement` (n,) [m] that belong together, and the `state` at the last sample."""
 
     voltage: Array
     displacement: Array
@@ -78,8 +78,8 @@ class AbstractModel(ABC):
 
     @abstractmethod
     def simulate(self, voltage: ArrayLike, *, time: ArrayLike | None = None, state: Any = None) -> Motion:
-        """Return the displacement that a voltage causes from `state`; `time` (n,) [s] for models that depend on it."""
+        """Return the displacement that a `voltage` causes from `state`; `time` (n,) [s] if the model needs it."""
 
     @abstractmethod
     def compensate(self, displacement: ArrayLike, *, time: ArrayLike | None = None, state: Any = None) -> Motion:
-        """Return the voltage with which the model follows a displacement from `state`; `time` as in `simulate`."""
+        """Return the voltage with which the model follows a `displacement` from `state`; `time` as in `simulate`."""

@@ -59,13 +59,16 @@ class Creep:
         return self.time_constants.size
 
     def tables(self, durations: Array) -> tuple[Array, Array]:
-        """Return decays exp(-dt/tau_j) and gains (1 - decay) tau_j/dt, (R, J), of steps (R,) [s]; both 1 at 0 s."""
+        """Return decays exp(-dt/tau_j) and gains (1 - decay) tau_j/dt, (R, J), of steps (R,) [s]; both 1 at 0 s.
+
+        `durations` holds the steps.
+        """
         with np.errstate(over="ignore"):
             x = durations[:, None] / self.time_constants
         return np.exp(-x), np.divide(-np.expm1(-x), x, out=np.ones_like(x), where=x > 0)
 
     def strains(self, time: ArrayLike, displacement: ArrayLike) -> Array:
-        """Return strains d_j (n, J) [m] along a displacement (n,) [m], 0 at the first sample: columns of a regression.
+        """Return strains d_j (n, J) [m] along a `displacement` (n,) [m] with `time` (n,) [s], 0 at the first sample.
 
         Raises
         ------

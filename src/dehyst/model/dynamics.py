@@ -57,19 +57,22 @@ class Dynamics:
         demand_divisors(self.frequency, "frequency [rad/s]")
 
     def share(self, spring: Spring) -> float:
-        """Return theta = beta/(K + beta), K the mean slope of the spring: the share of w that follows y at once."""
+        """Return theta = beta/(K + beta), K the mean slope of the `spring`: the share of w that follows y at once."""
         mean = float(np.ptp(spring.voltage) / np.ptp(spring.displacement))
         return self.series / (mean + self.series)
 
     def lead(self, velocity: Array, acceleration: Array) -> Array:
-        """Return w - y (n,) [m] that moves the free mass so: 2 zeta/omega y' + y''/omega^2."""
+        """Return w - y (n,) [m] that moves the free mass so: 2 zeta/omega y' + y''/omega^2.
+
+        `velocity` [m/s] is y'. `acceleration` [m/s^2] is y''.
+        """
         return (2 * self.damping * velocity + acceleration / self.frequency) / self.frequency
 
     def transitions(self, durations: Array, share: float) -> Array:
-        """Return steps (R, 8) of durations (R,) [s] for (y, y'/omega): phi by rows, then gains of q before and after.
+        """Return steps (R, 8) of `durations` (R,) [s] for (y, y'/omega): phi by rows, then gains of q before and after.
 
         ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time: by
-        the exponential of the matrix whose states include q and its slope.
+        the exponential of the matrix whose states include q and its slope. `share` is theta.
 
         Raises
         ------

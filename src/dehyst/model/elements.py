@@ -152,13 +152,13 @@ class GradedSlip:
         return MaxwellSlip(self.breakaway, self.friction / self.breakaway)
 
     def internal_voltage(self, positions: ArrayLike) -> Array:
-        """Return psi_i [V] at positions [m] of shape (..., N) or (..., 1), as shape (..., N); 0 at the first knot."""
+        """Return psi_i [V] at `positions` [m] of shape (..., N) or (..., 1), as shape (..., N); 0 at the first knot."""
         z = np.asarray(positions, dtype=np.float64)[..., None]
         lower, upper = np.append(-np.inf, self.knots[1:-1]), np.append(self.knots[1:-1], np.inf)
         return np.asarray(((np.clip(z, lower, upper) - self.knots[:-1]) * self.stiffness).sum(axis=-1))
 
     def slopes_at(self, positions: ArrayLike) -> Array:
-        """Return kappa_i [V/m] at positions [m] of shape (..., N) or (..., 1), as shape (..., N)."""
+        """Return kappa_i [V/m] at `positions` [m] of shape (..., N) or (..., 1), as shape (..., N)."""
         z = np.broadcast_to(positions, (*np.shape(positions)[:-1], len(self)))
         return np.asarray(self.stiffness[np.arange(len(self)), np.searchsorted(self.knots[1:-1], z, side="right")])
 
@@ -201,7 +201,10 @@ class Spring:
 
     @classmethod
     def of_slopes(cls, displacement: Array, slopes: Array, first: float) -> Spring:
-        """Build a spring from the slopes of its segments (M - 1,) [V/m] and the voltage at its first knot [V]."""
+        """Build a spring from the `slopes` of its segments (M - 1,) [V/m] and the voltage at its `first` knot [V].
+
+        `displacement` (M,) [m] holds the knots.
+        """
         return cls(displacement, first + np.concatenate([[0.0], np.cumsum(slopes * np.diff(displacement))]))
 
     @property
@@ -257,7 +260,10 @@ class Transformer:
         return on_curve(self.voltage, self.drive, voltage)
 
     def inverse(self, drive: ArrayLike) -> Array:
-        """Return the voltages [V] at which tau takes these values [V], of any shape."""
+        """Return the voltages [V] at which tau takes these values [V], of any shape.
+
+        `drive` holds the values of tau [V].
+        """
         return on_curve(self.drive, self.voltage, drive)
 
 

@@ -53,7 +53,11 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class RecordErrors:
-    """Measured minus simulated displacement of one record, where its state is known.
+    """Measured minus simulated displacement of one `record`, where its state is known.
+
+    `role` is training or validation. `samples` were compared. `left_out` samples were not compared.
+    `largest_with_drift` [m] is as `rms_with_drift`. `offset` [m] is the constant that was set aside. `datum` [m] is
+    that of the sensor.
 
     Attributes
     ----------
@@ -134,7 +138,10 @@ def may_creep(rate: float, decades: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """A record and its simulation: time [s], acting voltage [V], displacements [m] on the model's axis."""
+    """A `record` and its simulation: `time` [s], acting `voltage` [V], displacements [m] on the model's axis.
+
+    `role` is training or validation. `measured` and `simulated` are (n,) [m].
+    """
 
     record: str
     role: str

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 class Physical:
     """The paper's symbols (Table 1), from the terminals' numbers and a nominal T, km and ke.
 
+    `transformer_ratio` is T. `mechanical_stiffness` is km [N/m]. `electrical_stiffness` is ke [N/m].
+
     Attributes
     ----------
     stiffness, friction, breakaway : (N,) array

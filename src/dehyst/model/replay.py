@@ -32,5 +32,5 @@ def beginning(model: AbstractModel, voltage: Array) -> Any:
 
 
 def simulated(model: AbstractModel, voltage: Array, time: Array) -> Motion:
-    """Return the motion that a voltage causes from its `beginning`."""
+    """Return the motion that a `voltage` causes from its `beginning`. `model` is any. `time` (n,) [s]."""
     return model.simulate(voltage, state=beginning(model, voltage), **timed(model, time))

@@ -63,5 +63,5 @@ class SmoothSlip:
         return self.length.size
 
     def elongations(self, displacement: ArrayLike) -> Array:
-        """Return q_l (n, L) [m] along a displacement (n,) [m], 0 at the first sample; exact for any steps."""
+        """Return q_l (n, L) [m] along a `displacement` (n,) [m], 0 at the first sample; exact for any steps."""
         return smooth_elongations(self.length, self.closing, vector(displacement, "displacement"))

@@ -117,7 +117,10 @@ class Structure:
         }
 
     def grid(self, span: tuple[float, float], voltages: tuple[float, float], times: tuple[float, float]) -> Grid:
-        """Return thresholds and knots for loops over displacements [m], voltages [V] and times [s], (low, high)."""
+        """Return thresholds and knots for loops over displacements [m], `voltages` [V] and `times` [s], (low, high).
+
+        `span` holds displacements.
+        """
         low, high = span
         stroke = high - low
         breakaway = 0.5 * stroke * (np.arange(1, self.elements + 1) / self.elements) ** self.spacing

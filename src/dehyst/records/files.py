@@ -85,7 +85,10 @@ def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float |
 
 
 def read_table(path: PathLike, *, max_bytes: float = MOST) -> Table:
-    """Read all numeric columns of a file whose kind follows from its suffix; raise as `read` does."""
+    """Read all numeric columns of a file whose kind follows from its suffix; raise as `read` does.
+
+    `path` is the file's. `max_bytes` bounds the file and its numbers.
+    """
     return _load(Path(path), max_bytes, with_meta=False)[0]
 
 
@@ -103,19 +106,21 @@ def _load(path: Path, max_bytes: float, with_meta: bool) -> tuple[Table, hdf5.St
 
 
 def write_record(path: PathLike, record: Record) -> None:
-    """Write a record as CSV with the columns time_s, voltage_V and displacement_um, at full precision.
+    """Write a `record` as CSV with the columns time_s, voltage_V and displacement_um, at full precision.
 
     An existing file is replaced. The new file is a measurement, not an output: no command replaces it without --force.
+    `path` ends in .csv.
     """
     columns = {"time_s": record.time, "voltage_V": record.voltage, "displacement_um": record.displacement * 1e6}
     write_atomically(path, "\n".join([*_lines(path, columns), ""]))
 
 
 def write_hdf5(path: PathLike, record: Record) -> None:
-    """Write a record as HDF5, atomically: `read` returns every bit of its samples, its name and its meta.
+    """Write a `record` as HDF5, atomically: `read` returns every bit of its samples, its name and its meta.
 
     The file holds the datasets time_s, voltage_V and displacement_m, as an attribute ``sha256`` the hash of the three,
-    one after the other as little-endian doubles, and as an attribute ``dehyst`` name and meta in JSON.
+    one after the other as little-endian doubles, and as an attribute ``dehyst`` name and meta in JSON. `path` ends in
+    .h5 or .hdf5.
 
     Raises
     ------
@@ -132,6 +137,8 @@ def write_hdf5(path: PathLike, record: Record) -> None:
 
 def write_columns(path: PathLike, columns: Mapping[str, ArrayLike]) -> None:
     """Write named (n,) arrays as CSV, at full precision, marked as an output of dehyst (`dehyst._io.marks`).
+
+    `path` is the file's. `columns` maps names to arrays.
 
     Raises
     ------

@@ -150,6 +150,7 @@ class Record:
 
         The record's start and end count as extremes when their leg covers 0.9 of the leg next to it, so that one
         excursion up and down is one cycle. A slice includes both its turning points: neighbours share one sample.
+        `band` [V] is the smallest change of voltage that counts as a turn; default: by the range and the noise.
         """
         turns = self.reversals("voltage", band)
         if not len(turns):
@@ -164,20 +165,20 @@ class Record:
         return [slice(int(a), int(b) + 1) for a, b in pairwise(ends)]
 
     def slice(self, start: int | None, stop: int | None) -> Record:
-        """Return samples start to stop - 1, counted as Python slices are."""
+        """Return samples `start` to `stop` - 1, counted as Python slices are."""
         rows = slice(start, stop)
         return replace(self, time=self.time[rows], voltage=self.voltage[rows], displacement=self.displacement[rows])
 
     def between(self, t0: float, t1: float) -> Record:
-        """Return the samples with t0 <= time <= t1 [s]."""
+        """Return the samples with `t0` <= time <= `t1` [s]."""
         return self.slice(int(np.searchsorted(self.time, t0)), int(np.searchsorted(self.time, t1, side="right")))
 
     def with_name(self, name: str) -> Record:
-        """Return the same record under another name."""
+        """Return the same record under another `name`."""
         return replace(self, name=name)
 
     def resample(self, dt: float, kind: str = "linear") -> Record:
-        """Resample the record on a uniform grid of step dt [s] from its first sample; kind is "linear" or "pchip"."""
+        """Resample on a uniform grid of step `dt` [s] from the first sample; `kind` is "linear" or "pchip"."""
         span = float(self.time[-1] - self.time[0])
         if not 0.0 < dt <= span:
             raise RecordError(
@@ -190,7 +191,7 @@ class Record:
         return replace(self, time=grid, voltage=v, displacement=interpolate(self.time, self.displacement, grid, kind))
 
     def delayed(self, delay: float) -> Record:
-        """Return the record with voltage(t - delay), delay in s: shape-preserving, constant beyond the ends."""
+        """Return the record with voltage(t - `delay`), delay in s: shape-preserving, constant beyond the ends."""
         if not isfinite(delay):
             raise RecordError(f"record '{self.name}': delay is {delay} s; give a finite number of seconds")
         times = np.clip(self.time - delay, self.time[0], self.time[-1])

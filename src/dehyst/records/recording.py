@@ -109,7 +109,7 @@ class Recording:
             error.add_note(str(failure))
 
     def add(self, samples: SampleBlock) -> None:
-        """Append samples after the earlier ones; they are on the disk when this returns.
+        """Append `samples` after the earlier ones; they are on the disk when this returns.
 
         Raises
         ------

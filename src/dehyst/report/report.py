@@ -99,7 +99,9 @@ def render(
     comparison: ModelComparison | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> str:
-    """Return the text of the report; the same text for the same fit.
+    """Return the text of the report; the same text for the same `fit`.
+
+    `command` is the line that made it. `insight`, `comparison` and the paths `followed` add a section each.
 
     Raises
     ------

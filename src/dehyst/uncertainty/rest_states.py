@@ -77,7 +77,7 @@ class RestStates:
         return low - at_rest, high - at_rest
 
     def state(self, elongation: ArrayLike) -> State:
-        """Return the equilibrium with the elongations s_i (N,) [m].
+        """Return the equilibrium with an `elongation` s_i (N,) [m] of each element.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class RestStates:
         return self._at(s)
 
     def vertex(self, direction: ArrayLike) -> State:
-        """Return A state that goes farthest in a direction (N,) of the elongations, ``max sum_i direction_i s_i``.
+        """Return a state that goes farthest in a `direction` (N,) of the elongations, ``max sum_i direction_i s_i``.
 
         A corner of the polytope, by a linear program; where several are as far, one of them.
 
@@ -109,7 +109,8 @@ class RestStates:
     def random(self, count: int, *, seed: int = 0) -> list[State]:
         """States inside the set, uniform in the elongations.
 
-        No random walk is needed: the set is a box, of elongations or, if `reachable`, of their increments.
+        No random walk is needed: the set is a box, of elongations or, if `reachable`, of their increments. `count` and
+        `seed` are integers.
 
         Raises
         ------
@@ -125,7 +126,9 @@ class RestStates:
         return [self._at(s) for s in spread]
 
     def holds(self, state: State, tolerance: float = 1e-9) -> bool:
-        """Whether a state is one of these, to a share of the actuator's size (the spring and the largest breakaway).
+        """Whether a `state` is one of these, to a share of the actuator's size (the spring and the largest breakaway).
+
+        `tolerance` is that share.
 
         Raises
         ------

@@ -22,7 +22,10 @@ class VirtualActuator(Protocol):
         """Reset to rest at 0 V, without residual strain."""
 
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V] at the times (n,) [s]; return the displacement (n,) [m]."""
+        """Play a `voltage` (n,) [V] at the times (n,) [s]; return the displacement (n,) [m].
+
+        `time` (n,) [s] is needed by models that move in time. With `measured` the sensor's noise is added.
+        """
         ...
 
 

@@ -172,7 +172,7 @@ class VirtualBench:
         return self._reading()
 
     def set_voltage(self, voltage: float) -> bool:
-        """Put out a voltage [V], at the slew rate; return False, and do nothing, if it is outside the limits.
+        """Put out a `voltage` [V], at the slew rate; return False, and do nothing, if it is outside the limits.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class VirtualBench:
         return True
 
     def move(self, target: float) -> None:
-        """Move to a displacement [m] of the sensor, and hold it against creep.
+        """Move to a displacement [m] of the sensor, and hold it against creep. `target` [m].
 
         Raises
         ------

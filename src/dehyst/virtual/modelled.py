@@ -62,7 +62,9 @@ class ModelledActuator:
         self._voltage, self._time = 0.0, -np.inf
 
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V] as `VirtualActuator.play`; without a sensor, `measured` has no effect.
+        """Play a `voltage` (n,) [V] as `VirtualActuator.play`; without a sensor, `measured` has no effect.
+
+        `time` (n,) [s] is needed by models that move in time.
 
         Raises
         ------

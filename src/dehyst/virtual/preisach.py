@@ -85,7 +85,7 @@ class PreisachActuator:
         self._relays(decay * (-1.0) ** np.arange(decay.size))
 
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V]; return the displacement (n,) [m], with sensor noise if `measured`.
+        """Play a `voltage` (n,) [V]; return the displacement (n,) [m], with sensor noise if `measured`.
 
         `time` is ignored: relays do not depend on it.
 

@@ -86,7 +86,7 @@ class Excitation:
         return self.voltage[[0, *turning, -1]]
 
     def then(self, other: Excitation) -> Excitation:
-        """Append another excitation to this one, without a pause.
+        """Append another excitation to this one, without a pause. `other` comes second.
 
         Raises
         ------

@@ -29,7 +29,10 @@ _SLACK = 9e-10
 
 
 class Leg(NamedTuple):
-    """A monotone stretch of a voltage [V], or a hold if its ends are equal; `requested` unless its time [s] is free."""
+    """A monotone stretch of a voltage [V], or a hold if its ends are equal; `requested` unless its time [s] is free.
+
+    `start` and `end` [V]. `seconds` is its time.
+    """
 
     start: float
     end: float
@@ -118,7 +121,7 @@ class Sampling:
         return [Leg(self.start, self.base, self.half * way / max(way, highest), requested=False)] if way else []
 
     def legs(self, path: Sequence[float]) -> list[Leg]:
-        """Return the legs between the voltages of a path (m,) [V], m >= 2, at the chosen pace.
+        """Return the legs between the voltages of a `path` (m,) [V], m >= 2, at the chosen pace.
 
         Raises
         ------
@@ -135,7 +138,9 @@ class Sampling:
         return [Leg(a, b, self.half * share) for (a, b), share in zip(pairwise(path), shares, strict=True)]
 
     def play(self, name: str, legs: Sequence[Leg]) -> Excitation:
-        """Sample legs that follow one another; all checks are made before memory is taken.
+        """Sample `legs` that follow one another; all checks are made before memory is taken.
+
+        `name` is the excitation's.
 
         Raises
         ------

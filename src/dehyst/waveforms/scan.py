@@ -92,6 +92,8 @@ class ScanPath:
     def repeated(self, cycles: int) -> ScanPath:
         """Return so many periods and the sample that closes the last one; for 0 periods the first sample.
 
+        `cycles` counts the periods.
+
         Raises
         ------
         RecordError
@@ -105,7 +107,7 @@ class ScanPath:
         return ScanPath(y, v, a, self.sample_rate, periodic=False)
 
     def then(self, other: ScanPath) -> ScanPath:
-        """Append another path to this one."""
+        """Append another path to this one. `other` comes second."""
         y, v, a = (np.concatenate(pair) for pair in zip(self.rows, other.rows, strict=True))
         return ScanPath(y, v, a, self.sample_rate, periodic=False)
 
@@ -161,7 +163,7 @@ class Scan(ABC):
         )
 
     def path(self, axis: str = "x") -> ScanPath:
-        """Return one period of an axis, or the whole scan if it is not periodic.
+        """Return one period of an `axis`, or the whole scan if it is not periodic.
 
         Raises
         ------
@@ -173,21 +175,21 @@ class Scan(ABC):
 
     @abstractmethod
     def travel(self, axis: str) -> Travel:
-        """Return displacement, velocity and acceleration at each sample of the axis (n,)."""
+        """Return displacement, velocity and acceleration at each sample of the `axis` (n,)."""
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Largest abs(velocity) [m/s] and abs(acceleration) [m/s^2] of an axis, each or None."""
+    """Largest abs(velocity) [m/s] and abs(`acceleration`) [m/s^2] of an axis, each or None. `speed` [m/s]."""
 
     speed: float | None = None
     acceleration: float | None = None
 
     def refuse(self, what: str, peaks: tuple[float, float], frequency: float, height: float) -> None:
-        """Raise RecordError if a shape of this frequency [Hz] and height [m] exceeds a limit.
+        """Raise RecordError if a shape of this `frequency` [Hz] and `height` [m] exceeds a limit.
 
         `peaks` are its largest speed [m/s], which grows with the frequency, and its largest acceleration [m/s^2], which
-        grows with the square of the frequency; both grow with the height.
+        grows with the square of the frequency; both grow with the height. `what` names the shape.
         """
         v, a = (self.speed or inf) / peaks[0], (self.acceleration or inf) / peaks[1]
         if min(v, a) >= 1 - SLACK:
@@ -206,7 +208,7 @@ class MotionLimits:
         return " and ".join(_both(value, unit) for value, unit in given if value is not None)
 
     def allow(self, peaks: tuple[float, float]) -> bool:
-        """Return whether this speed and this acceleration are within the limits."""
+        """Return whether `peaks`, a speed [m/s] and an acceleration [m/s^2], are within the limits."""
         return all(
             limit is None or peak <= limit * (1 + SLACK)
             for peak, limit in zip(peaks, (self.speed, self.acceleration), strict=True)

@@ -32,7 +32,7 @@ _running: list[Ioc] = []
 
 
 class Ioc:
-    """The process variables of one instrument, all with one prefix; `serve_ioc` makes them.
+    """The process variables of one `instrument`, all with one `prefix`; `serve_ioc` makes them.
 
     =========================== =================================================================================
     VOLTAGE, VOLTAGE:RBV        requested and present voltage [V]
@@ -45,7 +45,8 @@ class Ioc:
     REC:TIME, VOLTAGE, POSITION the samples [s, V, um]
     =========================== =================================================================================
 
-    A put with callback returns when the command is done and all read-only variables are updated after it.
+    A put with callback returns when the command is done and all read-only variables are updated after it. `lock` is
+    held while it is used.
     """
 
     def __init__(self, instrument: VirtualBench, prefix: str, lock: AbstractContextManager[Any]) -> None:
@@ -55,7 +56,7 @@ class Ioc:
         self._records: dict[str, Any] = {}
 
     def build(self, builder: Any) -> None:
-        """Create the records."""
+        """Create the records. `builder` is softioc's."""
         builder.SetDeviceName(self.prefix)
         self._settable(builder)
         self._readable(builder)

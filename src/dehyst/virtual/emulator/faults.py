@@ -52,7 +52,7 @@ class Fault:
 
     @classmethod
     def parse(cls, text: str) -> Fault:
-        """Read NAME, NAME@SAMPLES or NAME@SECONDSs, such as drop@2000 or unplug@3.5s.
+        """Read NAME, NAME@SAMPLES or NAME@SECONDSs, such as drop@2000 or unplug@3.5s. `text` has that form.
 
         Raises
         ------
@@ -69,7 +69,7 @@ class Fault:
         return cls(match["name"], at if match["unit"] else None, None if match["unit"] else at)
 
     def due(self, instrument: VirtualBench) -> bool:
-        """Return whether its time has come."""
+        """Return whether its time has come. `instrument` has the clock and the wave."""
         if self.seconds is not None:
             return instrument.now >= self.seconds
         recorded = instrument.recorded
@@ -103,7 +103,10 @@ class Rehearsal:
         self._report = report
 
     def trigger(self, controller: Controller) -> set[str]:
-        """Trigger the due faults; return the names of those that concern the connection: drop, refuse."""
+        """Trigger the due faults; return the names of those that concern the connection: drop, refuse.
+
+        `controller` is the one that fails.
+        """
         due = [fault for fault in self._pending if fault.due(controller.instrument)]
         for fault in due:
             self._pending.remove(fault)
@@ -113,7 +116,7 @@ class Rehearsal:
         return {fault.name for fault in due} & {"drop", "refuse"}
 
     def corrupt(self, answer: bytes) -> bytes:
-        """Return an answer as it leaves the controller: whole, corrupted, or empty."""
+        """Return an `answer` as it leaves the controller: whole, corrupted, or empty."""
         if self._silent:
             return b""
         corruption, self._corruption = self._corruption, ""

@@ -109,7 +109,7 @@ class Controller:
         self._queries = self._query_table()
 
     def answer(self, line: str) -> str | None:
-        """Return the answer to a line: one line or several, or None; a command that fails latches its error."""
+        """Return the answer to a `line`: one line or several, or None; a command that fails latches its error."""
         words = line.split()
         if not words:
             return None
@@ -128,7 +128,7 @@ class Controller:
         return None
 
     def single(self, byte: int) -> str | None:
-        """Return the answer to a command of one byte: #5 moving, #7 ready, #9 playing, #24 stop."""
+        """Return the answer to a command of one `byte`: #5 moving, #7 ready, #9 playing, #24 stop."""
         self.instrument.advance()
         if byte == 5:
             return f"{int(self.instrument.moving):X}\n"

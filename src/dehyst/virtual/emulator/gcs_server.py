@@ -145,7 +145,7 @@ class Server:
         self._stopped.set()
 
     def serve(self, seconds: float | None = None) -> None:
-        """Serve until `stop`, or for so many seconds; close all connections at the end."""
+        """Serve until `stop`, or for so many `seconds`; close all connections at the end."""
         end = None if seconds is None else time.monotonic() + seconds
         try:
             while not self._stopped.is_set() and (end is None or time.monotonic() < end):
