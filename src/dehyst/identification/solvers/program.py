@@ -99,7 +99,7 @@ def solve(
     return Solution(x[:p], x[p:], columns @ x - target, answer.optimal, answer.status, answer.gap)
 
 
-class Table(Protocol):
+class WeightedBlocks(Protocol):
     """Rows of a program in blocks, iterated any number of times: free columns, those not negative, target, weights."""
 
     def __len__(self) -> int: ...
@@ -108,7 +108,7 @@ class Table(Protocol):
 
 
 def solve_blocks(
-    table: Table,
+    table: WeightedBlocks,
     like: tuple[Array, Array, Array],
     *,
     norm: Norm = "l1",
@@ -118,7 +118,7 @@ def solve_blocks(
 
     Parameters
     ----------
-    table : Table
+    table : WeightedBlocks
     like : (m, p), (m, q) and (m,) array
         Some of the rows, which define the scales: free columns, those not negative, target.
     norm : {"l1", "l2", "linf"}
@@ -151,7 +151,7 @@ def _scales(columns: Array, target: Array) -> tuple[Array, float]:
 class _Scaled:
     """Blocks of a table, weighted and scaled to the order of one."""
 
-    table: Table
+    table: WeightedBlocks
     scale: Array
     scale_b: float
 
