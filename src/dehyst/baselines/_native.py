@@ -1,4 +1,4 @@
-"""The only door to the compiled steppers of the baselines. Equations: `core/baselines/fields.h`, `plays.h`."""
+"""The only door to the compiled steppers of the baselines. Equations: the headers in `core/baselines`."""
 
 from __future__ import annotations
 
