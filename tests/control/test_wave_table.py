@@ -176,7 +176,8 @@ def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
     actuator = ACTUATORS[name]
     table = wave_table(actuator, TRIANGLE, limits=limits, slew_rate=slew, state=actuator.relaxed(20.0), cycles=12)
     assert table.clamped > 0 and table.cycles == 12
-    assert table.warnings[0].startswith("CLAMPED: the steady cycle cannot be reached within the limits; each misses")
+    start = "CLAMPED: the steady cycle cannot be reached within the limits; each cycle misses the path"
+    assert table.warnings[0].startswith(start)
     played = table.played(5)
     assert limits[0] <= played.voltage.min() and played.voltage.max() <= limits[1]
     steps = np.abs(np.diff(played.voltage)) * table.sample_rate
@@ -253,7 +254,7 @@ def test_creep_that_no_start_up_can_outlast_is_said_so():
     slow = replace(PLAIN, creep=Creep([1e5], [2e6]))
     table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=1)
     assert "NOT SETTLED: after 1 cycle of start-up" in table.warnings[-1]
-    assert table.warnings[-1].endswith("but a start-up has 12500 cycles at most; play the table for so long and wait")
+    assert table.warnings[-1].endswith("but a start-up has 12500 cycles at most; play the table for that time first")
 
 
 def test_a_clipped_table_that_is_not_settled_says_that_no_number_is_known():
@@ -261,7 +262,7 @@ def test_a_clipped_table_that_is_not_settled_says_that_no_number_is_known():
     table = wave_table(slow, TRIANGLE, limits=(0.0, 120.0), state=slow.relaxed(20.0))
     assert table.clamped and not table.settled and table.cycles == 47
     assert "the required number is not known" in table.warnings[-1]
-    assert table.warnings[-1].endswith("it tries 47 at most and 100000 samples; give cycles=96 to see")
+    assert table.warnings[-1].endswith("by default 47 cycles and 100000 samples are tried at most; try cycles=96")
 
 
 def test_creep_without_clipping_is_followed_for_a_thousand_cycles():
