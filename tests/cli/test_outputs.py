@@ -23,7 +23,7 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-import dehyst.cli.commands
+import dehyst.cli.registry
 from dehyst import Compensator, FileFormatError, Record, write_record
 from dehyst._io.json_files import write_json
 from dehyst._io.marks import demand_own_folder, demand_replaceable, format_of, marked, written_by_dehyst
@@ -34,7 +34,7 @@ from dehyst.records import read_table, write_columns
 from dehyst.report.html import document
 from dehyst.studies import demo
 
-PROGRAM = [sys.executable, "-c", "from dehyst.cli.commands import main; main()"]
+PROGRAM = [sys.executable, "-c", "from dehyst.cli.registry import main; main()"]
 NASTY = "a\x1b]0;owned\x07\r\nb\u202ec"
 SAID = r"a\x1b]0;owned\x07\r\nb\u202ec"
 UNSAFE = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069]")
@@ -147,7 +147,7 @@ def test_a_table_may_go_to_a_device_of_any_name(tmp_path):
 # Every command
 
 
-def commands(group=dehyst.cli.commands.main, names=()):
+def commands(group=dehyst.cli.registry.main, names=()):
     """Names and object of every command."""
     for name, one in group.commands.items():
         if isinstance(one, click.Group):
@@ -213,11 +213,11 @@ def test_no_command_replaces_a_file_of_others(tmp_path, monkeypatch, names, one,
     monkeypatch.chdir(tmp_path)
     (tmp_path / "precious.csv").write_text("mine")
     arguments = call(names, one, parameter, "precious.csv")
-    done = CliRunner().invoke(dehyst.cli.commands.main, arguments)
+    done = CliRunner().invoke(dehyst.cli.registry.main, arguments)
     assert done.exit_code == 2, done.output
     assert "precious.csv: is there already, and dehyst did not write it" in done.stderr
     assert (tmp_path / "precious.csv").read_text() == "mine"
-    forced = CliRunner().invoke(dehyst.cli.commands.main, [*arguments, "--force"])
+    forced = CliRunner().invoke(dehyst.cli.registry.main, [*arguments, "--force"])
     assert "did not write it" not in forced.stderr and "No such option" not in forced.stderr
 
 
@@ -228,7 +228,7 @@ def test_no_command_writes_into_a_folder_of_others(folder, monkeypatch, names, o
     target.mkdir()
     (target / "report.html").write_text("mine")
     arguments = ["model.json" if word == "absent-model" else word for word in call(names, one, parameter, "precious")]
-    done = CliRunner().invoke(dehyst.cli.commands.main, arguments)
+    done = CliRunner().invoke(dehyst.cli.registry.main, arguments)
     assert done.exit_code == 2, done.output
     assert re.search("holds other files .report.html|report.html: is there already", done.stderr), done.stderr
     assert [path.name for path in target.iterdir()] == ["report.html"]
@@ -276,7 +276,7 @@ def test_a_file_that_appears_while_a_command_computes_is_not_replaced(tmp_path, 
 
     made, output = standard.raised_cosine, tmp_path / "v.csv"
     monkeypatch.setattr(standard, "raised_cosine", lambda *a, **k: output.write_text("mine") and made(*a, **k))
-    done = CliRunner().invoke(dehyst.cli.commands.main, ["excite", "raised-cosine", "10", "-o", str(output)])
+    done = CliRunner().invoke(dehyst.cli.registry.main, ["excite", "raised-cosine", "10", "-o", str(output)])
     assert done.exit_code == 2 and "dehyst did not write it" in done.stderr
     assert output.read_text() == "mine"
 
@@ -405,7 +405,7 @@ def test_ctrl_c_is_a_sentence():
     code = (
         "import os, signal, time, dehyst.studies.demo\n"
         "dehyst.studies.demo.run = lambda tell: os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)\n"
-        "from dehyst.cli.commands import main; main()"
+        "from dehyst.cli.registry import main; main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, "demo"],
@@ -455,7 +455,7 @@ def test_every_command_refuses_a_device_as_its_model(folder, monkeypatch):
         ["export", "/dev/zero", "c"],
         ["excite", "homing", "--model", "/dev/zero", "-o", "o.csv"],
     ):
-        done = CliRunner().invoke(dehyst.cli.commands.main, command)
+        done = CliRunner().invoke(dehyst.cli.registry.main, command)
         assert done.exit_code == 2 and "/dev/zero: is a device, a pipe or a socket" in done.stderr, command
 
 
@@ -553,7 +553,7 @@ def test_names_that_are_no_utf8_and_streams_of_ascii(tmp_path, loops):
 
 
 def test_commands_print_by_one_door():
-    source = Path(dehyst.cli.commands.__file__).parent
+    source = Path(dehyst.cli.registry.__file__).parent
     paths = sorted(set(source.glob("*.py")) - {source / "terminal.py", source / "live.py"})
     assert len(paths) > 8
     for path in paths:

@@ -9,7 +9,7 @@ import pytest
 
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst.model import Actuator, Check, Fit, MaxwellSlip, Outcome, RecordErrors, Spring, Trace, Verdict
-from dehyst.report import fit_figures, plots, report
+from dehyst.report import fit_section, plots, report
 
 HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$ " + "long_" * 60
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -220,7 +220,7 @@ def test_more_records_than_are_drawn():
     model = actuator()
     traces = [trace(model, f"record {i}", samples=100) for i in range(8)]
     page = Page(report.render(fit_of(*traces, model=model)))
-    assert page.tags.count("svg") == 3 * fit_figures.MOST_RECORDS + 2
+    assert page.tags.count("svg") == 3 * fit_section.MOST_RECORDS + 2
     assert "The first 6 of 8 records are drawn" in page.words
     assert "record 7" in page.words
 

@@ -1,5 +1,5 @@
 """The command line: commands parse, call and print."""
 
-from dehyst.cli.commands import main
+from dehyst.cli.registry import main
 
 __all__ = ["main"]

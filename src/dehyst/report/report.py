@@ -13,7 +13,7 @@ from dehyst.control import TrackedPath
 from dehyst.identification.structure_selection import label
 from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure
 from dehyst.report.comparison_section import comparison_sections
-from dehyst.report.fit_figures import loops, numbers, residuals, slip_and_spring
+from dehyst.report.fit_section import loops, numbers, residuals, slip_and_spring
 from dehyst.report.html import Row, document, escape, length, number, table
 from dehyst.report.parts_section import made_of
 from dehyst.report.tracking_section import followed_sections

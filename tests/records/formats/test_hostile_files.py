@@ -393,7 +393,7 @@ def test_devices_are_refused(tmp_path, device):
 
 def test_the_command_line_takes_pipes_and_limits(tmp_path):
     program = (
-        [sys.executable, "-m", "dehyst.cli.commands"]
+        [sys.executable, "-m", "dehyst.cli.registry"]
         if not (b := Path(sys.executable).with_name("dehyst")).exists()
         else [b]
     )

@@ -1,1 +1,1 @@
-"""regression."""
+"""Regression: from rows to coefficients, and from coefficients to an actuator."""

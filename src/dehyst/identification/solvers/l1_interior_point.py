@@ -16,7 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.solvers.interior_point import barrier_matrix, corrector_target, reach, regularised_solver
+from dehyst.identification.solvers.interior_point_algebra import (
+    barrier_matrix,
+    corrector_target,
+    reach,
+    regularised_solver,
+)
 from dehyst.identification.solvers.problem import TINY, Problem
 
 _STEPS = 80

@@ -10,7 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._types import Array, Mask
-from dehyst.identification.solvers.interior_point import barrier_matrix, corrector_target, reach, regularised_solver
+from dehyst.identification.solvers.interior_point_algebra import (
+    barrier_matrix,
+    corrector_target,
+    reach,
+    regularised_solver,
+)
 from dehyst.identification.solvers.problem import TINY
 
 _STEPS = 100
