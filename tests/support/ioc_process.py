@@ -15,17 +15,16 @@ PREFIX = "BENCH"
 _PROGRAM = """
 import json, sys, threading, time, types
 import dehyst
-from dehyst import truths
-from dehyst.emulator.ioc import serve_ioc
-from dehyst.instrument import Instrument
-from dehyst.trajectory import Limits
+from dehyst import VoltageLimits
+from dehyst.virtual import PlayActuator, VirtualBench
+from dehyst.virtual.emulator import serve_ioc
 prefix, options = sys.argv[1], json.loads(sys.argv[2])
 model, actuator = options.pop("model", None), {"noise": 0.0, **options.pop("actuator", {})}
-truth = dehyst.Actuator.load(model) if model else truths.PlayActuator(**actuator)
+truth = dehyst.Actuator.load(model) if model else PlayActuator(**actuator)
 clock = types.SimpleNamespace(now=0.0)
 if options.pop("simulated_clock", False):
     options["clock"] = lambda: clock.now
-instrument, lock = Instrument(truth, **options), threading.Lock()
+instrument, lock = VirtualBench(truth, **options), threading.Lock()
 serve_ioc(instrument, prefix, lock)
 
 def said(act):
