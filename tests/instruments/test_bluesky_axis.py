@@ -198,7 +198,7 @@ def test_what_is_out_of_reach_is_refused_before_anything_moves(homed, engine, io
     with pytest.raises(FailedStatus) as caught:
         engine(bps.mv(homed, low + share * (high - low)))
     assert isinstance(caught.value.__cause__, ModelError)
-    assert re.search(r"need .* to .* um; it would take .* V where 0 to 200 V is allowed", str(caught.value.__cause__))
+    assert re.search(r"need .* to .* um; it needs .* V where 0 to 200 V is allowed", str(caught.value.__cause__))
     assert ioc.log() == before
     engine(bps.mv(homed, 6.0))
     assert measured(engine, homed) == pytest.approx(6.0, abs=EXACT)
@@ -285,7 +285,7 @@ def test_limits_narrower_than_told(actuator, engine, tmp_path):
     with IocProcess(model=str(tmp_path / "model.json")) as doomed:
         axis = made(doomed, actuator)
         engine(homing(axis))
-        doomed.do("instrument._amplifier.limits = Limits(0, 80)")
+        doomed.do("instrument._amplifier.limits = VoltageLimits(0, 80)")
         with pytest.raises(FailedStatus) as caught:
             engine(bps.mv(axis, 15.0))
         assert isinstance(caught.value.__cause__, DeviceError)
