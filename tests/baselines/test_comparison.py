@@ -229,7 +229,7 @@ class Ruler:
     def relax(self):
         """Nothing to forget."""
 
-    def drive(self, voltage, *, time=None, measured=True):
+    def play(self, voltage, *, time=None, measured=True):
         assert time is None or np.all(np.diff(time) > 0)
         return 2e-7 * np.asarray(voltage)
 

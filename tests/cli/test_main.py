@@ -245,7 +245,7 @@ def test_the_newcomers_trap_is_caught(folder):
     np.savetxt(folder / "major.csv", rows, delimiter=",", header="time_s,voltage_V,displacement_um", comments="")
     status, out, _ = run("identify", "major.csv", "-o", "major.json", cwd=folder)
     assert status == 0
-    assert "leave directions of the stiffnesses open" in out
+    assert "leave combinations of the stiffnesses open" in out
     status, out, _ = run("insight", "major.json", "major.csv", "--trajectory", "path.csv", "--json", cwd=folder)
     found = json.loads(out)
     assert status == 1
@@ -357,7 +357,7 @@ def test_a_mass_is_taken_to_be_led_to_the_first_sample(folder, tmp_path):
     started = Actuator.load(tmp_path / "swinging.json")
     command = dehyst.Compensator(started).trajectory(1e-6 * wanted, time=time)
     assert not command.followed
-    assert any("does not begin where the actuator stands" in one for one in command.warnings)
+    assert any("does not begin at the actuator's state" in one for one in command.warnings)
 
 
 def test_a_start_is_within_the_limits(folder, tmp_path):

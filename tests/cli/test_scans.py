@@ -132,7 +132,10 @@ def test_what_is_clamped_ends_with_status_1(folder):
             "--high: got 1.2e+07 um, need 1e+06 um at most; give micrometres, such as 5",
         ),
         (("--scan", "steps", "--levels", "2,2", "--dwell", 0.1, "--edge", 1), "--levels: got 2 um twice in a row"),
-        (("--scan", "steps", "--levels", "2", "--dwell", 0.1, "--edge", 1), "--levels: got 2 um alone, need two"),
+        (
+            ("--scan", "steps", "--levels", "2", "--dwell", 0.1, "--edge", 1),
+            "--levels: got 2 um alone, need at least two",
+        ),
         (("--scan", "steps", "--levels", "2,6", "--dwell", 0.1), "--edge: got none, and no acceleration"),
         (
             ("--scan", "steps", "--levels", "2,6", "--dwell", 0.1, "--edge", 1e-3, "--acceleration", 10),
@@ -145,12 +148,12 @@ def test_what_is_clamped_ends_with_status_1(folder):
         ((*TRIANGLE, "--sample-rate", 20), "--sample-rate: got 20 Hz, 1 sample for 0.05 s"),
         (
             (*TRIANGLE, "--sample-rate", 1e8),
-            "--scan: got 10000000 rows a period at 1e+08 Hz, need 5e+06 at most; try a",
+            "--scan: got 10000000 rows a period at 1e+08 Hz, need at most 5e+06; try a",
         ),
         ((*TRIANGLE, "--limits", 5, 2), "--limits: got (5.0, 2.0), need"),
         (
             ("--scan", "raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 100_000),
-            "--scan: got 40000400 rows a period at 4000 Hz, need 5e+06 at most; try a lower --sample-rate, or a scan",
+            "--scan: got 40000400 rows a period at 4000 Hz, need at most 5e+06; try a lower --sample-rate, or a scan",
         ),
         ((*TRIANGLE, "--slew", -2), "--slew: got -2.0, need"),
         ((*TRIANGLE, "--cycles", -1), "--cycles: got -1, need a whole number, 0 or more"),
@@ -161,7 +164,7 @@ def test_what_is_clamped_ends_with_status_1(folder):
         (("--scan", "steps", "--levels", "2,x", "--dwell", 1), "--levels: could not convert string to float: 'x'"),
         (
             ("--scan", "spiral", "--low", 2, "--high", 12, "--frequency", 1, "--revolutions", 3, "--y-high", 20),
-            "--y-low, --y-high: got 18 um, but x has 10 um",
+            "--y-low, --y-high: got a range of 18 um, but x has 10 um",
         ),
     ],
 )
