@@ -206,7 +206,7 @@ def test_a_long_decay_is_pruned_and_a_major_loop_is_forgotten():
         (lambda: MaxwellSlip([[1, 2]], [1, 1]), r"shape \(1, 2\), need one dimension"),
         (lambda: MaxwellSlip("ab", [1, 1]), "got str, need an array of numbers"),
         (lambda: Spring([0, 1, 2], [0, 1]), "3 spring knots and 2 voltages"),
-        (lambda: Spring([0], [0]), "two at least"),
+        (lambda: Spring([0], [0]), "at least two"),
         (lambda: Spring([0, 0], [0, 1]), "knots must strictly increase"),
         (lambda: Spring([0, 1, 2], [0, 1, 1]), r"Assumption I.*between knots 1 and 2"),
         (lambda: Spring([0, np.inf], [0, 1]), "not finite"),

@@ -233,7 +233,7 @@ def test_limits_narrower_than_told(doomed):
     rig = EpicsRig.connect(doomed.prefix)
     doomed.do("instrument._amplifier.limits = VoltageLimits(0, 80)")
     with pytest.raises(
-        DeviceError, match=r"reports: VOLTAGE: got 82 V, which is out of the amplifier's range"
+        DeviceError, match=r"reports: VOLTAGE: got 82 V, which is outside the amplifier's range"
     ) as caught:
         rig.set_voltage(150.0)
     assert "brought to 0 V" in caught.value.__notes__[0]

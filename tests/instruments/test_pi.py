@@ -150,13 +150,13 @@ def test_an_older_syntax_version_is_that_of_gcs_2():
 @pytest.mark.parametrize(
     ("told", "without", "options", "error", "why"),
     [
-        ({"CSV?": ["3.0"]}, [], {}, DeviceError, "speaks GCS 3"),
+        ({"CSV?": ["3.0"]}, [], {}, DeviceError, "has GCS 3, need GCS 2"),
         ({"*IDN?": ["HTTP/1.1 400 Bad Request"]}, [], {}, LinkError, "web server"),
         ({"*IDN?": ["SSH-2.0-OpenSSH_9"]}, [], {}, LinkError, "is it a GCS controller"),
         ({"*IDN?": None}, [], {}, LinkError, "got nothing in .*other client"),
         ({}, ["SVA"], {}, DeviceError, "lacks the commands SVA"),
         ({}, ["VMA?"], {}, DeviceError, "lacks the commands VMA.; give the allowed voltages"),
-        ({"VMI?": ["1=200"]}, [], {}, LinkError, "no range"),
+        ({"VMI?": ["1=200"]}, [], {}, LinkError, "need a range"),
         ({"SAI?": ["1", "2"]}, [], {}, RigError, "has the axes 1, 2; choose one"),
         ({}, [], {"axis": "7"}, RigError, "got the axis '7', it has 1"),
         ({}, [], {"limits": (200.0, 300.0)}, RigError, "nothing is left"),

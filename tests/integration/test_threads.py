@@ -36,7 +36,7 @@ def importing(frame):
         frame = frame.f_back
     return frame is not None
 
-import bench, dehyst
+import plain_records, dehyst
 %s
 sys.setprofile(watch)
 %s
@@ -45,11 +45,11 @@ print(json.dumps({"looks": looks, "threads": most}))
 """
 SETUP = """
 from dehyst.baselines.comparison import compare, contenders
-from dehyst.insight import insight
-from dehyst.structure import Structure
-from dehyst import demo
-actuator = bench.plant(6)
-record = bench.loops(actuator, bench.DESCENDING_TOPS)
+from dehyst.uncertainty import insight
+from dehyst.model import Structure
+from dehyst.studies import demo
+actuator = plain_records.plant(6)
+record = plain_records.loops(actuator, plain_records.DESCENDING_TOPS)
 """
 SOLVERS = {
     "plain": "dehyst.identify(record, structure='paper')",
@@ -92,7 +92,7 @@ def test_the_watch_would_notice():
 COUNTS = """
 import json, threading
 import scipy.linalg, threadpoolctl
-from dehyst.threads import one_thread
+from dehyst._threads import one_thread
 counts = lambda: sorted(library["num_threads"] for library in threadpoolctl.threadpool_info())
 seen = [counts()]
 first, second = one_thread(), one_thread()

@@ -227,7 +227,7 @@ def test_the_command(tmp_path):
     for words in (
         "Known of each part",
         "the displacement on the major loop",
-        "Not judged of a wider model",
+        "Not judged of a structured model",
         "not judged from the voltage alone",
         "Largest error to expect on the trajectory",
     ):

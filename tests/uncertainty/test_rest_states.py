@@ -388,7 +388,7 @@ def test_a_short_rise_tells_little(seed, noise):
     assert never.any()
     assert found.unknown[never].all()
     assert found.rms <= 1e-9 * record.stroke + 1.2 * noise
-    assert any("too small to tell where on its axis the model stands" in sentence for sentence in found.remarks)
+    assert any("too small to show where on its axis the model stands" in sentence for sentence in found.remarks)
 
 
 def test_a_torn_state_is_not_met():
