@@ -8,18 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst._types import Array, Progress
+from dehyst.identification.cross_validation import FoldSums, first_weights
 from dehyst.identification.regression.regression import Regression
 from dehyst.model import Structure
 from dehyst.records.metrics import rms
-from dehyst.records.signals import turning_points
 
 Build = Callable[[Structure], Regression]
-_FOLDS = 3
-# Least number of blocks of a record, so that a staircase of two long legs can be held out in parts.
-_BLOCKS = 12
 # A part must reduce the held-out error to this share: a smaller gain may be noise.
 _WORTH = 0.97
 # Parts, tried one by one.
@@ -123,42 +119,10 @@ def _best_after(
     return best
 
 
-def _trial(build: Build, structure: Structure, progress: Progress) -> StructureTrial:
+def _trial(build: Build, structure: Structure, progress: Progress, weights: Array | None = None) -> StructureTrial:
     progress(f"trying {structure.words}")
     begin = time.perf_counter()
     regression = build(structure)
-    first = regression.fit("l2")
-    weights = 1 / regression.slope(first)
-    whole = regression.fit("l2", weights)
-    training = rms(regression.residual(whole) / regression.slope(whole))
-    held_out = rms(held_out_errors(regression, weights))
-    return StructureTrial(structure, held_out, training, time.perf_counter() - begin)
-
-
-def held_out_error(regression: Regression) -> float:
-    """Return the RMS error [m] of cycles held out in turn, rows weighted by the inverse slope of a first fit."""
-    return rms(held_out_errors(regression, 1 / regression.slope(regression.fit("l2"))))
-
-
-def held_out_errors(regression: Regression, weights: Array) -> Array:
-    """Return the error of each row [m] in a fit without every third cycle, its own among them."""
-    fold = blocks(regression.rows.voltage, regression.rows.epoch) % _FOLDS
-    errors = np.empty(len(fold))
-    for k in range(_FOLDS):
-        out = fold == k
-        coefficients = regression.chosen(~out).fit("l2", weights[~out])
-        held_out = regression.chosen(out)
-        errors[out] = held_out.residual(coefficients) / held_out.slope(coefficients)
-    return errors
-
-
-def blocks(voltage: Array, epoch: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the cycle number of each row (n,), from voltage and epoch number; long monotone legs are cut."""
-    cut = np.zeros(voltage.size, dtype=bool)
-    cut[1:] = np.diff(epoch) != 0
-    cut[turning_points(voltage, 0.02 * float(np.ptp(voltage)))[::2]] = True
-    starts = np.append(np.flatnonzero(cut), voltage.size)
-    longest = max(voltage.size // _BLOCKS, 2)
-    for a, b in zip(np.append(0, starts[:-1]), starts, strict=True):
-        cut[a + longest : b : longest] = True
-    return np.cumsum(cut)
+    sums = FoldSums(regression, first_weights(regression) if weights is None else weights)
+    held_out = rms(sums.held_out_errors())
+    return StructureTrial(structure, held_out, sums.training_error(), time.perf_counter() - begin)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from dehyst._types import Array
+from dehyst.identification.cross_validation import held_out_error
 from dehyst.identification.dynamics_search import SensedDynamics, find_dynamics
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.preprocessing.denoising import remove_jitter
@@ -21,7 +22,7 @@ from dehyst.identification.regression.nuisances import worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.solvers.program import Norm
-from dehyst.identification.structure_selection import StructureTrial, held_out_error, select
+from dehyst.identification.structure_selection import StructureTrial, select
 from dehyst.model import Structure
 from dehyst.model.structure import Grid
 from dehyst.records import Record

@@ -176,7 +176,11 @@ class Regression:
         return self.nuisances(epochs), self.bounded, self.target
 
     def fit(
-        self, norm: Norm, weights: Array | None = None, equalities: tuple[Array, Array] | None = None
+        self,
+        norm: Norm,
+        weights: Array | None = None,
+        equalities: tuple[Array, Array] | None = None,
+        like: Coefficients | None = None,
     ) -> Coefficients:
         """Solve the program, inequalities added round by round where they would be violated.
 
@@ -186,6 +190,8 @@ class Regression:
         weights : (n,) array, optional
         equalities : (p, m) array and (p,) array, optional
             Combinations of the movable elements' stiffnesses and their values [V], met besides; plain elements only.
+        like : Coefficients, optional
+            Another fit of this regression, whose inequalities the first round has.
         """
         free, bounded, target = self.table()
         n = len(self.rows)
@@ -200,17 +206,18 @@ class Regression:
             blocks.append(self.regularization(norm, n, free.shape[1], usual))
         free, bounded, target, weight = (np.concatenate(column) for column in zip(*blocks, strict=True))
         found = self.solved_with(
-            lambda limits: solve(free, bounded, target, weights=weight, norm=norm, constraints=limits)
+            lambda limits: solve(free, bounded, target, weights=weight, norm=norm, constraints=limits), like=like
         )
         answer = found.solved
         return replace(found, solution=replace(answer, residual=answer.residual[:n]))
 
     def fit_weighted(self, norm: Norm, passes: int = 2) -> Coefficients:
         """Fit with rows weighted by the inverse slope of the model that least-squares passes before it find."""
-        weights = None
+        weights, like = None, None
         for _ in range(passes - 1):
-            weights = 1 / self.slope(self.fit("l2", weights))
-        return self.fit(norm, weights)
+            like = self.fit("l2", weights, like=like)
+            weights = 1 / self.slope(like)
+        return self.fit(norm, weights, like=like)
 
     def _regularized(self, norm: Norm) -> bool:
         """Whether neighbours are held alike. The largest residual is no matter of neighbours."""
@@ -233,13 +240,21 @@ class Regression:
         """Rows over the first unknowns, with nothing for the others."""
         return np.hstack([rows, np.zeros((len(rows), self.bounded.shape[1] - rows.shape[1]))])
 
-    def solved_with(self, solver: Solver, epochs: NDArray[np.intp] | None = None) -> Coefficients:
-        """Return the coefficients that a solver finds with all inequalities met; epochs as in `nuisances`."""
-        return self.coefficients(self.constrained(solver), epochs)
+    def solved_with(
+        self, solver: Solver, epochs: NDArray[np.intp] | None = None, like: Coefficients | None = None
+    ) -> Coefficients:
+        """Return the coefficients that a solver finds with all inequalities met.
 
-    def constrained(self, solver: Solver) -> Solution:
+        Epochs as in `nuisances`; the first round has the inequalities of the fit `like`.
+        """
+        return self.coefficients(self.constrained(solver, like), epochs)
+
+    def constrained(self, solver: Solver, like: Coefficients | None = None) -> Solution:
         """Return the answer of a solver, inequalities -> answer, when no other inequality is violated."""
-        matrix, lower = bounds(self.grid, len(self.strained), self.bounded.shape[1], TRANSFORMER_FLOOR)
+        known = None if like is None else like.solved.inequalities
+        if known is None:
+            known = bounds(self.grid, len(self.strained), self.bounded.shape[1], TRANSFORMER_FLOOR)
+        matrix, lower = known
         for _ in range(_ROUNDS):
             answer = solver((matrix, lower) if lower.size else None)
             if self.grid.segments == 1 or not answer.optimal:
@@ -248,7 +263,7 @@ class Regression:
             if not len(more):
                 break
             matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))
-        return answer
+        return replace(answer, inequalities=(matrix, lower))
 
     def slope(self, found: Coefficients) -> Array:
         """Return d tau(v)/dy of the model at each row (n,) [V/m], at the floor at least; weights are its inverse."""

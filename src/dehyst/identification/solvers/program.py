@@ -20,6 +20,7 @@ from dehyst._types import Array
 from dehyst.identification.solvers import highs
 from dehyst.identification.solvers.least_absolute_blocks import Blocks, Whole, least_absolute
 from dehyst.identification.solvers.least_squares import least_squares, of_triangle, triangle_of
+from dehyst.identification.solvers.normal_equations import ActiveSet
 from dehyst.identification.solvers.problem import TINY, Answer, Problem, failed, inequalities
 
 Norm = Literal["l1", "l2", "linf"]
@@ -42,6 +43,10 @@ class Solution:
     gap : float
         Primal minus dual objective, relative to the larger of the primal one and that of a = x = 0; not negative
         except by rounding.
+    active_set : ActiveSet or None
+        Of a least-squares program solved from sums: the start of one nearby.
+    inequalities : (m, q) and (m,) array, or None
+        Those that the program came to need.
     """
 
     free: Array
@@ -50,6 +55,8 @@ class Solution:
     optimal: bool
     status: str
     gap: float
+    active_set: ActiveSet | None = None
+    inequalities: tuple[Array, Array] | None = None
 
 
 def solve(

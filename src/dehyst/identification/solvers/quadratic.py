@@ -10,15 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dehyst._types import Array, Mask
-from dehyst.identification.solvers.interior_point_algebra import (
-    barrier_matrix,
-    corrector_target,
-    reach,
-    regularised_solver,
-)
 from dehyst.identification.solvers.problem import TINY
+from dehyst.identification.solvers.quadratic_interior_point import interior_point
 
-_STEPS = 100
 # The interior point ends when the mean complementarity is this part of the objective at zero.
 _CLOSE = 1e-13
 _ROUNDS = 50
@@ -137,41 +131,7 @@ class Quadratic:
         return x, multipliers
 
     def _interior(self) -> tuple[Array, Array, Array]:
-        """Return x, multipliers of the bounds (0 for free ones) and of the inequalities, by Mehrotra's method."""
-        q, m, p = self.triangle.shape[1], self.lower.size, self.free
-        limits = np.vstack([np.eye(q)[p:], self.matrix])
-        lower = np.concatenate([np.zeros(q - p), self.lower])
+        """Return x, multipliers of the bounds (0 for free ones) and of the inequalities."""
         gram, linear = self.triangle.T @ self.triangle, self.triangle.T @ self.image
-        x, slack, dual = np.ones(q), np.ones(q - p + m), np.ones(q - p + m)
-        least, unit = _CLOSE * max(float(self.image @ self.image), TINY), np.diag(gram).max() or 1.0
-        for _ in range(_STEPS):
-            newton = _NewtonQuadratic(
-                gram, limits, gram @ x - linear - limits.T @ dual, limits @ x - slack - lower, slack, dual
-            )
-            mean = float(slack @ dual) / dual.size
-            if mean < least and np.abs(newton.pull).max() < 1e-12 * unit and np.abs(newton.missed).max() < 1e-12:
-                break
-            _, ds, dz = newton.step(np.zeros(dual.size))
-            length = min(reach(slack, ds), reach(dual, dz))
-            after = float((slack + length * ds) @ (dual + length * dz)) / dual.size
-            dx, ds, dz = newton.step(corrector_target(mean, after) - ds * dz)
-            length = 0.995 * min(reach(slack, ds), reach(dual, dz))
-            x, slack, dual = x + length * dx, slack + length * ds, dual + length * dz
-        x[p:] = np.maximum(x[p:], 0.0)
-        return x, np.concatenate([np.zeros(p), dual[: q - p]]), dual[q - p :]
-
-
-class _NewtonQuadratic:
-    """Newton's equations of an interior point; `pull` and `missed` are the dual and the primal residual."""
-
-    def __init__(self, gram: Array, limits: Array, pull: Array, missed: Array, slack: Array, dual: Array) -> None:
-        self.pull, self.missed = pull, missed
-        self._limits, self._slack, self._dual = limits, slack, dual
-        self._solve = regularised_solver(gram + barrier_matrix(limits, dual, slack))
-
-    def step(self, target: Array) -> tuple[Array, Array, Array]:
-        """Return changes of x, slack and dual that bring slack times dual to the target (m,)."""
-        ratio = self._dual / self._slack
-        force = target / self._slack - self._dual - ratio * self.missed
-        dx = self._solve(self._limits.T @ force - self.pull)
-        return dx, self._limits @ dx + self.missed, force - ratio * (self._limits @ dx)
+        close = _CLOSE * max(float(self.image @ self.image), TINY)
+        return interior_point(gram, linear, self.free, (self.matrix, self.lower), close)

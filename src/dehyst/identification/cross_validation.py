@@ -1,0 +1,142 @@
+"""Cross-validation by sums: a fit without a fold needs the sums over all rows less those over the fold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._types import Array, Mask
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
+from dehyst.identification.solvers.normal_equations import NormalEquations
+from dehyst.identification.solvers.program import Solution
+from dehyst.records.metrics import rms
+from dehyst.records.signals import turning_points
+
+_FOLDS = 3
+# Least number of blocks of a record, so that a staircase of two long legs can be held out in parts.
+_BLOCKS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class FoldSums:
+    """The rows of a regression, and their weighted sums by fold.
+
+    Attributes
+    ----------
+    regression : Regression
+    weights : (n,) array
+        Of the rows, as for `Regression.fit`.
+    """
+
+    regression: Regression
+    weights: Array
+
+    @cached_property
+    def fold(self) -> NDArray[np.intp]:
+        """Fold of each row (n,): every third cycle."""
+        rows = self.regression.rows
+        return blocks(rows.voltage, rows.epoch) % _FOLDS
+
+    @cached_property
+    def _columns(self) -> tuple[Array, int]:
+        """All columns (n, q), the free ones first, and how many are free."""
+        free, bounded, _ = self.regression.table()
+        return np.hstack([free, bounded]), free.shape[1]
+
+    @cached_property
+    def _sums(self) -> list[NormalEquations]:
+        columns, free = self._columns
+        target, sums = self.regression.target, []
+        for k in range(_FOLDS):
+            rows, weights = np.flatnonzero(self.fold == k), self.weights[self.fold == k]
+            sums.append(NormalEquations.of_rows(columns[rows] * weights[:, None], target[rows] * weights, free))
+        return sums
+
+    @cached_property
+    def _regularization(self) -> NormalEquations:
+        """Sums of the regularisation beside one row."""
+        free = self._columns[1]
+        none, rows, target, weights = self.regression.regularization("l2", 1, free, 1 / self.regression.mean_slope)
+        return NormalEquations.of_rows(np.hstack([none, rows]) * weights[:, None], target * weights, free)
+
+    @cached_property
+    def whole(self) -> Coefficients:
+        """Fit of all rows."""
+        return self._fit(np.ones(self.fold.size, dtype=bool), sum_of(self._sums), None)
+
+    def training_error(self) -> float:
+        """Return the RMS error of the fit of all rows [m]."""
+        columns, _ = self._columns
+        left = columns @ _unknowns(self.whole) - self.regression.target
+        return rms(left / self.regression.slope(self.whole))
+
+    def held_out_errors(self) -> Array:
+        """Return the error of each row [m] in the fit without its fold."""
+        total, errors, like = sum_of(self._sums), np.empty(self.fold.size), self.whole
+        columns, _ = self._columns
+        for k in range(_FOLDS):
+            out = self.fold == k
+            if not out.any():
+                continue
+            coefficients = self._fit(~out, total - self._sums[k], like)
+            left = columns[out] @ _unknowns(coefficients) - self.regression.target[out]
+            epochs = self.regression.rows.epoch[out]
+            for epoch in np.setdiff1d(epochs, self.regression.rows.epoch[~out]):
+                left[epochs == epoch] -= np.median(left[epochs == epoch])
+            errors[out] = left / self.regression.chosen(out).slope(coefficients)
+        return errors
+
+    def _fit(self, used: Mask, sums: NormalEquations, like: Coefficients | None) -> Coefficients:
+        """Fit rows whose sums are given, from the active set and inequalities of another fit."""
+        some = self._regularization
+        count, free = int(np.count_nonzero(used)), self._columns[1]
+        program = replace(sums, gram=sums.gram + count * some.gram)
+        start = None if like is None else like.solved.active_set
+
+        def solver(limits: tuple[Array, Array] | None) -> Solution:
+            nonlocal start
+            matrix, lower = (np.zeros((0, program.image.size - free)), np.zeros(0)) if limits is None else limits
+            whole = np.hstack([np.zeros((lower.size, free)), matrix])
+            x, start = program.minimum((whole, lower), start)
+            return Solution(x[:free], x[free:], np.zeros(0), True, "", 0.0, active_set=start)
+
+        return self.regression.solved_with(solver, like=like)
+
+
+def sum_of(parts: list[NormalEquations]) -> NormalEquations:
+    """Return the sum of normal equations."""
+    total = parts[0]
+    for part in parts[1:]:
+        total = total + part
+    return total
+
+
+def _unknowns(found: Coefficients) -> Array:
+    return np.concatenate([found.solved.free, found.solved.nonnegative])
+
+
+def held_out_error(regression: Regression) -> float:
+    """Return the RMS error [m] of cycles held out in turn, rows weighted by the inverse slope of a first fit."""
+    return rms(FoldSums(regression, first_weights(regression)).held_out_errors())
+
+
+def first_weights(regression: Regression) -> Array:
+    """Return the inverse slopes of a first fit, in which all rows weigh the same (n,) [m/V]."""
+    alike = FoldSums(regression, np.full(len(regression.rows), 1 / regression.mean_slope))
+    return np.asarray(1 / regression.slope(alike.whole))
+
+
+def blocks(voltage: Array, epoch: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the cycle number of each row (n,), from voltage and epoch number; long monotone legs are cut."""
+    cut = np.zeros(voltage.size, dtype=bool)
+    cut[1:] = np.diff(epoch) != 0
+    cut[turning_points(voltage, 0.02 * float(np.ptp(voltage)))[::2]] = True
+    starts = np.append(np.flatnonzero(cut), voltage.size)
+    longest = max(voltage.size // _BLOCKS, 2)
+    for a, b in zip(np.append(0, starts[:-1]), starts, strict=True):
+        cut[a + longest : b : longest] = True
+    return np.cumsum(cut)
