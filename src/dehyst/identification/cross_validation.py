@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dehyst._types import Array, Mask
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers.normal_equations import NormalEquations
+from dehyst.identification.solvers.normal_equations import ActiveSet, NormalEquations
 from dehyst.identification.solvers.program import Solution
 from dehyst.records.metrics import rms
 from dehyst.records.signals import turning_points
@@ -30,10 +30,13 @@ class FoldSums:
     regression : Regression
     weights : (n,) array
         Of the rows, as for `Regression.fit`.
+    before : FoldSums, optional
+        Of a structure nearby on the same rows: the first fit starts from its active set.
     """
 
     regression: Regression
     weights: Array
+    before: FoldSums | None = None
 
     @cached_property
     def fold(self) -> NDArray[np.intp]:
@@ -68,11 +71,32 @@ class FoldSums:
         """Fit of all rows."""
         return self._fit(np.ones(self.fold.size, dtype=bool), sum_of(self._sums), None)
 
+    @cached_property
+    def inverse_slopes(self) -> Array:
+        """Inverse slopes of the fit of all rows (n,) [m/V]: weights for a structure nearby."""
+        return np.asarray(1 / self.regression.slope(self.whole))
+
+    @property
+    def _guess(self) -> ActiveSet | None:
+        if self.before is None:
+            return None
+        moving = np.zeros(self._columns[0].shape[1], dtype=bool)
+        new, old = self.regression.places(), self.before.regression.places()
+        free, free_before = self._columns[1], self.before._columns[1]
+        moving[:free] = True
+        known = self.before.whole.solved.active_set.moving[free_before:]
+        for kind, place in new.items():
+            if kind in old and old[kind].stop - old[kind].start == place.stop - place.start:
+                moving[free:][place] = known[old[kind]]
+            elif kind == "spring":
+                moving[free:][place] = True
+        return ActiveSet(moving, np.zeros(0, dtype=bool))
+
     def training_error(self) -> float:
         """Return the RMS error of the fit of all rows [m]."""
         columns, _ = self._columns
         left = columns @ _unknowns(self.whole) - self.regression.target
-        return rms(left / self.regression.slope(self.whole))
+        return rms(left * self.inverse_slopes)
 
     def held_out_errors(self) -> Array:
         """Return the error of each row [m] in the fit without its fold."""
@@ -95,7 +119,7 @@ class FoldSums:
         some = self._regularization
         count, free = int(np.count_nonzero(used)), self._columns[1]
         program = replace(sums, gram=sums.gram + count * some.gram)
-        start = None if like is None else like.solved.active_set
+        start = self._guess if like is None else like.solved.active_set
 
         def solver(limits: tuple[Array, Array] | None) -> Solution:
             nonlocal start

@@ -90,39 +90,47 @@ def select(
     Structure, tuple of StructureTrial
         The selected structure, and all trials in order.
     """
-    trials = [_trial(build, start, progress)]
-    best = _best_after(
-        build, trials[0], [change for _, change in PARTS if not set(change) & set(without)], trials, progress
-    )
-    tuning = [change for _, change in TUNING if "grades" not in change or best.structure.grades > 1]
-    best = _best_after(build, best, tuning, trials, progress)
-    return best.structure, tuple(trials)
+    first = _trial(build, start, progress)
+    changes = [change for _, change in PARTS if not set(change) & set(without)]
+    best, trials = _best_after(build, first, changes, progress)
+    tuning = [change for _, change in TUNING if "grades" not in change or best.trial.structure.grades > 1]
+    best, tuned = _best_after(build, best, tuning, progress)
+    return best.trial.structure, tuple(tried.trial for tried in (first, *trials, *tuned))
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A trial, and the sums that its successors start from."""
+
+    trial: StructureTrial
+    sums: FoldSums | None
 
 
 def _best_after(
-    build: Build,
-    best: StructureTrial,
-    left: list[dict[str, Any]],
-    trials: list[StructureTrial],
-    progress: Progress,
-) -> StructureTrial:
-    """Return the best structure after one change at a time; append all trials to `trials`."""
+    build: Build, best: _Tried, left: list[dict[str, Any]], progress: Progress
+) -> tuple[_Tried, list[_Tried]]:
+    """Return the best structure after one change at a time, and all trials."""
+    trials: list[_Tried] = []
     while left:
-        candidates = [_trial(build, replace(best.structure, **change), progress) for change in left]
+        candidates = [_trial(build, replace(best.trial.structure, **change), progress, best) for change in left]
         trials += candidates
-        first = int(np.argmin([trial.held_out for trial in candidates]))
-        if not candidates[first].held_out < _WORTH * best.held_out:
+        first = int(np.argmin([tried.trial.held_out for tried in candidates]))
+        if not candidates[first].trial.held_out < _WORTH * best.trial.held_out:
             break
         best, taken = candidates[first], set(left[first])
         # Other values of the same field have been tried too.
         left = [change for change in left if not taken & set(change)]
-    return best
+    return best, trials
 
 
-def _trial(build: Build, structure: Structure, progress: Progress, weights: Array | None = None) -> StructureTrial:
+def _trial(build: Build, structure: Structure, progress: Progress, before: _Tried | None = None) -> _Tried:
+    """Cross-validate a structure, rows weighted by the inverse slopes of the model before."""
     progress(f"trying {structure.words}")
     begin = time.perf_counter()
     regression = build(structure)
-    sums = FoldSums(regression, first_weights(regression) if weights is None else weights)
+    if before is None or before.sums is None:
+        sums = FoldSums(regression, first_weights(regression))
+    else:
+        sums = FoldSums(regression, before.sums.inverse_slopes, before.sums)
     held_out = rms(sums.held_out_errors())
-    return StructureTrial(structure, held_out, sums.training_error(), time.perf_counter() - begin)
+    return _Tried(StructureTrial(structure, held_out, sums.training_error(), time.perf_counter() - begin), sums)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -113,7 +113,10 @@ class TrainingData:
 
     def on_grid(self, grid: Grid, most: int, *, smoothing: float = 0.0, drifts: bool = True) -> Stream:
         """Return all rows of all records on a grid, about `most` of them in memory: the only maker of rows."""
-        pieces = [(q, *path) for q, item in enumerate(self.training) for path in self._paths(item, drifts)]
+        pieces = [
+            (q, path, self.training[q].drift_curve(path) if drifts else np.broadcast_to(0.0, len(path)))
+            for q, path in self._paths
+        ]
         noise = [self.training[q].noise for q, _, _ in pieces]
 
         def internal(number: int, piece: Record) -> InternalStates:
@@ -122,15 +125,17 @@ class TrainingData:
         source = RowSource.of(pieces, grid.breakaway, noise, moved=internal)
         return Stream(source, Regression(source.thinned(most), grid, self.floor, self.datum, smoothing=smoothing))
 
-    def _paths(self, item: Prepared, drifts: bool) -> Iterator[tuple[Record, Array]]:
-        """Yield the pieces of a record as they act, with the path that drives the elements, and their drift curves."""
+    @cached_property
+    def _paths(self) -> list[tuple[int, Record]]:
+        """Record number and path that drives the elements of each piece of all records."""
         delay, lag, stroke = self.inertia.delay, self.inertia.lag, self.span[1] - self.span[0]
-        curves = [curve for _, _, curve in item.delayed(0, delay)] if drifts else None
-        for k, piece in enumerate(item.acting(delay, lag)):
-            path = piece
-            if self.denoised:
-                path = remove_jitter(remove_dynamics(piece, self.inertia.dynamics), item.noise, stroke)
-            yield path, np.broadcast_to(0.0, len(path)) if curves is None else curves[k]
+        paths = [(q, piece) for q, item in enumerate(self.training) for piece in item.acting(delay, lag)]
+        if not self.denoised:
+            return paths
+        dynamics = self.inertia.dynamics
+        return [
+            (q, remove_jitter(remove_dynamics(path, dynamics), self.training[q].noise, stroke)) for q, path in paths
+        ]
 
     def with_checked_delay(self, structure: Structure | None = None) -> TrainingData:
         """Return the same without a delay, if held-out cycles are then missed by far less.

@@ -211,18 +211,19 @@ class Grid:
     def outermost(self) -> Array:
         """Slopes of the outermost branches (p, q), a row a straight piece: sums of stiffnesses and spring slopes."""
         rho = self.breakaway[self.movable]
-        elements = rho.size * self.segments
-        rows = []
+        parts = []
         for sign in (1.0, -1.0):
             bends = np.unique(np.concatenate([self.knots, self.grades, (self.grades[:, None] + sign * rho).ravel()]))
-            for y in np.concatenate([[bends[0] - 1e-9], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1e-9]]):
-                row = np.zeros(elements + self.knots.size - 1)
-                blocks = row[:elements].reshape(rho.size, self.segments)
-                blocks[:, segment_of(self.grades, y)] += 1
-                blocks[np.arange(rho.size), segment_of(self.grades, y - sign * rho)] -= 1
-                row[elements + segment_of(self.knots, y)] = 1
-                rows.append(row)
-        return np.unique(np.array(rows), axis=0)
+            y = np.concatenate([[bends[0] - 1e-9], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1e-9]])
+            ahead = segment_of(self.grades, y)[:, None, None] == np.arange(self.segments)
+            held = segment_of(self.grades, y[:, None] - sign * rho)[:, :, None] == np.arange(self.segments)
+            spring = segment_of(self.knots, y)[:, None] == np.arange(self.knots.size - 1)
+            elements = (ahead.astype(np.int8) - held.astype(np.int8)).reshape(y.size, -1)
+            parts.append(np.hstack([elements, spring.astype(np.int8)]))
+        rows = np.vstack(parts)
+        # A row as one string of bytes: to compare them is faster than to sort by columns.
+        _, first = np.unique(rows.view(np.dtype((np.void, rows.shape[1]))).ravel(), return_index=True)
+        return np.asarray(rows[np.sort(first)], dtype=np.float64)
 
     @property
     def segments(self) -> int:

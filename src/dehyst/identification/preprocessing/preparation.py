@@ -75,8 +75,11 @@ class Prepared:
 
     def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[tuple[int, Record, Array]]:
         """Return (record number, piece with acting voltage, drift curve) of each piece, for `regressors.collect`."""
-        whole = cleaning.drift_curve(self.record, self.start)
-        return [(number, piece, np.interp(piece.time, self.record.time, whole)) for piece in self.acting(delay, lag)]
+        return [(number, piece, self.drift_curve(piece)) for piece in self.acting(delay, lag)]
+
+    def drift_curve(self, piece: Record) -> Array:
+        """Return the curve of a drift, a logarithm of the time since the record began, at the samples of a piece."""
+        return np.interp(piece.time, self.record.time, cleaning.drift_curve(self.record, self.start))
 
     def coarser(self, cycle: int, most: int) -> Prepared:
         """Return the record in fewer samples, for searches.

@@ -375,6 +375,21 @@ class Regression:
             tau = TRANSFORMER_FLOOR + np.append(tau, left)
         return Coefficients(stiffness, rest[:spring] + self.floor, rest[spring : spring + grid.moved], tau)
 
+    def places(self) -> dict[str, slice]:
+        """Return the places of each kind of unknown that is not negative."""
+        grid = self.grid
+        branches = grid.time_constants.size
+        sizes = {
+            "elements": int(np.count_nonzero(grid.movable)) * grid.segments,
+            "spring": grid.knots.size - 1,
+            "creep": branches,
+            "smooth": grid.lengths.size,
+            "transformer": max(grid.drive.size - 2, 0),
+            "starts": 2 * len(self.strained) * branches,
+        }
+        ends = np.cumsum(list(sizes.values())).tolist()
+        return {kind: slice(end - size, end) for (kind, size), end in zip(sizes.items(), ends, strict=True)}
+
     def unknowns(self, found: Coefficients) -> tuple[Array, ...]:
         """Return the program's unknowns of coefficients, by kind: elements, spring, what moves, transformer."""
         elements = found.stiffness[self.grid.movable].ravel()
