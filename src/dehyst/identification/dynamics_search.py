@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
+from dehyst.identification.regression.fold_sums import TrainingErrors
 from dehyst.identification.regression.regression import Regression
 from dehyst.model import Actuator, Dynamics
 
@@ -82,7 +83,8 @@ def find_dynamics(
     from scipy.optimize import minimize
 
     none = SensedDynamics(delay, 0.0, 0.0)
-    best, cost = none, build(none).rms()
+    error = TrainingErrors()
+    best, cost = none, error(build(none))
     # Dynamics slower than a tenth of the fastest cycle would show as a resonance in it; dynamics faster than the
     # sampling have no effect.
     scale = max(sample_time, 0.02 * fastest)
@@ -101,7 +103,7 @@ def find_dynamics(
     )
     options: Any = {"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0}
     least: Any = minimize
-    optimum = least(lambda x: build(dynamics_at(x)).rms(), simplex[0], method="Nelder-Mead", options=options)
+    optimum = least(lambda x: error(build(dynamics_at(x))), simplex[0], method="Nelder-Mead", options=options)
     if optimum.fun >= _WORTH * cost:
         return best
     best = dynamics_at(optimum.x)

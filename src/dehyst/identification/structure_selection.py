@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array, Progress
-from dehyst.identification.cross_validation import FoldSums, first_weights
+from dehyst.identification.regression.fold_sums import FoldSums, first_weights
 from dehyst.identification.regression.regression import Regression
 from dehyst.model import Structure
 from dehyst.records.metrics import rms

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.cross_validation import held_out_error
+from dehyst.identification.regression.fold_sums import TrainingErrors, held_out_error
 from dehyst.identification.dynamics_search import SensedDynamics, find_dynamics
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.preprocessing.denoising import remove_jitter
@@ -158,9 +158,10 @@ class TrainingData:
         def build(inertia: SensedDynamics) -> Regression:
             return replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2)
 
-        without = build(self.inertia).rms()
+        error = TrainingErrors()
+        without = error(build(self.inertia))
         masses = [replace(self.inertia, mass=(root * step) ** 2) for root in _ROOTS]
-        if min(build(one).rms() for one in masses) > _WORTH_OF_MASS * without:
+        if min(error(build(one)) for one in masses) > _WORTH_OF_MASS * without:
             return self
         return replace(self, inertia=find_dynamics(build, self.inertia.delay, step, cycle))
 
@@ -169,19 +170,19 @@ class TrainingData:
         """Records that drift, seen from plain elements; none if branches account for creep."""
         if self.supports_creep():
             return ()
-        few, stroke = self._rows_of(Structure(), _FEW_ROWS), self.span[1] - self.span[0]
-        return worthwhile(lambda drifting: replace(few, drifting=drifting).rms(), self.can_drift, stroke)
+        few, stroke, error = self._rows_of(Structure(), _FEW_ROWS), self.span[1] - self.span[0], TrainingErrors()
+        return worthwhile(lambda drifting: error(replace(few, drifting=drifting)), self.can_drift, stroke)
 
     @cached_property
     def strained(self) -> tuple[int, ...]:
         """Records that creep as if they had not been at rest as they began, where that explains much."""
-        regression = self._rows_of(_CREEPING, _FEW_ROWS)
+        regression, error = self._rows_of(_CREEPING, _FEW_ROWS), TrainingErrors()
         kept: tuple[int, ...] = ()
-        cost = regression.rms()
-        alone = [replace(regression, strained=(q,)).rms() for q in range(len(self.training))]
+        cost = error(regression)
+        alone = [error(replace(regression, strained=(q,))) for q in range(len(self.training))]
         # The one that explains most first, or a record at rest would be given what another one needs.
         for q in np.argsort(alone, kind="stable").tolist():
-            trial = replace(regression, strained=(*kept, q)).rms()
+            trial = error(replace(regression, strained=(*kept, q)))
             if trial < _WORTH_OF_START * cost:
                 kept, cost = (*kept, q), trial
         return tuple(sorted(kept))

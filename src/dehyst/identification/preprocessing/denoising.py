@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification.preprocessing.cleaning import cycle_time
+from dehyst.identification.preprocessing.local_polynomial import local_polynomial
 from dehyst.records import Record
 from dehyst.records.signals import turning_points, white_noise
 
@@ -34,13 +35,11 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
         Standard deviation of the sensor [m], and range of the widest loop [m]: if the noise is significant, parabolas
         through neighbours, over a part of a cycle, come first.
     """
-    from scipy.signal import savgol_filter
-
     window = 1
     if noise > _QUIET * stroke:
         window = 2 * (min(int(cycle_time(piece) / piece.sample_time / _PART_OF_CYCLE), _WIDEST) // 2) + 1
     if 5 <= window <= len(piece):
-        piece = replace(piece, displacement=savgol_filter(piece.displacement, window, 2))
+        piece = replace(piece, displacement=local_polynomial(piece.displacement, window, 2))
     return monotone(piece)
 
 

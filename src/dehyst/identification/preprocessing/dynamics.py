@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from dehyst._types import Array
+from dehyst.identification.preprocessing.local_polynomial import local_polynomial
 from dehyst.model import Dynamics
 from dehyst.records import Record
 
@@ -23,9 +24,6 @@ def remove_dynamics(piece: Record, dynamics: Dynamics | None) -> Record:
 
 def derivatives(piece: Record) -> tuple[Array, Array]:
     """Return velocity [m/s] and acceleration [m/s2] (n,) of the measured displacement."""
-    from scipy.signal import savgol_filter
-
-    first, second = (
-        savgol_filter(piece.displacement, _WINDOW, _ORDER, deriv=k, delta=piece.sample_time) for k in (1, 2)
-    )
+    y, step = piece.displacement, piece.sample_time
+    first, second = (local_polynomial(y, _WINDOW, _ORDER, derivative, step) for derivative in (1, 2))
     return first, second

@@ -9,6 +9,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.fold_sums import TrainingErrors
 from dehyst.identification.regression.regression import Regression
 from dehyst.records.signals import turning_points
 
@@ -37,8 +38,10 @@ def find_delay(build: Callable[[float], Regression], longest: float, sample_time
         [s]; the answer is good to 1 % of it.
     """
 
+    error = TrainingErrors()
+
     def cost(delay: float) -> float:
-        return _rms(build(float(delay)).thinned(_SEARCH_ROWS))
+        return error(build(float(delay)).thinned(_SEARCH_ROWS))
 
     none = build(0.0)
     return searched_delay(cost, longest, sample_time, none.rows.voltage, _stroke(none))
@@ -92,12 +95,13 @@ def _polished(regression: Regression, records: list[int]) -> Regression:
     """All these datums at once; each step may only make the residual smaller."""
     if not records:
         return regression
-    best = _rms(regression)
+    error = TrainingErrors()
+    best = error(regression)
     for _ in range(_STEPS):
         datum = regression.datum.copy()
         datum[records] += regression.datum_steps(records)
         trial = replace(regression, datum=datum)
-        cost = _rms(trial)
+        cost = error(trial)
         if not cost < best:
             break
         regression, best = trial, cost
@@ -106,12 +110,13 @@ def _polished(regression: Regression, records: list[int]) -> Regression:
 
 def find_datum(regression: Regression, record: int, stroke: float, given: Coefficients | None = None) -> float:
     """Shift d_q [m] that puts a record on the axis of the others, or of a given model; 0 unless that is worth it."""
-    few = regression.thinned(_SEARCH_ROWS)
+    few, error = regression.thinned(_SEARCH_ROWS), TrainingErrors()
 
     def cost(shift: float) -> float:
         datum = few.datum.copy()
         datum[record] = shift
-        return _rms(replace(few, datum=datum), given)
+        moved = replace(few, datum=datum)
+        return error(moved) if given is None else moved.rms(moved.fit_nuisances(given))
 
     best = _search(cost, -0.6 * stroke, 0.6 * stroke, 25, 1e-9 * stroke)
     return best if _worth(cost(best), cost(0.0), _stroke(few), _WORTH_OF_DATUM) else 0.0
@@ -119,8 +124,8 @@ def find_datum(regression: Regression, record: int, stroke: float, given: Coeffi
 
 def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...]:
     """Return records among the candidates whose creep since the start is worth a coefficient."""
-    few = regression.thinned(_SEARCH_ROWS)
-    return worthwhile(lambda drifting: _rms(replace(few, drifting=drifting)), candidates, _stroke(few))
+    few, error = regression.thinned(_SEARCH_ROWS), TrainingErrors()
+    return worthwhile(lambda drifting: error(replace(few, drifting=drifting)), candidates, _stroke(few))
 
 
 def worthwhile(cost: Callable[[tuple[int, ...]], float], candidates: Sequence[int], stroke: float) -> tuple[int, ...]:
@@ -141,12 +146,6 @@ def _worth(after: float, before: float, stroke: float, share: float = _WORTH) ->
 
 def _stroke(regression: Regression) -> float:
     return float(np.ptp(regression.knots))
-
-
-def _rms(regression: Regression, given: Coefficients | None = None) -> float:
-    """RMS residual [m], of the best model or of the given one."""
-    found = regression.fit("l2") if given is None else regression.fit_nuisances(given)
-    return regression.rms(found)
 
 
 def _search(cost: Callable[[float], float], low: float, high: float, points: int, tolerance: float) -> float:

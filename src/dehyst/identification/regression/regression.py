@@ -291,21 +291,31 @@ class Regression:
         pulled = np.minimum(np.abs(q) / lengths, 1) if lengths.size else q
         return np.asarray(1 - pulled * (closings * forward + 1 - closings))
 
-    def rms(self, found: Coefficients | None = None) -> float:
-        """Return the RMS residual [m] of a fit; by default of that by least squares."""
-        fitted = self.fit("l2") if found is None else found
-        return rms(fitted.solved.residual / self.slope(fitted))
+    def rms(self, found: Coefficients) -> float:
+        """Return the RMS residual [m] of a fit."""
+        return rms(found.solved.residual / self.slope(found))
 
     def model(self, found: Coefficients) -> Array:
         """Return right-hand side less tau(v) of each row (n,) [V], without constants and drifts."""
-        movable = self.movable
-        known = np.concatenate([found.stiffness[movable].ravel(), found.slopes, found.internal])
         tau = self.grid.drive[0] + self._tau_parts @ found.transformer if found.transformer.size else self.rows.voltage
-        value = self.bounded[:, : known.size] @ known
-        # Elements without a column keep their part.
-        if found.stiffness[~movable].any():
-            value = value + self._elements(~movable) @ found.stiffness[~movable].ravel()
-        return np.asarray(value - tau)
+        spring = self.parts_of_spring(self.axis) @ found.slopes
+        internal = self.rows.moved[:, : self.grid.moved] @ found.internal
+        return np.asarray(self._forces(found.stiffness) + spring + internal - tau)
+
+    def _forces(self, stiffness: Array) -> Array:
+        """Sum of all elements (n,) [V]: what each stiffness, integrated from the cart to the displacement, gives."""
+        if self.grid.segments == 1:
+            return np.asarray(self.rows.elongation @ stiffness[:, 0])
+        grades, y = self.grid.grades, self.axis
+        below = np.hstack([np.zeros((len(stiffness), 1)), np.cumsum(stiffness * np.diff(grades), axis=1)])
+        total, force = below.sum(axis=0), stiffness.sum(axis=0)
+        k = segment_of(grades, y)
+        value = total[k] + force[k] * (y - grades[k])
+        for i in np.flatnonzero(stiffness.any(axis=1)):
+            cart = y - self.rows.elongation[:, i]
+            k = segment_of(grades, cart)
+            value -= below[i, k] + stiffness[i, k] * (cart - grades[k])
+        return np.asarray(value)
 
     def residual(self, found: Coefficients) -> Array:
         """Return what the equation of each row leaves [V]; an epoch without a constant gets its median."""

@@ -27,7 +27,6 @@ _RIDGE, _RIDGE_OF_LIMITS = 1e-13, 1e-12
 _CLOSE = 1e-11
 
 
-STATS=[]
 @dataclass(frozen=True, eq=False)
 class ActiveSet:
     """Coefficients that are not at a bound (q,), and inequalities that are met with equality (m,)."""
@@ -88,7 +87,6 @@ class NormalEquations:
         solution = None
         if start is not None:
             solution = scaled.exchanged(start.moving[kept], start.of_limits(lower.size).active)
-            STATS.append(solution is None)
         x, moving, active = scaled.from_inside() if solution is None else solution
         return _spread(x / scale * unit, kept, diagonal.size), ActiveSet(_spread(moving, kept, diagonal.size), active)
 

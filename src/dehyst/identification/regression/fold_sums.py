@@ -31,18 +31,21 @@ class FoldSums:
     weights : (n,) array
         Of the rows, as for `Regression.fit`.
     before : FoldSums, optional
-        Of a structure nearby on the same rows: the first fit starts from its active set.
+        Of a structure nearby: the first fit starts from its active set.
+    folds : int, optional
+        Parts of the rows.
     """
 
     regression: Regression
     weights: Array
     before: FoldSums | None = None
+    folds: int = _FOLDS
 
     @cached_property
     def fold(self) -> NDArray[np.intp]:
         """Fold of each row (n,): every third cycle."""
         rows = self.regression.rows
-        return blocks(rows.voltage, rows.epoch) % _FOLDS
+        return blocks(rows.voltage, rows.epoch) % self.folds
 
     @cached_property
     def _columns(self) -> tuple[Array, int]:
@@ -54,7 +57,9 @@ class FoldSums:
     def _sums(self) -> list[NormalEquations]:
         columns, free = self._columns
         target, sums = self.regression.target, []
-        for k in range(_FOLDS):
+        if self.folds == 1:
+            return [NormalEquations.of_rows(columns * self.weights[:, None], target * self.weights, free)]
+        for k in range(self.folds):
             rows, weights = np.flatnonzero(self.fold == k), self.weights[self.fold == k]
             sums.append(NormalEquations.of_rows(columns[rows] * weights[:, None], target[rows] * weights, free))
         return sums
@@ -69,7 +74,7 @@ class FoldSums:
     @cached_property
     def whole(self) -> Coefficients:
         """Fit of all rows."""
-        return self._fit(np.ones(self.fold.size, dtype=bool), sum_of(self._sums), None)
+        return self._fit(np.ones(len(self.weights), dtype=bool), sum_of(self._sums), None)
 
     @cached_property
     def inverse_slopes(self) -> Array:
@@ -102,7 +107,7 @@ class FoldSums:
         """Return the error of each row [m] in the fit without its fold."""
         total, errors, like = sum_of(self._sums), np.empty(self.fold.size), self.whole
         columns, _ = self._columns
-        for k in range(_FOLDS):
+        for k in range(self.folds):
             out = self.fold == k
             if not out.any():
                 continue
@@ -150,8 +155,23 @@ def held_out_error(regression: Regression) -> float:
 
 def first_weights(regression: Regression) -> Array:
     """Return the inverse slopes of a first fit, in which all rows weigh the same (n,) [m/V]."""
-    alike = FoldSums(regression, np.full(len(regression.rows), 1 / regression.mean_slope))
-    return np.asarray(1 / regression.slope(alike.whole))
+    return _of_equal_weights(regression, None).inverse_slopes
+
+
+class TrainingErrors:
+    """Training errors of regressions nearby, for a search: each fit starts from the active set of the one before."""
+
+    def __init__(self) -> None:
+        self._before: FoldSums | None = None
+
+    def __call__(self, regression: Regression) -> float:
+        """Return the RMS residual of the least-squares fit [m]."""
+        self._before = _of_equal_weights(regression, self._before)
+        return self._before.training_error()
+
+
+def _of_equal_weights(regression: Regression, before: FoldSums | None) -> FoldSums:
+    return FoldSums(regression, np.full(len(regression.rows), 1 / regression.mean_slope), before, 1)
 
 
 def blocks(voltage: Array, epoch: NDArray[np.intp]) -> NDArray[np.intp]:
