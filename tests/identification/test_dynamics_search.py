@@ -1,7 +1,6 @@
 """Delay, damping and inertia of actuators that are known, and of those that have none."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import plain_records
@@ -14,6 +13,7 @@ from hypothesis import strategies as st
 from dehyst import Dynamics, Record
 from dehyst.identification.dynamics_search import SensedDynamics, find_dynamics
 from dehyst.identification.preprocessing.dynamics import derivatives, remove_dynamics
+from dehyst.identification.regression.fold_sums import TrainingErrors
 
 PLANT = plain_records.plant(20, seed=2)
 STEP, PERIOD = 1e-4, 0.02
@@ -90,11 +90,11 @@ def test_delay_damping_and_mass_come_back(resonance, damping, delay):
 def test_a_delay_below_a_hundredth_of_a_sample_is_none(delay):
     """The search itself, on a cost that is least there."""
 
-    def build(inertia):
+    def error(inertia):
         off = abs(inertia.delay - delay) / STEP + abs(inertia.mass / STEP**2 - 1) + inertia.damping / STEP
-        return SimpleNamespace(rms=lambda: 1e-2 + off)
+        return 1e-2 + off
 
-    found = find_dynamics(build, 0.0, STEP, PERIOD)
+    found = find_dynamics(error, 0.0, STEP, PERIOD)
     assert found.mass > 0
     assert found.delay == (pytest.approx(delay, abs=0.02 * STEP) if delay > 0.1 * STEP else 0)
 
@@ -119,10 +119,12 @@ def test_a_mass_that_is_not_worth_it_is_left_out():
     frame = wide.frame([record])
     tried = []
 
-    def build(inertia):
-        tried.append(inertia)
-        return replace(frame, inertia=inertia).regression(wide.STRUCTURES["plain"], 1000)
+    training_error = TrainingErrors()
 
-    assert find_dynamics(build, 0.0, STEP, PERIOD) == SensedDynamics(0.0, 0.0, 0.0)
+    def error(inertia):
+        tried.append(inertia)
+        return training_error(replace(frame, inertia=inertia).regression(wide.STRUCTURES["plain"], 1000))
+
+    assert find_dynamics(error, 0.0, STEP, PERIOD) == SensedDynamics(0.0, 0.0, 0.0)
     assert 10 < len(tried) < 100
     assert all(one.delay >= 0 and one.damping >= 0 and one.mass >= 0 for one in tried)

@@ -8,16 +8,20 @@ import pytest
 import structured_records as wide
 
 from dehyst.identification import structure_selection
-from dehyst.identification.structure_selection import PARTS, StructureTrial, blocks, held_out_errors, select
+from dehyst.identification.regression.fold_sums import FoldSums, blocks
+from dehyst.identification.structure_selection import PARTS, StructureTrial, Tried, select
 from dehyst.model import Structure
 
 START = Structure()
 
 
 def errors_by(monkeypatch, error):
-    """Let trials have a held-out error that is a function of the structure; returns what was told."""
-    trial = lambda build, structure, progress: StructureTrial(structure, error(structure), 0.0, 0.0)  # noqa: E731
-    monkeypatch.setattr(structure_selection, "_trial", trial)
+    """Let trials have a held-out error that is a function of the structure."""
+
+    def trial(build, structure, progress, before=None):
+        return Tried(StructureTrial(structure, error(structure), 0.0, 0.0))
+
+    monkeypatch.setattr(structure_selection, "try_structure", trial)
 
 
 def test_parts_are_added_while_one_is_worth_it(monkeypatch):
@@ -80,7 +84,7 @@ def test_a_held_out_error_is_that_of_a_fit_without_its_block():
     """A second way, block by block: no row of a fold enters its own prediction."""
     whole = regression()
     weights = np.ones(len(whole.rows))
-    errors = held_out_errors(whole, weights)
+    errors = FoldSums(whole, weights).held_out_errors()
     fold = blocks(whole.rows.voltage, whole.rows.epoch) % 3
     for k in range(3):
         spoilt = np.where(fold == k, 1000.0, 0.0)

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.regression.fold_sums import TrainingErrors
-from dehyst.identification.regression.regression import Regression
 from dehyst.model import Actuator, Dynamics
 
 # Inertia must reduce the RMS residual to this share, or it is left out.
@@ -65,14 +63,14 @@ def significant_delay(seconds: float, sample_time: float) -> float:
 
 
 def find_dynamics(
-    build: Callable[[SensedDynamics], Regression], delay: float, sample_time: float, fastest: float
+    error: Callable[[SensedDynamics], float], delay: float, sample_time: float, fastest: float
 ) -> SensedDynamics:
     """Minimise the RMS residual over delay, damping and mass; without mass if the gain is small.
 
     Parameters
     ----------
-    build : callable
-        Dynamics -> regression on few rows.
+    error : callable
+        Dynamics -> RMS residual [m] of a fit of few rows.
     delay : float
         Delay without inertia [s]: the start of the search.
     sample_time : float
@@ -83,8 +81,7 @@ def find_dynamics(
     from scipy.optimize import minimize
 
     none = SensedDynamics(delay, 0.0, 0.0)
-    error = TrainingErrors()
-    best, cost = none, error(build(none))
+    best, cost = none, error(none)
     # Dynamics slower than a tenth of the fastest cycle would show as a resonance in it; dynamics faster than the
     # sampling have no effect.
     scale = max(sample_time, 0.02 * fastest)
@@ -103,7 +100,7 @@ def find_dynamics(
     )
     options: Any = {"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0}
     least: Any = minimize
-    optimum = least(lambda x: error(build(dynamics_at(x))), simplex[0], method="Nelder-Mead", options=options)
+    optimum = least(lambda x: error(dynamics_at(x)), simplex[0], method="Nelder-Mead", options=options)
     if optimum.fun >= _WORTH * cost:
         return best
     best = dynamics_at(optimum.x)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array, Progress
 from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.fold_sums import blocks
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.simulation_error import SimulationError
 from dehyst.identification.solvers.program import solve
-from dehyst.identification.regression.fold_sums import blocks
 from dehyst.identification.structured_fit import StructuredFit
 from dehyst.model import Actuator
 from dehyst.model.structure import Grid

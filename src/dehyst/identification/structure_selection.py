@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array, Progress
-from dehyst.identification.regression.fold_sums import FoldSums, first_weights
+from dehyst.identification.regression.fold_sums import FoldSums, Nearby, first_weights
 from dehyst.identification.regression.regression import Regression
 from dehyst.model import Structure
 from dehyst.records.metrics import rms
@@ -90,7 +90,7 @@ def select(
     Structure, tuple of StructureTrial
         The selected structure, and all trials in order.
     """
-    first = _trial(build, start, progress)
+    first = try_structure(build, start, progress)
     changes = [change for _, change in PARTS if not set(change) & set(without)]
     best, trials = _best_after(build, first, changes, progress)
     tuning = [change for _, change in TUNING if "grades" not in change or best.trial.structure.grades > 1]
@@ -99,20 +99,19 @@ def select(
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
-    """A trial, and the sums that its successors start from."""
+class Tried:
+    """A trial, and what its successors start from: weights of the rows (n,), and unknowns that are not zero."""
 
     trial: StructureTrial
-    sums: FoldSums | None
+    weights: Array | None = None
+    nearby: Nearby | None = None
 
 
-def _best_after(
-    build: Build, best: _Tried, left: list[dict[str, Any]], progress: Progress
-) -> tuple[_Tried, list[_Tried]]:
+def _best_after(build: Build, best: Tried, left: list[dict[str, Any]], progress: Progress) -> tuple[Tried, list[Tried]]:
     """Return the best structure after one change at a time, and all trials."""
-    trials: list[_Tried] = []
+    trials: list[Tried] = []
     while left:
-        candidates = [_trial(build, replace(best.trial.structure, **change), progress, best) for change in left]
+        candidates = [try_structure(build, replace(best.trial.structure, **change), progress, best) for change in left]
         trials += candidates
         first = int(np.argmin([tried.trial.held_out for tried in candidates]))
         if not candidates[first].trial.held_out < _WORTH * best.trial.held_out:
@@ -123,14 +122,16 @@ def _best_after(
     return best, trials
 
 
-def _trial(build: Build, structure: Structure, progress: Progress, before: _Tried | None = None) -> _Tried:
+def try_structure(build: Build, structure: Structure, progress: Progress, before: Tried | None = None) -> Tried:
     """Cross-validate a structure, rows weighted by the inverse slopes of the model before."""
     progress(f"trying {structure.words}")
     begin = time.perf_counter()
     regression = build(structure)
-    if before is None or before.sums is None:
+    weights = None if before is None else before.weights
+    if before is None or weights is None:
         sums = FoldSums(regression, first_weights(regression))
     else:
-        sums = FoldSums(regression, before.sums.inverse_slopes, before.sums)
-    held_out = rms(sums.held_out_errors())
-    return _Tried(StructureTrial(structure, held_out, sums.training_error(), time.perf_counter() - begin), sums)
+        sums = FoldSums(regression, weights, before.nearby)
+    held_out, training = rms(sums.held_out_errors()), sums.training_error()
+    trial = StructureTrial(structure, held_out, training, time.perf_counter() - begin)
+    return Tried(trial, sums.inverse_slopes, sums.handed_on())

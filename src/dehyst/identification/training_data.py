@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.regression.fold_sums import TrainingErrors, held_out_error
 from dehyst.identification.dynamics_search import SensedDynamics, find_dynamics
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.preprocessing.denoising import remove_jitter
@@ -18,6 +17,7 @@ from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.fold_sums import TrainingErrors, held_out_error
 from dehyst.identification.regression.nuisances import worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
@@ -155,15 +155,16 @@ class TrainingData:
         if cycle > _SLOWEST * step:
             return self
 
-        def build(inertia: SensedDynamics) -> Regression:
-            return replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2)
+        training_error = TrainingErrors()
 
-        error = TrainingErrors()
-        without = error(build(self.inertia))
+        def error(inertia: SensedDynamics) -> float:
+            return training_error(replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2))
+
+        without = error(self.inertia)
         masses = [replace(self.inertia, mass=(root * step) ** 2) for root in _ROOTS]
-        if min(error(build(one)) for one in masses) > _WORTH_OF_MASS * without:
+        if min(error(one) for one in masses) > _WORTH_OF_MASS * without:
             return self
-        return replace(self, inertia=find_dynamics(build, self.inertia.delay, step, cycle))
+        return replace(self, inertia=find_dynamics(error, self.inertia.delay, step, cycle))
 
     @cached_property
     def drifting(self) -> tuple[int, ...]:

@@ -22,6 +22,25 @@ _BLOCKS = 12
 
 
 @dataclass(frozen=True, eq=False)
+class Nearby:
+    """Which unknowns that are not negative are above zero in a fit (q,), and the places of each kind."""
+
+    places: dict[str, slice]
+    moving: Mask
+
+    def moving_of(self, places: dict[str, slice], count: int) -> Mask:
+        """Return the same for other unknowns: kinds of as many unknowns as here, and the whole spring."""
+        moving = np.zeros(count, dtype=bool)
+        for kind, place in places.items():
+            same = self.places[kind]
+            if same.stop - same.start == place.stop - place.start:
+                moving[place] = self.moving[same]
+            elif kind == "spring":
+                moving[place] = True
+        return moving
+
+
+@dataclass(frozen=True, eq=False)
 class FoldSums:
     """The rows of a regression, and their weighted sums by fold.
 
@@ -30,15 +49,15 @@ class FoldSums:
     regression : Regression
     weights : (n,) array
         Of the rows, as for `Regression.fit`.
-    before : FoldSums, optional
-        Of a structure nearby: the first fit starts from its active set.
+    nearby : Nearby, optional
+        The unknowns of a fit nearby that are not zero: the first fit starts from them.
     folds : int, optional
         Parts of the rows.
     """
 
     regression: Regression
     weights: Array
-    before: FoldSums | None = None
+    nearby: Nearby | None = None
     folds: int = _FOLDS
 
     @cached_property
@@ -81,20 +100,19 @@ class FoldSums:
         """Inverse slopes of the fit of all rows (n,) [m/V]: weights for a structure nearby."""
         return np.asarray(1 / self.regression.slope(self.whole))
 
+    def handed_on(self) -> Nearby:
+        """Return the unknowns that are not zero in the fit of all rows."""
+        active_set = self.whole.solved.active_set
+        moving = np.zeros(0, dtype=bool) if active_set is None else active_set.moving[self._columns[1] :]
+        return Nearby(self.regression.places(), moving)
+
     @property
-    def _guess(self) -> ActiveSet | None:
-        if self.before is None:
+    def _start(self) -> ActiveSet | None:
+        if self.nearby is None:
             return None
-        moving = np.zeros(self._columns[0].shape[1], dtype=bool)
-        new, old = self.regression.places(), self.before.regression.places()
-        free, free_before = self._columns[1], self.before._columns[1]
-        moving[:free] = True
-        known = self.before.whole.solved.active_set.moving[free_before:]
-        for kind, place in new.items():
-            if kind in old and old[kind].stop - old[kind].start == place.stop - place.start:
-                moving[free:][place] = known[old[kind]]
-            elif kind == "spring":
-                moving[free:][place] = True
+        columns, free = self._columns
+        moving = np.ones(columns.shape[1], dtype=bool)
+        moving[free:] = self.nearby.moving_of(self.regression.places(), columns.shape[1] - free)
         return ActiveSet(moving, np.zeros(0, dtype=bool))
 
     def training_error(self) -> float:
@@ -124,7 +142,7 @@ class FoldSums:
         some = self._regularization
         count, free = int(np.count_nonzero(used)), self._columns[1]
         program = replace(sums, gram=sums.gram + count * some.gram)
-        start = self._guess if like is None else like.solved.active_set
+        start = self._start if like is None else like.solved.active_set
 
         def solver(limits: tuple[Array, Array] | None) -> Solution:
             nonlocal start
@@ -162,16 +180,18 @@ class TrainingErrors:
     """Training errors of regressions nearby, for a search: each fit starts from the active set of the one before."""
 
     def __init__(self) -> None:
-        self._before: FoldSums | None = None
+        self._nearby: Nearby | None = None
 
     def __call__(self, regression: Regression) -> float:
         """Return the RMS residual of the least-squares fit [m]."""
-        self._before = _of_equal_weights(regression, self._before)
-        return self._before.training_error()
+        sums = _of_equal_weights(regression, self._nearby)
+        error = sums.training_error()
+        self._nearby = sums.handed_on()
+        return error
 
 
-def _of_equal_weights(regression: Regression, before: FoldSums | None) -> FoldSums:
-    return FoldSums(regression, np.full(len(regression.rows), 1 / regression.mean_slope), before, 1)
+def _of_equal_weights(regression: Regression, nearby: Nearby | None) -> FoldSums:
+    return FoldSums(regression, np.full(len(regression.rows), 1 / regression.mean_slope), nearby, 1)
 
 
 def blocks(voltage: Array, epoch: NDArray[np.intp]) -> NDArray[np.intp]:

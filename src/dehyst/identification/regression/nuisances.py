@@ -37,7 +37,6 @@ def find_delay(build: Callable[[float], Regression], longest: float, sample_time
     sample_time : float
         [s]; the answer is good to 1 % of it.
     """
-
     error = TrainingErrors()
 
     def cost(delay: float) -> float:

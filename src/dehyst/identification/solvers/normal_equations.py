@@ -10,12 +10,14 @@ that does not end (block principal pivoting; Portugal, Judice and Vicente 1994, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
 from dehyst.identification.solvers.problem import TINY
+from dehyst.identification.solvers.quadratic import Quadratic
 from dehyst.identification.solvers.quadratic_interior_point import interior_point
 
 # Coefficients and multipliers may be negative by so much of the largest one, or of the largest gradient.
@@ -58,15 +60,13 @@ class NormalEquations:
         """Return the sums of rows (n, q) with targets (n,)."""
         return cls(rows.T @ rows, rows.T @ goal, free)
 
-    def minimum(
-        self, inequalities: tuple[Array, Array], start: ActiveSet | None = None
-    ) -> tuple[Array, ActiveSet]:
+    def minimum(self, inequalities: tuple[Array, Array], start: ActiveSet | None = None) -> tuple[Array, ActiveSet]:
         """Return the coefficients (q,), zero for columns without rows, and their active set.
 
         Parameters
         ----------
         inequalities : (m, q) and (m,) array
-            C and l, in coefficients as they are.
+            C and l; met to 1e-9 of the largest term, columns being scaled to one length.
         start : ActiveSet, optional
             Of a program nearby; without it an interior point comes first.
         """
@@ -91,7 +91,7 @@ class NormalEquations:
         return _spread(x / scale * unit, kept, diagonal.size), ActiveSet(_spread(moving, kept, diagonal.size), active)
 
 
-def _spread(values: NDArray, places: NDArray[np.intp], size: int) -> NDArray:
+def _spread(values: NDArray[Any], places: NDArray[np.intp], size: int) -> NDArray[Any]:
     whole = np.zeros(size, dtype=values.dtype)
     whole[places] = values
     return whole
@@ -111,9 +111,17 @@ class _Scaled:
         """Return the minimum, its moving coefficients and active inequalities, by an interior point first."""
         x, bound, multipliers = interior_point(self.gram, self.image, self.free, (self.matrix, self.lower), _CLOSE)
         moving, active = x > bound, self.matrix @ x - self.lower < multipliers
-        moving[: self.free] = True
         solution = self.exchanged(moving, active)
-        return (x, moving, active) if solution is None else solution
+        if solution is not None:
+            return solution
+        # Orthogonal factors of each face: slower, and right where limits nearly depend on one another.
+        values, vectors = np.linalg.eigh(self.gram)
+        root = np.sqrt(np.maximum(values, _RIDGE))
+        basis, triangle = np.linalg.qr(root[:, None] * vectors.T)
+        minimum = Quadratic(
+            triangle, basis.T @ (vectors.T @ self.image / root), self.free, self.matrix, self.lower
+        ).minimum()
+        return minimum.x, minimum.moving, minimum.active
 
     def exchanged(self, moving: Mask, active: Mask) -> tuple[Array, Mask, Mask] | None:
         """Exchange limits until none is violated; None if that does not end."""
@@ -145,24 +153,35 @@ class _Scaled:
         return x, wrong, unmet
 
     def _on_face(self, moving: Mask, active: Mask) -> tuple[Array, Array] | None:
-        """Return x and multipliers with these limits as equations; None if the factor does not exist."""
+        """Return x and multipliers with these limits as equations; None if they have no solution."""
         from scipy.linalg.lapack import dpotrf, dpotrs
 
         columns, limits = np.flatnonzero(moving), np.flatnonzero(active)
+        x, multipliers = np.zeros(moving.size), np.zeros(active.size)
+        if not columns.size:
+            return None if limits.size else (x, multipliers)
         part = np.asfortranarray(self.gram[np.ix_(columns, columns)])
         part[np.diag_indices(columns.size)] += _RIDGE
         factor, failure = dpotrf(part, lower=1, overwrite_a=1, clean=0)
         if failure:
             return None
-        x, multipliers = np.zeros(moving.size), np.zeros(active.size)
         some = dpotrs(factor, self.image[columns], lower=1)[0]
         if limits.size:
             equations = self.matrix[np.ix_(limits, columns)]
             response = dpotrs(factor, np.asfortranarray(equations.T), lower=1)[0]
             normal = equations @ response
             normal[np.diag_indices(limits.size)] += _RIDGE_OF_LIMITS * max(np.trace(normal) / limits.size, TINY)
-            multipliers[limits] = np.linalg.solve(normal, self.lower[limits] - equations @ some)
-            some = some + response @ multipliers[limits]
+            try:
+                force = np.linalg.solve(normal, self.lower[limits] - equations @ some)
+            except np.linalg.LinAlgError:
+                return None
+            if not np.all(np.isfinite(force)):
+                return None
+            multipliers[limits], some = force, some + response @ force
+            # Limits that contradict one another, or have no column that moves, cannot all be met.
+            missed = np.abs(equations @ some - self.lower[limits]).max()
+            if not missed <= _ZERO * max(np.abs(some).max(), 1.0):
+                return None
         x[columns] = some
         return x, multipliers
 
