@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
@@ -14,15 +15,17 @@ from dehyst.identification.preprocessing.denoising import remove_jitter
 from dehyst.identification.preprocessing.dynamics import derivatives, remove_dynamics
 from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.preprocessing.regressors import Epoch, RowSource
+from dehyst.identification.preprocessing.regressors import Epoch, Moving, RowSource
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.nuisances import find_datum
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
+from dehyst.identification.start_state import fit_start
 from dehyst.model import Actuator, Motion, RecordErrors, State, Trace
 from dehyst.model.structure import Grid
 from dehyst.records import Record
 from dehyst.records.metrics import largest
+from dehyst.records.signals import turning_points
 
 # Rows in memory: more are gone through in blocks.
 MOST_ROWS = 200_000
@@ -33,6 +36,8 @@ _AT_A_TIME = 1 << 20
 _MOST_DRAWN = 1 << 20
 # Elongations of all elements are made for each of these samples.
 _STOPS_AT_A_TIME = 32_768
+# Samples that the carts at a start are fitted to, and how many of them after all elements are in a known state.
+_START_SAMPLES, _KNOWN_SAMPLES = 1000, 200
 # Least slope of a branch, of the mean one: a weight must not grow without bound.
 _LEAST = 0.05
 
@@ -126,7 +131,8 @@ class RecordComparison:
         parts, left = [], iter(self.offsets)
         for number, own in enumerate(self.epochs):
             for epoch in own:
-                (played,) = self.play(actuator, number, epoch, next(left), epoch.stop - epoch.start)
+                state, size = self.state_before(actuator, number, epoch), epoch.stop - epoch.start
+                (played,) = self.play(actuator, number, slice(epoch.start, epoch.stop), (state, next(left)), size)
                 parts.append((number, epoch, played))
         return parts
 
@@ -136,20 +142,20 @@ class RecordComparison:
         return [offsets[max(count - 1, 0)] for count in np.cumsum([len(own) for own in self.epochs])]
 
     def play(
-        self, actuator: Actuator, number: int, epoch: Epoch, offset: float, size: int
+        self, actuator: Actuator, number: int, span: slice, begin: tuple[State, float], size: int
     ) -> Iterator[tuple[Array, ...]]:
         """Time, voltage, measured, simulated, and simulated with the drift left in, `size` samples at a time.
 
-        Over an epoch of the piece of this number, its voltages less `offset` [V].
+        Over samples of the piece of this number, from a state of the record's axis, its voltages less an offset [V].
         """
         (_, piece, curve), y = self.pieces[number], self.measured[number].displacement
-        drift = self.drift * curve
-        level = float(drift[epoch.start : epoch.stop].mean())
-        steady = drifting = self.state_before(actuator, number, epoch).shifted(self.datum)
-        for start in range(epoch.start, epoch.stop, size):
+        drift, (state, offset) = self.drift * curve, begin
+        level = float(drift[span].mean())
+        steady = drifting = state.shifted(self.datum)
+        for start in range(span.start, span.stop, size):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
-            again = int(actuator.needs_time and start > epoch.start)
-            stop = min(start + size, epoch.stop)
+            again = int(actuator.needs_time and start > span.start)
+            stop = min(start + size, span.stop)
             run, own = slice(start - again, stop), slice(start, stop)
             one = _driven(actuator, piece, run, (offset, drift[run]), steady)
             other = _driven(actuator, piece, run, (offset, level), drifting)
@@ -157,8 +163,41 @@ class RecordComparison:
             voltage = without_offset(actuator, piece.voltage[own], offset)
             yield piece.time[own], voltage, y[own] + self.datum, one.displacement[again:], other.displacement[again:]
 
-    def state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
-        """Return the state at an epoch's first sample on the record's axis: the displacement before determines it."""
+    def start_of(self, actuator: Actuator, number: int, first: int = 0) -> tuple[State, float]:
+        """Return the state at a piece's sample `first` on the record's axis, and the offset of its voltages [V].
+
+        The carts are those that explain its voltages best before the displacement alone determines them.
+        """
+        own, piece = self.epochs[number], self.pieces[number][1]
+        last = own[-1] if own else Epoch(0, 0, len(piece), 0.0, 0.0)
+        standing = bool(np.any(2 * actuator.slip.breakaway > last.reach))
+        stop = last.stop if standing else max(last.start, first) + _KNOWN_SAMPLES
+        places = first + _places(piece.displacement[first:stop])
+        y = piece.displacement[places] + self.datum
+        moved = self.source.moved[number]
+        rows = [block[places[(places >= k) & (places < k + len(block))] - k] for k, block in _blocks(moved)]
+        states = np.concatenate(rows)
+        tau, spring = actuator.transformer, actuator.spring(y)
+        force = piece.voltage[places] if tau is None else tau(piece.voltage[places])
+        internal = np.split(
+            states, np.cumsum([self.regression.grid.time_constants.size, self.regression.grid.lengths.size]), axis=1
+        )
+        fades, most = internal[2], np.zeros(internal[2].shape[1])
+        if actuator.creep is not None:
+            force = force - internal[0] @ actuator.creep.stiffness
+            most = float(np.ptp(self.regression.knots)) * actuator.creep.stiffness
+        if actuator.smooth is not None:
+            force = force - internal[1] @ actuator.smooth.stiffness
+        start = fit_start(actuator.slip, y, force - spring - self.drift * self.pieces[number][2][places], fades, most)
+        state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0, 0.0), start.creep)
+        return replace(state, carts=start.carts - self.datum), start.constant
+
+    def state_before(self, actuator: Actuator, number: int, epoch: Epoch, begun: Array | None = None) -> State:
+        """Return the state at an epoch's first sample on the record's axis: the displacement before determines it.
+
+        Creep branches held `begun` (J,) [V] as the record began, by default the start that was fitted.
+        """
+        begun = self.start if begun is None else begun
         rho, grid = actuator.slip.breakaway, Grid.of_actuator(actuator)
         y = self.pieces[number][1].displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
@@ -167,9 +206,9 @@ class RecordComparison:
         carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
         moved = self.source.moved_at(number, epoch.start)
         creep, smooth, left = np.split(moved, np.cumsum([grid.time_constants.size, grid.lengths.size]))
-        if actuator.creep is not None and self.start.size:
+        if actuator.creep is not None and begun.size:
             c = actuator.creep.stiffness
-            creep = creep + np.divide(self.start * left, c, out=np.zeros_like(left), where=c > 0)
+            creep = creep + np.divide(begun * left, c, out=np.zeros_like(left), where=c > 0)
         motion: list[float] = []
         if actuator.dynamics is not None:
             measured = self.measured[number]
@@ -268,18 +307,19 @@ def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Rec
 
 
 def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:
-    """Simulate a record's last epoch, in which the range of the excitation no longer grows, and compare.
+    """Simulate each piece of a record whole, from the state at its first sample that suits it best, and compare.
 
-    The state at its start follows from the displacement measured before. The constant, datum
-    and drift of a record are fitted by least squares with the model held fixed.
+    The constant, datum and drift of a record are fitted by least squares with the model held fixed.
     """
     compared = compare(actuator, record, protocol)
     found, regression = compared.found, compared.regression
-    sums = _Sums(max(1, sum(own[-1].stop - own[-1].start for own in compared.epochs if own) // _MOST_DRAWN))
-    for number, (own, offset) in enumerate(zip(compared.epochs, compared.last_offsets(), strict=True)):
-        if own:
-            for played in compared.play(actuator, number, own[-1], offset, _AT_A_TIME):
-                sums.add(played)
+    sums = _Sums(max(1, sum(len(piece) for _, piece, _ in compared.pieces) // _MOST_DRAWN))
+    for number, (_, piece, _) in enumerate(compared.pieces):
+        # What voltage acted on the first samples, before the delay is over, is not recorded.
+        first = min(int(np.ceil(protocol.delay / piece.sample_time)), len(piece) - 1) if protocol.delay > 0 else 0
+        start = compared.start_of(actuator, number, first)
+        for played in compared.play(actuator, number, slice(first, len(piece)), start, _AT_A_TIME):
+            sums.add(played)
     trace = Trace(record.name, protocol.role, *(np.concatenate(column) for column in zip(*sums.drawn, strict=True)))
     slope = float(np.median(regression.slope(found)))
     offset = float(np.median(list(found.offsets.values()))) - compared.base
@@ -330,6 +370,22 @@ def _driven(actuator: Actuator, piece: Record, span: slice, less: tuple[float, A
     time = piece.time[span] if actuator.needs_time else None
     voltage = without_offset(actuator, piece.voltage[span], *less)
     return actuator.simulate(voltage, time=time, state=state, extrapolate=True)
+
+
+def _places(y: Array) -> NDArray[np.intp]:
+    """Return samples that lead elements as all of them do: the first one, the turning points, and some evenly."""
+    if y.size <= _START_SAMPLES:
+        return np.arange(y.size)
+    some = np.linspace(0, y.size - 1, _START_SAMPLES).astype(np.intp)
+    return np.union1d(some, turning_points(y, 1e-3 * float(np.ptp(y))))
+
+
+def _blocks(moved: Moving) -> Iterator[tuple[int, Array]]:
+    """Yield first sample and rows of blocks."""
+    first = 0
+    for block in moved.blocks(_STOPS_AT_A_TIME):
+        yield first, block
+        first += len(block)
 
 
 def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:

@@ -1,0 +1,154 @@
+"""The carts with which a record begins, from its samples before every element is in a known state.
+
+While element i has not slid since the record's first sample, its cart stands at b_i; afterwards the displacement alone
+determines it. So the voltages before the widest range is reached bear on the carts, through
+
+    tau(v) - eta(y) - creep = sum_i force_i(y, b_i) + constant,
+
+which is solved by bounded least squares from several starts (theory: the whole record, judged whole). Carts that one
+another leave reachable differ by no more than their thresholds do: b_1 = y_0 + rho_1 u_1,
+b_i+1 = b_i + (rho_i+1 - rho_i) u_i+1 with all u in [-1, 1].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dehyst._native import slip_elongations
+from dehyst._types import Array
+from dehyst.model import GradedSlip, MaxwellSlip
+from dehyst.model.elements import segment_of
+
+# All carts above the displacement, at it, below it.
+_STARTS = (1.0, 0.0, -1.0)
+_STEPS = 12
+# A step that lowers the sum of squares by less than this part ends the search.
+_WORTH = 1e-4
+# Neighbours are held alike by this part of the rows' weight: some carts bear on no sample.
+_ALIKE = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class StartState:
+    """Carts at the first sample of a piece.
+
+    Attributes
+    ----------
+    carts : (N,) array
+        Positions [m], on the axis of the displacement.
+    constant : float
+        What the voltages have beside the model's [V].
+    creep : (J,) array
+        What creep branches hold beside what the path since then gives them [V].
+    """
+
+    carts: Array
+    constant: float
+    creep: Array
+
+
+def fit_start(
+    slip: MaxwellSlip | GradedSlip, displacement: Array, force: Array, fades: Array, most: Array
+) -> StartState:
+    """Fit the carts and what creep branches hold at the first sample.
+
+    Parameters
+    ----------
+    slip : MaxwellSlip or GradedSlip
+    displacement : (n,) array
+        Path [m] from the first sample of a record, with all its turning points.
+    force : (n,) array
+        What the elements hold there [V], up to a constant and the creep before the first sample.
+    fades : (n, J) array
+        What is left of one volt that each creep branch held at the first sample.
+    most : (J,) array
+        The largest such voltages [V].
+    """
+    problem = _Problem(slip, np.ascontiguousarray(displacement), force, fades * most)
+    begins = (np.append(np.full(len(slip), sign), np.zeros(most.size)) for sign in _STARTS)
+    _, u, constant = min((problem.solved(begin) for begin in begins), key=lambda solution: solution[0])
+    return StartState(problem.carts(u), constant, u[len(slip) :] * most)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Least squares over u (N + J,) in [-1, 1], of carts and of creep, and a constant."""
+
+    slip: MaxwellSlip | GradedSlip
+    displacement: Array
+    force: Array
+    fades: Array
+
+    def carts(self, u: Array) -> Array:
+        """Return the carts (N,) [m]."""
+        rho = self.slip.breakaway
+        return np.asarray(self.displacement[0] + np.cumsum(np.diff(rho, prepend=0.0) * u[: rho.size]))
+
+    def _residual(self, u: Array) -> tuple[Array, Array]:
+        """Return the force less that of the elements (n,) [V], and what u takes from it (n, N + J)."""
+        carts, rho = self.carts(u), self.slip.breakaway
+        elongation, _ = slip_elongations(rho, carts, self.displacement)
+        position = self.displacement[:, None] - elongation
+        held, stiffness = _held(self.slip, self.displacement, position), _stiffness_at(self.slip, carts)
+        # An element that has slid once no longer depends on where its cart stood.
+        standing = np.logical_and.accumulate(np.abs(position - carts) <= 1e-9 * rho, axis=0)
+        # Reversed cumulative sums: u_i moves cart i and all those of longer elements.
+        by_u = -np.cumsum((standing * stiffness)[:, ::-1], axis=1)[:, ::-1] * np.diff(rho, prepend=0.0)
+        residual = self.force - held - self.fades @ u[rho.size :]
+        return residual, np.hstack([by_u, self.fades])
+
+    def _alike(self) -> Array:
+        """Rows that hold neighbouring carts alike, and creep at rest."""
+        count, branches = len(self.slip), self.fades.shape[1]
+        carts = np.hstack([np.diff(np.eye(count), axis=0), np.zeros((count - 1, branches))])
+        return np.vstack([carts, np.hstack([np.zeros((branches, count)), np.eye(branches)])])
+
+    def solved(self, u: Array) -> tuple[float, Array, float]:
+        """Return the sum of squares, u and the constant, from a start, by Gauss and Newton's steps."""
+        from scipy.optimize import lsq_linear
+
+        residual, slopes = self._residual(u)
+        cost = float(np.var(residual))
+        alike = self._alike() * (_ALIKE * np.abs(slopes).max(initial=0.0) * np.sqrt(residual.size))
+        for _ in range(_STEPS):
+            centred, goal = slopes - slopes.mean(axis=0), residual - residual.mean()
+            triangle = np.linalg.qr(np.column_stack([centred, goal]), mode="r")
+            rows = np.vstack([triangle[:, :-1], alike])
+            target = np.concatenate([triangle[:, -1], -alike @ u])
+            step = lsq_linear(rows, target, bounds=(-1.0 - u - 1e-12, 1.0 - u + 1e-12), method="bvls").x
+            for length in (1.0, 0.5, 0.25, 0.0):
+                trial = np.clip(u + length * step, -1.0, 1.0)
+                residual, slopes = self._residual(trial)
+                if np.var(residual) < cost or not length:
+                    break
+            now, before, u = float(np.var(residual)), cost, trial
+            cost = min(now, cost)
+            if now > (1 - _WORTH) * before:
+                break
+        return cost, u, float(residual.mean())
+
+
+def _held(slip: MaxwellSlip | GradedSlip, displacement: Array, position: Array) -> Array:
+    """Return the force of all elements (n,) [V] at carts (n, N)."""
+    if isinstance(slip, MaxwellSlip):
+        return np.asarray((displacement[:, None] - position) @ slip.stiffness)
+    return np.asarray(
+        sum(_integral(slip, i, displacement) - _integral(slip, i, position[:, i]) for i in range(len(slip)))
+    )
+
+
+def _integral(slip: GradedSlip, number: int, y: Array) -> Array:
+    """Return the stiffness of an element, integrated from its first knot to y (n,) [V]."""
+    knots, stiffness = slip.knots, slip.stiffness[number]
+    below = np.concatenate([[0.0], np.cumsum(stiffness * np.diff(knots))])
+    segment = segment_of(knots, y)
+    return np.asarray(below[segment] + stiffness[segment] * (y - knots[segment]))
+
+
+def _stiffness_at(slip: MaxwellSlip | GradedSlip, carts: Array) -> Array:
+    """Return the stiffness of each element where its cart stands (N,) [V/m]."""
+    if isinstance(slip, MaxwellSlip):
+        return slip.stiffness
+    return np.asarray(np.take_along_axis(slip.stiffness, segment_of(slip.knots, carts)[:, None], axis=1).ravel())
