@@ -134,9 +134,10 @@ def _held(slip: MaxwellSlip | GradedSlip, displacement: Array, position: Array) 
     """Return the force of all elements (n,) [V] at carts (n, N)."""
     if isinstance(slip, MaxwellSlip):
         return np.asarray((displacement[:, None] - position) @ slip.stiffness)
-    return np.asarray(
-        sum(_integral(slip, i, displacement) - _integral(slip, i, position[:, i]) for i in range(len(slip)))
-    )
+    held = np.zeros(displacement.size)
+    for i in range(len(slip)):
+        held += _integral(slip, i, displacement) - _integral(slip, i, position[:, i])
+    return held
 
 
 def _integral(slip: GradedSlip, number: int, y: Array) -> Array:
@@ -151,4 +152,4 @@ def _stiffness_at(slip: MaxwellSlip | GradedSlip, carts: Array) -> Array:
     """Return the stiffness of each element where its cart stands (N,) [V/m]."""
     if isinstance(slip, MaxwellSlip):
         return slip.stiffness
-    return np.asarray(np.take_along_axis(slip.stiffness, segment_of(slip.knots, carts)[:, None], axis=1).ravel())
+    return np.asarray(slip.stiffness[np.arange(len(slip)), segment_of(slip.knots, carts)])

@@ -123,7 +123,9 @@ class TrainingData:
             return InternalStates(grid, piece, self.training[number].lead)
 
         source = RowSource.of(pieces, grid.breakaway, noise, moved=internal)
-        return Stream(source, Regression(source.thinned(most), grid, self.floor, self.datum, smoothing=smoothing))
+        rows = source.thinned(most)
+        regression = Regression(rows, grid, self.floor, self.datum, smoothing=smoothing, ranges=source.ranges())
+        return Stream(source, regression)
 
     @cached_property
     def _paths(self) -> list[tuple[int, Record]]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dehyst._native import slip_elongations
 from dehyst._types import Array
+from dehyst.identification.regression.ties import EpochRange
 from dehyst.records import Record
 from dehyst.records.signals import white_noise
 
@@ -68,6 +69,8 @@ class Epoch:
         Range of displacement [m] so far: elements with 2 rho <= reach are in a known state.
     middle : float
         Displacement [m] to which the constant of the carts that stand still refers.
+    width : float
+        Range of displacement [m], noise included.
     """
 
     turn: int
@@ -75,6 +78,7 @@ class Epoch:
     stop: int
     reach: float
     middle: float
+    width: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +144,7 @@ def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
             seen, since = y[:start], intervals[-1].stop if intervals else 0
             low, high = float(seen.min()), float(seen.max())
             turn = since + max(int(np.argmax(v[since:start])), int(np.argmin(v[since:start])))
-            intervals.append(Epoch(turn, int(start), int(stop), high - low - 4 * noise, 0.5 * (low + high)))
+            intervals.append(Epoch(turn, int(start), int(stop), high - low - 4 * noise, 0.5 * (low + high), high - low))
     return intervals
 
 
@@ -210,6 +214,14 @@ class RowSource:
     def count(self) -> int:
         """Number of epochs; they are numbered from 0 through all pieces."""
         return sum(map(len, self.epochs))
+
+    def ranges(self) -> tuple[EpochRange, ...]:
+        """Return the range of each epoch."""
+        numbered = [(piece, q, one) for piece, (q, _, _) in enumerate(self.pieces) for one in self.epochs[piece]]
+        return tuple(
+            EpochRange(number, q, piece, one.middle - 0.5 * one.width, one.middle + 0.5 * one.width, one.reach)
+            for number, (piece, q, one) in enumerate(numbered)
+        )
 
     def thinned(self, most: int) -> Rows:
         """Return about `most` of the rows, evenly, in memory."""

@@ -146,9 +146,8 @@ class FoldSums:
 
         def solver(limits: tuple[Array, Array] | None) -> Solution:
             nonlocal start
-            matrix, lower = (np.zeros((0, program.image.size - free)), np.zeros(0)) if limits is None else limits
-            whole = np.hstack([np.zeros((lower.size, free)), matrix])
-            x, start = program.minimum((whole, lower), start)
+            none = np.zeros((0, program.image.size)), np.zeros(0)
+            x, start = program.minimum(none if limits is None else limits, start)
             return Solution(x[:free], x[free:], np.zeros(0), True, "", 0.0, active_set=start)
 
         return self.regression.solved_with(solver, like=like)

@@ -30,6 +30,7 @@ from dehyst.identification.preprocessing.regressors import Rows
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.inequalities import bounds, violated
 from dehyst.identification.regression.regularization import regularization_rows
+from dehyst.identification.regression.ties import EpochRange, ties
 from dehyst.identification.solvers.least_squares import triangle_of
 from dehyst.identification.solvers.program import Norm, Solution, solve
 from dehyst.model.elements import parts_in_segments, segment_of
@@ -41,6 +42,9 @@ _ROUNDS = 12
 # Of the creep before a record, what is less than this at its first sample that counts is nothing.
 _FORGOTTEN = 0.01
 
+
+# Constants may miss what ties them by this part of the voltages, for the sensor's noise moves the ends of a range.
+_SLACK = 1e-3
 
 Solver = Callable[[tuple[Array, Array] | None], Solution]
 
@@ -66,6 +70,8 @@ class Regression:
         How much alike neighbours are held, see `regularization`; 0: not at all.
     lasting : (S J,) bool array, optional
         Starts of creep that are not forgotten before the first sample that counts; default: read from the rows.
+    ranges : tuple of EpochRange
+        Of the epochs, on the axes of the records: they tie the constants of a record to one another.
     """
 
     rows: Rows
@@ -76,6 +82,7 @@ class Regression:
     strained: tuple[int, ...] = ()
     smoothing: float = 0.0
     lasting: Mask | None = None
+    ranges: tuple[EpochRange, ...] = ()
 
     def thinned(self, most: int) -> Regression:
         """Return the same on about `most` of the rows."""
@@ -236,9 +243,25 @@ class Regression:
         strength = self.smoothing * self.mean_slope * (np.sqrt(count) if norm == "l2" else count / np.sqrt(p))
         return np.zeros((p, free)), strength * rows, np.zeros(p), np.full(p, weight)
 
-    def _all_columns(self, rows: Array) -> Array:
-        """Rows over the first unknowns, with nothing for the others."""
-        return np.hstack([rows, np.zeros((len(rows), self.bounded.shape[1] - rows.shape[1]))])
+    def _all_columns(self, rows: Array, free: int = 0) -> Array:
+        """Rows over the first unknowns that are not negative, with nothing for the others and `free` free ones."""
+        others = self.bounded.shape[1] - rows.shape[1]
+        return np.hstack([np.zeros((len(rows), free)), rows, np.zeros((len(rows), others))])
+
+    def _limits(self, epochs: NDArray[np.intp] | None) -> tuple[Array, Array]:
+        """Inequalities over all unknowns, epochs as in `nuisances`: ties of constants, what tau and starts can be."""
+        numbers = np.unique(self.rows.epoch) if epochs is None else epochs
+        free = numbers.size + len(self.drifting)
+        matrix, lower = bounds(self.grid, len(self.strained), self.bounded.shape[1], TRANSFORMER_FLOOR)
+        tied = ties(self.grid, [one.shifted(float(self.datum[one.record])) for one in self.ranges])
+        place = {int(number): k for k, number in enumerate(numbers)}
+        rows = [self._all_columns(row[None], free)[0] for signs, row in tied if set(signs) <= set(place)]
+        for row, (signs, _) in zip(rows, (one for one in tied if set(one[0]) <= set(place)), strict=True):
+            for number, sign in signs.items():
+                row[place[number]] = sign
+        whole = np.hstack([np.zeros((lower.size, free)), matrix])
+        slack = _SLACK * float(np.ptp(self.rows.voltage))
+        return np.vstack([whole, *rows]), np.append(lower, np.full(len(rows), -slack))
 
     def solved_with(
         self, solver: Solver, epochs: NDArray[np.intp] | None = None, like: Coefficients | None = None
@@ -247,19 +270,20 @@ class Regression:
 
         Epochs as in `nuisances`; the first round has the inequalities of the fit `like`.
         """
-        return self.coefficients(self.constrained(solver, like), epochs)
+        return self.coefficients(self.constrained(solver, like, epochs), epochs)
 
-    def constrained(self, solver: Solver, like: Coefficients | None = None) -> Solution:
+    def constrained(
+        self, solver: Solver, like: Coefficients | None = None, epochs: NDArray[np.intp] | None = None
+    ) -> Solution:
         """Return the answer of a solver, inequalities -> answer, when no other inequality is violated."""
         known = None if like is None else like.solved.inequalities
-        if known is None:
-            known = bounds(self.grid, len(self.strained), self.bounded.shape[1], TRANSFORMER_FLOOR)
-        matrix, lower = known
+        matrix, lower = self._limits(epochs) if known is None else known
+        free = matrix.shape[1] - self.bounded.shape[1]
         for _ in range(_ROUNDS):
             answer = solver((matrix, lower) if lower.size else None)
             if self.grid.segments == 1 or not answer.optimal:
                 break
-            more = self._all_columns(violated(self.grid, answer.nonnegative, self.floor))
+            more = self._all_columns(violated(self.grid, answer.nonnegative, self.floor), free)
             if not len(more):
                 break
             matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))

@@ -74,7 +74,10 @@ class NormalEquations:
         kept = np.flatnonzero(diagonal > 1e-12 * diagonal.max(initial=TINY))
         scale = diagonal[kept]
         unit = float(np.linalg.norm(self.image[kept] / scale)) or 1.0
-        matrix, lower = inequalities[0][:, kept] / scale * unit, inequalities[1]
+        # An inequality of a free coefficient without rows has nothing to hold.
+        lost = np.setdiff1d(np.arange(self.free), kept)
+        holding = ~np.any(inequalities[0][:, lost] != 0, axis=1)
+        matrix, lower = inequalities[0][:, kept] / scale * unit * holding[:, None], inequalities[1] * holding
         size = np.abs(matrix).max(axis=1, initial=0.0)
         size[size == 0] = 1.0
         scaled = _Scaled(

@@ -82,17 +82,17 @@ def inequalities(constraints: tuple[Array, Array] | None, free: int, scale: Arra
         If shapes do not fit or a number is not finite.
     """
     bounded = scale.size - free
-    if constraints is None:
+    if constraints is None or not np.size(constraints[1]):
         return np.zeros((0, scale.size)), np.zeros(0)
     matrix, lower = (np.asarray(part, dtype=np.float64) for part in constraints)
-    if matrix.ndim != 2 or matrix.shape[1] != bounded or lower.shape != (matrix.shape[0],):
+    if matrix.ndim != 2 or matrix.shape[1] not in (bounded, scale.size) or lower.shape != (matrix.shape[0],):
         raise IdentifyError(
             f"constraints: got a matrix of shape {matrix.shape} and lower limits of shape {lower.shape}, need (m, "
             f"{bounded}) and (m,): one column for each coefficient that is not negative, one limit for each row"
         )
     if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(lower))):
         raise IdentifyError("constraints: got NaN or infinite numbers, need finite ones; leave out rows without limit")
-    whole = np.hstack([np.zeros((lower.size, free)), matrix]) / scale
+    whole = np.hstack([np.zeros((lower.size, scale.size - matrix.shape[1])), matrix]) / scale
     size = np.abs(whole).max(axis=1, initial=0.0)
     size[size == 0] = 1.0
     return whole / size[:, None], lower / size
