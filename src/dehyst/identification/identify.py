@@ -38,6 +38,8 @@ from dehyst.records import Record
 
 # A model that misses its own training records by more of the range than this is of no use.
 _USELESS_PERCENT = 5.0
+# Thresholds in half strokes that records whose loops grow are also tried with.
+_REACH = 1.25
 # Of the spring, by default.
 _MOST_KNOTS = 41
 # A delay is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
@@ -193,18 +195,33 @@ class _Identification:
         rho = self._thresholds()
         if self.settings.breakaway is None:
             self.remarks += messages.of_noise(float(rho[0]), max(item.noise for item in self.training))
-        stream = self._stream(rho, self._data(self.delay))
-        regression = self._with_drifts(self._with_datums(stream.regression))
-        self.report(f"solving the {self.settings.norm} program for {len(stream.source)} samples")
-        found = replace(stream, regression=regression).fit_weighted(self.settings.norm)
+        regression, found = self._fit_plain(rho)
         if not found.solved.optimal:
             return self._failed(found.solved.status)
         actuator = self._actuator(regression, found)
         self.report("simulating every record")
+        if self.settings.breakaway is None and self._data(self.delay).grows():
+            longer, more = self._fit_plain(_REACH * rho)
+            other = self._actuator(longer, more) if more.solved.optimal else None
+            if other is not None and self._whole_error(other, longer) < self._whole_error(actuator, regression):
+                actuator, regression, found = other, longer, more
+                self.remarks.append(messages.LONGER_ELEMENTS)
         directions = identifiability(self._on_axis(regression.datum), regression)
         outcome, remarks = messages.of_plain(directions, regression, found)
         self.remarks += remarks
         return self._finish(actuator, regression, outcome, found.solved.status, found.solved.gap)
+
+    def _fit_plain(self, rho: Array) -> tuple[Regression, Coefficients]:
+        """Fit plain elements of these thresholds."""
+        stream = self._stream(rho, self._data(self.delay))
+        regression = self._with_drifts(self._with_datums(stream.regression))
+        self.report(f"solving the {self.settings.norm} program for {len(stream.source)} samples")
+        return regression, replace(stream, regression=regression).fit_weighted(self.settings.norm)
+
+    def _whole_error(self, actuator: Actuator, regression: Regression) -> float:
+        """RMS error of the training records, simulated whole [m]."""
+        errors, _ = self._simulated(actuator, regression, self.training)
+        return float(np.sqrt(np.average([one.rms**2 for one in errors], weights=[one.samples for one in errors])))
 
     def by_structure(self, structure: Structure | Literal["auto"], refine: bool) -> Fit:
         """Return A wider class, given or chosen."""
@@ -230,6 +247,8 @@ class _Identification:
         self.structure = structure
         self.report(f"solving the program for {structure.words}")
         made = StructuredFit.solve(frame, structure, self.settings.norm)
+        if structure.reach == 1 and made.found.solved.optimal and frame.grows():
+            made = self._longer(made)
         solution = made.found.solved
         if not solution.optimal:
             return self._failed(solution.status)
@@ -243,6 +262,18 @@ class _Identification:
         self.report("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
         return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
+
+    def _longer(self, made: StructuredFit) -> StructuredFit:
+        """Return the fit with elements beyond half the stroke, if it simulates the records better."""
+        longer = StructuredFit.solve(made.frame, replace(made.structure, reach=_REACH), self.settings.norm)
+        if not longer.found.solved.optimal:
+            return made
+        before, after = (self._whole_error(one.actuator, one.regression) for one in (made, longer))
+        if after >= before:
+            return made
+        self.structure = longer.structure
+        self.remarks.append(messages.LONGER_ELEMENTS)
+        return longer
 
     def _with_delay(self, frame: TrainingData, structure: Structure | None = None) -> TrainingData:
         """Only a delay that was not given can be mistaken."""
@@ -342,7 +373,9 @@ class _Identification:
     def _stream(self, rho: Array, data: TrainingData, knots: int | None = None) -> Stream:
         """All rows of plain elements with these thresholds."""
         places = np.linspace(*self.span, knots or self.settings.knots or min(rho.size + 1, _MOST_KNOTS))
-        stream = data.on_grid(Grid.plain(rho, places), MOST_ROWS)
+        beyond = bool(rho[-1] > 0.5 * self.stroke * (1 + 1e-9)) and self.settings.breakaway is None
+        sliding = np.ones(rho.size, dtype=bool) if beyond else None
+        stream = data.on_grid(Grid.plain(rho, places, sliding), MOST_ROWS)
         if len(stream.source) < 2 * rho.size:
             raise IdentifyError(
                 f"{len(stream.source)} samples count for {rho.size} elements: only those after the range of a record "
@@ -395,20 +428,26 @@ class _Identification:
             self._provenance(),
         )
 
-    def _finish(self, actuator: Actuator, regression: Regression, outcome: Outcome, status: str, gap: float) -> Fit:
-        traces: list[Trace] = []
-        errors: list[RecordErrors] = []
-        records = (*self.training, *self.held_out)
+    def _simulated(
+        self, actuator: Actuator, regression: Regression, records: Sequence[Prepared]
+    ) -> tuple[list[RecordErrors], list[Trace]]:
+        """Simulate records whole, the training records first."""
+        errors, traces = [], []
         drifts = self.settings.drift and actuator.creep is None
         for q, item in enumerate(records):
             trained = q < len(self.training)
             # The paper's methods put every record on one axis; a held-out record's datum is looked for.
             datum = float(regression.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
             drifting = q in regression.drifting if trained else drifts and item.can_drift
-            protocol = Protocol("training" if trained else "validation", self.delay, datum, drifting, self.stroke)
+            protocol = Protocol("training" if trained else "validation", actuator.delay, datum, drifting, self.stroke)
             error, trace = errors_of(actuator, item, protocol)
             errors.append(error)
             traces.append(trace)
+        return errors, traces
+
+    def _finish(self, actuator: Actuator, regression: Regression, outcome: Outcome, status: str, gap: float) -> Fit:
+        records = (*self.training, *self.held_out)
+        errors, traces = self._simulated(actuator, regression, records)
         missed = max(error.largest for error in errors[: len(self.training)])
         actuator = replace(actuator, provenance={**actuator.provenance, "largest_error_m": missed})
         imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED

@@ -114,7 +114,7 @@ class _Problem:
         alike = self._alike() * (_ALIKE * np.abs(slopes).max(initial=0.0) * np.sqrt(residual.size))
         for _ in range(_STEPS):
             centred, goal = slopes - slopes.mean(axis=0), residual - residual.mean()
-            triangle = np.linalg.qr(np.column_stack([centred, goal]), mode="r")
+            triangle = np.asarray(np.linalg.qr(np.column_stack([centred, goal]), mode="r"), dtype=np.float64)
             rows = np.vstack([triangle[:, :-1], alike])
             target = np.concatenate([triangle[:, -1], -alike @ u])
             step = lsq_linear(rows, target, bounds=(-1.0 - u - 1e-12, 1.0 - u + 1e-12), method="bvls").x

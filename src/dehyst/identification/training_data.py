@@ -43,6 +43,8 @@ _SLOWEST = 1000.0
 _ROOTS = (0.7, 1.5, 3.0, 6.0)
 _WORTH_OF_MASS = 0.95
 _SWINGING = Structure(elements=20, grades=3, transformer=10, smooth=True)
+# Records of which a smaller part has its widest range grow: their constants are tied, and longer elements tried.
+_GROWING = 0.5
 # A delay is a false one if without it held-out cycles are missed by this part only.
 _TRAILING = replace(_SWINGING, creep=9)
 _FALSE_DELAY = 0.5
@@ -124,7 +126,8 @@ class TrainingData:
 
         source = RowSource.of(pieces, grid.breakaway, noise, moved=internal)
         rows = source.thinned(most)
-        regression = Regression(rows, grid, self.floor, self.datum, smoothing=smoothing, ranges=source.ranges())
+        ranges = source.ranges() if grid.reaches_beyond else ()
+        regression = Regression(rows, grid, self.floor, self.datum, smoothing=smoothing, ranges=ranges)
         return Stream(source, regression)
 
     @cached_property
@@ -138,6 +141,12 @@ class TrainingData:
         return [
             (q, remove_jitter(remove_dynamics(path, dynamics), self.training[q].noise, stroke)) for q, path in paths
         ]
+
+    def grows(self) -> bool:
+        """Whether most samples of a record come before its range is at its widest."""
+        source = self.on_grid(Grid.plain(np.array([self.span[1] - self.span[0]]), np.array(self.span)), 1).source
+        last = sum(own[-1].stop - own[-1].start for own in source.epochs if own)
+        return last < _GROWING * sum(len(piece) for _, piece, _ in source.pieces)
 
     def with_checked_delay(self, structure: Structure | None = None) -> TrainingData:
         """Return the same without a delay, if held-out cycles are then missed by far less.

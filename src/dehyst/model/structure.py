@@ -47,6 +47,9 @@ class Structure:
         Whether there are elements that yield gradually, of five lengths.
     smoothing : float
         Weight of the differences of neighbouring stiffnesses and slopes; 0: none. See `regularization`.
+    reach : float
+        Longest threshold in half strokes. Elements beyond 1 never slide both ways, but may slide once while the range
+        of loops that grow gets wider; up to there they act as part of the spring.
 
     Raises
     ------
@@ -62,6 +65,7 @@ class Structure:
     creep: int = 0
     smooth: bool = False
     smoothing: float = 3e-3
+    reach: float = 1.0
 
     def __post_init__(self) -> None:
         for name, least, most in (
@@ -75,6 +79,7 @@ class Structure:
         _validation.between(self.spacing, "spacing", 0.5, 4, "an exponent")
         _validation.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
         _validation.between(self.smoothing, "smoothing", 0, 1, "a number")
+        _validation.between(self.reach, "reach", 1, 2, "a number of half strokes")
         if self.transformer == 1:
             raise IdentifyError("transformer: got 1, need 0 or at least two segments: one segment is a straight line")
 
@@ -101,6 +106,8 @@ class Structure:
             parts.append(f"{self.creep} creep branches")
         if self.smooth:
             parts.append("smooth elements")
+        if self.reach > 1:
+            parts.append(f"thresholds up to {self.reach:g} half strokes")
         return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
     def as_dict(self) -> dict[str, Any]:
@@ -114,6 +121,7 @@ class Structure:
             "creep": self.creep,
             "smooth": self.smooth,
             "smoothing": self.smoothing,
+            **({"reach": self.reach} if self.reach > 1 else {}),
         }
 
     def grid(self, span: tuple[float, float], voltages: tuple[float, float], times: tuple[float, float]) -> Grid:
@@ -123,7 +131,8 @@ class Structure:
         """
         low, high = span
         stroke = high - low
-        breakaway = 0.5 * stroke * (np.arange(1, self.elements + 1) / self.elements) ** self.spacing
+        longest = 0.5 * stroke * self.reach
+        breakaway = longest * (np.arange(1, self.elements + 1) / self.elements) ** self.spacing
         lengths = np.repeat(_LENGTHS * stroke, _CLOSINGS.size) if self.smooth else np.zeros(0)
         return Grid(
             breakaway,
@@ -134,6 +143,7 @@ class Structure:
             lengths,
             np.tile(_CLOSINGS, lengths.size // _CLOSINGS.size),
             self.grades > 1,
+            np.ones(self.elements, dtype=bool) if self.reach > 1 else None,
         )
 
 
@@ -224,6 +234,11 @@ class Grid:
         # A row as one string of bytes: to compare them is faster than to sort by columns.
         _, first = np.unique(rows.view(np.dtype((np.void, rows.shape[1]))).ravel(), return_index=True)
         return np.asarray(rows[np.sort(first)], dtype=np.float64)
+
+    @property
+    def reaches_beyond(self) -> bool:
+        """Whether elements get a stiffness that cannot slide both ways within the knots."""
+        return bool(np.any(2 * self.breakaway[self.movable] > np.ptp(self.knots) * (1 + 1e-9)))
 
     @property
     def segments(self) -> int:

@@ -25,6 +25,11 @@ _END, _PASSAGE = 0.1, 0.25
 # Voltages may leave those of training by this part of their range; errors may be this many times those of training.
 _MARGIN, _USUAL = 0.02, 2
 
+LONGER_ELEMENTS = (
+    "The loops grow. Elements that slide once only, as the range gets wider, lower the error of the records simulated "
+    "whole: they are in the model."
+)
+
 
 def of_noise(first: float, noise: float) -> list[str]:
     """Return a remark if jitter, which only wider structures remove, drags the first element, at `first` [m]."""
