@@ -6,6 +6,7 @@ import signal
 import subprocess
 from pathlib import Path
 
+import compiler_cache
 import numpy as np
 import places
 import pytest
@@ -83,6 +84,19 @@ int main(void)
 def blas_on_one_thread():
     """Oracles solve too, and spinning BLAS threads take the processors from what is being tested."""
     with one_thread():
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compilers_that_remember(tmp_path_factory):
+    """The core of exports is compiled once for a command and a content, for all workers of a run."""
+    own, worker = tmp_path_factory.getbasetemp(), os.environ.get("PYTEST_XDIST_WORKER")
+    programs, kept = own / "compilers", (own.parent if worker else own) / "compiled"
+    programs.mkdir()
+    kept.mkdir(exist_ok=True)
+    compiler_cache.install(programs, kept)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PATH", str(programs), prepend=os.pathsep)
         yield
 
 
