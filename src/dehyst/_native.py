@@ -29,17 +29,14 @@ class _Rebuilt:
 class Core(_Rebuilt):
     """Tables of a plain actuator in C. Equations and names: `core/include/dehyst.h`.
 
+    Raise `ModelError` if the core refuses the numbers.
+
     Parameters
     ----------
     rho, kappa : (N,) array
         Breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements.
     knots, values : (M,) array
         The parallel spring: displacement [m] and voltage [V], both strictly increasing, M >= 2.
-
-    Raises
-    ------
-    ModelError
-        If the core refuses the numbers.
     """
 
     __slots__ = ()
@@ -85,7 +82,7 @@ class Core(_Rebuilt):
 class WideCore(_Rebuilt):
     """Tables of an actuator in C with graded and smooth elements, transformer, creep and inertia.
 
-    Names as in `core/include/dehyst.h`.
+    Names as in `core/include/dehyst.h`. Raise `ModelError` if the core refuses the numbers.
 
     Parameters
     ----------
@@ -105,11 +102,6 @@ class WideCore(_Rebuilt):
         beta [V/m] and theta; empty: none.
     lengths, closings, smooth : (L,) array
         Smooth elements and their stiffnesses k_l [V/m]. In `strains` (J + L) their elongations follow creep's.
-
-    Raises
-    ------
-    ModelError
-        If the core refuses the numbers.
     """
 
     __slots__ = ()

@@ -57,10 +57,7 @@ class PlayCore:
     ) -> tuple[Array, Array, Array]:
         """Return voltages [V] for displacements [m], and the plays and low-passes at the end.
 
-        Raises
-        ------
-        ModelError
-            If a displacement is beyond what the model can reach.
+        Raise `ModelError` if a displacement is beyond what the model can reach.
         """
         v, reached, _, plays, passed = self._core.compensate(y, steps, start, plays, passed)
         if reached < y.size:

@@ -30,6 +30,9 @@ class AbstractBaseline(AbstractModel):
     def simulate(self, voltage: ArrayLike, *, state: Any = None, time: ArrayLike | None = None) -> Motion:
         """Return the displacement (n,) [m] that a voltage (n,) [V] causes.
 
+        Raise `ModelError` if the voltage is not a path of finite numbers, the state is not one of this model, a model
+        with creep gets no increasing time, or a displacement is too large to be computed.
+
         Parameters
         ----------
         voltage : (n,) array_like
@@ -38,12 +41,6 @@ class AbstractBaseline(AbstractModel):
             State before the first sample, as a motion of this model returned it; default: the model's own.
         time : (n,) array_like, optional
             [s], increasing; models without creep ignore it.
-
-        Raises
-        ------
-        ModelError
-            If the voltage is not a path of finite numbers, the state is not one of this model, a model with creep gets
-            no increasing time, or a displacement is too large to be computed.
         """
         v = vector(voltage, "voltage")
         y, after = self._simulate(v, self.state if state is None else state, time)
@@ -53,10 +50,7 @@ class AbstractBaseline(AbstractModel):
     def compensate(self, displacement: ArrayLike, *, state: Any = None, time: ArrayLike | None = None) -> Motion:
         """Return the voltage (n,) [V] for a displacement (n,) [m]; arguments as `simulate`.
 
-        Raises
-        ------
-        ModelError
-            As `simulate`, and if no voltage reaches a displacement.
+        Raise `ModelError` as `simulate`, and if no voltage reaches a displacement.
         """
         y = vector(displacement, "displacement")
         v, after = self._compensate(y, self.state if state is None else state, time)

@@ -54,6 +54,8 @@ class PlayState:
 class PlayBank:
     """Curves of play operators and low-passes, ``y = offset + sum_i phi_i(z_i) + sum_k share_k q_k``.
 
+    Raise `ModelError` if a number is impossible.
+
     Parameters
     ----------
     thresholds : (N,) array_like
@@ -67,11 +69,6 @@ class PlayBank:
         [m].
     times, shares : (K,) array_like
         Of the low-passes: time constants [s], above 0, and shares [m/V], 0 or more.
-
-    Raises
-    ------
-    ModelError
-        If a number is impossible.
     """
 
     thresholds: Array
@@ -204,12 +201,7 @@ class PlayInverse:
 
     ``v = sum_i w'_i play_{r'_i}[y - offset]`` with
     ``r'_i = sum_{j<=i} w_j (r_i - r_j)``, ``w'_0 = 1 / w_0`` and ``w'_i = 1 / W_i - 1 / W_{i-1}``, W_i the sum of
-    w_0 ... w_i.
-
-    Raises
-    ------
-    ModelError
-        If the bank has no such inverse.
+    w_0 ... w_i. Raise `ModelError` if the bank has no such inverse.
     """
 
     bank: PlayBank

@@ -158,13 +158,7 @@ TRIALS: Mapping[str, TrackingTrial] = {
 
 
 def trial(name: str) -> TrackingTrial:
-    """Return the trial of that name.
-
-    Raises
-    ------
-    ModelError
-        If there is none.
-    """
+    """Return the trial of that name; raise `ModelError` if there is none."""
     if name not in TRIALS:
         raise ModelError(f"no virtual actuator '{name}'; try {', '.join(TRIALS)}")
     return TRIALS[name]

@@ -127,17 +127,13 @@ def fit_with_delay(
 ) -> Model:
     """Fit a model to prepared records; without a given delay, keep the better of the fits with and without a delay.
 
-    The delay is estimated with plays; they can mistake for a delay what another model explains.
+    The delay is estimated with plays; they can mistake for a delay what another model explains. Raise `RecordError` or
+    `IdentifyError` as `prepare_training`.
 
     Parameters
     ----------
     fit : callable
         Training -> model and its RMS residual.
-
-    Raises
-    ------
-    RecordError, IdentifyError
-        As `prepare_training`.
     """
     training = prepare_training(records, delay=delay, drift=drift)
     model, residual = fit(training)
@@ -151,6 +147,9 @@ def fit_with_delay(
 def prepare_training(records: Record | Sequence[Record], *, delay: float | None = None, drift: bool = True) -> Training:
     """Prepare records for the fit of a model that maps voltage to displacement.
 
+    Raise `RecordError` if a record cannot be used. Raise `IdentifyError` if there is none, no sample counts, or the
+    delay is impossible.
+
     Parameters
     ----------
     records : Record or sequence of Record
@@ -160,13 +159,6 @@ def prepare_training(records: Record | Sequence[Record], *, delay: float | None 
         clearly.
     drift : bool, optional
         Whether a record may creep by a logarithm of the time since its start; the drift is then removed.
-
-    Raises
-    ------
-    RecordError
-        If a record cannot be used.
-    IdentifyError
-        If there is none, no sample counts, or the delay is impossible.
     """
     items = [prepare(record) for record in as_list(records)]
     if not items:

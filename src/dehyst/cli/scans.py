@@ -88,10 +88,7 @@ def scan_options(command: Callable[..., None]) -> Callable[..., None]:
 def named_scan(kind: str, sample_rate: float | None, options: dict[str, Any]) -> Scan:
     """Return the scan that the options define.
 
-    Raises
-    ------
-    RecordError
-        If an option is missing, does not belong to this scan, or is impossible.
+    Raise `RecordError` if an option is missing, does not belong to this scan, or is impossible.
     """
     from dehyst._errors import RecordError
 

@@ -33,6 +33,8 @@ def approach_to(
 ) -> ScanPath | None:
     """Return the way from a state at rest to the first sample of a path, without it; None if the state is there.
 
+    Raise `RecordError` if `seconds` is not positive, or too long.
+
     Parameters
     ----------
     path : ScanPath
@@ -44,11 +46,6 @@ def approach_to(
     seconds : float, optional
         Duration, rounded up to a sample; by default as short as the limits allow, those of speed and acceleration
         first, then the slew rate if any duration keeps it.
-
-    Raises
-    ------
-    RecordError
-        If `seconds` is not positive, or too long.
     """
     now, first, rate, ends = _present(state), path.first, path.sample_rate, _ends(path)
     if seconds is not None:

@@ -44,10 +44,7 @@ class Preview:
     def of(cls, actuator: Actuator, period: float) -> Preview:
         """Return the filter for the delay and the dynamics of an actuator, with a step every `period` [s].
 
-        Raises
-        ------
-        ModelError
-            If the delay, or a radian of the resonance, takes more than a million steps.
+        Raise `ModelError` if the delay, or a radian of the resonance, takes more than a million steps.
         """
         delay, dynamics = actuator.delay / period, actuator.dynamics
         if delay > _FARTHEST or (dynamics is not None and dynamics.frequency * period < 1 / _FARTHEST):

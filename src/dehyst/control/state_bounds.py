@@ -65,6 +65,9 @@ def known_by_displacement(
 ) -> KnownCarts:
     """Return what is known of each element if the displacement is known: measured, or commanded.
 
+    Raise `ModelError` if the numbers are not finite, the breakaway elongations not positive and strictly increasing, or
+    the tolerance is not positive; or the actuator has dynamics.
+
     Parameters
     ----------
     actuator : Actuator or (N,) array_like
@@ -74,12 +77,6 @@ def known_by_displacement(
     tolerance : float, optional
         Width [m] up to which an element counts as known; default 1e-12 of 2 rho_N. With 0, rounding would decide
         whether an excursion of exactly 2 rho_N suffices.
-
-    Raises
-    ------
-    ModelError
-        If the numbers are not finite, the breakaway elongations not positive and strictly increasing, or the
-        tolerance is not positive; or the actuator has dynamics.
     """
     if isinstance(actuator, Actuator):
         if actuator.dynamics is not None:
@@ -239,12 +236,8 @@ def least_range(actuator: Actuator, lowest: float, highest: float) -> float:
     displacement on the rising branch of the major loop, the second that on the falling one. From an unknown state the
     largest width of a cart is exactly max(0, 2 rho_N - D) after any path that covers just these voltages: at the
     highest the lower extreme state has every s_i = rho_i, at the lowest the upper one has every s_i = -rho_i, and
-    these two extremes of y determine cart N. Neither the order nor the number of turns matters.
-
-    Raises
-    ------
-    ModelError
-        If `actuator` is not an Actuator, or a voltage is not finite.
+    these two extremes of y determine cart N. Neither the order nor the number of turns matters. Raise `ModelError` if
+    `actuator` is not an Actuator, or a voltage is not finite.
     """
     branch = MajorLoop(checked_actuator(actuator))
     return branch.displacement(number(highest, "highest"), 1) - branch.displacement(number(lowest, "lowest"), -1)

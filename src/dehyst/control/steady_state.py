@@ -22,7 +22,7 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
     Creep and smooth elements are driven by w alone, which follows from the path, so both are independent of each other
     and of the carts. A branch of creep is linear: if a cycle from zero strain ends at D, its steady strain is
     ``d = exp(-T/tau) d + D``. A smooth element's end rises with its beginning, with slope below 1: its only fixed point
-    lies between the two extremes.
+    lies between the two extremes. Raise `ModelError` if the state does not fit the actuator.
 
     Parameters
     ----------
@@ -31,11 +31,6 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
         Periodic.
     state : State
         At the path's first sample, after two cycles at least, which erase the history of the carts.
-
-    Raises
-    ------
-    ModelError
-        If the state does not fit the actuator.
     """
     if actuator.creep is not None:
         state = replace(state, creep=_strains(actuator, path))

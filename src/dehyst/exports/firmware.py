@@ -83,11 +83,8 @@ class Exported(NamedTuple):
 def code(compensator: Compensator, number: Number = "double", name: str = DEFAULT) -> dict[str, str]:
     """Return the C files of a compensator by name: `SOURCES` and their headers, as `export` writes them.
 
-    Raises
-    ------
-    ModelError
-        If it is no Compensator, the number type is another one, floats cannot hold this model, or the name is no name
-        in C or has a meaning there.
+    Raise `ModelError` if it is no Compensator, the number type is another one, floats cannot hold this model, or the
+    name is no name in C or has a meaning there.
     """
     demand_compensator(compensator)
     if number not in ("double", "float"):

@@ -94,10 +94,7 @@ def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O
 def run(command: Sequence[str], folder: Path) -> str:
     """Run a command in a folder and return what it prints.
 
-    Raises
-    ------
-    FileFormatError
-        If it cannot be run, or fails; with its message.
+    Raise `FileFormatError` if it cannot be run, or fails; with its message.
     """
     try:
         done = subprocess.run(

@@ -37,10 +37,7 @@ class GcsArray(NamedTuple):
 def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
     """Parse an answer of DRR? that has `rows` rows and `columns` columns.
 
-    Raises
-    ------
-    LinkError
-        If the header is incomplete or has other sizes, or a row is not `columns` finite numbers.
+    Raise `LinkError` if the header is incomplete or has other sizes, or a row is not `columns` finite numbers.
     """
     stripped = [line.strip() for line in lines]
     if _END not in stripped:

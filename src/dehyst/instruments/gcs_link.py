@@ -40,20 +40,14 @@ class AbstractGcsLink(ABC):
     def exchange(self, commands: Sequence[str], query: str) -> list[str]:
         """Send commands without answers, then a query; return the lines of its answer without line ends.
 
-        Raises
-        ------
-        LinkError
-            If there is no answer, or an incomplete one.
+        Raise `LinkError` if there is no answer, or an incomplete one.
         """
 
     @abstractmethod
     def settle(self, identity: str) -> None:
         """Resynchronise after an exchange that failed; `identity` is the earlier answer to *IDN?.
 
-        Raises
-        ------
-        LinkError
-            If that fails.
+        Raise `LinkError` if that fails.
         """
 
     @abstractmethod
@@ -64,17 +58,14 @@ class AbstractGcsLink(ABC):
 class TcpLink(AbstractGcsLink):
     """A socket to a controller, which takes one client at a time.
 
+    Raise `LinkError` if no connection can be made.
+
     Parameters
     ----------
     host : str
     port : int
     timeout : float
         Seconds without a byte after which an answer is abandoned.
-
-    Raises
-    ------
-    LinkError
-        If no connection can be made.
     """
 
     def __init__(self, host: str, port: int, timeout: float = 5.0) -> None:
@@ -204,16 +195,13 @@ class TcpLink(AbstractGcsLink):
 class DeviceLink(AbstractGcsLink):
     """A device object that the user has connected; it stays open.
 
+    Raise `LinkError` if it does not have them.
+
     Parameters
     ----------
     device : object
         With two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
         `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`.
-
-    Raises
-    ------
-    LinkError
-        If it does not have them.
     """
 
     def __init__(self, device: Any) -> None:

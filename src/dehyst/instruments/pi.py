@@ -40,7 +40,9 @@ class PiRig(AbstractRig):
     """A PI controller's axis in open loop.
 
     The wave generator plays and the data recorder records; the host only fills and reads tables. Without them the host
-    sends voltages one by one, at 200 Hz at most, with a warning.
+    sends voltages one by one, at 200 Hz at most, with a warning. Raise `LinkError` if the answers are not those of a
+    controller. Raise `DeviceError` if it cannot send voltages in open loop, or does not report its limits and none are
+    given. Raise `RigError` if it has no such axis, or its limits and the given ones have no voltage in common.
 
     Parameters
     ----------
@@ -54,15 +56,6 @@ class PiRig(AbstractRig):
         Largest abs(dv/dt) [V/s].
     patience : float
         Seconds without a new sample after which a recorder has stopped.
-
-    Raises
-    ------
-    LinkError
-        If the answers are not those of a controller.
-    DeviceError
-        If it cannot send voltages in open loop, or does not report its limits and none are given.
-    RigError
-        If it has no such axis, or its limits and the given ones have no voltage in common.
 
     Notes
     -----
@@ -114,10 +107,7 @@ class PiRig(AbstractRig):
     ) -> Self:
         """Connect to a controller by TCP; `timeout` [s] is the longest wait for an answer.
 
-        Raises
-        ------
-        RigError
-            As the class does.
+        Raise `RigError` as the class does.
         """
         return cls._open(TcpLink(host, port, timeout), axis, limits, slew_rate, patience)
 

@@ -65,6 +65,9 @@ class Traits:
 def discover(client: GcsClient, axis: str | None, limits: tuple[float, float] | None) -> Traits:
     """Query the properties of a controller.
 
+    Raise `DeviceError` if it cannot send a voltage and read a displacement, or does not report its limits. Raise
+    `RigError` if it has no such axis. Raise `LinkError` if an answer is not valid.
+
     Parameters
     ----------
     client : GcsClient
@@ -72,15 +75,6 @@ def discover(client: GcsClient, axis: str | None, limits: tuple[float, float] | 
         Needed if the controller has several.
     limits : (float, float), optional
         Voltages [V] to use if the controller does not report its own.
-
-    Raises
-    ------
-    DeviceError
-        If it cannot send a voltage and read a displacement, or does not report its limits.
-    RigError
-        If it has no such axis.
-    LinkError
-        If an answer is not valid.
     """
     absent = [word for word in _FOR_VOLTAGES if word not in client.commands]
     if absent:

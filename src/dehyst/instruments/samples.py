@@ -58,10 +58,7 @@ class Inspection:
     def admit(self, samples: Samples) -> Samples:
         """Return the samples as arrays.
 
-        Raises
-        ------
-        LinkError
-            If they cannot follow the samples before: too many, not finite, or times that do not increase.
+        Raise `LinkError` if they cannot follow the samples before: too many, not finite, or times that do not increase.
         """
         time, voltage, displacement = (self._column(*column) for column in zip(samples, Samples._fields, strict=True))
         sizes = {column.shape for column in (time, voltage, displacement)}

@@ -29,11 +29,8 @@ class SensorWatch:
     def observe(self, voltage: Array, displacement: Array) -> None:
         """Check samples (n,) [V], (n,) [m] that follow the ones before.
 
-        Raises
-        ------
-        SensorError
-            If the reading has not changed while the voltage crossed a fifth of its range; the message depends on
-            whether it moved before.
+        Raise `SensorError` if the reading has not changed while the voltage crossed a fifth of its range; the message
+        depends on whether it moved before.
         """
         if not displacement.size:
             return

@@ -83,10 +83,7 @@ class Creep:
 def clock(time: ArrayLike, samples: int) -> tuple[NDArray[np.int64], Array]:
     """Cut samples into runs of equal steps, see `_native.steps`.
 
-    Raises
-    ------
-    ModelError
-        If `time` [s] has another length than the samples or does not strictly increase.
+    Raise `ModelError` if `time` [s] has another length than the samples or does not strictly increase.
     """
     t = vector(time, "time")
     bounds, durations = steps(t)

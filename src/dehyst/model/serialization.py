@@ -84,10 +84,7 @@ def state_dict(state: State) -> dict[str, Any]:
 def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     """Read the arguments of `Actuator`, by name. Version 1 has plain elements and a spring only.
 
-    Raises
-    ------
-    ModelError
-        If the format or version differs, a key is unknown or missing, or a number is impossible.
+    Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
     """
     version = data.get("version")
     if data.get("format") != FORMAT or type(version) is not int or version not in (1, VERSION):
@@ -151,10 +148,7 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
 def state(data: Mapping[str, Any]) -> State:
     """Read the entry "state", strictly.
 
-    Raises
-    ------
-    ModelError
-        If a key is unknown or missing, or a number is impossible.
+    Raise `ModelError` if a key is unknown or missing, or a number is impossible.
     """
     return _state(data, {"creep_m", "smooth_m", "motion"})
 

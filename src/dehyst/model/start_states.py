@@ -35,10 +35,7 @@ def turned_state(actuator: Actuator, displacement: float, *, rising: bool) -> St
 def complete_state(parts: Evaluator, start: State) -> State:
     """Return the state with missing strains, elongations and motion at rest, and with rounding removed.
 
-    Raises
-    ------
-    ModelError
-        If it is not a state of these parts.
+    Raise `ModelError` if it is not a state of these parts.
     """
     if not isinstance(start, State):
         raise ModelError(f"state: got {type(start).__name__}, need a State, such as that of a Motion")

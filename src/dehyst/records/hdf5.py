@@ -52,6 +52,9 @@ def sha256_of(columns: Columns) -> str:
 def pack(columns: Columns, name: str, meta: Mapping[str, Any], where: object) -> bytes:
     """Return the bytes of the file.
 
+    Raise `FileFormatError` if name or meta cannot be written as JSON. Raise `MissingExtraError` if h5py is not
+    installed.
+
     Parameters
     ----------
     columns : three (n,) arrays
@@ -60,13 +63,6 @@ def pack(columns: Columns, name: str, meta: Mapping[str, Any], where: object) ->
         Written as JSON.
     where : object
         Name of the file in messages.
-
-    Raises
-    ------
-    FileFormatError
-        If name or meta cannot be written as JSON.
-    MissingExtraError
-        If h5py is not installed.
     """
     h5py = demand_writer()
     text = to_json({"name": name, "meta": dict(meta)}, f"{where}: meta")
@@ -83,6 +79,9 @@ def pack(columns: Columns, name: str, meta: Mapping[str, Any], where: object) ->
 def decode(path: Path, least: int = 0, content: bytes | None = None, most: int = MOST) -> Stored | None:
     """Return what a file stores of its record; None without a file, or if `pack` did not make it.
 
+    Raise `FileFormatError` if it is damaged, its samples do not have the stored hash or lie in another file, or are
+    fewer than `least`.
+
     Parameters
     ----------
     path : path
@@ -92,11 +91,6 @@ def decode(path: Path, least: int = 0, content: bytes | None = None, most: int =
         The bytes of the file, if they are read already.
     most : int
         Memory that its samples may take [bytes]; the size of the file if that is larger.
-
-    Raises
-    ------
-    FileFormatError
-        If it is damaged, its samples do not have the stored hash or lie in another file, or are fewer than `least`.
     """
     if content is None and (path.suffix.lower() not in SUFFIXES or not path.is_file() or not path.stat().st_size):
         return None

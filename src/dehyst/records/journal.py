@@ -120,10 +120,8 @@ class Journal:
     def append(self, columns: Columns) -> None:
         """Append samples; they are on the disk when this returns.
 
-        Raises
-        ------
-        FileFormatError
-            If not all of them are written: whole lines stay. Nothing more can be appended, because of the gap.
+        Raise `FileFormatError` if not all of them are written: whole lines stay. Nothing more can be appended, because
+        of the gap.
         """
         if self._failure is not None:
             raise self._failure

@@ -196,7 +196,8 @@ def salvage(folder: PathLike) -> list[Path]:
     Nothing is overwritten: if the file exists, the new one has a number in its name. A journal that a running process
     still writes is not touched, nor is a file whose name is not ``*.h5.part.csv``. A journal with unusable lines (not
     three finite numbers, or a time that does not rise, except a last line cut off) is kept as ``*.part.damaged.csv``
-    beside the file. If it has no sample at all, it is only renamed so.
+    beside the file. If it has no sample at all, it is only renamed so. Raise `FileFormatError` if there is no such
+    folder, or a file cannot be written: its journal stays. Raise `MissingExtraError` if h5py is not installed.
 
     Parameters
     ----------
@@ -206,13 +207,6 @@ def salvage(folder: PathLike) -> list[Path]:
     -------
     list of Path
         The files, in the order of their names. `read` refuses those of fewer than 2 samples, which only keep the meta.
-
-    Raises
-    ------
-    FileFormatError
-        If there is no such folder, or a file cannot be written: its journal stays.
-    MissingExtraError
-        If h5py is not installed.
     """
     hdf5.demand_writer()
     folder = path_of(folder)

@@ -103,6 +103,8 @@ def drawing(
 ) -> Drawing:
     """Draw a figure for print in the house style.
 
+    Raise `MissingExtraError` if matplotlib is not installed.
+
     Parameters
     ----------
     name : str
@@ -116,11 +118,6 @@ def drawing(
         Whether axes above one another share the abscissa, and those side by side the ordinate.
     heights : tuple of float, optional
         Relative heights of the rows.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
     """
     text, picture = io.StringIO(), io.BytesIO()
     with _figure(name, size) as figure:

@@ -110,10 +110,7 @@ class Amplifier:
     def play(self, voltage: Array, at: Array) -> Array:
         """Put out voltages (n,) [V] at times (n,) [s], in straight lines; return the displacements (n,) [m].
 
-        Raises
-        ------
-        DeviceError
-            If one is outside the limits; none is put out.
+        Raise `DeviceError` if one is outside the limits; none is put out.
         """
         if not self.allows(voltage):
             raise DeviceError(f"amplifier: got {voltage.min():.6g} to {voltage.max():.6g} V, need {self.limits.words}")

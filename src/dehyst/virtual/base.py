@@ -39,12 +39,8 @@ class Clock:
         """Return the seconds (n,) that pass before each of `count` samples.
 
         Times that begin after the end of the last call continue from there. Other times begin anew: one of their own
-        first intervals after the last call, or after the rest at 0 V.
-
-        Raises
-        ------
-        ModelError
-            If there is no time, it has another length or does not increase, or it has no first interval.
+        first intervals after the last call, or after the rest at 0 V. Raise `ModelError` if there is no time, it has
+        another length or does not increase, or it has no first interval.
         """
         if time is None:
             raise ModelError(f"this actuator {why}: it needs the time of each sample; give time=, in seconds")
@@ -67,13 +63,7 @@ class Clock:
 
 
 class Sensor:
-    """A sensor with seeded white noise.
-
-    Raises
-    ------
-    ModelError
-        If the standard deviation is negative.
-    """
+    """A sensor with seeded white noise; raise `ModelError` if the standard deviation is negative."""
 
     def __init__(self, noise: float, seed: int) -> None:
         if not 0 <= noise < np.inf:

@@ -108,12 +108,8 @@ VIRTUAL: dict[str, Callable[[], VirtualActuator]] = {
 def virtual_actuator(name: str) -> VirtualActuator | Actuator:
     """Return a virtual actuator: one of `VIRTUAL`, or the model in a file.
 
-    Raises
-    ------
-    ModelError
-        If it is no such name, and no such file exists.
-    FileFormatError
-        If the file cannot be read.
+    Raise `ModelError` if it is no such name, and no such file exists. Raise `FileFormatError` if the file cannot be
+    read.
     """
     if name in VIRTUAL:
         return VIRTUAL[name]()

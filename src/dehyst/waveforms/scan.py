@@ -263,10 +263,7 @@ def whole(value: object, what: str, least: int = 1) -> int:
 def samples_of(seconds: float, rate: float) -> int:
     """Return the number of samples that so many seconds take, rounded up.
 
-    Raises
-    ------
-    RecordError
-        If they are fewer than a leg needs, or more than 5e7.
+    Raise `RecordError` if they are fewer than a leg needs, or more than 5e7.
     """
     samples = seconds * rate * (1 - 1e-12)
     if samples > LEG_SAMPLES - 1:

@@ -59,10 +59,7 @@ class Plate:
 def plates(found: Experiment, symmetric: Experiment) -> list[Plate]:
     """Draw every figure, from the virtual E-280.10 and the same without its asymmetric map.
 
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
+    Raise `MissingExtraError` if matplotlib is not installed.
     """
     return [
         _typical_loop(found),

@@ -67,14 +67,9 @@ def write(result: Paper, folder: PathLike) -> list[Path]:
     """Write every figure (SVG, PNG, CSV), the tables, the numbers and a page to a folder; return the paths.
 
     Files are index.html, results.json, summary.csv, limits.csv, table1.csv, and figNN.svg, .png and .csv. Each is
-    written wholly or not at all, the page last, and none if a figure cannot be drawn.
-
-    Raises
-    ------
-    FileFormatError
-        If the folder cannot be made or written to, or holds files that are not of this experiment.
-    MissingExtraError
-        If matplotlib is not installed.
+    written wholly or not at all, the page last, and none if a figure cannot be drawn. Raise `FileFormatError` if the
+    folder cannot be made or written to, or holds files that are not of this experiment. Raise `MissingExtraError` if
+    matplotlib is not installed.
     """
     from dehyst.studies.paper.figures import plates
     from dehyst.studies.paper.page import render
