@@ -16,6 +16,11 @@ from dehyst.model import AbstractModel, Motion
 class AbstractBaseline(AbstractModel):
     """A model that others published, behind the common interface.
 
+    Its `fit` takes `records`, a Record or a sequence of them: loops, each with an offset of its own; none needs to
+    start relaxed. `delay` [s] is that by which the displacement lags the voltage; default: estimated. With `drift` a
+    record may creep by a logarithm of the time since its start; the drift is then removed. It raises `RecordError` if a
+    record cannot be used, and `IdentifyError` if no sample counts or an option is impossible.
+
     Attributes
     ----------
     state : Any

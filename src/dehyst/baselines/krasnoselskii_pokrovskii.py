@@ -51,25 +51,16 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
     ) -> KrasnoselskiiPokrovskii:
         """Fit the weights by nonnegative least squares.
 
+        `records`, `delay`, `drift` and errors are those of every baseline, see `AbstractBaseline`.
+
         Parameters
         ----------
-        records : Record or sequence of Record
-            Loops; none needs to start relaxed. Each has an offset of its own.
         levels : int, optional
             Parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels.
         slope_floor : float, optional
             Least slope of the kernels with p1 = p2, as a fraction of the mean slope; 0 would have no inverse.
         smoothing : float, optional
             Weight of the squared differences of neighbouring weights; it determines those that the records leave open.
-        delay : float, optional
-            Seconds by which the displacement lags the voltage; default: estimated.
-        drift : bool, optional
-            Whether a record may creep by a logarithm of the time since its start; the drift is then removed.
-
-        Raises
-        ------
-        RecordError, IdentifyError
-            If a record cannot be used, or an option is impossible.
         """
         count(levels, "levels", most=60)
         fraction(slope_floor, "slope_floor")

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import number, vector
+from dehyst._validation import keep, number, vector
 from dehyst.baselines._native import PlayCore
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.training import Training
@@ -43,11 +43,8 @@ class PlayState:
     time: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "voltage", number(self.voltage, "state: voltage"))
-        for name in ("plays", "lowpasses"):
-            values = vector(getattr(self, name), f"state: {name}")
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        keep(self, voltage=number(self.voltage, "state: voltage"))
+        keep(self, **{name: vector(getattr(self, name), f"state: {name}") for name in ("plays", "lowpasses")})
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +93,9 @@ class PlayBank:
             "times": vector(times, "times"),
             "shares": vector(shares, "shares"),
         }
-        for name, value in given.items():
-            object.__setattr__(self, name, value)
+        keep(self, **given)
         self._check()
-        object.__setattr__(self, "_core", self._compiled())
+        keep(self, _core=self._compiled())
 
     def _check(self) -> None:
         sizes = {len(self.knots), len(self.slopes), self.thresholds.size}
@@ -223,9 +219,7 @@ class PlayInverse:
         core = PlayCore(
             thresholds, np.arange(r.size + 1, dtype=np.intc), zeros, zeros, np.repeat(back, 2), none, none, 0.0
         )
-        object.__setattr__(self, "weights", w)
-        object.__setattr__(self, "_back", back)
-        object.__setattr__(self, "_core", core)
+        keep(self, weights=w, _back=back, _core=core)
 
     def compensate(self, y: Array, state: PlayState) -> tuple[Array, PlayState]:
         """Return the voltage (n,) [V] for a displacement (n,) [m], and the state at its end; equals `bank.compensate`.
@@ -259,8 +253,6 @@ class AbstractPlayModel(AbstractBaseline):
         Its operators.
     state : PlayState
         Default start: after a long descent to the lowest voltage of its records.
-    delay : float
-        Seconds by which the displacement lags the voltage; `simulate` and `compensate` do not apply it.
     remarks : tuple of str
         Repairs of the records, as sentences.
     """

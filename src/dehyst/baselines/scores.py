@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from dehyst.baselines.tracking_trials import TrackingErrors
 
 OURS = "dehyst"
+# Keys of errors in JSON.
+_KEYS = {
+    "largest": "largest_percent",
+    "rms": "rms_percent",
+    "largest_without": "largest_without_constant_percent",
+    "rms_without": "rms_without_constant_percent",
+    "beyond": "beyond_voltage_percent",
+}
 
 
 @dataclass(frozen=True)
@@ -79,24 +87,10 @@ class ModelScore:
             "parameters": self.parameters,
             "fit_s": self.seconds,
             "errors": [
-                {
-                    "record": s.record,
-                    "role": s.role,
-                    "samples": s.samples,
-                    "left_out": s.left_out,
-                    "largest_percent": s.largest,
-                    "rms_percent": s.rms,
-                    "largest_without_constant_percent": s.largest_without,
-                    "rms_without_constant_percent": s.rms_without,
-                }
-                for s in self.scores
+                {_KEYS.get(name, name): value for name, value in asdict(score).items()} for score in self.scores
             ],
             "tracking": {
-                truth: {
-                    "largest_percent": errors.largest,
-                    "rms_percent": errors.rms,
-                    "beyond_voltage_percent": errors.beyond,
-                }
+                truth: {_KEYS[name]: value for name, value in errors._asdict().items()}
                 for truth, errors in self.tracking.items()
             },
             "simulate_ns": self.simulate,

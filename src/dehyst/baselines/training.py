@@ -108,13 +108,8 @@ class Training:
             rows[chosen[(chosen >= a) & (chosen < b)] - a]
             for rows, a, b in zip(self.kept, ends[:-1], ends[1:], strict=True)
         )
-        return replace(
-            self,
-            kept=kept,
-            displacement=self.displacement[chosen],
-            reach=self.reach[chosen],
-            nuisances=self.nuisances[chosen],
-        )
+        fewer = {name: getattr(self, name)[chosen] for name in ("displacement", "reach", "nuisances")}
+        return replace(self, kept=kept, **fewer)
 
 
 @one_thread()
