@@ -31,12 +31,8 @@ class Core(_Rebuilt):
 
     Raise `ModelError` if the core refuses the numbers.
 
-    Parameters
-    ----------
-    rho, kappa : (N,) array
-        Breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements.
-    knots, values : (M,) array
-        The parallel spring: displacement [m] and voltage [V], both strictly increasing, M >= 2.
+    `rho`, `kappa` (N,): breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements. `knots`,
+    `values` (M,): the parallel spring: displacement [m] and voltage [V], both strictly increasing, M >= 2.
     """
 
     __slots__ = ()
@@ -203,13 +199,8 @@ class CoreState(NamedTuple):
 class StepCoefficients(NamedTuple):
     """Coefficients of steps of time: samples bounds[r] to bounds[r + 1] are equal steps, with those of row r.
 
-    Attributes
-    ----------
-    bounds : (R + 1,) int64 array
-    decay, gain : (R, J) array
-        Coefficients of creep.
-    transition : (R, 8) or (R, 0) array
-        Coefficients of a mass: phi, before and after of `dehyst_transition`.
+    `bounds` (R + 1,). `decay`, `gain` (R, J): coefficients of creep. `transition` (R, 8) or (R, 0): coefficients of a
+    mass: phi, before and after of `dehyst_transition`.
     """
 
     bounds: NDArray[np.int64]

@@ -82,14 +82,8 @@ def plain(values: Any, what: str, unit: str | None = None, *, error: type[Dehyst
     An object has units if it, or an object in it, has an attribute `units` or `unit`, as those of pint, astropy, unyt
     and quantities have.
 
-    Parameters
-    ----------
-    values : Any
-        A number, an array, a list.
-    what : str
-        Its name in messages.
-    unit : str, optional
-        The unit to convert to; by default that of the name in `UNITS`.
+    `values`: a number, an array, a list. `what`: its name in messages. `unit`: the unit to convert to; by default that
+    of the name in `UNITS`.
 
     Raises
     ------

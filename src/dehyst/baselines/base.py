@@ -21,12 +21,8 @@ class AbstractBaseline(AbstractModel):
     record may creep by a logarithm of the time since its start; the drift is then removed. It raises `RecordError` if a
     record cannot be used, and `IdentifyError` if no sample counts or an option is impossible.
 
-    Attributes
-    ----------
-    state : Any
-        Default start of a motion.
-    delay : float
-        Seconds by which the measured displacement lagged the voltage; `simulate` and `compensate` do not apply it.
+    `state`: default start of a motion. `delay`: seconds by which the measured displacement lagged the voltage;
+    `simulate` and `compensate` do not apply it.
     """
 
     state: Any
@@ -38,14 +34,8 @@ class AbstractBaseline(AbstractModel):
         Raise `ModelError` if the voltage is not a path of finite numbers, the state is not one of this model, a model
         with creep gets no increasing time, or a displacement is too large to be computed.
 
-        Parameters
-        ----------
-        voltage : (n,) array_like
-            [V].
-        state : optional
-            State before the first sample, as a motion of this model returned it; default: the model's own.
-        time : (n,) array_like, optional
-            [s], increasing; models without creep ignore it.
+        `voltage` (n,) [V]. `state`: state before the first sample, as a motion of this model returned it; default: the
+        model's own. `time` (n,): [s], increasing; models without creep ignore it.
         """
         v = vector(voltage, "voltage")
         y, after = self._simulate(v, self.state if state is None else state, time)

@@ -25,16 +25,8 @@ from dehyst.baselines.training import Training
 class PlayState:
     """Memory of play operators and low-passes.
 
-    Attributes
-    ----------
-    voltage : float
-        [V].
-    plays : (N,) array
-        Outputs [V], each within its threshold of the voltage.
-    lowpasses : (K,) array
-        Outputs [V].
-    time : float or None
-        Time of this state [s]; only low-passes need it.
+    `voltage` [V]. `plays` (N,): outputs [V], each within its threshold of the voltage. `lowpasses` (K,): outputs [V].
+    `time`: time of this state [s]; only low-passes need it.
     """
 
     voltage: float
@@ -247,14 +239,8 @@ def _through(weights: Array, z: Array) -> Array:
 class AbstractPlayModel(AbstractBaseline):
     """A bank of play operators behind the common interface.
 
-    Attributes
-    ----------
-    bank : PlayBank
-        Its operators.
-    state : PlayState
-        Default start: after a long descent to the lowest voltage of its records.
-    remarks : tuple of str
-        Repairs of the records, as sentences.
+    `bank`: its operators. `state`: default start: after a long descent to the lowest voltage of its records. `remarks`:
+    repairs of the records, as sentences.
     """
 
     bank: PlayBank

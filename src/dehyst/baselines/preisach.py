@@ -37,11 +37,8 @@ _MOST_CELLS = 80
 class PreisachState:
     """The memory: present voltage [V] and displacement [m], and nested reversals, outermost first.
 
-    Attributes
-    ----------
-    turns : (k, 2) array
-        Voltage and displacement at each; the first is the plane's lowest voltage, the next a maximum, and so on in
-        turn. With an odd number of them the branch rises.
+    `turns` (k, 2): voltage and displacement at each; the first is the plane's lowest voltage, the next a maximum, and
+    so on in turn. With an odd number of them the branch rises.
     """
 
     voltage: float

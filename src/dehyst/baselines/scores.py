@@ -23,16 +23,10 @@ _KEYS = {
 class RecordScore:
     """Measured minus simulated displacement of one record, in % of the training stroke.
 
-    Attributes
-    ----------
-    role : str
-        "training" or "validation".
-    samples, left_out : int
-        Samples that count, and samples that do not: before the voltage has been through its range, or in the lead-in.
-    largest, rms : float
-        With one free constant for the record: its residual strain and its sensor's zero are not known.
-    largest_without, rms_without : float
-        Without it, on the model's own axis; after a lead-in, on the axis found from the lead-in.
+    `role`: "training" or "validation". `samples`, `left_out`: samples that count, and samples that do not: before the
+    voltage has been through its range, or in the lead-in. `largest`, `rms`: with one free constant for the record: its
+    residual strain and its sensor's zero are not known. `largest_without`, `rms_without`: without it, on the model's
+    own axis; after a lead-in, on the axis found from the lead-in.
     """
 
     record: str

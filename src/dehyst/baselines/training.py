@@ -125,10 +125,7 @@ def fit_with_delay(
     The delay is estimated with plays; they can mistake for a delay what another model explains. Raise `RecordError` or
     `IdentifyError` as `prepare_training`.
 
-    Parameters
-    ----------
-    fit : callable
-        Training -> model and its RMS residual.
+    `fit`: training -> model and its RMS residual.
     """
     training = prepare_training(records, delay=delay, drift=drift)
     model, residual = fit(training)
@@ -145,15 +142,9 @@ def prepare_training(records: Record | Sequence[Record], *, delay: float | None 
     Raise `RecordError` if a record cannot be used. Raise `IdentifyError` if there is none, no sample counts, or the
     delay is impossible.
 
-    Parameters
-    ----------
-    records : Record or sequence of Record
-        At least one loop.
-    delay : float, optional
-        Seconds by which the displacement lags the voltage; default: estimated, 0 unless a delay lowers the residual
-        clearly.
-    drift : bool, optional
-        Whether a record may creep by a logarithm of the time since its start; the drift is then removed.
+    `records`: at least one loop. `delay`: seconds by which the displacement lags the voltage; default: estimated, 0
+    unless a delay lowers the residual clearly. `drift`: whether a record may creep by a logarithm of the time since its
+    start; the drift is then removed.
     """
     items = [prepare(record) for record in as_list(records)]
     if not items:

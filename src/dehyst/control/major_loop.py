@@ -21,10 +21,7 @@ _ROUNDING = 1e-12
 class MajorLoop:
     """Voltage over displacement on the rising (side 1) and the falling (side -1) branch of the major loop.
 
-    Attributes
-    ----------
-    actuator : Actuator
-        Its smooth elements bear their largest force everywhere.
+    `actuator`: its smooth elements bear their largest force everywhere.
     """
 
     actuator: Actuator

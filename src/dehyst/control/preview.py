@@ -24,12 +24,8 @@ class Preview:
     ``w(t) = Y(t + delay)``, with inertia ``Y = y + 2 zeta/omega y' + y''/omega^2``; between samples y is the polynomial
     through the nearest samples.
 
-    Attributes
-    ----------
-    taps : (M,) array
-        w is the sum of taps[m] times the displacement fed m samples ago.
-    ahead : int
-        Number of samples by which the fed displacement is ahead.
+    `taps` (M,): w is the sum of taps[m] times the displacement fed m samples ago. `ahead`: number of samples by which
+    the fed displacement is ahead.
     """
 
     taps: Array

@@ -29,14 +29,8 @@ _CHUNK = 4096
 class KnownCarts:
     """Knowledge of the carts from a known displacement, with nothing known before.
 
-    Attributes
-    ----------
-    breakaway : (N,) array
-        rho [m].
-    running_range : (n,) array
-        R(t), the range of the displacements until now [m].
-    tolerance : float
-        Width [m] up to which an element counts as known.
+    `breakaway` (N,): rho [m]. `running_range` (n,): R(t), the range of the displacements until now [m]. `tolerance`:
+    width [m] up to which an element counts as known.
     """
 
     breakaway: Array
@@ -68,15 +62,9 @@ def known_by_displacement(
     Raise `ModelError` if the numbers are not finite, the breakaway elongations not positive and strictly increasing, or
     the tolerance is not positive; or the actuator has dynamics.
 
-    Parameters
-    ----------
-    actuator : Actuator or (N,) array_like
-        The actuator, or only its breakaway elongations rho [m].
-    displacement : (n,) array_like
-        [m]; nothing is known before the first sample.
-    tolerance : float, optional
-        Width [m] up to which an element counts as known; default 1e-12 of 2 rho_N. With 0, rounding would decide
-        whether an excursion of exactly 2 rho_N suffices.
+    `actuator`: the actuator, or only its breakaway elongations rho [m]. `displacement` (n,): [m]; nothing is known
+    before the first sample. `tolerance`: width [m] up to which an element counts as known; default 1e-12 of 2 rho_N.
+    With 0, rounding would decide whether an excursion of exactly 2 rho_N suffices.
     """
     if isinstance(actuator, Actuator):
         if actuator.dynamics is not None:
@@ -194,16 +182,9 @@ class StateBounds:
 class KnownState:
     """Knowledge of the state after each sample of a voltage.
 
-    Attributes
-    ----------
-    lowest, highest : (n,) array
-        Attained bounds of the displacement [m].
-    width : (n,) array
-        The largest width of any cart [m]; it never grows, and the displacement's is never larger.
-    unknown : (n,) int array
-        Number of unknown elements; usually all of them until the displacement is known.
-    bounds : StateBounds
-        After the last sample.
+    `lowest`, `highest` (n,): attained bounds of the displacement [m]. `width` (n,): the largest width of any cart [m];
+    it never grows, and the displacement's is never larger. `unknown` (n,): number of unknown elements; usually all of
+    them until the displacement is known. `bounds`: after the last sample.
     """
 
     lowest: Array

@@ -24,13 +24,8 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
     ``d = exp(-T/tau) d + D``. A smooth element's end rises with its beginning, with slope below 1: its only fixed point
     lies between the two extremes. Raise `ModelError` if the state does not fit the actuator.
 
-    Parameters
-    ----------
-    actuator : Actuator
-    path : ScanPath
-        Periodic.
-    state : State
-        At the path's first sample, after two cycles at least, which erase the history of the carts.
+    `path`: periodic. `state`: at the path's first sample, after two cycles at least, which erase the history of the
+    carts.
     """
     if actuator.creep is not None:
         state = replace(state, creep=_strains(actuator, path))

@@ -83,12 +83,7 @@ class Description:
     def xml(self, token: str, source: str) -> str:
         """Text of `modelDescription.xml`.
 
-        Parameters
-        ----------
-        token : str
-            GUID or instantiation token.
-        source : str
-            The file to compile.
+        `token`: GUID or instantiation token. `source`: the file to compile.
         """
         root = ElementTree.Element(
             "fmiModelDescription",

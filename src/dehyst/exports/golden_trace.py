@@ -47,15 +47,8 @@ class TraceRow(NamedTuple):
 class GoldenTrace(NamedTuple):
     """A trace.
 
-    Attributes
-    ----------
-    rows : tuple of TraceRow
-    clamps : Clamps
-        Of the steps.
-    refused : int
-        Number of wanted displacements that are not a number.
-    volts, stroke : float
-        Ranges to which errors are referred: the width of the limits [V] and of the reach [m].
+    `clamps`: of the steps. `refused`: number of wanted displacements that are not a number. `volts`, `stroke`: ranges
+    to which errors are referred: the width of the limits [V] and of the reach [m].
     """
 
     rows: tuple[TraceRow, ...]

@@ -15,11 +15,7 @@ _TRIES = 200
 class Operations:
     """Counts of operations on real numbers; operations on integers and moves are not counted.
 
-    Attributes
-    ----------
-    arithmetic : int
-        Additions, subtractions, multiplications and changes of sign.
-    divisions, comparisons : int
+    `arithmetic`: additions, subtractions, multiplications and changes of sign.
     """
 
     arithmetic: int = 0

@@ -55,12 +55,7 @@ class ChannelAccess:
 
     Raise `MissingExtraError` if aioca is not installed.
 
-    Parameters
-    ----------
-    prefix : str
-        Put before each name, as it is.
-    timeout : float
-        Seconds that one exchange may take.
+    `prefix`: put before each name, as it is. `timeout`: seconds that one exchange may take.
     """
 
     def __init__(self, prefix: str, timeout: float) -> None:

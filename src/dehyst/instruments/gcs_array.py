@@ -19,14 +19,8 @@ _END = "# END_HEADER"
 class GcsArray(NamedTuple):
     """A GCS array.
 
-    Attributes
-    ----------
-    sample_time : float
-        [s] from one row to the next.
-    names : tuple of str
-        Name of each column; empty where the header has none.
-    columns : (k, n) array
-        In the controller's units.
+    `sample_time`: [s] from one row to the next. `names`: name of each column; empty where the header has none.
+    `columns` (k, n): in the controller's units.
     """
 
     sample_time: float

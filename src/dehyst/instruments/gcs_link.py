@@ -28,10 +28,7 @@ _SPOILED = b" *spoiled*\n"
 class AbstractGcsLink(ABC):
     """A link that carries lines to one controller and its answers back.
 
-    Attributes
-    ----------
-    where : str
-        Address, for messages.
+    `where`: address, for messages.
     """
 
     where: str
@@ -60,12 +57,7 @@ class TcpLink(AbstractGcsLink):
 
     Raise `LinkError` if no connection can be made.
 
-    Parameters
-    ----------
-    host : str
-    port : int
-    timeout : float
-        Seconds without a byte after which an answer is abandoned.
+    `timeout`: seconds without a byte after which an answer is abandoned.
     """
 
     def __init__(self, host: str, port: int, timeout: float = 5.0) -> None:
@@ -197,11 +189,8 @@ class DeviceLink(AbstractGcsLink):
 
     Raise `LinkError` if it does not have them.
 
-    Parameters
-    ----------
-    device : object
-        With two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
-        `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`.
+    `device`: with two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
+    `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`.
     """
 
     def __init__(self, device: Any) -> None:

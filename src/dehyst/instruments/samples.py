@@ -38,12 +38,7 @@ Listener = Callable[[Samples], None]
 class Inspection:
     """A check of the samples of one record, piece by piece.
 
-    Parameters
-    ----------
-    name : str
-        The instrument, for messages.
-    span : float
-        Range of the voltage [V].
+    `name`: the instrument, for messages. `span`: range of the voltage [V].
     """
 
     def __init__(self, name: str, span: float) -> None:

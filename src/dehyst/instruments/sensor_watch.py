@@ -14,10 +14,7 @@ _DEAD = 0.2
 class SensorWatch:
     """A check of samples as they arrive: it raises when the reading is constant while the voltage moves.
 
-    Parameters
-    ----------
-    span : float
-        Range of the voltage [V].
+    `span`: range of the voltage [V].
     """
 
     def __init__(self, span: float) -> None:

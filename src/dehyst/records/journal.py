@@ -51,11 +51,7 @@ class JournalContents(NamedTuple):
 class Journal:
     """A journal that this process has locked; the lock ends with the process.
 
-    Attributes
-    ----------
-    path : Path
-    samples : int
-        Appended samples that are whole lines on the disk.
+    `samples`: appended samples that are whole lines on the disk.
     """
 
     def __init__(self, path: Path, descriptor: int) -> None:

@@ -199,10 +199,6 @@ def salvage(folder: PathLike) -> list[Path]:
     beside the file. If it has no sample at all, it is only renamed so. Raise `FileFormatError` if there is no such
     folder, or a file cannot be written: its journal stays. Raise `MissingExtraError` if h5py is not installed.
 
-    Parameters
-    ----------
-    folder : path
-
     Returns
     -------
     list of Path

@@ -145,11 +145,7 @@ def line(ax: Axes, x: Array, y: Array, **style: Any) -> None:
 def loop(trace: Trace, *, name: str) -> str:
     """Draw displacement against voltage, measured and simulated.
 
-    Parameters
-    ----------
-    trace : Trace
-    name : str
-        Makes the ids inside the SVG unique on a page.
+    `name`: makes the ids inside the SVG unique on a page.
     """
     factor, unit = length_unit(float(np.ptp(trace.measured)))
 

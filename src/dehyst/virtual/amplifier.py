@@ -24,16 +24,9 @@ _PART = 0.01
 class Extremes:
     """The extremes of all voltages that an amplifier has put out.
 
-    Attributes
-    ----------
-    lowest, highest : float
-        Voltages [V].
-    largest_step : float
-        Largest change from one voltage to the next [V].
-    steepest : float
-        Largest change over the device's time between the two voltages [V/s], a servo period at least.
-    refused : int
-        Requests outside the limits; none was put out.
+    `lowest`, `highest`: voltages [V]. `largest_step`: largest change from one voltage to the next [V]. `steepest`:
+    largest change over the device's time between the two voltages [V/s], a servo period at least. `refused`: requests
+    outside the limits; none was put out.
     """
 
     lowest: float

@@ -85,11 +85,7 @@ class Table:
     def column(self, quantity: str, wanted: str | None = None) -> Array:
         """Return one column in SI units.
 
-        Parameters
-        ----------
-        quantity : {"time", "voltage", "displacement"}
-        wanted : str, optional
-            Name, unique last part of the name, or "name:unit"; by default the one column named like the quantity.
+        `wanted`: name, unique last part of the name, or "name:unit"; by default the one column named like the quantity.
 
         Returns
         -------

@@ -24,10 +24,7 @@ from dehyst.studies.paper.tables import PAPER, physical
 def captions(found: Experiment, symmetric: Experiment) -> dict[int, str]:
     """Return one caption for each figure, by the paper's number.
 
-    Parameters
-    ----------
-    found, symmetric : Experiment
-        With the virtual E-280.10, and with the same without its asymmetric map.
+    `found`, `symmetric`: with the virtual E-280.10, and with the same without its asymmetric map.
     """
     single: dict[int, Callable[[Experiment], str]] = {
         3: _typical_loop,

@@ -11,10 +11,7 @@ from dehyst.studies.paper.tables import PAPER, floors, open_directions, physical
 def findings(found: Experiment, symmetric: Experiment) -> tuple[str, ...]:
     """Return the main findings as sentences.
 
-    Parameters
-    ----------
-    found, symmetric : Experiment
-        With the virtual E-280.10, and with the same without its asymmetric map.
+    `found`, `symmetric`: with the virtual E-280.10, and with the same without its asymmetric map.
     """
     paper, tops = found.trials["breakpoints"], found.trials["record_tops"]
     plain, plain_tops = symmetric.trials["breakpoints"], symmetric.trials["record_tops"]

@@ -54,14 +54,7 @@ class PaperError(NamedTuple):
 class Measured:
     """A record whose sensor reads zero at its first sample, and what a perfect sensor of the same zero would read.
 
-    Attributes
-    ----------
-    record : Record
-    true : (n,) array
-        [m].
-    zero : float
-        Where the sensor's zero lies on the actuator's own axis [m].
-    start : Start
+    `true` (n,) [m]. `zero`: where the sensor's zero lies on the actuator's own axis [m].
     """
 
     record: Record
@@ -110,12 +103,8 @@ class PaperTracking:
 class PaperPlan:
     """One identification to try: method, number of elements, norm and records.
 
-    Attributes
-    ----------
-    tops : bool
-        Whether descending tops are in the training, beside the major and the small loop.
-    noiseless : bool
-        Whether the sensor is perfect.
+    `tops`: whether descending tops are in the training, beside the major and the small loop. `noiseless`: whether the
+    sensor is perfect.
     """
 
     key: str
@@ -143,16 +132,9 @@ PLANS = (
 class PaperTrial:
     """An identified model beside the truth.
 
-    Attributes
-    ----------
-    simulated : (n,) array
-        Displacement [m] for the voltage of the run, from the run alone: no constant is fitted.
-    errors : Mapping
-        Of each amplitude, from the first peak on.
-    shift : float
-        By how much Eq. 10 predicts the loop to lie above the relaxed one after pre-energising [m].
-    outcome : str
-        Name of the `Outcome`, or "CLOSED_FORM".
+    `simulated` (n,): displacement [m] for the voltage of the run, from the run alone: no constant is fitted. `errors`:
+    of each amplitude, from the first peak on. `shift`: by how much Eq. 10 predicts the loop to lie above the relaxed
+    one after pre-energising [m]. `outcome`: name of the `Outcome`, or "CLOSED_FORM".
     """
 
     key: str

@@ -34,14 +34,8 @@ _DISPLACEMENT, _VOLTAGE, _TIME = "displacement (µm)", "voltage (V)", "time (s)"
 class Plate:
     """A figure of the paper for the virtual actuator.
 
-    Attributes
-    ----------
-    number : int
-        The paper's.
-    wide : bool
-        Whether it takes two columns of a journal.
-    data : Mapping
-        Tables by suffix of the file's name ("" for the main one), each columns by name with their units.
+    `number`: the paper's. `wide`: whether it takes two columns of a journal. `data`: tables by suffix of the file's
+    name ("" for the main one), each columns by name with their units.
     """
 
     number: int
