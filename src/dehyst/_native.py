@@ -78,7 +78,8 @@ class Core(_Rebuilt):
 class WideCore(_Rebuilt):
     """Tables of an actuator in C with graded and smooth elements, transformer, creep and inertia.
 
-    Names as in `core/include/dehyst.h`. Raise `ModelError` if the core refuses the numbers.
+    The `tables`, in this order, have names as in `core/include/dehyst.h`. Raise `ModelError` if the core refuses the
+    numbers.
 
     Parameters
     ----------
@@ -102,39 +103,10 @@ class WideCore(_Rebuilt):
 
     __slots__ = ()
 
-    def __init__(
-        self,
-        rho: Array,
-        kappa: Array,
-        knots: Array,
-        values: Array,
-        grade_knots: Array,
-        grades: Array,
-        voltages: Array,
-        drives: Array,
-        creep: Array,
-        inertia: Array,
-        lengths: Array,
-        closings: Array,
-        smooth: Array,
-    ) -> None:
-        self._made_from = (
-            rho,
-            kappa,
-            knots,
-            values,
-            grade_knots,
-            grades,
-            voltages,
-            drives,
-            creep,
-            inertia,
-            lengths,
-            closings,
-            smooth,
-        )
+    def __init__(self, *tables: Array) -> None:
+        self._made_from = tables
         try:
-            self._core = _core.Wide(*self._made_from)
+            self._core = _core.Wide(*tables)
         except _core.CoreError as error:
             raise ModelError(f"impossible actuator: {error}") from error
 

@@ -17,7 +17,7 @@ from dehyst.control.clamping import Clamps, ClampWarning, stray_sentence, warn_o
 from dehyst.control.core_loop import make_loop, resume
 from dehyst.control.limits import VoltageLimits
 from dehyst.control.preview import Preview
-from dehyst.control.reachable import reachable_range, state_within_limits
+from dehyst.control.reachable import state_within_limits
 from dehyst.control.snapshot import Snapshot, key_of
 from dehyst.control.trajectory import Command, follow
 from dehyst.model import Actuator, State
@@ -296,7 +296,7 @@ class Compensator:
     @cached_property
     def reach(self) -> tuple[float, float]:
         """Displacements [m] at the lower and the upper limit, after both have been visited and with creep at rest."""
-        return reachable_range(self.actuator, self.limits)
+        return self.actuator.major_loop(self.limits)
 
     def reset(self, state: State | None = None) -> None:
         """Start again in a `state`, by default that of the construction; counts restart at 0.

@@ -12,11 +12,6 @@ from dehyst.model import Actuator, State
 _ROUNDING = 1e-12
 
 
-def reachable_range(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
-    """Return the displacements [m] at the lower and upper limit [V] of slow loops, with creep at rest at either."""
-    return actuator.major_loop(limits)
-
-
 def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
     """Return the complete state; if its voltage lies outside the limits [V], after a motion to the nearest, at rest.
 

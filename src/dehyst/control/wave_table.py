@@ -254,14 +254,8 @@ def _homing(
     if drive is None:
         slowly = max(0.5 / _HOMING_FREQUENCY, 0.5 * scan.period)
         drive = Sampling(frequency=0.5 / leg_seconds(actuator, slowly), sample_rate=scan.rate)
-    drive = replace(
-        drive,
-        sample_rate=_longer_steps(actuator, drive, scan.rate),
-        base=now,
-        present=now,
-        limits=limits,
-        slew_rate=compensator.slew_rate,
-    )
+    rate = _longer_steps(actuator, drive, scan.rate)
+    drive = replace(drive, sample_rate=rate, base=now, present=now, limits=limits, slew_rate=compensator.slew_rate)
     homing = shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive)
     if homing.played is None or homing.played.duration * scan.rate <= _EVEN_SAMPLES:
         drive = replace(drive, sample_rate=scan.rate)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import read_json, write_json
 from dehyst._native import Core
 from dehyst._types import Array
-from dehyst._validation import interval, number, spanned, vector
+from dehyst._validation import interval, keep, number, spanned, vector
 from dehyst.model import part_checks, physical, plausibility, serialization, start_states
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.creep import Creep
@@ -92,19 +92,16 @@ class Actuator(AbstractModel):
 
     def __post_init__(self) -> None:
         part_checks.check_kinds(self)
-        self._set("lag", part_checks.checked_lag(self.lag))
-        self._set("load_stiffness", part_checks.checked_load_stiffness(self.load_stiffness))
+        keep(self, lag=part_checks.checked_lag(self.lag))
+        keep(self, load_stiffness=part_checks.checked_load_stiffness(self.load_stiffness))
         least_slope(self.slip, self.spring)
         if self.state is None:
-            self._set("state", self.turned(float(self.spring.displacement[-1]), extrapolate=True))
+            keep(self, state=self.turned(float(self.spring.displacement[-1]), extrapolate=True))
         self._start(self.state)
         _ = self.model.core if self.wide else self.core  # refuses what a part alone cannot check
         if self.limits is not None:
-            self._set("limits", interval(self.limits))
-        self._set("delay", part_checks.checked_delay(self.delay))
-
-    def _set(self, name: str, value: Any) -> None:
-        object.__setattr__(self, name, value)
+            keep(self, limits=interval(self.limits))
+        keep(self, delay=part_checks.checked_delay(self.delay))
 
     @property
     def wide(self) -> bool:
@@ -152,16 +149,7 @@ class Actuator(AbstractModel):
     @cached_property
     def model(self) -> Evaluator:
         """All parts and their equations."""
-        return Evaluator(
-            self.slip,
-            self.spring,
-            self.transformer,
-            self.creep,
-            self.smooth,
-            self.dynamics,
-            self.lag,
-            self.load_stiffness,
-        )
+        return Evaluator(**{part.name: getattr(self, part.name) for part in fields(Evaluator)})
 
     def simulate(
         self,
@@ -369,12 +357,7 @@ class Actuator(AbstractModel):
         ModelError
             If one of them is not a positive number, elements are graded, or there is a transformer curve.
         """
-        return physical.physical(
-            self,
-            transformer_ratio=transformer_ratio,
-            mechanical_stiffness=mechanical_stiffness,
-            electrical_stiffness=electrical_stiffness,
-        )
+        return physical.physical(self, transformer_ratio, mechanical_stiffness, electrical_stiffness)
 
     def charge(
         self,
@@ -398,13 +381,8 @@ class Actuator(AbstractModel):
         ModelError
             If a number is impossible, or there is a transformer curve, with which T x balances no power.
         """
-        return physical.charge(
-            self,
-            vector(displacement, "displacement"),
-            transformer_ratio=transformer_ratio,
-            mechanical_stiffness=mechanical_stiffness,
-            electrical_stiffness=electrical_stiffness,
-        )
+        x = vector(displacement, "displacement")
+        return physical.charge(self, x, transformer_ratio, mechanical_stiffness, electrical_stiffness)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values in SI units; `from_dict` reads them back without loss."""

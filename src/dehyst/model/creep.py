@@ -11,8 +11,7 @@ from dehyst._computable import demand_divisors, demand_magnitudes, demand_result
 from dehyst._errors import ModelError
 from dehyst._native import steps, strains
 from dehyst._types import Array
-from dehyst._validation import untimely, vector
-from dehyst.model.elements import frozen
+from dehyst._validation import keep, untimely, vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +51,7 @@ class Creep:
             )
         demand_divisors(tau, "creep time constants [s]")
         demand_magnitudes(c, "creep stiffnesses [V/m]")
-        object.__setattr__(self, "time_constants", frozen(tau))
-        object.__setattr__(self, "stiffness", frozen(c))
+        keep(self, time_constants=tau, stiffness=c)
 
     def __len__(self) -> int:
         return self.time_constants.size

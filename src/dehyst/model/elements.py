@@ -10,14 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._computable import demand_curve, demand_divisors, demand_magnitudes
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import matrix, vector
-
-
-def frozen(array: Array) -> Array:
-    """Return a read-only copy."""
-    copy = array.copy()
-    copy.flags.writeable = False
-    return copy
+from dehyst._validation import keep, matrix, vector
 
 
 def checked_breakaway(breakaway: ArrayLike) -> Array:
@@ -78,8 +71,7 @@ class MaxwellSlip:
             )
         demand_magnitudes(kappa, "stiffnesses")
         demand_magnitudes(rho, "breakaway elongations")
-        object.__setattr__(self, "breakaway", frozen(rho))
-        object.__setattr__(self, "stiffness", frozen(kappa))
+        keep(self, breakaway=rho, stiffness=kappa)
 
     def __len__(self) -> int:
         return self.breakaway.size
@@ -134,9 +126,7 @@ class GradedSlip:
         if np.any(kappa < 0):
             i, m = np.unravel_index(int(np.argmin(kappa)), kappa.shape)
             raise ModelError(f"stiffness {i}, {m} is {kappa.min():g} V/m; a negative one grows without bound")
-        object.__setattr__(self, "breakaway", frozen(rho))
-        object.__setattr__(self, "knots", frozen(ends))
-        object.__setattr__(self, "stiffness", frozen(kappa))
+        keep(self, breakaway=rho, knots=ends, stiffness=kappa)
 
     def __len__(self) -> int:
         return self.breakaway.size
@@ -196,8 +186,7 @@ class Spring:
                 f"{falls[0] + 1}. Identify with a slope floor, or with fewer elements"
             )
         demand_curve(y, v, "spring")
-        object.__setattr__(self, "displacement", frozen(y))
-        object.__setattr__(self, "voltage", frozen(v))
+        keep(self, displacement=y, voltage=v)
 
     @classmethod
     def of_slopes(cls, displacement: Array, slopes: Array, first: float) -> Spring:
@@ -252,8 +241,7 @@ class Transformer:
                     f"transformer {what} must strictly increase, got {values}: each drive needs one voltage"
                 )
         demand_curve(v, tau, "transformer")
-        object.__setattr__(self, "voltage", frozen(v))
-        object.__setattr__(self, "drive", frozen(tau))
+        keep(self, voltage=v, drive=tau)
 
     def __call__(self, voltage: ArrayLike) -> Array:
         """Return the drive tau(v) [V] at voltages [V] of any shape."""
