@@ -35,7 +35,7 @@ class AbstractBaseline(AbstractModel):
         with creep gets no increasing time, or a displacement is too large to be computed.
 
         `voltage` (n,) [V]. `state`: state before the first sample, as a motion of this model returned it; default: the
-        model's own. `time` (n,): [s], increasing; models without creep ignore it.
+        model's own. `time` (n,) [s], increasing; models without creep ignore it.
         """
         v = vector(voltage, "voltage")
         y, after = self._simulate(v, self.state if state is None else state, time)

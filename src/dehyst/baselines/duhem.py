@@ -133,12 +133,8 @@ class Duhem(AbstractBaseline):
         The rate is searched from 25 starts over two decades; f and g are constrained so that y follows v. `records`,
         `delay` and errors are those of every baseline, see `AbstractBaseline`.
 
-        Parameters
-        ----------
-        degree : int, optional
-            Of f; g has one less.
-        slope_floor : float, optional
-            Least slope dy/dv within the major loop, as a fraction of the mean slope.
+        `degree`: of f; g has one less. `slope_floor`: least slope dy/dv within the major loop, as a fraction of the
+        mean slope.
         """
         _validation.count(degree, "degree", most=_HIGHEST_DEGREE)
         _validation.fraction(slope_floor, "slope_floor")

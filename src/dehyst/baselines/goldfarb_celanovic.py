@@ -28,12 +28,8 @@ from dehyst.records import Record
 class GoldfarbCelanovic(AbstractBaseline):
     """A relaxed actuator with a linear spring; its loops follow from its first rise alone (Masing's rule).
 
-    Attributes
-    ----------
-    actuator : Actuator
-        It starts relaxed at the displacement and voltage at which the rise began.
-    remarks : tuple of str
-        Remarks on the fit, as sentences.
+    `actuator`: it starts relaxed at the displacement and voltage at which the rise began. `remarks`: remarks on the
+    fit, as sentences.
     """
 
     actuator: Actuator

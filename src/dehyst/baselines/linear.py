@@ -27,17 +27,7 @@ from dehyst.records.metrics import rms
 class Linear(AbstractBaseline):
     """A straight line; its state is its displacement, which has no effect.
 
-    Parameters
-    ----------
-    slope : float
-        [m/V], above 0.
-    offset : float
-        Displacement at 0 V [m].
-
-    Raises
-    ------
-    ModelError
-        If the slope is not above 0.
+    `slope` [m/V], above 0. `offset`: displacement at 0 V [m]. Raise `ModelError` if the slope is not above 0.
     """
 
     slope: float

@@ -53,12 +53,8 @@ class PrandtlIshlinskii(AbstractPlayModel):
 
         `records`, `delay`, `drift` and errors are those of every baseline, see `AbstractBaseline`.
 
-        Parameters
-        ----------
-        plays : int, optional
-            Number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
-        slope_floor : float, optional
-            Least weight of threshold 0, as a fraction of the mean slope; 0 would have no inverse.
+        `plays`: number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
+        `slope_floor`: least weight of threshold 0, as a fraction of the mean slope; 0 would have no inverse.
         """
         count(plays, "plays")
         fraction(slope_floor, "slope_floor")

@@ -19,17 +19,8 @@ TIME_NEEDED = "give time= [s], one a sample, or make the Compensator with period
 class VoltageLimits:
     """Limits of a voltage and of its slew rate.
 
-    Parameters
-    ----------
-    low, high : float
-        Lowest and highest voltage [V].
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s] between samples; default: not limited.
-
-    Raises
-    ------
-    ModelError
-        If they are not an interval, or the slew rate is not positive.
+    `low`, `high`: lowest and highest voltage [V]. `slew_rate`: largest abs(dv/dt) [V/s] between samples; default: not
+    limited. Raise `ModelError` if they are not an interval, or the slew rate is not positive.
     """
 
     low: float

@@ -57,10 +57,7 @@ class Snapshot:
     def save(self, path: PathLike) -> None:
         """Write the snapshot to `path` as JSON, completely or not at all.
 
-        Raises
-        ------
-        FileFormatError
-            If it cannot be written.
+        Raise `FileFormatError` if it cannot be written.
         """
         head = {"format": FORMAT, "version": VERSION, "key": self.key}
         memory = {"rest": self.rest.tolist(), "counts": list(self.counts)}

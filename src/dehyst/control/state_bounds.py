@@ -62,7 +62,7 @@ def known_by_displacement(
     Raise `ModelError` if the numbers are not finite, the breakaway elongations not positive and strictly increasing, or
     the tolerance is not positive; or the actuator has dynamics.
 
-    `actuator`: the actuator, or only its breakaway elongations rho [m]. `displacement` (n,): [m]; nothing is known
+    `actuator`: the actuator, or only its breakaway elongations rho [m]. `displacement` (n,) [m]; nothing is known
     before the first sample. `tolerance`: width [m] up to which an element counts as known; default 1e-12 of 2 rho_N.
     With 0, rounding would decide whether an excursion of exactly 2 rho_N suffices.
     """
@@ -83,16 +83,8 @@ class StateBounds:
     """Two states that bound the actuator's: its displacement and every cart, in absolute coordinates.
 
     A voltage keeps the order of states, so two simulations propagate the bounds; no width ever exceeds the largest one
-    before. Elements without stiffness have carts too, and count like the others.
-
-    Parameters
-    ----------
-    lower, upper : State
-
-    Raises
-    ------
-    ModelError
-        If they have different numbers of carts, or the lower one lies above the upper one somewhere.
+    before. Elements without stiffness have carts too, and count like the others. Raise `ModelError` if they have
+    different numbers of carts, or the lower one lies above the upper one somewhere.
     """
 
     lower: State
@@ -114,12 +106,8 @@ class StateBounds:
         """Bound every state in which the `actuator` can rest at `voltage` [V], by its two extreme equilibria.
 
         They lie on the major loop; of a plain actuator at ``eta^-1(v - F)`` with every s_i = rho_i and at
-        ``eta^-1(v + F)`` with every s_i = -rho_i, where F = sum kappa_i rho_i.
-
-        Raises
-        ------
-        ModelError
-            If `actuator` is not an Actuator, or the voltage is not finite.
+        ``eta^-1(v + F)`` with every s_i = -rho_i, where F = sum kappa_i rho_i. Raise `ModelError` if `actuator` is not
+        an Actuator, or the voltage is not finite.
         """
         v, slip = number(voltage, "voltage"), checked_actuator(actuator).slip
         branch = MajorLoop(actuator)

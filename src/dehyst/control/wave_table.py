@@ -124,10 +124,7 @@ class WaveTable:
     def played(self, cycles: int = 1) -> Played:
         """Return all parts in a row, with `cycles` cycles of the steady table.
 
-        Raises
-        ------
-        RecordError
-            If `cycles` is not a number of cycles, or there are more than 5e7 samples.
+        Raise `RecordError` if `cycles` is not a number of cycles, or there are more than 5e7 samples.
         """
         times = whole(cycles, "cycles", 0)
         refuse_long(self.rows(times), self.sample_rate)

@@ -36,12 +36,7 @@ def worst_case(compensator: Compensator) -> Operations:
 
     The count follows the functions of `core/` on their most expensive branches: an offer, then a simulation of the
     actuator with another voltage than the candidate's, past every breakaway and every knot on the way. `compensator` is
-    the one that is exported.
-
-    Raises
-    ------
-    ModelError
-        If it is no Compensator.
+    the one that is exported. Raise `ModelError` if it is no Compensator.
     """
     demand_compensator(compensator)
     tables = compensator.tables()

@@ -19,7 +19,7 @@ _FOR_VOLTAGES = ("SVA", "VOL?", "POS?", "ERR?")
 class WaveTraits:
     """Properties of a controller that plays and records waves.
 
-    `servo_period`: [s]; waves are played and recorded in multiples of it. `longest`: samples that both a wave table and
+    `servo_period` [s]; waves are played and recorded in multiples of it. `longest`: samples that both a wave table and
     two recorder tables hold. `options`: record options of position and voltage.
     """
 

@@ -256,13 +256,8 @@ class Actuator(AbstractModel):
     def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
         """Return the state in which no element is strained and the spring alone holds `voltage` [V].
 
-        With `extrapolate`, any voltage will do.
-
-        Raises
-        ------
-        ModelError
-            If the voltage lies farther outside of `voltage_range` and 0 V than that range is wide, unless
-            `extrapolate`.
+        With `extrapolate`, any voltage will do. Raise `ModelError` if the voltage lies farther outside of
+        `voltage_range` and 0 V than that range is wide, unless `extrapolate`.
         """
         v = number(voltage, "voltage")
         if v != 0 and not extrapolate:
@@ -273,13 +268,8 @@ class Actuator(AbstractModel):
         """Return the state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II).
 
         Every smooth element has yielded fully. Creep is at rest, as after a slow motion. With `rising` the motion went
-        up, else down. With `extrapolate`, any displacement will do.
-
-        Raises
-        ------
-        ModelError
-            If the displacement lies more than one stroke outside of `reach` and the knots of the spring, unless
-            `extrapolate`.
+        up, else down. With `extrapolate`, any displacement will do. Raise `ModelError` if the displacement lies more
+        than one stroke outside of `reach` and the knots of the spring, unless `extrapolate`.
         """
         y = number(displacement, "displacement")
         knots = self.spring.displacement
@@ -345,17 +335,8 @@ class Actuator(AbstractModel):
         With c = keq/km: k_i = kappa_i T c, r_i = rho_i / c, f_i = k_i r_i, h = T eta, g = h - keq x. Data of (v, y)
         determine x up to x(0): here x = 0 is where the spring alone holds 0 V.
 
-        Parameters
-        ----------
-        transformer_ratio : float
-            T [N/V].
-        mechanical_stiffness, electrical_stiffness : float
-            km and ke = T^2 / C [N/m].
-
-        Raises
-        ------
-        ModelError
-            If one of them is not a positive number, elements are graded, or there is a transformer curve.
+        `transformer_ratio`: T [N/V]. `mechanical_stiffness`, `electrical_stiffness`: km and ke = T^2 / C [N/m]. Raise
+        `ModelError` if one of them is not a positive number, elements are graded, or there is a transformer curve.
         """
         return physical.physical(self, transformer_ratio, mechanical_stiffness, electrical_stiffness)
 
@@ -369,17 +350,9 @@ class Actuator(AbstractModel):
     ) -> Array:
         """Return the charge q = T x [C] (theory section 9), 0 where the spring alone holds 0 V.
 
-        Parameters
-        ----------
-        displacement : (n,) array_like
-            [m]; with dynamics or a load that of w, such as `State.displacement`.
-        transformer_ratio, mechanical_stiffness, electrical_stiffness : float
-            As in `physical`.
-
-        Raises
-        ------
-        ModelError
-            If a number is impossible, or there is a transformer curve, with which T x balances no power.
+        `displacement` (n,) [m]; with dynamics or a load that of w, such as `State.displacement`. `transformer_ratio`,
+        `mechanical_stiffness`, `electrical_stiffness`: as in `physical`. Raise `ModelError` if a number is impossible,
+        or there is a transformer curve, with which T x balances no power.
         """
         x = vector(displacement, "displacement")
         return physical.charge(self, x, transformer_ratio, mechanical_stiffness, electrical_stiffness)
@@ -392,20 +365,14 @@ class Actuator(AbstractModel):
     def from_dict(cls, data: Mapping[str, Any]) -> Actuator:
         """Rebuild from `as_dict`, strictly. `data` is what `as_dict` returns.
 
-        Raises
-        ------
-        ModelError
-            If the format or version differs, a key is unknown or missing, or a number is impossible.
+        Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
         """
         return cls(**serialization.parts(data))
 
     def save(self, path: PathLike) -> None:
         """Write the model file (JSON), completely or not at all. The file's `path` ends in .json.
 
-        Raises
-        ------
-        FileFormatError
-            If it cannot be written.
+        Raise `FileFormatError` if it cannot be written.
         """
         write_json(path, self.as_dict())
 

@@ -21,17 +21,8 @@ class Creep:
     Branch j holds ``c_j d_j``; d_j is the displacement less its low-pass of time constant tau_j, for a displacement
     linear in time ``d_j <- a d_j + (1 - a) tau_j / dt * dy`` with ``a = exp(-dt / tau_j)``.
 
-    Parameters
-    ----------
-    time_constants : (J,) array_like
-        tau_j [s], positive.
-    stiffness : (J,) array_like
-        c_j [V/m], not negative.
-
-    Raises
-    ------
-    ModelError
-        If lengths differ, or a value is impossible or too large to compute with (magnitude over 1e30).
+    `time_constants` (J,): tau_j [s], positive. `stiffness` (J,): c_j [V/m], not negative. Raise `ModelError` if lengths
+    differ, or a value is impossible or too large to compute with (magnitude over 1e30).
     """
 
     time_constants: Array
@@ -68,10 +59,7 @@ class Creep:
     def strains(self, time: ArrayLike, displacement: ArrayLike) -> Array:
         """Return strains d_j (n, J) [m] along a `displacement` (n,) [m] with `time` (n,) [s], 0 at the first sample.
 
-        Raises
-        ------
-        ModelError
-            If time and displacement do not fit.
+        Raise `ModelError` if time and displacement do not fit.
         """
         y = vector(displacement, "displacement")
         bounds, durations = clock(time, y.size)

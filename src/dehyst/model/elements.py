@@ -43,17 +43,8 @@ class MaxwellSlip:
     Element i holds the voltage ``stiffness_i * s_i``; its elongation follows the displacement y as the stop operator
     ``s_i <- clip(s_i + dy, -breakaway_i, +breakaway_i)``.
 
-    Parameters
-    ----------
-    breakaway : (N,) array_like
-        Largest elongations rho_i = c r_i [m], positive and strictly increasing.
-    stiffness : (N,) array_like
-        kappa_i = k_i / (T c) [V/m], not negative.
-
-    Raises
-    ------
-    ModelError
-        If lengths differ, or a value is impossible.
+    `breakaway` (N,): largest elongations rho_i = c r_i [m], positive and strictly increasing. `stiffness` (N,): kappa_i
+    = k_i / (T c) [V/m], not negative. Raise `ModelError` if lengths differ, or a value is impossible.
     """
 
     breakaway: Array
@@ -157,17 +148,9 @@ class GradedSlip:
 class Spring:
     """The parallel spring h in terminal coordinates: voltage eta(y), piecewise linear, continued linearly.
 
-    Parameters
-    ----------
-    displacement : (M,) array_like
-        Knots [m], strictly increasing, M >= 2.
-    voltage : (M,) array_like
-        eta at the knots [V], strictly increasing (Assumption I).
-
-    Raises
-    ------
-    ModelError
-        If lengths differ, a curve does not strictly increase, or a number is too large to compute with (over 1e30).
+    `displacement` (M,): knots [m], strictly increasing, M >= 2. `voltage` (M,): eta at the knots [V], strictly
+    increasing (Assumption I). Raise `ModelError` if lengths differ, a curve does not strictly increase, or a number is
+    too large to compute with (over 1e30).
     """
 
     displacement: Array
@@ -213,17 +196,9 @@ class Transformer:
     Piecewise linear, strictly increasing, continued linearly. This is a fitted map: with it charge does not balance
     power.
 
-    Parameters
-    ----------
-    voltage : (K,) array_like
-        Knots [V], strictly increasing, K >= 2.
-    drive : (K,) array_like
-        tau at the knots [V], strictly increasing.
-
-    Raises
-    ------
-    ModelError
-        If lengths differ, a curve does not strictly increase, or a number is too large to compute with (over 1e30).
+    `voltage` (K,): knots [V], strictly increasing, K >= 2. `drive` (K,): tau at the knots [V], strictly increasing.
+    Raise `ModelError` if lengths differ, a curve does not strictly increase, or a number is too large to compute with
+    (over 1e30).
     """
 
     voltage: Array

@@ -22,12 +22,9 @@ class Physical:
 
     `transformer_ratio` is T. `mechanical_stiffness` is km [N/m]. `electrical_stiffness` is ke [N/m].
 
-    Attributes
-    ----------
-    stiffness, friction, breakaway : (N,) array
-        k_i [N/m], f_i [N] and r_i = f_i / k_i [m of x].
-    deformation, nonlinear, parallel : (M,) array
-        x [m] at the spring's knots; the nonlinear spring's force g(x) and h(x) = keq x + g(x) [N].
+    `stiffness`, `friction`, `breakaway` (N,): k_i [N/m], f_i [N] and r_i = f_i / k_i [m of x]. `deformation`,
+    `nonlinear`, `parallel` (M,): x [m] at the spring's knots; the nonlinear spring's force g(x) and h(x) = keq x + g(x)
+    [N].
     """
 
     transformer_ratio: float

@@ -50,7 +50,7 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
 class Slopes:
     """Slopes of slow motion at each place: voltage (that of tau) over displacement.
 
-    `displacement` (n,): [m], over the knots of the spring. `turned`, `rising`, `falling` (n,): just after a turn, when
+    `displacement` (n,) [m], over the knots of the spring. `turned`, `rising`, `falling` (n,): just after a turn, when
     no element slides; on the outermost rising and falling branch, when all slide [V/m].
     """
 

@@ -73,7 +73,7 @@ class Glitch:
 def glitches(time: Array, voltage: Array, displacement: Array) -> tuple[Glitch, ...]:
     """Find the isolated glitches of a voltage.
 
-    `time`, `voltage`, `displacement` (n,): [s], [V] and any unit; sampled about evenly.
+    `time`, `voltage`, `displacement` (n,) [s], [V] and any unit; sampled about evenly.
 
     Returns
     -------

@@ -128,12 +128,7 @@ class Journal:
         """Read the file, line by line.
 
         Lines without three finite numbers, and the fewest lines that keep the time from rising, are left out and
-        counted.
-
-        Raises
-        ------
-        FileFormatError
-            If it cannot be read.
+        counted. Raise `FileFormatError` if it cannot be read.
         """
         try:
             data = self.path.read_bytes()

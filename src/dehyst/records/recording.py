@@ -130,10 +130,7 @@ class Recording:
     def finish(self, record: Record | None = None) -> Path:
         """End a complete recording: write the file and delete the journal.
 
-        Parameters
-        ----------
-        record : Record, optional
-            The whole record, to replace the samples that were added; its meta is added.
+        `record`: the whole record, to replace the samples that were added; its meta is added.
 
         Returns
         -------

@@ -101,12 +101,8 @@ def render(
 ) -> str:
     """Return the text of the report; the same text for the same `fit`.
 
-    `command` is the line that made it. `insight`, `comparison` and the paths `followed` add a section each.
-
-    Raises
-    ------
-    MissingExtraError
-        If there is something to draw and matplotlib is not installed.
+    `command` is the line that made it. `insight`, `comparison` and the paths `followed` add a section each. Raise
+    `MissingExtraError` if there is something to draw and matplotlib is not installed.
     """
     name = fit.actuator.name if isinstance(fit.actuator, Actuator) else "Actuator not identified"
     actuator = fit.actuator if isinstance(fit.actuator, Actuator) else None

@@ -64,12 +64,8 @@ class ModelledActuator:
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
         """Play a `voltage` (n,) [V] as `VirtualActuator.play`; without a sensor, `measured` has no effect.
 
-        `time` (n,) [s] is needed by models that move in time.
-
-        Raises
-        ------
-        ModelError
-            If the voltage is not finite, or an actuator that needs the time lacks it, or it does not fit.
+        `time` (n,) [s] is needed by models that move in time. Raise `ModelError` if the voltage is not finite, or an
+        actuator that needs the time lacks it, or it does not fit.
         """
         v = vector(voltage, "voltage")
         if not v.size:

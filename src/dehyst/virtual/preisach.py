@@ -87,12 +87,7 @@ class PreisachActuator:
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
         """Play a `voltage` (n,) [V]; return the displacement (n,) [m], with sensor noise if `measured`.
 
-        `time` is ignored: relays do not depend on it.
-
-        Raises
-        ------
-        ModelError
-            If the voltage is not finite.
+        `time` is ignored: relays do not depend on it. Raise `ModelError` if the voltage is not finite.
         """
         u = vector(voltage, "voltage") / self.highest
         relays = (self._relays(np.clip(u, _LOWEST, _UPPERMOST)) - self._bottom) / self._span

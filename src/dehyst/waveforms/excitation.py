@@ -88,10 +88,8 @@ class Excitation:
     def then(self, other: Excitation) -> Excitation:
         """Append another excitation to this one, without a pause. `other` comes second.
 
-        Raises
-        ------
-        RecordError
-            If the other one has another sample rate, begins at another voltage, or makes the result too long.
+        Raise `RecordError` if the other one has another sample rate, begins at another voltage, or makes the result too
+        long.
         """
         if other.sample_rate != self.sample_rate:
             raise RecordError(

@@ -92,12 +92,8 @@ class ScanPath:
     def repeated(self, cycles: int) -> ScanPath:
         """Return so many periods and the sample that closes the last one; for 0 periods the first sample.
 
-        `cycles` counts the periods.
-
-        Raises
-        ------
-        RecordError
-            If the path is not periodic, `cycles` is no number of cycles, or there are more than 5e7 samples.
+        `cycles` counts the periods. Raise `RecordError` if the path is not periodic, `cycles` is no number of cycles,
+        or there are more than 5e7 samples.
         """
         if not self.periodic:
             raise RecordError("cycles: got a path that ends elsewhere than it begins, need a periodic one")
@@ -165,10 +161,7 @@ class Scan(ABC):
     def path(self, axis: str = "x") -> ScanPath:
         """Return one period of an `axis`, or the whole scan if it is not periodic.
 
-        Raises
-        ------
-        RecordError
-            If there is no such axis.
+        Raise `RecordError` if there is no such axis.
         """
         choice(axis, "axis", self.axes, error=RecordError)
         return ScanPath(*self.travel(axis), self.rate, self.periodic)

@@ -26,12 +26,8 @@ _ACTUATORS = {"asymmetric": "virtual E-280.10", "symmetric": "without its asymme
 class Paper:
     """The result of the experiment.
 
-    Attributes
-    ----------
-    asymmetric : Experiment
-        On the virtual E-280.10.
-    symmetric : Experiment
-        On the same without its asymmetric map: the difference between the two is due to the model class.
+    `asymmetric`: on the virtual E-280.10. `symmetric`: on the same without its asymmetric map: the difference between
+    the two is due to the model class.
     """
 
     asymmetric: Experiment
