@@ -220,21 +220,8 @@ def wave_table(
     motion = MotionLimits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
     way = approach_to(path, compensator, start, motion, approach)
     settled = settle(compensator, path, way, start, least, count)
-    return WaveTable(
-        excitation,
-        settled.start_up,
-        settled.cycle,
-        settled.cycles,
-        settled.error,
-        least,
-        unknown,
-        certified,
-        settled.state,
-        start,
-        actuator,
-        settled.clamped,
-        (*warnings, *settled.warnings),
-    )
+    table = {**vars(settled), "warnings": (*warnings, *settled.warnings), "tolerance": least, "unknown": unknown}
+    return WaveTable(homing=excitation, certified=certified, start=start, actuator=actuator, **table)
 
 
 def _homing(

@@ -143,18 +143,10 @@ def _token(sources: Mapping[str, str], version: Version, kind: Kind) -> str:
 def _model(token: str, description: Description) -> str:
     """Return the text of `fmu_model.h`."""
     name = next(variable.name for variable in description.variables if variable.causality == "input")
-    return "\n".join(
-        [
-            "#ifndef FMU_MODEL_H",
-            "#define FMU_MODEL_H",
-            "",
-            f"#define FMU_ACTUATOR {int(description.kind == 'actuator')}",
-            f'#define FMU_TOKEN "{token}"',
-            f'#define FMU_INPUT_NAME "{name}"',
-            "",
-            "#endif",
-            "",
-        ]
+    return (
+        "#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n"
+        f"#define FMU_ACTUATOR {int(description.kind == 'actuator')}\n"
+        f'#define FMU_TOKEN "{token}"\n#define FMU_INPUT_NAME "{name}"\n\n#endif\n'
     )
 
 

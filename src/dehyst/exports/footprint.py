@@ -97,14 +97,9 @@ def run(command: Sequence[str], folder: Path) -> str:
     Raise `FileFormatError` if it cannot be run, or fails; with its message.
     """
     try:
+        english = {**os.environ, "LC_ALL": "C"}
         done = subprocess.run(
-            command,
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=300,
-            env={**os.environ, "LC_ALL": "C"},
+            command, cwd=folder, capture_output=True, text=True, check=False, timeout=300, env=english
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise FileFormatError(f"{command[0]}: cannot be run ({error}); name a compiler that is installed") from error

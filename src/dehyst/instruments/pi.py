@@ -109,7 +109,8 @@ class PiRig(AbstractRig):
 
         Raise `RigError` as the class does.
         """
-        return cls._open(TcpLink(host, port, timeout), axis, limits, slew_rate, patience)
+        link = TcpLink(host, port, timeout)
+        return cls._open(link, axis=axis, limits=limits, slew_rate=slew_rate, patience=patience)
 
     @classmethod
     def of_device(
@@ -122,19 +123,12 @@ class PiRig(AbstractRig):
         patience: float = _PATIENCE,
     ) -> Self:
         """Make a rig of a connected object that has `ReadGCSCommand` and `GcsCommandset`; `close` leaves it open."""
-        return cls._open(DeviceLink(device), axis, limits, slew_rate, patience)
+        return cls._open(DeviceLink(device), axis=axis, limits=limits, slew_rate=slew_rate, patience=patience)
 
     @classmethod
-    def _open(
-        cls,
-        link: AbstractGcsLink,
-        axis: str | None,
-        limits: tuple[float, float] | None,
-        slew_rate: float | None,
-        patience: float,
-    ) -> Self:
+    def _open(cls, link: AbstractGcsLink, **options: Any) -> Self:
         try:
-            return cls(link, axis=axis, limits=limits, slew_rate=slew_rate, patience=patience)
+            return cls(link, **options)
         except BaseException:
             link.close()
             raise

@@ -16,18 +16,7 @@ _NONE = "–"
 def write_comparison(path: str | PathLike[str], found: ModelComparison, *, command: str | None = None) -> None:
     """Write a comparison to one HTML file that loads nothing from outside.
 
-    Parameters
-    ----------
-    path : path-like
-        Replaced if it exists; never left half written.
-    found : ModelComparison
-    command : str, optional
-        The command line to show.
-
-    Raises
-    ------
-    FileFormatError
-        If the file cannot be written.
+    `path`, `command` and errors are as in `write_report`, but nothing is drawn; `found` is the comparison.
     """
     records = f"Training: {', '.join(found.records)} · held out: {', '.join(found.held_out) or 'none'}"
     parts = [

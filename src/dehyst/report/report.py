@@ -73,20 +73,7 @@ def write_report(
 def write_calibration(path: PathLike, calibration: Calibration, *, command: str | None = None) -> None:
     """Write the report of a calibration: its fit, what the records determine, and the path as measured.
 
-    Parameters
-    ----------
-    path : path-like
-        Replaced if it exists; never left half written.
-    calibration : Calibration
-    command : str, optional
-        The command line to show.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    FileFormatError
-        If the file cannot be written.
+    `path`, `command` and errors are as in `write_report`; the `calibration` has all else.
     """
     followed = {"nominal": calibration.nominal, "compensated": calibration.compensated}
     write_report(path, calibration.fit, command=command, insight=calibration.insight, followed=followed)

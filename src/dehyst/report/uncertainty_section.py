@@ -20,20 +20,7 @@ _MOST_SENTENCES = 24
 def write_insight(path: PathLike, found: Insight, *, command: str | None = None) -> None:
     """Write an assessment to one HTML file that loads nothing from outside.
 
-    Parameters
-    ----------
-    path : path-like
-        Replaced if it exists; never left half written.
-    found : Insight
-    command : str, optional
-        The command line to show.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    FileFormatError
-        If the file cannot be written.
+    `path`, `command` and errors are as in `write_report`; `found` is the assessment.
     """
     name = escape(found.actuator.name)
     records = ", ".join(escape(one.record.name) for one in found.evidence.comparisons)

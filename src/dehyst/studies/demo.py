@@ -112,16 +112,9 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
     for record in demo.records:
         write_record(target / f"{record.name}.csv", record)
     demo.fit.actuator.save(target / "model.json")
-    write_columns(
-        target / "tracking.csv",
-        {
-            "time_s": demo.time,
-            "wanted_um": demo.wanted * 1e6,
-            "voltage_V": demo.voltage,
-            "compensated_um": demo.compensated * 1e6,
-            "linear_um": demo.linear * 1e6,
-        },
-    )
+    wanted = {"time_s": demo.time, "wanted_um": demo.wanted * 1e6, "voltage_V": demo.voltage}
+    reached = {"compensated_um": demo.compensated * 1e6, "linear_um": demo.linear * 1e6}
+    write_columns(target / "tracking.csv", wanted | reached)
     names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json"]
     if report:
         from dehyst.report import write_report

@@ -24,7 +24,10 @@ class VirtualActuator(Protocol):
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
         """Play a `voltage` (n,) [V] at the times (n,) [s]; return the displacement (n,) [m].
 
-        `time` (n,) [s] is needed by models that move in time. With `measured` the sensor's noise is added.
+        `time` (n,) [s], increasing, is needed by models that move in time. Times after those of the last call continue
+        from there, so that an actuator creeps in a pause; other times begin anew, one of their own first intervals
+        after the last call. With `measured` the sensor's noise is added. Raise `ModelError` if the voltage is not
+        finite, or a time that is needed is missing or does not increase.
         """
         ...
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import number, vector
+from dehyst._validation import keep, number, vector
 
 _MOST_SAMPLES = 50_000_000
 # No actuator or amplifier goes beyond, and within them nothing overflows.
@@ -50,8 +50,7 @@ class Excitation:
         voltage = voltages(self.voltage, "voltage")
         if voltage.size < 2:
             raise RecordError(f"voltage: got {counted(voltage.size, 'sample')}, need 2 at least; give a longer one")
-        voltage.flags.writeable = False
-        object.__setattr__(self, "voltage", voltage)
+        keep(self, voltage=voltage)
         set_checked(self, positive, "sample_rate")
 
     def __len__(self) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._validation import choice, interval
+from dehyst._validation import choice, interval, keep
 from dehyst.waveforms.excitation import Excitation, positive, refuse_long, set_checked, volts
 
 Shape: TypeAlias = Literal["cosine", "triangle"]
@@ -91,7 +91,7 @@ class Sampling:
             )
         if self.limits is not None:
             low, high = interval(self.limits, error=RecordError)
-            object.__setattr__(self, "limits", (volts(low, "limits"), volts(high, "limits")))
+            keep(self, limits=(volts(low, "limits"), volts(high, "limits")))
         set_checked(self, volts, "base", optional=("present",))
         for name in ("base", "present"):
             if getattr(self, name) is not None:

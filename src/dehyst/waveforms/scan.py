@@ -10,7 +10,7 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._validation import choice, count, number, vector
+from dehyst._validation import choice, count, keep, number, vector
 from dehyst.waveforms.excitation import positive, refuse_long, set_checked
 from dehyst.waveforms.profiles import PathPoint, Travel
 
@@ -56,8 +56,7 @@ class ScanPath:
                     f"{name}: got {row.size} values for {np.size(self.displacement)} displacements, need as many, and "
                     "one at least"
                 )
-            row.flags.writeable = False
-            object.__setattr__(self, name, row)
+            keep(self, **{name: row})
         set_checked(self, positive, "sample_rate")
 
     def __len__(self) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -228,16 +228,9 @@ def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan
             replace(tops.record, displacement=tops.record.displacement + tops.zero - relaxed.zero, name="tops")
         )
     # The virtual sensor neither lags nor creeps, and it is not zeroed between loops.
-    fit = identify(
-        records,
-        validate=seen.cut("medium"),
-        method=plan.method,
-        elements=plan.elements,
-        norm=plan.norm,
-        shared_datum=True,
-        delay=0.0,
-        drift=False,
-    )
+    known: dict[str, Any] = {"shared_datum": True, "delay": 0.0, "drift": False}
+    options = {"method": plan.method, "elements": plan.elements, "norm": plan.norm, **known}
+    fit = identify(records, validate=seen.cut("medium"), **options)
     return _trial(truth, relaxed, plan.key, fit.actuator, fit.outcome.name, fit.remarks)
 
 
