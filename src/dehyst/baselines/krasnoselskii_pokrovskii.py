@@ -69,7 +69,8 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
             rows = PlayRows.from_training(training, even_thresholds(training, levels))
             knots = _knots(*training.limits, levels)
             # Every segment between knots is a kernel; the parts below the first and beyond the last are not.
-            columns = rows.ramps(knots)[:, _kernels(levels)]
+            kernels = [[False, *[True] * (levels - i), False] for i in range(levels)]
+            columns = rows.ramps(knots)[:, np.concatenate(kernels)]
             floors = np.zeros(columns.shape[1])
             floors[:levels] = slope_floor * training.slope
             rough = differences(range(levels, 0, -1), beside=((0, 1), (1, 0), (1, -1)))
@@ -86,8 +87,3 @@ def _knots(low: float, high: float, levels: int) -> list[Array]:
     """Return the knots of each diagonal p2 - p1 = i a: ramps begin at (p1 + p2) / 2."""
     spacing = (high - low) / levels
     return [np.asarray(low + spacing * (np.arange(levels - i + 1) + 0.5 * i)) for i in range(levels)]
-
-
-def _kernels(levels: int) -> Array:
-    """Return whether each column of `PlayRows.ramps` is a kernel, (p,) bool."""
-    return np.concatenate([[False, *[True] * (levels - i), False] for i in range(levels)])

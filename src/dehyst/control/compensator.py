@@ -320,17 +320,13 @@ class Compensator:
         is the present memory, to be given as initial state. The voltage of a sample depends on the displacement of the
         same sample (direct feedthrough). Clamping gives one warning of each kind and is not counted.
 
-        `name`: of the block; its input is called "wanted", its output "voltage".
+        `name`: of the block; its input is called "wanted", its output "voltage". Raise `MissingExtraError` if
+        python-control is not installed.
 
         Returns
         -------
         control.NonlinearIOSystem
             In discrete time, of `period`; without one, of an unspecified period.
-
-        Raises
-        ------
-        MissingExtraError
-            If python-control is not installed.
         """
         loop, now = self._new_loop(), self.snapshot()
         loop.begin(*self.actuator.model.core_state(now.state))

@@ -89,7 +89,9 @@ def export_fmu(
             raise ModelError(f"{name}: got {value!r}, need {' or '.join(map(repr, known))}")
     _demand_free(path_of(path), force)
     if kind == "actuator":
-        compensator = _unlimited(compensator)
+        # The same actuator in the same state, for any voltage.
+        state = compensator.asked_start
+        compensator = Compensator(compensator.actuator, _NONE, period=compensator.period, state=state)
     description = Description.of(compensator, version, kind)
     sources = _sources(compensator, version)
     token = _token(sources, version, kind)
@@ -118,11 +120,6 @@ def _demand_free(path: Path, force: bool) -> None:
     if path.suffix != ".fmu":
         raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
     demand_replaceable(path, force=force)
-
-
-def _unlimited(compensator: Compensator) -> Compensator:
-    """Return the same actuator in the same state without limits, for any voltage."""
-    return Compensator(compensator.actuator, _NONE, period=compensator.period, state=compensator.asked_start)
 
 
 def _sources(compensator: Compensator, version: Version) -> dict[str, str]:

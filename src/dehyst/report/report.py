@@ -14,7 +14,7 @@ from dehyst.identification.structure_selection import label
 from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure
 from dehyst.report.comparison_section import comparison_sections
 from dehyst.report.fit_section import loops, numbers, residuals, slip_and_spring
-from dehyst.report.html import Row, document, escape, length, number, table
+from dehyst.report.html import Row, bullets, document, escape, length, number, table
 from dehyst.report.parts_section import made_of
 from dehyst.report.tracking_section import followed_sections
 from dehyst.report.uncertainty_section import sections
@@ -221,8 +221,7 @@ def _checks(fit: Fit, actuator: Actuator | None) -> str:
 def _sentences(title: str, sentences: Sequence[str], none: str) -> str:
     if not sentences:
         return f'<h2>{title}</h2>\n<p class="muted">{none}</p>'
-    items = "\n".join(f"<li>{_with_units(escape(sentence))}</li>" for sentence in sentences)
-    return f"<h2>{title}</h2>\n<ul>\n{items}\n</ul>"
+    return bullets(title, (_with_units(escape(sentence)) for sentence in sentences))
 
 
 def _with_units(sentence: str) -> str:

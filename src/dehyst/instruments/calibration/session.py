@@ -211,7 +211,8 @@ class Session:
 
     def _claim(self) -> None:
         """Claim the folder for this instrument; raises FileFormatError if it belongs to another one."""
-        path, instrument = self.folder / "campaign.json", self._instrument()
+        path = self.folder / "campaign.json"
+        instrument: dict[str, Any] = {"rig": self.rig.identity, "axis": self.rig.axis}
         if not os.path.lexists(path):
             write_json(path, {"format": FORMAT, "version": 1, **instrument})
             return
@@ -224,9 +225,6 @@ class Session:
                 f"{self.folder}: holds a calibration of {owner.get('rig')}, axis {owner.get('axis')}, and this is "
                 f"{instrument['rig']}, axis {instrument['axis']}; give another folder with -o"
             )
-
-    def _instrument(self) -> dict[str, Any]:
-        return {"rig": self.rig.identity, "axis": self.rig.axis}
 
     def _stored(self, path: Path, excitation: Excitation) -> Record | None:
         """Return the record in a file if it is complete, undamaged and of this excitation on this instrument."""

@@ -147,6 +147,11 @@ class PaperTrial:
     remarks: tuple[str, ...]
 
 
+def true_errors(trial: PaperTrial) -> str:
+    """Return the largest errors against the truth (major, medium, small loop), for a sentence."""
+    return ", ".join(f"{trial.errors[loop].true:.2f}" for loop in PEAKS)
+
+
 class Shift(NamedTuple):
     """The loop after pre-energising minus the relaxed loop [m]: mean and standard deviation from the first peak on.
 
