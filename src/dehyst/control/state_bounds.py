@@ -80,7 +80,7 @@ def known_by_displacement(
 
 @dataclass(frozen=True, eq=False)
 class StateBounds:
-    """Two states that bound the actuator's: its displacement and every cart, in absolute coordinates.
+    """Two states, `lower` and `upper`, that bound the actuator's: displacement and every cart, in absolute coordinates.
 
     A voltage keeps the order of states, so two simulations propagate the bounds; no width ever exceeds the largest one
     before. Elements without stiffness have carts too, and count like the others. Raise `ModelError` if they have

@@ -117,7 +117,7 @@ class Record:
         return [(int(i), float(steps[i])) for i in np.flatnonzero(steps > 1.5 * np.median(steps))]
 
     def reversals(self, signal: str = "voltage", band: float | None = None) -> NDArray[np.intp]:
-        """Find the turning points of a signal, by a hysteresis band.
+        """Find the turning points of a `signal`, "voltage" or "displacement", by a hysteresis band.
 
         `band`: way back [V or m] after which an extreme counts as a turning point; by default the larger of 2 % of the
         signal's range and the range of its noise: 6 standard deviations, more in a long record.
