@@ -6,6 +6,7 @@ import signal
 import subprocess
 from pathlib import Path
 
+import compiler_cache
 import numpy as np
 import places
 import pytest
@@ -16,6 +17,15 @@ from dehyst._threads import one_thread
 # A runner in the background may ignore Ctrl-C and a hang-up, and its children then would: the tests mean them.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers():
+    """One more worker than processors: some tests wait for clocks and answers of real processes."""
+    given = os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS")
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return int(given) if given else processors + 1
+
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
 
@@ -83,6 +93,19 @@ int main(void)
 def blas_on_one_thread():
     """Oracles solve too, and spinning BLAS threads take the processors from what is being tested."""
     with one_thread():
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compilers_that_remember(tmp_path_factory):
+    """The core of exports is compiled once for a command and a content, for all workers of a run."""
+    own, worker = tmp_path_factory.getbasetemp(), os.environ.get("PYTEST_XDIST_WORKER")
+    programs, kept = own / "compilers", (own.parent if worker else own) / "compiled"
+    programs.mkdir()
+    kept.mkdir(exist_ok=True)
+    compiler_cache.install(programs, kept)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PATH", str(programs), prepend=os.pathsep)
         yield
 
 

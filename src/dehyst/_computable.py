@@ -38,10 +38,7 @@ def demand_magnitudes(
 def demand_divisors(values: ArrayLike, what: str) -> None:
     """Refuse numbers that are too small or too large to divide by.
 
-    Raises
-    ------
-    ModelError
-        If a magnitude is not between 1e-30 and 1e30.
+    Raise `ModelError` if a magnitude is not between 1e-30 and 1e30.
     """
     _demand(values, what, LEAST, MOST)
 

@@ -29,17 +29,10 @@ class _Rebuilt:
 class Core(_Rebuilt):
     """Tables of a plain actuator in C. Equations and names: `core/include/dehyst.h`.
 
-    Parameters
-    ----------
-    rho, kappa : (N,) array
-        Breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements.
-    knots, values : (M,) array
-        The parallel spring: displacement [m] and voltage [V], both strictly increasing, M >= 2.
+    Raise `ModelError` if the core refuses the numbers.
 
-    Raises
-    ------
-    ModelError
-        If the core refuses the numbers.
+    `rho`, `kappa` (N,): breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements. `knots`,
+    `values` (M,): the parallel spring: displacement [m] and voltage [V], both strictly increasing, M >= 2.
     """
 
     __slots__ = ()
@@ -85,7 +78,8 @@ class Core(_Rebuilt):
 class WideCore(_Rebuilt):
     """Tables of an actuator in C with graded and smooth elements, transformer, creep and inertia.
 
-    Names as in `core/include/dehyst.h`.
+    The `tables`, in this order, have names as in `core/include/dehyst.h`. Raise `ModelError` if the core refuses the
+    numbers.
 
     Parameters
     ----------
@@ -105,48 +99,14 @@ class WideCore(_Rebuilt):
         beta [V/m] and theta; empty: none.
     lengths, closings, smooth : (L,) array
         Smooth elements and their stiffnesses k_l [V/m]. In `strains` (J + L) their elongations follow creep's.
-
-    Raises
-    ------
-    ModelError
-        If the core refuses the numbers.
     """
 
     __slots__ = ()
 
-    def __init__(
-        self,
-        rho: Array,
-        kappa: Array,
-        knots: Array,
-        values: Array,
-        grade_knots: Array,
-        grades: Array,
-        voltages: Array,
-        drives: Array,
-        creep: Array,
-        inertia: Array,
-        lengths: Array,
-        closings: Array,
-        smooth: Array,
-    ) -> None:
-        self._made_from = (
-            rho,
-            kappa,
-            knots,
-            values,
-            grade_knots,
-            grades,
-            voltages,
-            drives,
-            creep,
-            inertia,
-            lengths,
-            closings,
-            smooth,
-        )
+    def __init__(self, *tables: Array) -> None:
+        self._made_from = tables
         try:
-            self._core = _core.Wide(*self._made_from)
+            self._core = _core.Wide(*tables)
         except _core.CoreError as error:
             raise ModelError(f"impossible actuator: {error}") from error
 
@@ -211,13 +171,8 @@ class CoreState(NamedTuple):
 class StepCoefficients(NamedTuple):
     """Coefficients of steps of time: samples bounds[r] to bounds[r + 1] are equal steps, with those of row r.
 
-    Attributes
-    ----------
-    bounds : (R + 1,) int64 array
-    decay, gain : (R, J) array
-        Coefficients of creep.
-    transition : (R, 8) or (R, 0) array
-        Coefficients of a mass: phi, before and after of `dehyst_transition`.
+    `bounds` (R + 1,). `decay`, `gain` (R, J): coefficients of creep. `transition` (R, 8) or (R, 0): coefficients of a
+    mass: phi, before and after of `dehyst_transition`.
     """
 
     bounds: NDArray[np.int64]

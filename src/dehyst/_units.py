@@ -9,62 +9,23 @@ import numpy as np
 
 from dehyst._errors import DehystError, ModelError
 
+
+def _named(unit: str, names: str) -> dict[str, str]:
+    return dict.fromkeys(names.split(", "), unit)
+
+
 # The name of a value where it enters, and its unit. A name that is missing here takes plain numbers only.
 # Frequencies are missing on purpose: libraries of units convert rad/s to Hz without the factor 2 pi.
 UNITS = {
-    **dict.fromkeys(
-        (
-            "voltage",
-            "limits",
-            "peaks",
-            "wave",
-            "state: voltage",
-            "spring voltages",
-            "transformer knots",
-            "transformer drives",
-            "thresholds",
-            "present",
-            "base",
-        ),
-        "V",
-    ),
-    **dict.fromkeys(
-        (
-            "displacement",
-            "trajectory",
-            "state: displacement",
-            "carts",
-            "creep strains",
-            "elongation",
-            "smooth elongations",
-            "smooth elements: length",
-            "breakaway",
-            "breakaway elongations",
-            "spring knots",
-            "grade knots",
-        ),
-        "m",
-    ),
-    **dict.fromkeys(
-        (
-            "time",
-            "delay",
-            "lag",
-            "period",
-            "hold",
-            "ramp",
-            "settle",
-            "dwell",
-            "approach",
-            "seconds",
-            "creep time constants",
-            "times",
-            "lowpasses",
-        ),
-        "s",
-    ),
-    **dict.fromkeys(("stiffnesses", "creep stiffnesses", "smooth elements: stiffness"), "V/m"),
-    **dict.fromkeys(("load_stiffness", "mechanical_stiffness", "electrical_stiffness"), "N/m"),
+    **_named("V", "voltage, limits, peaks, wave, state: voltage, spring voltages, transformer knots"),
+    **_named("V", "transformer drives, thresholds, present, base"),
+    **_named("m", "displacement, trajectory, state: displacement, carts, creep strains, elongation"),
+    **_named("m", "smooth elongations, smooth elements: length, breakaway, breakaway elongations"),
+    **_named("m", "spring knots, grade knots"),
+    **_named("s", "time, delay, lag, period, hold, ramp, settle, dwell, approach, seconds, creep time constants"),
+    **_named("s", "times, lowpasses"),
+    **_named("V/m", "stiffnesses, creep stiffnesses, smooth elements: stiffness"),
+    **_named("N/m", "load_stiffness, mechanical_stiffness, electrical_stiffness"),
     "transformer_ratio": "N/V",
     "load": "N",
     "velocity": "m/s",
@@ -82,14 +43,8 @@ def plain(values: Any, what: str, unit: str | None = None, *, error: type[Dehyst
     An object has units if it, or an object in it, has an attribute `units` or `unit`, as those of pint, astropy, unyt
     and quantities have.
 
-    Parameters
-    ----------
-    values : Any
-        A number, an array, a list.
-    what : str
-        Its name in messages.
-    unit : str, optional
-        The unit to convert to; by default that of the name in `UNITS`.
+    `values`: a number, an array, a list. `what`: its name in messages. `unit`: the unit to convert to; by default that
+    of the name in `UNITS`.
 
     Raises
     ------

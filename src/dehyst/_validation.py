@@ -9,6 +9,7 @@ import math
 from collections.abc import Collection, Sequence
 from math import inf, nan
 from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +18,14 @@ from dehyst._computable import MOST_ADDED, demand_magnitudes
 from dehyst._errors import DehystError, IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._units import plain
+
+
+def keep(owner: object, **fields: Any) -> None:
+    """Set fields of a frozen dataclass; arrays become read-only."""
+    for name, value in fields.items():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+        object.__setattr__(owner, name, value)
 
 
 def untimely(time: Array, samples: int) -> str:

@@ -5,7 +5,6 @@ import pytest
 from summaries import NEEDING_TIME, PARTS, STROKE, anatomy
 
 from dehyst import Compensator, DehystError, ModelError
-from dehyst.control.reachable import reachable_range
 
 PERIOD = 1e-3
 N = 50
@@ -119,5 +118,5 @@ def test_short_paths_answer_or_are_refused(kind):
 @pytest.mark.parametrize("kind", PARTS)
 def test_what_takes_its_own_time_needs_none(kind):
     actuator = anatomy(kind)
-    low, high = reachable_range(actuator, (10.0, 190.0))
+    low, high = actuator.major_loop((10.0, 190.0))
     assert low < high == pytest.approx(Compensator(actuator, (10.0, 190.0)).reach[1])

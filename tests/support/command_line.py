@@ -13,9 +13,28 @@ from pathlib import Path
 DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
 TIMEOUT = 600
 # A line in: arguments, folder, environment, and files for both outputs of a command. A line out: its exit status.
+# What commands import when they need it, the server has imported. A child ends as an interpreter does, but does not
+# take the modules apart, which would copy all memory that it shares with the server.
 _SERVER = """
-import json, os, sys
+import atexit, contextlib, gc, importlib, json, os, sys, threading
 from dehyst.cli import main
+for name in %r:
+    with contextlib.suppress(ImportError):
+        importlib.import_module(name)
+gc.collect()
+gc.freeze()
+
+def end(status):
+    if status is not None and not isinstance(status, int):
+        print(status, file=sys.stderr)
+        status = 1
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    gc.collect()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status or 0)
+
 for line in sys.stdin:
     arguments, folder, environment, out, err = json.loads(line)
     child = os.fork()
@@ -26,15 +45,28 @@ for line in sys.stdin:
         for number, path in enumerate((os.devnull, out, err)):
             os.dup2(os.open(path, os.O_RDWR), number)
         sys.argv[1:] = arguments
-        main()
-        sys.exit()
+        try:
+            main()
+        except SystemExit as ended:
+            end(ended.code)
+        except BaseException:
+            sys.excepthook(*sys.exc_info())
+            end(1)
+        end(0)
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
+_IMPORTED = (
+    *(f"dehyst.{room}" for room in ("report", "studies", "baselines", "uncertainty", "virtual", "exports")),
+    *(f"scipy.{part}" for part in ("optimize", "signal", "interpolate", "stats", "linalg", "sparse.linalg")),
+    *("highspy", "h5py", "matplotlib.figure", "matplotlib.backends.backend_svg", "mpl_toolkits.mplot3d"),
+)
 
 
 @cache
 def _server():
-    server = subprocess.Popen([sys.executable, "-c", _SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    server = subprocess.Popen(
+        [sys.executable, "-c", _SERVER % (_IMPORTED,)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
     atexit.register(server.communicate)
     return server
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from dehyst import _rivals
 from dehyst._errors import ModelError
@@ -16,11 +15,13 @@ __all__ = ["PlayCore", "bouc_wen", "coleman_hodgdon", "play_outputs", "preisach"
 class PlayCore:
     """Plays, curves on them and low-passes in C. Equations and names: `core/baselines/plays.h`.
 
+    `tables` are, in this order:
+
     Parameters
     ----------
     thresholds : (N,) array
         r_i [V].
-    first : (N + 1,) int array
+    first : (N + 1,) intc array
         Where the knots of curve i begin.
     knots, values : (first[N],) array
         Of the curves, one after another: [V], [m].
@@ -34,18 +35,8 @@ class PlayCore:
 
     __slots__ = ("_core",)
 
-    def __init__(
-        self,
-        thresholds: Array,
-        first: NDArray[np.intc],
-        knots: Array,
-        values: Array,
-        slopes: Array,
-        times: Array,
-        shares: Array,
-        offset: float,
-    ) -> None:
-        self._core = _rivals.Plays(thresholds, first, knots, values, slopes, times, shares, offset)
+    def __init__(self, *tables: Any) -> None:
+        self._core = _rivals.Plays(*tables)
 
     def simulate(self, v: Array, steps: Array, start: float, plays: Array, passed: Array) -> tuple[Array, Array, Array]:
         """Return displacements [m] for voltages [V], `steps` [s] apart, and the plays and low-passes at the end."""
@@ -57,10 +48,7 @@ class PlayCore:
     ) -> tuple[Array, Array, Array]:
         """Return voltages [V] for displacements [m], and the plays and low-passes at the end.
 
-        Raises
-        ------
-        ModelError
-            If a displacement is beyond what the model can reach.
+        Raise `ModelError` if a displacement is beyond what the model can reach.
         """
         v, reached, _, plays, passed = self._core.compensate(y, steps, start, plays, passed)
         if reached < y.size:

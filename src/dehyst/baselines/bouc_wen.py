@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from dehyst import _validation
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import number, vector
+from dehyst._validation import keep, number, vector
 from dehyst.baselines import _native
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.training import Training, fit_with_delay
@@ -62,8 +62,6 @@ class BoucWen(AbstractBaseline):
         c [m]; it increases from 0 to 1.
     state : BoucWenState, optional
         Default start of a motion: at the lower limit, after a long fall.
-    delay : float, optional
-        Seconds by which the measured displacement lagged the voltage; the model itself has no time.
 
     Raises
     ------
@@ -89,8 +87,8 @@ class BoucWen(AbstractBaseline):
                 "beta + gamma > 2 alpha beta; otherwise the displacement would fall while the voltage rises"
             )
         low, high = (number(end, "limits") for end in self.limits)
-        object.__setattr__(self, "limits", (low, high))
         cubic = vector(self.cubic, "cubic")
+        keep(self, limits=(low, high), cubic=cubic)
         if low >= high or cubic.size != 4:
             raise ModelError(f"limits {self.limits} and cubic of {cubic.size}: need an interval and four coefficients")
         t = np.linspace(0, 1, 201)
@@ -98,11 +96,9 @@ class BoucWen(AbstractBaseline):
             raise ModelError(
                 f"cubic: got {cubic}, which does not increase from 0 to 1; need four coefficients of an increasing map"
             )
-        cubic.flags.writeable = False
-        object.__setattr__(self, "cubic", cubic)
         if self.state is None:
             hidden = -self.alpha / total
-            object.__setattr__(self, "state", BoucWenState(low + hidden, hidden))
+            keep(self, state=BoucWenState(low + hidden, hidden))
 
     @property
     def parameters(self) -> int:
@@ -138,25 +134,16 @@ class BoucWen(AbstractBaseline):
         """Least squares of the simulated displacement, nonlinear in alpha, beta and gamma, from many starts.
 
         For given alpha, beta and gamma the map and the constants of the records are linear: they are eliminated.
+        `records`, `delay` and errors are those of every baseline, see `AbstractBaseline`.
 
         Parameters
         ----------
-        records : Record or sequence of Record
         starts : int, optional
             Random starts; the best six are polished.
         slope_floor : float, optional
             Least slope of the map as a fraction of its mean slope.
-        delay : float, optional
-            Seconds by which the displacement lags the voltage; default: estimated.
         seed : int, optional
             Of the starts.
-
-        Raises
-        ------
-        RecordError
-            If a record cannot be used.
-        IdentifyError
-            If no sample counts, or an option is impossible.
         """
         _validation.count(starts, "starts", most=None)
         _validation.fraction(slope_floor, "slope_floor")

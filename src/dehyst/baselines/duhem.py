@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from dehyst import _validation
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
-from dehyst._validation import number, vector
+from dehyst._validation import keep, number, vector
 from dehyst.baselines import _native
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.training import Training, fit_with_delay
@@ -60,8 +60,6 @@ class Duhem(AbstractBaseline):
         Coefficients [m] of f, and of g times the range, the constant first.
     state : DuhemState, optional
         Default start of a motion: at the lowest voltage, at the bottom of the major loop.
-    delay : float, optional
-        Seconds by which the measured displacement lagged the voltage; the model itself has no time.
 
     Raises
     ------
@@ -78,13 +76,10 @@ class Duhem(AbstractBaseline):
 
     def __post_init__(self) -> None:
         low, high = (number(end, "limits") for end in self.limits)
-        object.__setattr__(self, "limits", (low, high))
+        keep(self, limits=(low, high))
         if low >= high or number(self.rate, "rate") <= 0:
             raise ModelError(f"limits {self.limits} and rate {self.rate}: need an interval, and a rate above 0")
-        for name in ("anhysteretic", "reversible"):
-            coefficients = vector(getattr(self, name), name)
-            coefficients.flags.writeable = False
-            object.__setattr__(self, name, coefficients)
+        keep(self, **{name: vector(getattr(self, name), name) for name in ("anhysteretic", "reversible")})
         slopes = _slopes(self.rate, self.anhysteretic, self.reversible)
         if slopes.min() <= 0:
             raise ModelError(
@@ -93,7 +88,7 @@ class Duhem(AbstractBaseline):
             )
         if self.state is None:
             bottom = _major_loop(self.rate, *_branches(self.rate, self.anhysteretic, self.reversible))[0][0]
-            object.__setattr__(self, "state", DuhemState(low, float(bottom)))
+            keep(self, state=DuhemState(low, float(bottom)))
 
     @property
     def parameters(self) -> int:
@@ -135,24 +130,11 @@ class Duhem(AbstractBaseline):
     ) -> Duhem:
         """Fit by least squares of the simulated displacement: linear in f and g, nonlinear in the rate alone.
 
-        The rate is searched from 25 starts over two decades; f and g are constrained so that y follows v.
+        The rate is searched from 25 starts over two decades; f and g are constrained so that y follows v. `records`,
+        `delay` and errors are those of every baseline, see `AbstractBaseline`.
 
-        Parameters
-        ----------
-        records : Record or sequence of Record
-        degree : int, optional
-            Of f; g has one less.
-        slope_floor : float, optional
-            Least slope dy/dv within the major loop, as a fraction of the mean slope.
-        delay : float, optional
-            Seconds by which the displacement lags the voltage; default: estimated.
-
-        Raises
-        ------
-        RecordError
-            If a record cannot be used.
-        IdentifyError
-            If no sample counts, or an option is impossible.
+        `degree`: of f; g has one less. `slope_floor`: least slope dy/dv within the major loop, as a fraction of the
+        mean slope.
         """
         _validation.count(degree, "degree", most=_HIGHEST_DEGREE)
         _validation.fraction(slope_floor, "slope_floor")

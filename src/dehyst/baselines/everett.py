@@ -39,10 +39,7 @@ class _Curve:
 def everett_table(training: Training, n: int, least: float) -> Array:
     """Read E [m] at the nodes (n + 1, n + 1), and make it increase by at least `least` [m] from node to node.
 
-    Raises
-    ------
-    IdentifyError
-        If there are fewer than three curves of one kind.
+    Raise `IdentifyError` if there are fewer than three curves of one kind.
     """
     low, high = training.limits
     falling: list[_Curve] = []

@@ -56,10 +56,11 @@ class GeneralizedPrandtlIshlinskii(AbstractPlayModel):
     ) -> GeneralizedPrandtlIshlinskii:
         """Fit the slopes of all curves and the low-passes' shares by nonnegative least squares.
 
+        `records`, `delay`, `drift`, which low-passes replace, and errors are those of every baseline, see
+        `AbstractBaseline`.
+
         Parameters
         ----------
-        records : Record or sequence of Record
-            Loops; none needs to start relaxed. Each has an offset of its own.
         plays : int, optional
             Number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
         segments : int, optional
@@ -71,16 +72,6 @@ class GeneralizedPrandtlIshlinskii(AbstractPlayModel):
             Least slope just after a reversal, as a fraction of the mean slope; 0 would have no inverse.
         smoothing : float, optional
             Weight of the squared differences of neighbouring slopes; it determines those that the records leave open.
-        delay : float, optional
-            Seconds by which the displacement lags the voltage; default: estimated.
-        drift : bool, optional
-            Whether a record may creep by a logarithm of the time since its start; the drift is then removed. Low-passes
-            replace it.
-
-        Raises
-        ------
-        RecordError, IdentifyError
-            If a record cannot be used, or an option is impossible.
         """
         count(plays, "plays")
         count(segments, "segments")

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
-from dehyst._validation import count, vector
+from dehyst._validation import count, keep, vector
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.identification.diagnostics.branches import Branch, voltage_at
 from dehyst.identification.preprocessing.cleaning import remove_glitches
@@ -28,12 +28,8 @@ from dehyst.records import Record
 class GoldfarbCelanovic(AbstractBaseline):
     """A relaxed actuator with a linear spring; its loops follow from its first rise alone (Masing's rule).
 
-    Attributes
-    ----------
-    actuator : Actuator
-        It starts relaxed at the displacement and voltage at which the rise began.
-    remarks : tuple of str
-        Remarks on the fit, as sentences.
+    `actuator`: it starts relaxed at the displacement and voltage at which the rise began. `remarks`: remarks on the
+    fit, as sentences.
     """
 
     actuator: Actuator
@@ -42,7 +38,7 @@ class GoldfarbCelanovic(AbstractBaseline):
     delay: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "state", self.actuator.state)
+        keep(self, state=self.actuator.state)
 
     def _simulate(self, v: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
         motion = self.actuator.simulate(v, time=time, state=state, extrapolate=True)
@@ -73,10 +69,6 @@ class GoldfarbCelanovic(AbstractBaseline):
             Number N of elements; the rise X is divided into equal parts, rho_i = i X / (N + 1).
         breakaway : (N,) array_like, optional
             Elongations rho_i [m] in place of equal parts; `elements` is then ignored.
-
-        Returns
-        -------
-        GoldfarbCelanovic
 
         Raises
         ------

@@ -51,25 +51,16 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
     ) -> KrasnoselskiiPokrovskii:
         """Fit the weights by nonnegative least squares.
 
+        `records`, `delay`, `drift` and errors are those of every baseline, see `AbstractBaseline`.
+
         Parameters
         ----------
-        records : Record or sequence of Record
-            Loops; none needs to start relaxed. Each has an offset of its own.
         levels : int, optional
             Parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels.
         slope_floor : float, optional
             Least slope of the kernels with p1 = p2, as a fraction of the mean slope; 0 would have no inverse.
         smoothing : float, optional
             Weight of the squared differences of neighbouring weights; it determines those that the records leave open.
-        delay : float, optional
-            Seconds by which the displacement lags the voltage; default: estimated.
-        drift : bool, optional
-            Whether a record may creep by a logarithm of the time since its start; the drift is then removed.
-
-        Raises
-        ------
-        RecordError, IdentifyError
-            If a record cannot be used, or an option is impossible.
         """
         count(levels, "levels", most=60)
         fraction(slope_floor, "slope_floor")
@@ -78,7 +69,8 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
             rows = PlayRows.from_training(training, even_thresholds(training, levels))
             knots = _knots(*training.limits, levels)
             # Every segment between knots is a kernel; the parts below the first and beyond the last are not.
-            columns = rows.ramps(knots)[:, _kernels(levels)]
+            kernels = [[False, *[True] * (levels - i), False] for i in range(levels)]
+            columns = rows.ramps(knots)[:, np.concatenate(kernels)]
             floors = np.zeros(columns.shape[1])
             floors[:levels] = slope_floor * training.slope
             rough = differences(range(levels, 0, -1), beside=((0, 1), (1, 0), (1, -1)))
@@ -95,8 +87,3 @@ def _knots(low: float, high: float, levels: int) -> list[Array]:
     """Return the knots of each diagonal p2 - p1 = i a: ramps begin at (p1 + p2) / 2."""
     spacing = (high - low) / levels
     return [np.asarray(low + spacing * (np.arange(levels - i + 1) + 0.5 * i)) for i in range(levels)]
-
-
-def _kernels(levels: int) -> Array:
-    """Return whether each column of `PlayRows.ramps` is a kernel, (p,) bool."""
-    return np.concatenate([[False, *[True] * (levels - i), False] for i in range(levels)])

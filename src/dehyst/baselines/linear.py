@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import number
+from dehyst._validation import keep, number
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.model import State
@@ -27,19 +27,7 @@ from dehyst.records.metrics import rms
 class Linear(AbstractBaseline):
     """A straight line; its state is its displacement, which has no effect.
 
-    Parameters
-    ----------
-    slope : float
-        [m/V], above 0.
-    offset : float
-        Displacement at 0 V [m].
-    delay : float, optional
-        Seconds by which the measured displacement lagged the voltage.
-
-    Raises
-    ------
-    ModelError
-        If the slope is not above 0.
+    `slope` [m/V], above 0. `offset`: displacement at 0 V [m]. Raise `ModelError` if the slope is not above 0.
     """
 
     slope: float
@@ -51,7 +39,7 @@ class Linear(AbstractBaseline):
         number(self.offset, "offset")
         if number(self.slope, "slope") <= 0:
             raise ModelError(f"slope: got {self.slope}, need metres a volt, above 0")
-        object.__setattr__(self, "state", State(self.offset, []))
+        keep(self, state=State(self.offset, []))
 
     @property
     def parameters(self) -> int:
@@ -72,14 +60,7 @@ class Linear(AbstractBaseline):
     def fit(cls, records: Record | Sequence[Record], *, delay: float | None = None) -> Linear:
         """Take the slope from the end points of the widest loop, and fit the offset by least squares.
 
-        `records` are the training records. `delay` [s] is searched for by default.
-
-        Raises
-        ------
-        RecordError
-            If a record cannot be used.
-        IdentifyError
-            If no sample counts, or the delay is impossible.
+        `records`, `delay` and errors are those of every baseline, see `AbstractBaseline`.
         """
 
         def fit_model(training: Training) -> tuple[Linear, float]:

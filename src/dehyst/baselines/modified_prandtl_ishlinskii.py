@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import count, fraction, vector
+from dehyst._validation import count, fraction, keep, vector
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.play_bank import PlayBank, PlayInverse, PlayState
 from dehyst.baselines.play_regressors import PlayRows, even_thresholds, fit_nonnegative, ramps
@@ -44,8 +44,6 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
         Knots of S: [V] and [m], both strictly increasing; S continues linearly beyond.
     state : PlayState
         Default start: after a long descent to the lowest voltage of its records.
-    delay : float
-        Seconds by which the displacement lags the voltage; `simulate` and `compensate` do not apply it.
     remarks : tuple of str
         Repairs of the records, as sentences.
 
@@ -68,11 +66,10 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
             values = vector(getattr(self, name), name)
             if values.size < 2 or np.any(np.diff(values) <= 0):
                 raise ModelError(f"{name}: got {values}, need two or more, strictly increasing")
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+            keep(self, **{name: values})
         if self.places.size != self.values.size:
             raise ModelError(f"values: got {self.values.size}, need one for each of {self.places.size} places")
-        object.__setattr__(self, "inverse", PlayInverse(self.bank))
+        keep(self, inverse=PlayInverse(self.bank))
 
     @property
     def weights(self) -> Array:
@@ -107,25 +104,16 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
         Kuhnen's own program is linear in the weights and in the slopes of S's inverse, but needs one sensor zero for
         all records; here each record has an offset of its own.
 
+        `records`, `delay`, `drift` and errors are those of every baseline, see `AbstractBaseline`.
+
         Parameters
         ----------
-        records : Record or sequence of Record
-            Loops; none needs to start relaxed.
         plays : int, optional
             Number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
         segments : int, optional
             Number of segments of S, of equal length.
         slope_floor : float, optional
             Least weight of threshold 0 and least slope of S, as a fraction of the mean ones; 0 would have no inverse.
-        delay : float, optional
-            Seconds by which the displacement lags the voltage; default: estimated.
-        drift : bool, optional
-            Whether a record may creep by a logarithm of the time since its start; the drift is then removed.
-
-        Raises
-        ------
-        RecordError, IdentifyError
-            If a record cannot be used, or an option is impossible.
         """
         count(plays, "plays")
         count(segments, "segments")

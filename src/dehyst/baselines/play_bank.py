@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import number, vector
+from dehyst._validation import keep, number, vector
 from dehyst.baselines._native import PlayCore
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.training import Training
@@ -25,16 +25,8 @@ from dehyst.baselines.training import Training
 class PlayState:
     """Memory of play operators and low-passes.
 
-    Attributes
-    ----------
-    voltage : float
-        [V].
-    plays : (N,) array
-        Outputs [V], each within its threshold of the voltage.
-    lowpasses : (K,) array
-        Outputs [V].
-    time : float or None
-        Time of this state [s]; only low-passes need it.
+    `voltage` [V]. `plays` (N,): outputs [V], each within its threshold of the voltage. `lowpasses` (K,): outputs [V].
+    `time`: time of this state [s]; only low-passes need it.
     """
 
     voltage: float
@@ -43,16 +35,15 @@ class PlayState:
     time: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "voltage", number(self.voltage, "state: voltage"))
-        for name in ("plays", "lowpasses"):
-            values = vector(getattr(self, name), f"state: {name}")
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        keep(self, voltage=number(self.voltage, "state: voltage"))
+        keep(self, **{name: vector(getattr(self, name), f"state: {name}") for name in ("plays", "lowpasses")})
 
 
 @dataclass(frozen=True, eq=False)
 class PlayBank:
     """Curves of play operators and low-passes, ``y = offset + sum_i phi_i(z_i) + sum_k share_k q_k``.
+
+    Raise `ModelError` if a number is impossible.
 
     Parameters
     ----------
@@ -67,11 +58,6 @@ class PlayBank:
         [m].
     times, shares : (K,) array_like
         Of the low-passes: time constants [s], above 0, and shares [m/V], 0 or more.
-
-    Raises
-    ------
-    ModelError
-        If a number is impossible.
     """
 
     thresholds: Array
@@ -99,10 +85,9 @@ class PlayBank:
             "times": vector(times, "times"),
             "shares": vector(shares, "shares"),
         }
-        for name, value in given.items():
-            object.__setattr__(self, name, value)
+        keep(self, **given)
         self._check()
-        object.__setattr__(self, "_core", self._compiled())
+        keep(self, _core=self._compiled())
 
     def _check(self) -> None:
         sizes = {len(self.knots), len(self.slopes), self.thresholds.size}
@@ -204,12 +189,7 @@ class PlayInverse:
 
     ``v = sum_i w'_i play_{r'_i}[y - offset]`` with
     ``r'_i = sum_{j<=i} w_j (r_i - r_j)``, ``w'_0 = 1 / w_0`` and ``w'_i = 1 / W_i - 1 / W_{i-1}``, W_i the sum of
-    w_0 ... w_i.
-
-    Raises
-    ------
-    ModelError
-        If the bank has no such inverse.
+    w_0 ... w_i. Raise `ModelError` if the bank has no such inverse.
     """
 
     bank: PlayBank
@@ -231,9 +211,7 @@ class PlayInverse:
         core = PlayCore(
             thresholds, np.arange(r.size + 1, dtype=np.intc), zeros, zeros, np.repeat(back, 2), none, none, 0.0
         )
-        object.__setattr__(self, "weights", w)
-        object.__setattr__(self, "_back", back)
-        object.__setattr__(self, "_core", core)
+        keep(self, weights=w, _back=back, _core=core)
 
     def compensate(self, y: Array, state: PlayState) -> tuple[Array, PlayState]:
         """Return the voltage (n,) [V] for a displacement (n,) [m], and the state at its end; equals `bank.compensate`.
@@ -261,16 +239,8 @@ def _through(weights: Array, z: Array) -> Array:
 class AbstractPlayModel(AbstractBaseline):
     """A bank of play operators behind the common interface.
 
-    Attributes
-    ----------
-    bank : PlayBank
-        Its operators.
-    state : PlayState
-        Default start: after a long descent to the lowest voltage of its records.
-    delay : float
-        Seconds by which the displacement lags the voltage; `simulate` and `compensate` do not apply it.
-    remarks : tuple of str
-        Repairs of the records, as sentences.
+    `bank`: its operators. `state`: default start: after a long descent to the lowest voltage of its records. `remarks`:
+    repairs of the records, as sentences.
     """
 
     bank: PlayBank

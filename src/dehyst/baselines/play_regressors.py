@@ -89,26 +89,16 @@ def with_unknown_start(training: Training, times: Array) -> Training:
     Their outputs before the first sample are not known: their decay in each piece is a nuisance.
     """
     constants = training.offsets / np.linalg.norm(training.offsets, axis=0)
-    decays = np.concatenate(
-        [
-            np.concatenate(
-                [
-                    _decay(piece, times) if piece is decaying else np.zeros((len(piece), times.size))
-                    for decaying in training.pieces
-                ],
-                axis=1,
-            )[rows]
-            for piece, rows in zip(training.pieces, training.kept, strict=True)
-        ]
-    )
+
+    def decay(piece: Record, decaying: Record) -> Array:
+        since = piece.time[:, None] - piece.time[0]
+        return np.asarray(np.exp(-since / times)) if piece is decaying else np.zeros((len(piece), times.size))
+
+    decays = training.map_records(lambda piece: np.hstack([decay(piece, other) for other in training.pieces]))
     # Slow decays look like constants: keep only what is new, on an orthogonal basis.
     basis, sizes, _ = np.linalg.svd(decays - constants @ (constants.T @ decays), full_matrices=False)
     new = basis[:, sizes > _NEW * sizes.max(initial=0.0)] * np.sqrt(len(training))
     return replace(training, nuisances=np.hstack([training.offsets, new]))
-
-
-def _decay(piece: Record, times: Array) -> Array:
-    return np.asarray(np.exp(-(piece.time[:, None] - piece.time[0]) / times))
 
 
 def low_pass(piece: Record, times: Array) -> Array:
@@ -176,10 +166,6 @@ def fit_nonnegative(
         Combinations of the weights that shall be small; by default each weight.
     smoothing : float, optional
         Weight of their squares, relative to the largest mean square of a column.
-
-    Returns
-    -------
-    WeightFit
     """
     from scipy.optimize import nnls
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._types import Array
-from dehyst._validation import count, fraction
+from dehyst._validation import count, fraction, keep
 from dehyst.baselines.play_bank import AbstractPlayModel, PlayBank, PlayInverse, PlayState
 from dehyst.baselines.play_regressors import PlayRows, even_thresholds
 from dehyst.baselines.training import Training, fit_with_delay
@@ -29,7 +29,7 @@ class PrandtlIshlinskii(AbstractPlayModel):
     inverse: PlayInverse = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "inverse", PlayInverse(self.bank))
+        keep(self, inverse=PlayInverse(self.bank))
 
     @property
     def weights(self) -> Array:
@@ -51,23 +51,10 @@ class PrandtlIshlinskii(AbstractPlayModel):
     ) -> PrandtlIshlinskii:
         """Fit the weights by nonnegative least squares.
 
-        Parameters
-        ----------
-        records : Record or sequence of Record
-            Loops; none needs to start relaxed. Each has an offset of its own.
-        plays : int, optional
-            Number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
-        slope_floor : float, optional
-            Least weight of threshold 0, as a fraction of the mean slope; 0 would have no inverse.
-        delay : float, optional
-            Seconds by which the displacement lags the voltage; default: estimated.
-        drift : bool, optional
-            Whether a record may creep by a logarithm of the time since its start; the drift is then removed.
+        `records`, `delay`, `drift` and errors are those of every baseline, see `AbstractBaseline`.
 
-        Raises
-        ------
-        RecordError, IdentifyError
-            If a record cannot be used, or an option is impossible.
+        `plays`: number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
+        `slope_floor`: least weight of threshold 0, as a fraction of the mean slope; 0 would have no inverse.
         """
         count(plays, "plays")
         fraction(slope_floor, "slope_floor")

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst import _validation
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import number
+from dehyst._validation import keep, number
 from dehyst.baselines import _native
 from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.everett import everett_table
@@ -37,11 +37,8 @@ _MOST_CELLS = 80
 class PreisachState:
     """The memory: present voltage [V] and displacement [m], and nested reversals, outermost first.
 
-    Attributes
-    ----------
-    turns : (k, 2) array
-        Voltage and displacement at each; the first is the plane's lowest voltage, the next a maximum, and so on in
-        turn. With an odd number of them the branch rises.
+    `turns` (k, 2): voltage and displacement at each; the first is the plane's lowest voltage, the next a maximum, and
+    so on in turn. With an odd number of them the branch rises.
     """
 
     voltage: float
@@ -67,8 +64,6 @@ class Preisach(AbstractBaseline):
         any triangle inside it: y has to follow v.
     bottom : float
         Displacement with every relay down [m].
-    delay : float, optional
-        Seconds by which the measured displacement lagged the voltage; the model itself has no time.
     remarks : tuple of str, optional
 
     Raises
@@ -90,7 +85,7 @@ class Preisach(AbstractBaseline):
             raise ModelError(f"everett: got an array of shape {table.shape}, need a square of two or more finite nodes")
         table = np.tril(table, -1)
         low, high = (number(end, "limits") for end in self.limits)
-        object.__setattr__(self, "limits", (low, high))
+        keep(self, limits=(low, high))
         if low >= high:
             raise ModelError(f"limits: got {self.limits}, need two voltages, the lower one first")
         n = len(table)
@@ -101,11 +96,9 @@ class Preisach(AbstractBaseline):
                 "everett: does not increase away from the diagonal everywhere, so that the displacement would fall "
                 "while the voltage rises; need a density that is nowhere negative and a reversible share"
             )
-        object.__setattr__(self, "everett", table)
-        object.__setattr__(self, "bottom", number(self.bottom, "bottom"))
-        table.flags.writeable = False
+        keep(self, everett=table, bottom=number(self.bottom, "bottom"))
         # Every relay down, at the lowest voltage.
-        object.__setattr__(self, "state", PreisachState(low, self.bottom, np.array([[low, self.bottom]])))
+        keep(self, state=PreisachState(low, self.bottom, np.array([[low, self.bottom]])))
 
     @property
     def parameters(self) -> int:
@@ -155,26 +148,17 @@ class Preisach(AbstractBaseline):
         """Fit the density by non-negative least squares, from records of any shape.
 
         Each sample is linear in the densities, once its nested reversals are known. The records leave much open; a
-        penalty on the density's second differences fills it.
+        penalty on the density's second differences fills it. `records`, `delay` and errors are those of every baseline,
+        see `AbstractBaseline`.
 
         Parameters
         ----------
-        records : Record or sequence of Record
         cells : int, optional
             Cells n of a side of the plane; n (n + 1) / 2 densities.
         smoothing : float, optional
             Weight of the penalty; 0 for none.
         slope_floor : float, optional
             Least slope dy/dv as a fraction of the mean slope; the relays on the diagonal provide it.
-        delay : float, optional
-            Seconds by which the displacement lags the voltage; default: estimated.
-
-        Raises
-        ------
-        RecordError
-            If a record cannot be used.
-        IdentifyError
-            If no sample counts, or an option is impossible.
         """
         n = _validation.count(cells, "cells", 2, _MOST_CELLS)
         _validation.fraction(smoothing, "smoothing", 0.0)
@@ -202,14 +186,8 @@ class Preisach(AbstractBaseline):
         that rises from a bottom reached from the highest voltage gives E(alpha, bottom). Between curves E is
         interpolated without overshoot, then made to increase away from the diagonal.
 
-        Parameters are those of `fit`. `records` hold the curves. `cells`, `slope_floor` and `delay` are as in `fit`.
-
-        Raises
-        ------
-        RecordError
-            If a record cannot be used.
-        IdentifyError
-            If there are fewer than three curves, or an option is impossible.
+        `records` hold the curves. `cells`, `slope_floor`, `delay` and errors are as in `fit`; `IdentifyError` is raised
+        also if there are fewer than three curves.
         """
         n = _validation.count(cells, "cells", 2, _MOST_CELLS)
         _validation.fraction(slope_floor, "slope_floor", 1e-6)

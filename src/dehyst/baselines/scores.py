@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from dehyst.baselines.tracking_trials import TrackingErrors
 
 OURS = "dehyst"
+# Keys of errors in JSON.
+_KEYS = {
+    "largest": "largest_percent",
+    "rms": "rms_percent",
+    "largest_without": "largest_without_constant_percent",
+    "rms_without": "rms_without_constant_percent",
+    "beyond": "beyond_voltage_percent",
+}
 
 
 @dataclass(frozen=True)
 class RecordScore:
     """Measured minus simulated displacement of one record, in % of the training stroke.
 
-    Attributes
-    ----------
-    role : str
-        "training" or "validation".
-    samples, left_out : int
-        Samples that count, and samples that do not: before the voltage has been through its range, or in the lead-in.
-    largest, rms : float
-        With one free constant for the record: its residual strain and its sensor's zero are not known.
-    largest_without, rms_without : float
-        Without it, on the model's own axis; after a lead-in, on the axis found from the lead-in.
+    `role`: "training" or "validation". `samples`, `left_out`: samples that count, and samples that do not: before the
+    voltage has been through its range, or in the lead-in. `largest`, `rms`: with one free constant for the record: its
+    residual strain and its sensor's zero are not known. `largest_without`, `rms_without`: without it, on the model's
+    own axis; after a lead-in, on the axis found from the lead-in.
     """
 
     record: str
@@ -79,24 +81,10 @@ class ModelScore:
             "parameters": self.parameters,
             "fit_s": self.seconds,
             "errors": [
-                {
-                    "record": s.record,
-                    "role": s.role,
-                    "samples": s.samples,
-                    "left_out": s.left_out,
-                    "largest_percent": s.largest,
-                    "rms_percent": s.rms,
-                    "largest_without_constant_percent": s.largest_without,
-                    "rms_without_constant_percent": s.rms_without,
-                }
-                for s in self.scores
+                {_KEYS.get(name, name): value for name, value in asdict(score).items()} for score in self.scores
             ],
             "tracking": {
-                truth: {
-                    "largest_percent": errors.largest,
-                    "rms_percent": errors.rms,
-                    "beyond_voltage_percent": errors.beyond,
-                }
+                truth: {_KEYS[name]: value for name, value in errors._asdict().items()}
                 for truth, errors in self.tracking.items()
             },
             "simulate_ns": self.simulate,

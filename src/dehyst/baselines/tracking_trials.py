@@ -36,15 +36,8 @@ class TrackingErrors(NamedTuple):
 class TrackingTrial:
     """One virtual actuator and the rates at which it is driven.
 
-    Attributes
-    ----------
-    truth : callable
-        Noise seed -> a new actuator.
-    slow, fast : float
-        Cycles a second [Hz] of descending tops, one record at each; each leg of the path takes half a cycle of a rate
-        between them.
-    hold : float
-        Hold at each step of the staircase [s].
+    `truth`: noise seed -> a new actuator. `slow`, `fast`: cycles a second [Hz] of descending tops, one record at each;
+    each leg of the path takes half a cycle of a rate between them. `hold`: hold at each step of the staircase [s].
     """
 
     name: str
@@ -158,13 +151,7 @@ TRIALS: Mapping[str, TrackingTrial] = {
 
 
 def trial(name: str) -> TrackingTrial:
-    """Return the trial of that name.
-
-    Raises
-    ------
-    ModelError
-        If there is none.
-    """
+    """Return the trial of that name; raise `ModelError` if there is none."""
     if name not in TRIALS:
         raise ModelError(f"no virtual actuator '{name}'; try {', '.join(TRIALS)}")
     return TRIALS[name]

@@ -108,13 +108,8 @@ class Training:
             rows[chosen[(chosen >= a) & (chosen < b)] - a]
             for rows, a, b in zip(self.kept, ends[:-1], ends[1:], strict=True)
         )
-        return replace(
-            self,
-            kept=kept,
-            displacement=self.displacement[chosen],
-            reach=self.reach[chosen],
-            nuisances=self.nuisances[chosen],
-        )
+        fewer = {name: getattr(self, name)[chosen] for name in ("displacement", "reach", "nuisances")}
+        return replace(self, kept=kept, **fewer)
 
 
 @one_thread()
@@ -127,17 +122,10 @@ def fit_with_delay(
 ) -> Model:
     """Fit a model to prepared records; without a given delay, keep the better of the fits with and without a delay.
 
-    The delay is estimated with plays; they can mistake for a delay what another model explains.
+    The delay is estimated with plays; they can mistake for a delay what another model explains. Raise `RecordError` or
+    `IdentifyError` as `prepare_training`.
 
-    Parameters
-    ----------
-    fit : callable
-        Training -> model and its RMS residual.
-
-    Raises
-    ------
-    RecordError, IdentifyError
-        As `prepare_training`.
+    `fit`: training -> model and its RMS residual.
     """
     training = prepare_training(records, delay=delay, drift=drift)
     model, residual = fit(training)
@@ -151,22 +139,12 @@ def fit_with_delay(
 def prepare_training(records: Record | Sequence[Record], *, delay: float | None = None, drift: bool = True) -> Training:
     """Prepare records for the fit of a model that maps voltage to displacement.
 
-    Parameters
-    ----------
-    records : Record or sequence of Record
-        At least one loop.
-    delay : float, optional
-        Seconds by which the displacement lags the voltage; default: estimated, 0 unless a delay lowers the residual
-        clearly.
-    drift : bool, optional
-        Whether a record may creep by a logarithm of the time since its start; the drift is then removed.
+    Raise `RecordError` if a record cannot be used. Raise `IdentifyError` if there is none, no sample counts, or the
+    delay is impossible.
 
-    Raises
-    ------
-    RecordError
-        If a record cannot be used.
-    IdentifyError
-        If there is none, no sample counts, or the delay is impossible.
+    `records`: at least one loop. `delay`: seconds by which the displacement lags the voltage; default: estimated, 0
+    unless a delay lowers the residual clearly. `drift`: whether a record may creep by a logarithm of the time since its
+    start; the drift is then removed.
     """
     items = [prepare(record) for record in as_list(records)]
     if not items:

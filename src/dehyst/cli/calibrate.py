@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import signal
 import sys
 import warnings
@@ -13,7 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.common import PATH, force_option, json_option, refuse_replacing, size_option
+from dehyst.cli.common import (
+    PATH,
+    command_line,
+    force_option,
+    json_option,
+    limits_option,
+    refuse_replacing,
+    size_option,
+)
 from dehyst.cli.terminal import echo, echo_json, note
 
 if TYPE_CHECKING:
@@ -36,9 +43,7 @@ REPORT = "report.html"
     help="Folder for records, model and report. Complete records in it are not played again, "
     "except one loop that must agree with them.",
 )
-@click.option(
-    "--limits", type=(float, float), metavar="LOW HIGH", help="Range of the voltage.  [default: the device's]"
-)
+@limits_option("the device's", "Range of the voltage.")
 @click.option("--slew", type=float, metavar="V/S", help="Largest slew rate.  [default: the whole range in 0.1 s]")
 @click.option("--frequency", type=float, default=1.0, show_default=True, metavar="HZ", help="Loops a second.")
 @click.option("--hold", type=float, metavar="S", help="Hold at each step, for creep.  [default: three cycles]")
@@ -178,11 +183,10 @@ def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
     from dehyst.instruments.calibration.plan import STEPS
     from dehyst.report import write_calibration
 
-    command = shlex.join(["dehyst", *sys.argv[1:]])
     with display(STEPS) as live:
         calibration = run(rig, output, plan=plan, watcher=live)
         live.step("report")
-        write_calibration(output / REPORT, calibration, command=command)
+        write_calibration(output / REPORT, calibration, command=command_line())
         return calibration
 
 

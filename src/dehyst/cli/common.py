@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -98,6 +99,18 @@ class ManyToValidate(click.Command):
         return super().parse_args(ctx, spread)
 
 
+def limits_option(default: str = "those of the records", words: str = "Voltages allowed.") -> Callable[..., Any]:
+    """Return the option that sets the voltage limits."""
+    text = f"{words}  [default: {default}]"
+    return click.option("--limits", type=(float, float), metavar="LOW HIGH", help=text)
+
+
+slew_option = click.option("--slew", type=float, metavar="V/S", help="Largest slew rate.")
+report_option = click.option("--report", type=PATH, help="Write a self-contained HTML page here.")
+# The arguments that `columns_options` adds.
+COLUMNS = ("displacement", "voltage", "time", "sample_rate", "max_bytes")
+
+
 def columns_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options that name the columns of a file."""
     for name, text in (
@@ -129,11 +142,23 @@ def json_option(command: Callable[..., None]) -> Callable[..., None]:
     return click.option("--json", "as_json", is_flag=True, help="Print JSON for a program.")(command)
 
 
-def read_records(paths: tuple[Path, ...], columns: dict[str, Any]) -> list[Record]:
-    """Read records from files."""
+def read_records(paths: tuple[Path, ...], options: dict[str, Any]) -> list[Record]:
+    """Read records from files, with the options of their columns."""
     from dehyst.records import read
 
-    return [read(path, **columns) for path in paths]
+    return [read(path, **{name: options[name] for name in COLUMNS}) for path in paths]
+
+
+def command_line() -> str:
+    """Return the running command as it was typed."""
+    return shlex.join(["dehyst", *sys.argv[1:]])
+
+
+def echo_files(**paths: Path | None) -> None:
+    """Print the files that were written, each with its name."""
+    for name, path in paths.items():
+        if path is not None:
+            echo(f"{name}: {path}")
 
 
 def force_option(command: Callable[..., None]) -> Callable[..., None]:

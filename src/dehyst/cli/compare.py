@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +13,14 @@ from dehyst.cli.common import (
     PATH,
     ManyToValidate,
     columns_options,
+    command_line,
+    echo_files,
     force_option,
     json_option,
     read_records,
     refuse_overwriting,
     refuse_replacing,
+    report_option,
 )
 from dehyst.cli.terminal import echo, echo_json, progress_line
 
@@ -51,7 +53,7 @@ _TRUTHS = ["play", "creep", "preisach", "boucwen"]
 )
 @click.option("--only", multiple=True, metavar="MODEL", help="This model only; may be repeated.  [default: all]")
 @click.option("-o", "--output", type=PATH, help="Write every figure here (JSON).")
-@click.option("--report", type=PATH, help="Write a self-contained HTML page here.")
+@report_option
 @force_option
 @columns_options
 @json_option
@@ -87,7 +89,7 @@ def compare(
     if report is not None:
         from dehyst.report import write_comparison
 
-        write_comparison(report, comparison, command=shlex.join(["dehyst", *sys.argv[1:]]))
+        write_comparison(report, comparison, command=command_line())
     progress("")
     if as_json:
         echo_json(comparison.as_dict())
@@ -133,9 +135,7 @@ def print_comparison(comparison: ModelComparison, output: Path | None, report: P
     for row in comparison.rows:
         if row.failure:
             echo(f"{row.name}: {row.failure}")
-    for name, path in (("Figures", output), ("Report", report)):
-        if path is not None:
-            echo(f"{name}: {path}")
+    echo_files(Figures=output, Report=report)
 
 
 def _line(row: ModelScore, truths: tuple[str, ...], width: int) -> str:

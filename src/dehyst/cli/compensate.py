@@ -15,13 +15,15 @@ from dehyst.cli.common import (
     conclude,
     force_option,
     json_option,
+    limits_option,
     read_model,
     refuse_overwriting,
     refuse_replacing,
+    slew_option,
     time_of_table,
 )
 from dehyst.cli.scans import NAMES, errors_in_options, named_scan, scan_options
-from dehyst.cli.start import file_warnings, start_option, start_within, start_words, state_dict
+from dehyst.cli.start import Request, file_warnings, start_option, start_within, start_words, state_dict
 from dehyst.cli.terminal import progress_line
 from dehyst.cli.wave_table import refuse_cycles, tabulate
 
@@ -37,10 +39,8 @@ _OF_TABLES = ("homing", "present", "approach", "start_up", "tolerance")
 @click.argument("model", type=PATH)
 @click.argument("trajectory", type=PATH, required=False)
 @click.option("-o", "--output", type=PATH, required=True, help="Write time, displacement and voltage here (CSV).")
-@click.option(
-    "--limits", type=(float, float), metavar="LOW HIGH", help="Voltages allowed.  [default: those of the records]"
-)
-@click.option("--slew", type=float, metavar="V/S", help="Largest slew rate.")
+@limits_option()
+@slew_option
 @scan_options
 @click.option("--axis", type=click.Choice(["x", "y"]), help="Axis of the scan that MODEL moves.  [default: x]")
 @click.option("--cycles", type=int, metavar="N", help="Cycles of the scan.  [default: 1]")
@@ -73,11 +73,7 @@ def compensate(
     model: Path,
     trajectory: Path | None,
     output: Path,
-    limits: tuple[float, float] | None,
-    slew: float | None,
     scan: str | None,
-    start: str,
-    as_json: bool,
     **options: Any,
 ) -> None:
     """Compute the voltage that makes the actuator follow a TRAJECTORY or a --scan; adds voltage_V, within limits."""
@@ -88,15 +84,16 @@ def compensate(
     _refuse_unused(scan, options)
     table = options.pop("cycle")
     refuse_overwriting([model] if trajectory is None else [model, trajectory], output, table)
-    actuator = read_model(model)
+    given = {name: options.pop(name) for name in ("limits", "slew", "start", "as_json")}
+    request = Request(read_model(model), **given)
     if scan is None:
-        _follow(actuator, _of_file(trajectory, options), output, limits, slew, start, as_json)
+        _follow(request, _of_file(trajectory, options), output)
     axis, cycles = options["axis"] or "x", 1 if options["cycles"] is None else options["cycles"]
     with errors_in_options():
         path = named_scan(scan or "", options["sample_rate"], options)
         if table is None:
-            _follow(actuator, _of_scan(path, axis, cycles), output, limits, slew, start, as_json, path.warnings)
-        tabulate(actuator, path, axis, cycles, (output, table), limits, slew, start, as_json, options)
+            _follow(request, _of_scan(path, axis, cycles), output, path.warnings)
+        tabulate(request, path, axis, cycles, (output, table), options)
 
 
 def _refuse_unused(scan: str | None, options: dict[str, Any]) -> None:
@@ -141,14 +138,7 @@ def _of_scan(scan: Scan, axis: str, cycles: int) -> tuple[Any, dict[str, Any], d
 
 
 def _follow(
-    actuator: Actuator,
-    path: tuple[Any, dict[str, Any], dict[str, Any]],
-    output: Path,
-    limits: tuple[float, float] | None,
-    slew: float | None,
-    start: str,
-    as_json: bool,
-    warnings: tuple[str, ...] = (),
+    request: Request, path: tuple[Any, dict[str, Any], dict[str, Any]], output: Path, warnings: tuple[str, ...] = ()
 ) -> None:
     """Write the voltage of a path, and exit."""
     from dehyst.control import Compensator
@@ -156,6 +146,7 @@ def _follow(
     from dehyst.records import write_columns
 
     wanted, time, derivatives = path
+    actuator, limits, slew, start, _ = request
     _refuse_astray(actuator, wanted, limits)
     begin = start_within(actuator, start, limits)
     # The user ramps slowly to the first sample, see `file_warnings`.
@@ -190,7 +181,7 @@ def _follow(
     line = (
         f"{counted(wanted.size, 'sample')}, {low:.6g} to {high:.6g} V {start_words(actuator, start, begin)}: {output}"
     )
-    conclude(as_json, result, line, remarks)
+    conclude(request.as_json, result, line, remarks)
     sys.exit(0 if command.followed else 1)
 
 

@@ -26,34 +26,27 @@ def excite() -> None:
 
 def _play_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options that all kinds share."""
-    for flags, options in (
-        (
-            ("--pace",),
-            {
-                "type": click.Choice(["frequency", "rate"]),
-                "default": "frequency",
-                "show_default": True,
-                "help": "frequency: every leg takes half a cycle; rate: only the highest leg does.",
-            },
+    pace = "frequency: every leg takes half a cycle; rate: only the highest leg does."
+    for option in (
+        click.option(
+            "--pace", type=click.Choice(["frequency", "rate"]), default="frequency", show_default=True, help=pace
         ),
-        (
-            ("--shape",),
-            {
-                "type": click.Choice(["cosine", "triangle"]),
-                "default": "cosine",
-                "show_default": True,
-                "help": "Shape of a leg.",
-            },
+        click.option(
+            "--shape",
+            type=click.Choice(["cosine", "triangle"]),
+            default="cosine",
+            show_default=True,
+            help="Shape of a leg.",
         ),
-        (("--slew",), {"type": float, "metavar": "V/S", "help": "Largest slew rate; steeper legs take longer."}),
-        (("--limits",), {"type": (float, float), "metavar": "LOW HIGH", "help": "Voltages allowed."}),
-        (("--present",), {"type": float, "metavar": "V", "help": "Present voltage: a ramp leads from it."}),
-        (("--base",), {"type": float, "default": 0.0, "show_default": True, "help": "Voltage to start from."}),
-        (("--sample-rate",), {"type": float, "metavar": "HZ", "help": "Samples a second.  [default: 400 a cycle]"}),
-        (("--frequency",), {"type": float, "default": 0.01, "show_default": True, "help": "Cycles a second."}),
-        (("-o", "--output"), {"type": PATH, "required": True, "help": "Write time and voltage here (CSV)."}),
+        click.option("--slew", type=float, metavar="V/S", help="Largest slew rate; steeper legs take longer."),
+        click.option("--limits", type=(float, float), metavar="LOW HIGH", help="Voltages allowed."),
+        click.option("--present", type=float, metavar="V", help="Present voltage: a ramp leads from it."),
+        click.option("--base", type=float, default=0.0, show_default=True, help="Voltage to start from."),
+        click.option("--sample-rate", type=float, metavar="HZ", help="Samples a second.  [default: 400 a cycle]"),
+        click.option("--frequency", type=float, default=0.01, show_default=True, help="Cycles a second."),
+        click.option("-o", "--output", type=PATH, required=True, help="Write time and voltage here (CSV)."),
     ):
-        command = click.option(*flags, **options)(command)
+        command = option(command)
     return json_option(force_option(command))
 
 
@@ -160,15 +153,8 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
         low, high = options["limits"]
         options["base"] = min(max(options["base"], low), high)
     drive = _drive(options)
-    way = shortest_homing(
-        actuator,
-        limits=options["limits"],
-        present=drive.start,
-        end=options["base"],
-        stiff_only=True,
-        drive=drive,
-        hold=hold,
-    )
+    ends = {"present": drive.start, "end": options["base"]}
+    way = shortest_homing(actuator, limits=options["limits"], **ends, stiff_only=True, drive=drive, hold=hold)
     if not way.certified or way.played is not None:
         for remark in way.remarks:
             note(remark)
@@ -193,16 +179,8 @@ def _write(make: Callable[[Sampling], Excitation], options: dict[str, Any]) -> N
 def _drive(options: dict[str, Any]) -> Sampling:
     from dehyst.waveforms import Sampling
 
-    return Sampling(
-        frequency=options["frequency"],
-        sample_rate=options["sample_rate"],
-        base=options["base"],
-        present=options["present"],
-        limits=options["limits"],
-        slew_rate=options["slew"],
-        shape=options["shape"],
-        pace=options["pace"],
-    )
+    same = ("frequency", "sample_rate", "base", "present", "limits", "shape", "pace")
+    return Sampling(slew_rate=options["slew"], **{name: options[name] for name in same})
 
 
 def _save(excitation: Excitation, options: dict[str, Any], remark: str) -> None:

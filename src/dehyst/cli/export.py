@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.common import (
-    PATH,
-    conclude,
-    json_option,
-    read_model,
-    refuse_overwriting,
-)
+from dehyst.cli.common import PATH, conclude, json_option, limits_option, read_model, refuse_overwriting
 from dehyst.cli.start import start_option, start_state, start_words
 
 if TYPE_CHECKING:
@@ -39,9 +33,7 @@ _NEAR = 0.01
     show_default=True,
     help="double: the same bits as Python. float: for a processor without doubles.",
 )
-@click.option(
-    "--limits", type=(float, float), metavar="LOW HIGH", help="Voltages allowed.  [default: those of the records]"
-)
+@limits_option()
 @click.option("--slew", type=float, metavar="V/S", help="Largest slew rate; needs --period.")
 @click.option("--period", type=float, metavar="S", help="Seconds between steps; a model that depends on time needs it.")
 @click.option("--preview", is_flag=True, help="Compensate delay and inertia too; displacements are then given ahead.")

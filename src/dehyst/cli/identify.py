@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst.cli.common import (
+    COLUMNS,
     PATH,
     ManyToValidate,
     columns_options,
+    command_line,
     force_option,
     json_option,
     read_records,
@@ -76,18 +77,9 @@ def identify(
     output: Path | None,
     validate: tuple[Path, ...],
     report: Path | None,
-    method: Any,
-    elements: int | None,
-    structure: Any,
-    refine: bool,
-    norm: Any,
-    knots: int | None,
-    slope_floor: float,
-    delay: float | None,
-    shared_datum: bool,
     no_drift: bool,
     as_json: bool,
-    **columns: Any,
+    **options: Any,
 ) -> None:
     """Identify an actuator from RECORDs of voltage and displacement."""
     from dehyst.identification import identify as run
@@ -96,23 +88,9 @@ def identify(
     refuse_overwriting([*records, *validate], output, report)
     progress = progress_line()
     progress("reading")
-    training = read_records(records, columns)
-    fit = run(
-        training,
-        validate=read_records(validate, columns),
-        method=method,
-        elements=elements,
-        structure=structure,
-        refine=refine,
-        norm=norm,
-        knots=knots,
-        slope_floor=slope_floor,
-        delay=delay,
-        shared_datum=shared_datum,
-        drift=not no_drift,
-        throw=False,
-        progress=progress,
-    )
+    training, held_out = read_records(records, options), read_records(validate, options)
+    settings = {name: value for name, value in options.items() if name not in COLUMNS}
+    fit = run(training, validate=held_out, drift=not no_drift, throw=False, progress=progress, **settings)
     refuse_replacing(output, report)
     fit = replace(fit, repairs=worded(fit.repairs), remarks=worded(fit.remarks), checks=_worded_checks(fit.checks))
     if output is not None and fit.actuator is not None:
@@ -122,7 +100,7 @@ def identify(
 
         progress("drawing the report")
         assessment = None if fit.actuator is None else assess(fit.actuator, training, repeats=0)
-        write_report(report, fit, command=shlex.join(["dehyst", *sys.argv[1:]]), insight=assessment)
+        write_report(report, fit, command=command_line(), insight=assessment)
     progress("")
     if as_json:
         echo_json(fit.as_dict())

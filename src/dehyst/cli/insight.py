@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,16 @@ import click
 from dehyst.cli.common import (
     PATH,
     columns_options,
+    command_line,
     force_option,
     json_option,
+    limits_option,
     path_of,
     read_model,
     read_records,
     refuse_overwriting,
     refuse_replacing,
+    report_option,
 )
 from dehyst.cli.printing import print_insight
 from dehyst.cli.terminal import echo_json, progress_line
@@ -29,12 +31,12 @@ from dehyst.cli.terminal import echo_json, progress_line
 @click.argument("records", nargs=-1, required=True, metavar="RECORD...", type=PATH)
 @click.option("--trajectory", type=PATH, help="Predict the error along this path: a file with a displacement.")
 @click.option("--wanted", metavar="NAME", help="Column of the trajectory's displacement.  [default: found by its name]")
-@click.option("--limits", type=(float, float), metavar="LOW HIGH", help="Voltages allowed.  [default: the model's]")
+@limits_option("the model's")
 @click.option("--seconds", type=float, help="Longest excitation to suggest.")
 @click.option("--level", type=float, default=0.9, show_default=True, help="Confidence level of the intervals.")
 @click.option("--repeats", type=int, default=100, show_default=True, help="Resampled records; 0: no intervals.")
 @click.option("-o", "--output", type=PATH, help="Write the trajectory with its band here (CSV).")
-@click.option("--report", type=PATH, help="Write a self-contained HTML page here.")
+@report_option
 @force_option
 @columns_options
 @json_option
@@ -43,14 +45,10 @@ def insight(
     records: tuple[Path, ...],
     trajectory: Path | None,
     wanted: str | None,
-    limits: tuple[float, float] | None,
-    seconds: float | None,
-    level: float,
-    repeats: int,
     output: Path | None,
     report: Path | None,
     as_json: bool,
-    **columns: Any,
+    **options: Any,
 ) -> None:
     """Assess a MODEL: what the RECORDs that it was identified from determine, and what they leave open.
 
@@ -67,20 +65,12 @@ def insight(
     refuse_overwriting([model, *records, *([trajectory] if trajectory else [])], output, report)
     actuator = read_model(model)
     progress = progress_line()
-    path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted, columns["max_bytes"])
+    path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted, options["max_bytes"])
     if trajectory is not None and actuator.needs_time and not time:
         raise ModelError(f"{trajectory}: got no time column, need one: this model depends on time; add time_s")
-    assessment = run(
-        actuator,
-        read_records(records, columns),
-        trajectory=path,
-        time=time.get("time_s"),
-        limits=limits,
-        seconds=seconds,
-        level=level,
-        repeats=repeats,
-        progress=progress,
-    )
+    training = read_records(records, options)
+    asked = {name: options[name] for name in ("limits", "seconds", "level", "repeats")}
+    assessment = run(actuator, training, trajectory=path, time=time.get("time_s"), progress=progress, **asked)
     refuse_replacing(output, report)
     if output is not None and assessment.band is not None:
         write_columns(output, {**time, **assessment.band.columns()})
@@ -88,7 +78,7 @@ def insight(
         from dehyst.report import write_insight
 
         progress("drawing the page")
-        write_insight(report, assessment, command=shlex.join(["dehyst", *sys.argv[1:]]))
+        write_insight(report, assessment, command=command_line())
     progress("")
     if as_json:
         echo_json(assessment.as_dict())

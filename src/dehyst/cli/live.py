@@ -114,13 +114,8 @@ class Live:
     def samples(self, samples: SampleBlock, expected: ArrayLike | None = None, stroke: float | None = None) -> None:
         """Show received samples.
 
-        Parameters
-        ----------
-        samples : SampleBlock
-        expected : (n,) array_like, optional
-            Wanted displacement of each sample [m]; NaN where there is none.
-        stroke : float, optional
-            Stroke to which errors refer [m]; default: the range of the displacement until now.
+        `expected` (n,): wanted displacement of each sample [m]; NaN where there is none. `stroke`: stroke to which
+        errors refer [m]; default: the range of the displacement until now.
         """
         t, v, y = (
             np.asarray(column, dtype=np.float64) for column in (samples.time, samples.voltage, samples.displacement)
@@ -169,16 +164,8 @@ def display(
             live.step("look", 24.0)
             rig.play(excitation, live.samples)
 
-    Parameters
-    ----------
-    steps : sequence of str, optional
-        Names of the planned steps.
-    console : rich.console.Console, optional
-        Console for the picture.
-    stream : text file, optional
-        Stream for lines; default: standard error. The picture is drawn only if it is a terminal.
-    clock : callable, optional
-        Seconds of the host.
+    `steps`: names of the planned steps. `console`: console for the picture. `stream`: stream for lines; default:
+    standard error. The picture is drawn only if it is a terminal. `clock`: seconds of the host.
 
     Returns
     -------

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dehyst._text import escaped
+from dehyst.cli.common import echo_files
 from dehyst.cli.terminal import echo, worded
 
 if TYPE_CHECKING:
@@ -49,13 +51,15 @@ def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
         if sentences:
             echo()
             echo(f"{title}:")
-            for sentence in sentences:
-                echo(f"  - {sentence}")
+            _echo_list(sentences)
     echo()
     echo(f"Solver: {fit.status}, duality gap {fit.gap:.1g}")
-    for name, path in (("Model", output if fit.actuator is not None else None), ("Report", report)):
-        if path is not None:
-            echo(f"{name}: {path}")
+    echo_files(Model=output if fit.actuator is not None else None, Report=report)
+
+
+def _echo_list(sentences: Iterable[str]) -> None:
+    for sentence in sentences:
+        echo(f"  - {sentence}")
 
 
 def _print_parts(actuator: Any) -> None:
@@ -90,16 +94,13 @@ def print_insight(found: Insight, output: Path | None, report: Path | None) -> N
             f"{played if known.judged else 'not judged'} from the voltage alone"
         )
     _print_homing(found)
-    for name, path in (("Band", output), ("Report", report)):
-        if path is not None:
-            echo(f"{name}: {path}")
+    echo_files(Band=output, Report=report)
 
 
 def _print_directions(found: Insight) -> None:
     identifiability = found.identifiability
     echo(f"Known of the stiffnesses: {identifiability.determined} of {identifiability.of} directions")
-    for sentence in _first_few(identifiability.sentences()):
-        echo(f"  - {sentence}")
+    _echo_list(_first_few(identifiability.sentences()))
     values = " ".join(f"{value:.2g}" for value in identifiability.values)
     echo(f"  singular values, V for each volt of breakaway voltage: {values}")
     _print_stiffnesses(found)
@@ -125,8 +126,7 @@ def _print_parts_known(found: Insight) -> None:
         "elements."
     )
     echo(f"Known of each part, with all other parts free, to {100 * SHARP:g} % of the voltages:")
-    for part in found.parts:
-        echo(f"  - {part.sentence}")
+    _echo_list(part.sentence for part in found.parts)
     if found.intervals is not None:
         echo()
         echo(f"Uncertainty due to noise ({100 * found.intervals.level:.0f} % intervals):")

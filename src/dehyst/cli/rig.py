@@ -83,14 +83,10 @@ def serve(
     actuator: str,
     host: str,
     port: int,
-    limits: tuple[float, float] | None,
-    slew: float | None,
-    speed: float,
-    noise: float | None,
-    wave_points: int,
     faults: tuple[str, ...],
     seconds: float | None,
     epics: str | None,
+    **options: Any,
 ) -> None:
     """Serve an emulated piezo controller that speaks GCS 2.0 over TCP.
 
@@ -99,7 +95,7 @@ def serve(
     from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
 
     rehearsed = [Fault.parse(text) for text in faults]
-    instrument, reported = _instrument(actuator, limits, slew, speed, noise, wave_points, rehearsed)
+    instrument, reported = _instrument(actuator, rehearsed, **options)
     lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, report=lambda words: echo(f"fault: {words}"))
     controller = Controller(instrument, reported_limits=reported)
     server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
@@ -114,12 +110,13 @@ def serve(
 
 def _instrument(
     actuator: str,
+    faults: list[Fault],
+    *,
     limits: tuple[float, float] | None,
     slew: float | None,
     speed: float,
     noise: float | None,
     wave_points: int,
-    faults: list[Fault],
 ) -> tuple[VirtualBench, tuple[float, float]]:
     """Return the virtual bench, and the limits [V] that it reports."""
     from dehyst.model import Actuator

@@ -12,49 +12,40 @@ import click
 if TYPE_CHECKING:
     from dehyst.waveforms import Scan
 
-_WORD = {"metavar": "UM", "type": float}
-_OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("--low", {**_WORD, "help": "Lowest displacement, along x."}),
-    ("--high", {**_WORD, "help": "Highest displacement, along x."}),
-    ("--y-low", {**_WORD, "help": "Along y; the first line of a raster.  [default: --low]"}),
-    ("--y-high", {**_WORD, "help": "Along y; the last line of a raster.  [default: --high]"}),
-    ("--frequency", {"type": float, "metavar": "HZ", "help": "Cycles, lines or whole figures a second."}),
-    (
-        "--turns",
-        {
-            "type": float,
-            "metavar": "SHARE",
-            "help": "Share of the time spent turning.  [default: 0.1, or as short as --acceleration allows]",
-        },
-    ),
-    ("--speed", {"type": float, "metavar": "UM/S", "help": "Largest speed of an axis."}),
-    ("--acceleration", {"type": float, "metavar": "UM/S2", "help": "Largest acceleration of an axis."}),
-    ("--rising", {"type": float, "metavar": "SHARE", "help": "Share of the time spent rising.  [default: 0.5]"}),
-    (
-        "--rounding",
-        {
-            "type": click.Choice(["parabola", "cosine"]),
-            "help": "Shape of turns: parabola has constant acceleration; cosine has no "
-            "jumps of it, for a stage that resonates.  [default: parabola]",
-        },
-    ),
-    ("--lines", {"type": int, "metavar": "N", "help": "Lines of a raster."}),
-    ("--slow", {"type": click.Choice(["staircase", "ramp"]), "help": "Y of a raster.  [default: staircase]"}),
-    ("--back", {"type": int, "metavar": "N", "help": "Lines that y of a raster takes back.  [default: fewest]"}),
-    ("--revolutions", {"type": int, "metavar": "N", "help": "Revolutions of a spiral outwards; 1/4 is added."}),
-    ("--constant", {"type": click.Choice(["linear", "angular"]), "help": "Speed of a spiral.  [default: linear]"}),
-    ("--ratio", {"type": (int, int), "metavar": "P Q", "help": "Lissajous: cycles of x and y.  [default: 1 1]"}),
-    ("--phase", {"type": float, "metavar": "DEGREES", "help": "Lissajous: phase of y.  [default: widest figure]"}),
-    ("--levels", {"metavar": "UM,UM,...", "help": "Steps: the levels."}),
-    ("--dwell", {"type": float, "metavar": "S", "help": "Steps: time on each level."}),
-    ("--edge", {"type": float, "metavar": "S", "help": "Steps: time between levels.  [default: as the limits allow]"}),
-    (
-        "--shape",
-        {
-            "type": click.Choice(["minimum-jerk", "trapezoid"]),
-            "help": "Steps: shape of a change of level.  [default: minimum-jerk]",
-        },
-    ),
+_CURVED = (
+    "Shape of turns: parabola has constant acceleration; cosine has no jumps of it, for a stage that resonates.  "
+    "[default: parabola]"
+)
+_TURNS = "Share of the time spent turning.  [default: 0.1, or as short as --acceleration allows]"
+_SHAPE = "Steps: shape of a change of level.  [default: minimum-jerk]"
+
+
+def _option(flag: str, kind: Any, metavar: str | None, text: str) -> tuple[str, Callable[..., Any]]:
+    return flag[2:].replace("-", "_"), click.option(flag, type=kind, metavar=metavar, help=text)
+
+
+_OPTIONS = (
+    _option("--low", float, "UM", "Lowest displacement, along x."),
+    _option("--high", float, "UM", "Highest displacement, along x."),
+    _option("--y-low", float, "UM", "Along y; the first line of a raster.  [default: --low]"),
+    _option("--y-high", float, "UM", "Along y; the last line of a raster.  [default: --high]"),
+    _option("--frequency", float, "HZ", "Cycles, lines or whole figures a second."),
+    _option("--turns", float, "SHARE", _TURNS),
+    _option("--speed", float, "UM/S", "Largest speed of an axis."),
+    _option("--acceleration", float, "UM/S2", "Largest acceleration of an axis."),
+    _option("--rising", float, "SHARE", "Share of the time spent rising.  [default: 0.5]"),
+    _option("--rounding", click.Choice(["parabola", "cosine"]), None, _CURVED),
+    _option("--lines", int, "N", "Lines of a raster."),
+    _option("--slow", click.Choice(["staircase", "ramp"]), None, "Y of a raster.  [default: staircase]"),
+    _option("--back", int, "N", "Lines that y of a raster takes back.  [default: fewest]"),
+    _option("--revolutions", int, "N", "Revolutions of a spiral outwards; 1/4 is added."),
+    _option("--constant", click.Choice(["linear", "angular"]), None, "Speed of a spiral.  [default: linear]"),
+    _option("--ratio", (int, int), "P Q", "Lissajous: cycles of x and y.  [default: 1 1]"),
+    _option("--phase", float, "DEGREES", "Lissajous: phase of y.  [default: widest figure]"),
+    _option("--levels", None, "UM,UM,...", "Steps: the levels."),
+    _option("--dwell", float, "S", "Steps: time on each level."),
+    _option("--edge", float, "S", "Steps: time between levels.  [default: as the limits allow]"),
+    _option("--shape", click.Choice(["minimum-jerk", "trapezoid"]), None, _SHAPE),
 )
 _LIMITS = ("speed", "acceleration")
 _TURNING = ("low", "high", "frequency", "turns", *_LIMITS, "rounding")
@@ -73,25 +64,22 @@ _NEEDS = {
     "lissajous": ("low", "high", "frequency"),
     "steps": ("levels", "dwell"),
 }
-NAMES = tuple(flag[2:].replace("-", "_") for flag, _ in _OPTIONS)
+NAMES = tuple(name for name, _ in _OPTIONS)
 _MICRO = 1e-6
 _MOST_DEGREES = 36_000
 
 
 def scan_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options of all named scans."""
-    for flag, settings in reversed(_OPTIONS):
-        command = click.option(flag, **settings)(command)
+    for _, option in reversed(_OPTIONS):
+        command = option(command)
     return click.option("--scan", type=click.Choice(list(_TAKES)), help="A named path instead of a file.")(command)
 
 
 def named_scan(kind: str, sample_rate: float | None, options: dict[str, Any]) -> Scan:
     """Return the scan that the options define.
 
-    Raises
-    ------
-    RecordError
-        If an option is missing, does not belong to this scan, or is impossible.
+    Raise `RecordError` if an option is missing, does not belong to this scan, or is impossible.
     """
     from dehyst._errors import RecordError
 
@@ -191,35 +179,8 @@ _MAKERS: dict[str, Callable[[dict[str, Any], float | None], Scan]] = {
 
 # Arguments of scans with another name on the command line.
 _RENAMED = {"cycles": "start-up", "seconds": "edge", "slew_rate": "slew", "base": "present"}
-_SAME = (
-    "low",
-    "high",
-    "y_low",
-    "y_high",
-    "frequency",
-    "turns",
-    "speed",
-    "acceleration",
-    "rising",
-    "rounding",
-    "lines",
-    "slow",
-    "back",
-    "revolutions",
-    "constant",
-    "ratio",
-    "phase",
-    "levels",
-    "dwell",
-    "shape",
-    "sample_rate",
-    "axis",
-    "limits",
-    "present",
-    "approach",
-    "tolerance",
-)
-_FLAGS = {name: f"--{name.replace('_', '-')}" for name in _SAME} | {
+_OTHERS = ("sample_rate", "axis", "limits", "present", "approach", "tolerance")
+_FLAGS = {name: f"--{name.replace('_', '-')}" for name in (*NAMES, *_OTHERS) if name != "edge"} | {
     name: f"--{flag}" for name, flag in _RENAMED.items()
 }
 _ARGUMENTS = "|".join(_FLAGS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -12,6 +12,16 @@ if TYPE_CHECKING:
 
 # Voltages farther outside of a model's limits than this part of their range were not covered by its records.
 _FAR = 0.1
+
+
+class Request(NamedTuple):
+    """What a command that computes voltages is asked for: of which model, within what, from which state."""
+
+    actuator: Actuator
+    limits: tuple[float, float] | None
+    slew: float | None
+    start: str
+    as_json: bool
 
 
 def start_option(command: Callable[..., None]) -> Callable[..., None]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -11,15 +13,13 @@ from dehyst.cli.printing import print_fit, print_paper
 from dehyst.cli.terminal import echo, echo_json, progress_line
 
 
+def _folder_option(name: str, last: str) -> Callable[..., Any]:
+    text = f"Folder for the files: new, empty, or {last}."
+    return click.option("-o", "--output", type=PATH, default=Path(name), show_default=True, help=text)
+
+
 @click.command()
-@click.option(
-    "-o",
-    "--output",
-    type=PATH,
-    default=Path("dehyst-demo"),
-    show_default=True,
-    help="Folder for the files: new, empty, or an earlier demo's.",
-)
+@_folder_option("dehyst-demo", "an earlier demo's")
 @click.option("--report/--no-report", default=True, help="Draw the report (needs matplotlib).")
 @json_option
 def demo(output: Path, report: bool, as_json: bool) -> None:
@@ -48,14 +48,7 @@ def demo(output: Path, report: bool, as_json: bool) -> None:
 
 
 @click.command()
-@click.option(
-    "-o",
-    "--output",
-    type=PATH,
-    default=Path("dehyst-paper"),
-    show_default=True,
-    help="Folder for the files: new, empty, or one of an earlier run.",
-)
+@_folder_option("dehyst-paper", "one of an earlier run")
 @json_option
 def paper(output: Path, as_json: bool) -> None:
     """Repeat the experiment of the paper on a virtual actuator: every table and figure, beside the paper's numbers."""

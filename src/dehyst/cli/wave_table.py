@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 from dehyst._text import counted
 from dehyst.cli.common import conclude, refuse_replacing
 from dehyst.cli.scans import in_options
-from dehyst.cli.start import delay_warnings, file_warnings, start_within, state_dict
+from dehyst.cli.start import Request, delay_warnings, file_warnings, start_within, state_dict
 from dehyst.cli.terminal import note, progress_line
 
 if TYPE_CHECKING:
     from dehyst.control import WaveTable
-    from dehyst.model import Actuator
     from dehyst.waveforms import Scan
 
 # A larger file is more than 300 MB.
@@ -22,16 +21,7 @@ _MOST_ROWS = 5_000_000
 
 
 def tabulate(
-    actuator: Actuator,
-    scan: Scan,
-    axis: str,
-    cycles: int,
-    outputs: tuple[Path, Path],
-    limits: tuple[float, float] | None,
-    slew: float | None,
-    start: str,
-    as_json: bool,
-    options: dict[str, Any],
+    request: Request, scan: Scan, axis: str, cycles: int, outputs: tuple[Path, Path], options: dict[str, Any]
 ) -> None:
     """Write the wave table of a scan with its homing and start-up, and exit."""
     from dehyst._errors import RecordError
@@ -39,6 +29,7 @@ def tabulate(
     from dehyst.records import write_columns
 
     refuse_cycles(scan, cycles)
+    actuator, limits, slew, start, _ = request
     tolerance, progress = options["tolerance"], progress_line()
     if tolerance is not None and not tolerance > 0:
         raise RecordError(f"--tolerance: got {tolerance:g}, need a length above 0 in um")
@@ -65,7 +56,7 @@ def tabulate(
     write_columns(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
     write_columns(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
     progress("")
-    warnings = [*map(in_options, table.warnings), *_unwritten_warnings(actuator, table, start, limits, slew)]
+    warnings = [*map(in_options, table.warnings), *_unwritten_warnings(request, table)]
     low, high = float(played.voltage.min()), float(played.voltage.max())
     result = {
         "samples": played.voltage.size,
@@ -93,7 +84,7 @@ def tabulate(
         f"{counted(played.voltage.size, 'sample')}, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: "
         f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}"
     )
-    conclude(as_json, result, line, warnings)
+    conclude(request.as_json, result, line, warnings)
     sys.exit(0 if table.settled and table.certified and not table.clamped else 1)
 
 
@@ -101,10 +92,9 @@ def _columns(part: Any) -> dict[str, Any]:
     return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}
 
 
-def _unwritten_warnings(
-    actuator: Actuator, table: WaveTable, start: str, limits: tuple[float, float] | None, slew: float | None
-) -> list[str]:
+def _unwritten_warnings(request: Request, table: WaveTable) -> list[str]:
     """Warn of what the file does not contain."""
+    actuator, limits, slew, start, _ = request
     if table.homing is not None:
         return delay_warnings(actuator)
     begin = start_within(actuator, start, limits)

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control.limits import VoltageLimits
-from dehyst.control.reachable import reachable_range
 from dehyst.model import Actuator
 
 
@@ -50,7 +49,7 @@ def stray_sentence(
     if not sentence or (limits.low, limits.high) == actuator.limits:
         return sentence
     try:
-        return actuator.implausibility(displacement, load, reachable_range(actuator, (limits.low, limits.high)))
+        return actuator.implausibility(displacement, load, actuator.major_loop((limits.low, limits.high)))
     except ModelError:
         return sentence
 

@@ -17,7 +17,7 @@ from dehyst.control.clamping import Clamps, ClampWarning, stray_sentence, warn_o
 from dehyst.control.core_loop import make_loop, resume
 from dehyst.control.limits import VoltageLimits
 from dehyst.control.preview import Preview
-from dehyst.control.reachable import reachable_range, state_within_limits
+from dehyst.control.reachable import state_within_limits
 from dehyst.control.snapshot import Snapshot, key_of
 from dehyst.control.trajectory import Command, follow
 from dehyst.model import Actuator, State
@@ -163,10 +163,8 @@ class Compensator:
     def commit(self, voltage: float) -> None:
         """Commit `voltage` [V] as sent: the one on offer, or another to which a converter has rounded it.
 
-        Raises
-        ------
-        ModelError
-            If it is not finite, or farther outside the limits than they are apart: the memory is unchanged.
+        Raise `ModelError` if it is not finite, or farther outside the limits than they are apart: the memory is
+        unchanged.
         """
         try:
             self._loop.commit(number(voltage, "voltage"))
@@ -183,10 +181,7 @@ class Compensator:
     def run(self, displacement: ArrayLike) -> Array:
         """Return the voltages (n,) [V] of n steps, the same bits as by `step`, and commit them.
 
-        Parameters
-        ----------
-        displacement : (n,) array_like
-            [m].
+        `displacement` (n,) [m].
 
         Raises
         ------
@@ -296,15 +291,12 @@ class Compensator:
     @cached_property
     def reach(self) -> tuple[float, float]:
         """Displacements [m] at the lower and the upper limit, after both have been visited and with creep at rest."""
-        return reachable_range(self.actuator, self.limits)
+        return self.actuator.major_loop(self.limits)
 
     def reset(self, state: State | None = None) -> None:
         """Start again in a `state`, by default that of the construction; counts restart at 0.
 
-        Raises
-        ------
-        ModelError
-            If it does not fit the actuator.
+        Raise `ModelError` if it does not fit the actuator.
         """
         if state is not None:
             self._start, self._given = state_within_limits(self.actuator, state, self.limits), state
@@ -317,10 +309,7 @@ class Compensator:
     def restore(self, snapshot: Snapshot) -> None:
         """Continue from a `snapshot`.
 
-        Raises
-        ------
-        ModelError
-            If it is of another actuator, period or preview, or damaged: the loop is as before then.
+        Raise `ModelError` if it is of another actuator, period or preview, or damaged: the loop is as before then.
         """
         resume(self._loop, self.actuator, self._limits, self._key, snapshot)
 
@@ -331,20 +320,13 @@ class Compensator:
         is the present memory, to be given as initial state. The voltage of a sample depends on the displacement of the
         same sample (direct feedthrough). Clamping gives one warning of each kind and is not counted.
 
-        Parameters
-        ----------
-        name : str, optional
-            Of the block; its input is called "wanted", its output "voltage".
+        `name`: of the block; its input is called "wanted", its output "voltage". Raise `MissingExtraError` if
+        python-control is not installed.
 
         Returns
         -------
         control.NonlinearIOSystem
             In discrete time, of `period`; without one, of an unspecified period.
-
-        Raises
-        ------
-        MissingExtraError
-            If python-control is not installed.
         """
         loop, now = self._new_loop(), self.snapshot()
         loop.begin(*self.actuator.model.core_state(now.state))

@@ -18,10 +18,7 @@ from dehyst.model import Actuator
 def make_loop(actuator: Actuator, limits: VoltageLimits, period: float | None, taps: Array, start: CoreState) -> Loop:
     """Return a loop that starts in a state and warns of clamped samples.
 
-    Raises
-    ------
-    ModelError
-        If a period is missing, too long for a resonance, or too short for the slew rate.
+    Raise `ModelError` if a period is missing, too long for a resonance, or too short for the slew rate.
     """
     model, slew = actuator.model, limits.slew_rate
     if period is None and (model.needs_time or slew is not None):
@@ -39,10 +36,7 @@ def make_loop(actuator: Actuator, limits: VoltageLimits, period: float | None, t
 def resume(loop: Loop, actuator: Actuator, limits: VoltageLimits, key: str, snapshot: Snapshot) -> None:
     """Set a loop to a snapshot; `key` identifies the loop. After an error the loop is as before.
 
-    Raises
-    ------
-    ModelError
-        If the snapshot is of another actuator, period or preview, or damaged.
+    Raise `ModelError` if the snapshot is of another actuator, period or preview, or damaged.
     """
     if not isinstance(snapshot, Snapshot):
         raise ModelError(f"snapshot: got {type(snapshot).__name__}, need a Snapshot; Snapshot.load reads a file")

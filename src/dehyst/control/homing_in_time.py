@@ -213,7 +213,9 @@ class TimedHoming:
                 self._moved_to_present(still, states[k % len(states)], random.uniform(*self.limits, _TURNS).tolist())
                 for k in range(_HISTORIES)
             ]
-        return states if self.actuator.dynamics is None else [_at_rest(state) for state in states]
+        if self.actuator.dynamics is None:
+            return states
+        return [replace(state, motion=np.array([state.displacement, 0.0])) for state in states]
 
     def _rested(self) -> Iterator[State]:
         """Yield the states after resting for ever at either limit."""
@@ -297,10 +299,6 @@ def _bounds(states: list[State]) -> StateBounds:
         arrays = (order([getattr(state, name) for state in states], axis=0) for name in names)
         ends.append(State(float(order([state.displacement for state in states])), *arrays))
     return StateBounds(*ends)
-
-
-def _at_rest(state: State) -> State:
-    return State(state.displacement, state.carts, state.creep, [state.displacement, 0.0], state.smooth)
 
 
 def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequency) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import ceil, inf, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -23,15 +24,20 @@ _FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
 
 def follow(compensator: Compensator, path: ScanPath, state: State) -> Command:
     """Compute the voltages for a path from a state, with the path's own derivatives."""
-    return compensator.trajectory(
-        path.displacement, time=path.time, velocity=path.velocity, acceleration=path.acceleration, state=state
-    )
+    return compensator.trajectory(path.displacement, **timed(path), state=state)
+
+
+def timed(path: ScanPath) -> dict[str, Any]:
+    """Return time and derivatives of a path, as arguments of `compensate` and `trajectory`."""
+    return {"time": path.time, "velocity": path.velocity, "acceleration": path.acceleration}
 
 
 def approach_to(
     path: ScanPath, compensator: Compensator, state: State, limits: MotionLimits, seconds: float | None = None
 ) -> ScanPath | None:
     """Return the way from a state at rest to the first sample of a path, without it; None if the state is there.
+
+    Raise `RecordError` if `seconds` is not positive, or too long.
 
     Parameters
     ----------
@@ -44,11 +50,6 @@ def approach_to(
     seconds : float, optional
         Duration, rounded up to a sample; by default as short as the limits allow, those of speed and acceleration
         first, then the slew rate if any duration keeps it.
-
-    Raises
-    ------
-    RecordError
-        If `seconds` is not positive, or too long.
     """
     now, first, rate, ends = _present(state), path.first, path.sample_rate, _ends(path)
     if seconds is not None:
@@ -78,14 +79,7 @@ def approach_to(
 
 def _steepest(compensator: Compensator, path: ScanPath, state: State) -> float:
     """Return the largest voltage step [V] along a path, before any limit."""
-    motion = compensator.actuator.compensate(
-        path.displacement,
-        time=path.time,
-        velocity=path.velocity,
-        acceleration=path.acceleration,
-        state=state,
-        extrapolate=True,
-    )
+    motion = compensator.actuator.compensate(path.displacement, **timed(path), state=state, extrapolate=True)
     return float(np.abs(np.diff(motion.voltage)).max(initial=0.0))
 
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import interval, number, untimely, vector
+from dehyst._validation import interval, keep, number, untimely, vector
 
 # The hint in errors about a missing time of the samples.
 TIME_NEEDED = "give time= [s], one a sample, or make the Compensator with period= [s]"
@@ -19,17 +19,8 @@ TIME_NEEDED = "give time= [s], one a sample, or make the Compensator with period
 class VoltageLimits:
     """Limits of a voltage and of its slew rate.
 
-    Parameters
-    ----------
-    low, high : float
-        Lowest and highest voltage [V].
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s] between samples; default: not limited.
-
-    Raises
-    ------
-    ModelError
-        If they are not an interval, or the slew rate is not positive.
+    `low`, `high`: lowest and highest voltage [V]. `slew_rate`: largest abs(dv/dt) [V/s] between samples; default: not
+    limited. Raise `ModelError` if they are not an interval, or the slew rate is not positive.
     """
 
     low: float
@@ -38,13 +29,12 @@ class VoltageLimits:
 
     def __post_init__(self) -> None:
         low, high = interval((self.low, self.high))
-        object.__setattr__(self, "low", low)
-        object.__setattr__(self, "high", high)
+        keep(self, low=low, high=high)
         if self.slew_rate is not None:
             slew_rate = number(self.slew_rate, "slew_rate")
             if slew_rate <= 0:
                 raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
-            object.__setattr__(self, "slew_rate", slew_rate)
+            keep(self, slew_rate=slew_rate)
 
     @property
     def words(self) -> str:

@@ -21,10 +21,7 @@ _ROUNDING = 1e-12
 class MajorLoop:
     """Voltage over displacement on the rising (side 1) and the falling (side -1) branch of the major loop.
 
-    Attributes
-    ----------
-    actuator : Actuator
-        Its smooth elements bear their largest force everywhere.
+    `actuator`: its smooth elements bear their largest force everywhere.
     """
 
     actuator: Actuator
@@ -70,15 +67,11 @@ class MajorLoop:
         return np.asarray(y[np.diff(y, prepend=-np.inf) > _ROUNDING * np.ptp(y)])
 
     def _branch(self, side: int) -> tuple[Array, Array]:
-        return self._rising if side > 0 else self._falling
+        return self._branches[side]
 
     @cached_property
-    def _rising(self) -> tuple[Array, Array]:
-        return self._tabulated(1)
-
-    @cached_property
-    def _falling(self) -> tuple[Array, Array]:
-        return self._tabulated(-1)
+    def _branches(self) -> dict[int, tuple[Array, Array]]:
+        return {side: self._tabulated(side) for side in (1, -1)}
 
     def _tabulated(self, side: int) -> tuple[Array, Array]:
         """Return the bends of a branch of graded elements, with a point beyond either end, and tau(v) [V] there."""

@@ -24,12 +24,8 @@ class Preview:
     ``w(t) = Y(t + delay)``, with inertia ``Y = y + 2 zeta/omega y' + y''/omega^2``; between samples y is the polynomial
     through the nearest samples.
 
-    Attributes
-    ----------
-    taps : (M,) array
-        w is the sum of taps[m] times the displacement fed m samples ago.
-    ahead : int
-        Number of samples by which the fed displacement is ahead.
+    `taps` (M,): w is the sum of taps[m] times the displacement fed m samples ago. `ahead`: number of samples by which
+    the fed displacement is ahead.
     """
 
     taps: Array
@@ -44,10 +40,7 @@ class Preview:
     def of(cls, actuator: Actuator, period: float) -> Preview:
         """Return the filter for the delay and the dynamics of an actuator, with a step every `period` [s].
 
-        Raises
-        ------
-        ModelError
-            If the delay, or a radian of the resonance, takes more than a million steps.
+        Raise `ModelError` if the delay, or a radian of the resonance, takes more than a million steps.
         """
         delay, dynamics = actuator.delay / period, actuator.dynamics
         if delay > _FARTHEST or (dynamics is not None and dynamics.frequency * period < 1 / _FARTHEST):

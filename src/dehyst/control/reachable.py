@@ -12,18 +12,10 @@ from dehyst.model import Actuator, State
 _ROUNDING = 1e-12
 
 
-def reachable_range(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
-    """Return the displacements [m] at the lower and upper limit [V] of slow loops, with creep at rest at either."""
-    return actuator.major_loop(limits)
-
-
 def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
     """Return the complete state; if its voltage lies outside the limits [V], after a motion to the nearest, at rest.
 
-    Raises
-    ------
-    ModelError
-        If it is not a state of this actuator.
+    Raise `ModelError` if it is not a state of this actuator.
     """
     start = actuator.model.complete_state(state)
     held = actuator.voltage(start)
@@ -39,10 +31,7 @@ def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, f
 def state_at(actuator: Actuator, state: State, displacement: float) -> State:
     """Return the state after a motion to a displacement [m], too slow for mass and amplifier, too fast for creep.
 
-    Raises
-    ------
-    ModelError
-        If it is not a state of this actuator.
+    Raise `ModelError` if it is not a state of this actuator.
     """
     slow, start = _unlimited(actuator), actuator.model.complete_state(state)
     time = np.zeros(1) if slow.needs_time else None

@@ -11,7 +11,7 @@ from dehyst._errors import ModelError
 from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import read_json, write_json
 from dehyst._types import Array
-from dehyst._validation import vector
+from dehyst._validation import keep, vector
 from dehyst.model import Actuator, State, serialization
 
 FORMAT = "dehyst-loop"
@@ -47,31 +47,21 @@ class Snapshot:
     def __post_init__(self) -> None:
         if not isinstance(self.state, State):
             raise ModelError(f"snapshot: got a state of type {type(self.state).__name__}, need a State")
-        object.__setattr__(self, "rest", vector(self.rest, "snapshot: rest"))
+        keep(self, rest=vector(self.rest, "snapshot: rest"))
         counts = self.counts
-        if not isinstance(counts, Sequence) or [type(n) for n in counts] != [int] * 3 or not _few(counts):
+        whole = isinstance(counts, Sequence) and [type(n) for n in counts] == [int] * 3
+        if not whole or not all(0 <= n < _MOST for n in counts):
             raise ModelError(f"snapshot: counts: got {counts!r}, need three whole numbers below {_MOST}")
-        object.__setattr__(self, "counts", tuple(counts))
+        keep(self, counts=tuple(counts))
 
     def save(self, path: PathLike) -> None:
         """Write the snapshot to `path` as JSON, completely or not at all.
 
-        Raises
-        ------
-        FileFormatError
-            If it cannot be written.
+        Raise `FileFormatError` if it cannot be written.
         """
-        write_json(
-            path,
-            {
-                "format": FORMAT,
-                "version": VERSION,
-                "key": self.key,
-                "state": serialization.state_dict(self.state),
-                "rest": self.rest.tolist(),
-                "counts": list(self.counts),
-            },
-        )
+        head = {"format": FORMAT, "version": VERSION, "key": self.key}
+        memory = {"rest": self.rest.tolist(), "counts": list(self.counts)}
+        write_json(path, {**head, "state": serialization.state_dict(self.state), **memory})
 
     @classmethod
     def load(cls, path: PathLike) -> Snapshot:
@@ -95,10 +85,6 @@ class Snapshot:
             return cls(str(data["key"]), serialization.state(data), rest, data["counts"])
         except ModelError as error:
             raise ModelError(f"{path}: {error}") from error
-
-
-def _few(counts: Sequence[int]) -> bool:
-    return all(0 <= n < _MOST for n in counts)
 
 
 def key_of(actuator: Actuator, period: float | None, preview: bool) -> str:

@@ -29,14 +29,8 @@ _CHUNK = 4096
 class KnownCarts:
     """Knowledge of the carts from a known displacement, with nothing known before.
 
-    Attributes
-    ----------
-    breakaway : (N,) array
-        rho [m].
-    running_range : (n,) array
-        R(t), the range of the displacements until now [m].
-    tolerance : float
-        Width [m] up to which an element counts as known.
+    `breakaway` (N,): rho [m]. `running_range` (n,): R(t), the range of the displacements until now [m]. `tolerance`:
+    width [m] up to which an element counts as known.
     """
 
     breakaway: Array
@@ -65,21 +59,12 @@ def known_by_displacement(
 ) -> KnownCarts:
     """Return what is known of each element if the displacement is known: measured, or commanded.
 
-    Parameters
-    ----------
-    actuator : Actuator or (N,) array_like
-        The actuator, or only its breakaway elongations rho [m].
-    displacement : (n,) array_like
-        [m]; nothing is known before the first sample.
-    tolerance : float, optional
-        Width [m] up to which an element counts as known; default 1e-12 of 2 rho_N. With 0, rounding would decide
-        whether an excursion of exactly 2 rho_N suffices.
+    Raise `ModelError` if the numbers are not finite, the breakaway elongations not positive and strictly increasing, or
+    the tolerance is not positive; or the actuator has dynamics.
 
-    Raises
-    ------
-    ModelError
-        If the numbers are not finite, the breakaway elongations not positive and strictly increasing, or the
-        tolerance is not positive; or the actuator has dynamics.
+    `actuator`: the actuator, or only its breakaway elongations rho [m]. `displacement` (n,) [m]; nothing is known
+    before the first sample. `tolerance`: width [m] up to which an element counts as known; default 1e-12 of 2 rho_N.
+    With 0, rounding would decide whether an excursion of exactly 2 rho_N suffices.
     """
     if isinstance(actuator, Actuator):
         if actuator.dynamics is not None:
@@ -95,19 +80,11 @@ def known_by_displacement(
 
 @dataclass(frozen=True, eq=False)
 class StateBounds:
-    """Two states that bound the actuator's: its displacement and every cart, in absolute coordinates.
+    """Two states, `lower` and `upper`, that bound the actuator's: displacement and every cart, in absolute coordinates.
 
     A voltage keeps the order of states, so two simulations propagate the bounds; no width ever exceeds the largest one
-    before. Elements without stiffness have carts too, and count like the others.
-
-    Parameters
-    ----------
-    lower, upper : State
-
-    Raises
-    ------
-    ModelError
-        If they have different numbers of carts, or the lower one lies above the upper one somewhere.
+    before. Elements without stiffness have carts too, and count like the others. Raise `ModelError` if they have
+    different numbers of carts, or the lower one lies above the upper one somewhere.
     """
 
     lower: State
@@ -129,12 +106,8 @@ class StateBounds:
         """Bound every state in which the `actuator` can rest at `voltage` [V], by its two extreme equilibria.
 
         They lie on the major loop; of a plain actuator at ``eta^-1(v - F)`` with every s_i = rho_i and at
-        ``eta^-1(v + F)`` with every s_i = -rho_i, where F = sum kappa_i rho_i.
-
-        Raises
-        ------
-        ModelError
-            If `actuator` is not an Actuator, or the voltage is not finite.
+        ``eta^-1(v + F)`` with every s_i = -rho_i, where F = sum kappa_i rho_i. Raise `ModelError` if `actuator` is not
+        an Actuator, or the voltage is not finite.
         """
         v, slip = number(voltage, "voltage"), checked_actuator(actuator).slip
         branch = MajorLoop(actuator)
@@ -197,16 +170,9 @@ class StateBounds:
 class KnownState:
     """Knowledge of the state after each sample of a voltage.
 
-    Attributes
-    ----------
-    lowest, highest : (n,) array
-        Attained bounds of the displacement [m].
-    width : (n,) array
-        The largest width of any cart [m]; it never grows, and the displacement's is never larger.
-    unknown : (n,) int array
-        Number of unknown elements; usually all of them until the displacement is known.
-    bounds : StateBounds
-        After the last sample.
+    `lowest`, `highest` (n,): attained bounds of the displacement [m]. `width` (n,): the largest width of any cart [m];
+    it never grows, and the displacement's is never larger. `unknown` (n,): number of unknown elements; usually all of
+    them until the displacement is known. `bounds`: after the last sample.
     """
 
     lowest: Array
@@ -239,12 +205,8 @@ def least_range(actuator: Actuator, lowest: float, highest: float) -> float:
     displacement on the rising branch of the major loop, the second that on the falling one. From an unknown state the
     largest width of a cart is exactly max(0, 2 rho_N - D) after any path that covers just these voltages: at the
     highest the lower extreme state has every s_i = rho_i, at the lowest the upper one has every s_i = -rho_i, and
-    these two extremes of y determine cart N. Neither the order nor the number of turns matters.
-
-    Raises
-    ------
-    ModelError
-        If `actuator` is not an Actuator, or a voltage is not finite.
+    these two extremes of y determine cart N. Neither the order nor the number of turns matters. Raise `ModelError` if
+    `actuator` is not an Actuator, or a voltage is not finite.
     """
     branch = MajorLoop(checked_actuator(actuator))
     return branch.displacement(number(highest, "highest"), 1) - branch.displacement(number(lowest, "lowest"), -1)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dehyst._types import Array
+from dehyst.control.lead_in import timed
 from dehyst.model import Actuator, State
 from dehyst.model.evaluator import PathData
 from dehyst.waveforms import ScanPath
@@ -22,20 +23,10 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
     Creep and smooth elements are driven by w alone, which follows from the path, so both are independent of each other
     and of the carts. A branch of creep is linear: if a cycle from zero strain ends at D, its steady strain is
     ``d = exp(-T/tau) d + D``. A smooth element's end rises with its beginning, with slope below 1: its only fixed point
-    lies between the two extremes.
+    lies between the two extremes. Raise `ModelError` if the state does not fit the actuator.
 
-    Parameters
-    ----------
-    actuator : Actuator
-    path : ScanPath
-        Periodic.
-    state : State
-        At the path's first sample, after two cycles at least, which erase the history of the carts.
-
-    Raises
-    ------
-    ModelError
-        If the state does not fit the actuator.
+    `path`: periodic. `state`: at the path's first sample, after two cycles at least, which erase the history of the
+    carts.
     """
     if actuator.creep is not None:
         state = replace(state, creep=_strains(actuator, path))
@@ -45,7 +36,7 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
 def _strains(actuator: Actuator, path: ScanPath) -> Array:
     """Return the steady strains d_j (J,) [m] of a cycle."""
     creep, cycle = actuator.creep, path.repeated(1)
-    data = PathData(cycle.time, velocity=cycle.velocity, acceleration=cycle.acceleration)
+    data = PathData(**timed(cycle))
     w = cycle.displacement + actuator.model.lead(cycle.displacement, data)
     if creep is None:
         return np.zeros(0)
@@ -58,14 +49,8 @@ def _elongations(actuator: Actuator, path: ScanPath, state: State) -> Array:
     cycle, length = path.repeated(1), np.zeros(0) if actuator.smooth is None else actuator.smooth.length
 
     def gained(elongation: Array) -> Array:
-        motion = actuator.compensate(
-            cycle.displacement,
-            time=cycle.time,
-            velocity=cycle.velocity,
-            acceleration=cycle.acceleration,
-            state=replace(state, smooth=elongation),
-            extrapolate=True,
-        )
+        begin = replace(state, smooth=elongation)
+        motion = actuator.compensate(cycle.displacement, **timed(cycle), state=begin, extrapolate=True)
         return np.asarray(motion.state.smooth - elongation)
 
     low, high = -length, length.copy()

@@ -87,14 +87,10 @@ class PathPlanner:
         return self._run("nominal", wanted, np.clip(voltage, self.limits.low, self.limits.high))
 
     def compensated(self, actuator: Actuator, before: Sequence[Record]) -> PlannedRun:
-        """Plan the run with a model; its state follows from all earlier records, its zero from the last of them.
+        """Plan the run with a model `actuator`; its state follows from all earlier records, its zero from the last.
 
-        Parameters
-        ----------
-        actuator : Actuator
-        before : sequence of Record
-            All records until now, in order; the last is that of the nominal run. Its path corrects for what happened
-            before the records, and for the drift of the sensor.
+        `before`: all records until now, in order; the last is that of the nominal run. Its path corrects for what
+        happened before the records, and for the drift of the sensor.
         """
         history = _joined(before)
         played = simulated(actuator, history.voltage, history.time)

@@ -124,10 +124,7 @@ class WaveTable:
     def played(self, cycles: int = 1) -> Played:
         """Return all parts in a row, with `cycles` cycles of the steady table.
 
-        Raises
-        ------
-        RecordError
-            If `cycles` is not a number of cycles, or there are more than 5e7 samples.
+        Raise `RecordError` if `cycles` is not a number of cycles, or there are more than 5e7 samples.
         """
         times = whole(cycles, "cycles", 0)
         refuse_long(self.rows(times), self.sample_rate)
@@ -223,21 +220,8 @@ def wave_table(
     motion = MotionLimits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
     way = approach_to(path, compensator, start, motion, approach)
     settled = settle(compensator, path, way, start, least, count)
-    return WaveTable(
-        excitation,
-        settled.start_up,
-        settled.cycle,
-        settled.cycles,
-        settled.error,
-        least,
-        unknown,
-        certified,
-        settled.state,
-        start,
-        actuator,
-        settled.clamped,
-        (*warnings, *settled.warnings),
-    )
+    table = {**vars(settled), "warnings": (*warnings, *settled.warnings), "tolerance": least, "unknown": unknown}
+    return WaveTable(homing=excitation, certified=certified, start=start, actuator=actuator, **table)
 
 
 def _homing(
@@ -254,14 +238,8 @@ def _homing(
     if drive is None:
         slowly = max(0.5 / _HOMING_FREQUENCY, 0.5 * scan.period)
         drive = Sampling(frequency=0.5 / leg_seconds(actuator, slowly), sample_rate=scan.rate)
-    drive = replace(
-        drive,
-        sample_rate=_longer_steps(actuator, drive, scan.rate),
-        base=now,
-        present=now,
-        limits=limits,
-        slew_rate=compensator.slew_rate,
-    )
+    rate = _longer_steps(actuator, drive, scan.rate)
+    drive = replace(drive, sample_rate=rate, base=now, present=now, limits=limits, slew_rate=compensator.slew_rate)
     homing = shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive)
     if homing.played is None or homing.played.duration * scan.rate <= _EVEN_SAMPLES:
         drive = replace(drive, sample_rate=scan.rate)

@@ -54,6 +54,11 @@ _PROCESSORS: dict[str, tuple[str, tuple[str, ...]]] = {
     "Cortex-M4F, -O2": ("arm-none-eabi-gcc", CORTEX_M4F),
     "Cortex-M4F, -Os -flto": ("arm-none-eabi-gcc", CORTEX_M4F_SMALL),
 }
+_TABLE_NOTES = (
+    "",
+    "Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need.",
+    "Stack: the deepest chain of calls, without that arithmetic.",
+)
 _MEASURED = re.compile(r"largest error ([\d.e+-]+) of the range")
 
 
@@ -83,11 +88,8 @@ class Exported(NamedTuple):
 def code(compensator: Compensator, number: Number = "double", name: str = DEFAULT) -> dict[str, str]:
     """Return the C files of a compensator by name: `SOURCES` and their headers, as `export` writes them.
 
-    Raises
-    ------
-    ModelError
-        If it is no Compensator, the number type is another one, floats cannot hold this model, or the name is no name
-        in C or has a meaning there.
+    Raise `ModelError` if it is no Compensator, the number type is another one, floats cannot hold this model, or the
+    name is no name in C or has a meaning there.
     """
     demand_compensator(compensator)
     if number not in ("double", "float"):
@@ -322,16 +324,6 @@ def _bytes(result: Exported) -> str:
 
 
 def _table(footprints: dict[str, Footprint]) -> str:
-    return "\n".join(
-        [
-            "| bytes | flash | RAM for one `piezo` | stack |",
-            "| --- | --- | --- | --- |",
-            *(
-                f"| {name} | {size.flash} | {size.ram} | {size.stack or 'unknown'} |"
-                for name, size in footprints.items()
-            ),
-            "",
-            "Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need.",
-            "Stack: the deepest chain of calls, without that arithmetic.",
-        ]
-    )
+    rows = (f"| {name} | {size.flash} | {size.ram} | {size.stack or 'unknown'} |" for name, size in footprints.items())
+    head = ("| bytes | flash | RAM for one `piezo` | stack |", "| --- | --- | --- | --- |")
+    return "\n".join([*head, *rows, *_TABLE_NOTES])

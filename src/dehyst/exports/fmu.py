@@ -89,7 +89,9 @@ def export_fmu(
             raise ModelError(f"{name}: got {value!r}, need {' or '.join(map(repr, known))}")
     _demand_free(path_of(path), force)
     if kind == "actuator":
-        compensator = _unlimited(compensator)
+        # The same actuator in the same state, for any voltage.
+        state = compensator.asked_start
+        compensator = Compensator(compensator.actuator, _NONE, period=compensator.period, state=state)
     description = Description.of(compensator, version, kind)
     sources = _sources(compensator, version)
     token = _token(sources, version, kind)
@@ -120,11 +122,6 @@ def _demand_free(path: Path, force: bool) -> None:
     demand_replaceable(path, force=force)
 
 
-def _unlimited(compensator: Compensator) -> Compensator:
-    """Return the same actuator in the same state without limits, for any voltage."""
-    return Compensator(compensator.actuator, _NONE, period=compensator.period, state=compensator.asked_start)
-
-
 def _sources(compensator: Compensator, version: Version) -> dict[str, str]:
     """Return the contents of `sources/`, without the file that holds the token."""
     wrapper = ("fmu.h", "fmu.c", *_WRAPPERS[version])
@@ -143,18 +140,10 @@ def _token(sources: Mapping[str, str], version: Version, kind: Kind) -> str:
 def _model(token: str, description: Description) -> str:
     """Return the text of `fmu_model.h`."""
     name = next(variable.name for variable in description.variables if variable.causality == "input")
-    return "\n".join(
-        [
-            "#ifndef FMU_MODEL_H",
-            "#define FMU_MODEL_H",
-            "",
-            f"#define FMU_ACTUATOR {int(description.kind == 'actuator')}",
-            f'#define FMU_TOKEN "{token}"',
-            f'#define FMU_INPUT_NAME "{name}"',
-            "",
-            "#endif",
-            "",
-        ]
+    return (
+        "#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n"
+        f"#define FMU_ACTUATOR {int(description.kind == 'actuator')}\n"
+        f'#define FMU_TOKEN "{token}"\n#define FMU_INPUT_NAME "{name}"\n\n#endif\n'
     )
 
 

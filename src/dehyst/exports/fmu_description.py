@@ -83,12 +83,7 @@ class Description:
     def xml(self, token: str, source: str) -> str:
         """Text of `modelDescription.xml`.
 
-        Parameters
-        ----------
-        token : str
-            GUID or instantiation token.
-        source : str
-            The file to compile.
+        `token`: GUID or instantiation token. `source`: the file to compile.
         """
         root = ElementTree.Element(
             "fmiModelDescription",
@@ -121,16 +116,14 @@ class Description:
             f"<tr><td>{variable.name}</td><td>{variable.causality}</td><td>{variable.unit}</td><td>{escape(variable.description)}</td></tr>"
             for variable in self.variables
         ]
-        return "\n".join(
-            [
-                '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
-                f"<title>{escape(self.name)}</title></head><body>",
-                f"<h1>{escape(self.name)}</h1>\n<p>{escape(self.summary)}</p>",
-                "<table><tr><th>variable</th><th></th><th>unit</th><th></th></tr>",
-                *rows,
-                f"</table>\n<p>Made by dehyst {__version__}; its licence is in licenses/.</p></body></html>\n",
-            ]
+        head = (
+            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+            f"<title>{escape(self.name)}</title></head><body>\n"
+            f"<h1>{escape(self.name)}</h1>\n<p>{escape(self.summary)}</p>"
         )
+        columns = "<table><tr><th>variable</th><th></th><th>unit</th><th></th></tr>"
+        end = f"</table>\n<p>Made by dehyst {__version__}; its licence is in licenses/.</p></body></html>\n"
+        return "\n".join([head, columns, *rows, end])
 
 
 def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:

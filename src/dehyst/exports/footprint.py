@@ -94,20 +94,12 @@ def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O
 def run(command: Sequence[str], folder: Path) -> str:
     """Run a command in a folder and return what it prints.
 
-    Raises
-    ------
-    FileFormatError
-        If it cannot be run, or fails; with its message.
+    Raise `FileFormatError` if it cannot be run, or fails; with its message.
     """
     try:
+        english = {**os.environ, "LC_ALL": "C"}
         done = subprocess.run(
-            command,
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=300,
-            env={**os.environ, "LC_ALL": "C"},
+            command, cwd=folder, capture_output=True, text=True, check=False, timeout=300, env=english
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise FileFormatError(f"{command[0]}: cannot be run ({error}); name a compiler that is installed") from error

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from enum import IntEnum
 from itertools import pairwise
+from string import Template
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,22 @@ from dehyst.control.clamping import Clamps
 _BEYOND = 0.25
 _LEGS, _JUMPS, _VOLTAGES = 14, 80, 80
 _LEAST_LEG, _MOST_LEG = 25, 400
+_HEADER = Template("""/* What Python computed with this model. */
+#ifndef TRACE_H
+#define TRACE_H
+
+${macros}
+typedef struct trace_row {
+    int what;
+    double given, answer;
+} trace_row;
+
+static const trace_row trace[TRACE_SIZE] = {
+$rows
+};
+
+#endif
+""")
 _COMMITS, _NONSENSE, _HELD, _OFFERED, _STEPS = 13, 29, 17, 11, 255
 
 
@@ -47,15 +64,8 @@ class TraceRow(NamedTuple):
 class GoldenTrace(NamedTuple):
     """A trace.
 
-    Attributes
-    ----------
-    rows : tuple of TraceRow
-    clamps : Clamps
-        Of the steps.
-    refused : int
-        Number of wanted displacements that are not a number.
-    volts, stroke : float
-        Ranges to which errors are referred: the width of the limits [V] and of the reach [m].
+    `clamps`: of the steps. `refused`: number of wanted displacements that are not a number. `volts`, `stroke`: ranges
+    to which errors are referred: the width of the limits [V] and of the reach [m].
     """
 
     rows: tuple[TraceRow, ...]
@@ -90,35 +100,18 @@ def trace_header(trace: GoldenTrace, least: float, most: float) -> str:
     """Return the text of `trace.h`; the error of floats must lie between two shares of the range."""
     # C has no literal for NaN; check.c makes one.
     rows = [f"    {{{int(row.what)}, {_hex(row.given)}, {_hex(row.answer)}}}" for row in trace.rows]
-    return "\n".join(
-        [
-            "/* What Python computed with this model. */",
-            "#ifndef TRACE_H",
-            "#define TRACE_H",
-            "",
-            *(f"#define TRACE_{call.name} {int(call)}" for call in Call),
-            f"#define TRACE_SIZE {len(rows)}",
-            f"#define TRACE_LIMITED {trace.clamps.limited}UL",
-            f"#define TRACE_SLEWED {trace.clamps.slewed}UL",
-            f"#define TRACE_REFUSED {trace.refused}UL",
-            f"#define TRACE_VOLTS {trace.volts.hex()}",
-            f"#define TRACE_STROKE {trace.stroke.hex()}",
-            f"#define TRACE_LEAST {least!r}",
-            f"#define TRACE_MOST {most!r}",
-            "",
-            "typedef struct trace_row {",
-            "    int what;",
-            "    double given, answer;",
-            "} trace_row;",
-            "",
-            "static const trace_row trace[TRACE_SIZE] = {",
-            ",\n".join(rows),
-            "};",
-            "",
-            "#endif",
-            "",
-        ]
-    )
+    macros = {call.name: int(call) for call in Call} | {
+        "SIZE": len(rows),
+        "LIMITED": f"{trace.clamps.limited}UL",
+        "SLEWED": f"{trace.clamps.slewed}UL",
+        "REFUSED": f"{trace.refused}UL",
+        "VOLTS": trace.volts.hex(),
+        "STROKE": trace.stroke.hex(),
+        "LEAST": repr(least),
+        "MOST": repr(most),
+    }
+    defined = "".join(f"#define TRACE_{name} {value}\n" for name, value in macros.items())
+    return _HEADER.substitute(macros=defined, rows=",\n".join(rows))
 
 
 def _hex(value: float) -> str:

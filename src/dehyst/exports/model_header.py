@@ -105,10 +105,7 @@ def size_macros(compensator: Compensator, number: Number) -> str:
 def numbers(compensator: Compensator, number: Number) -> str:
     """Return the constants of `piezo.c`: every number that a step reads, and the state that it starts from.
 
-    Raises
-    ------
-    ModelError
-        If numbers that must differ are one float, or a float cannot hold one of them.
+    Raise `ModelError` if numbers that must differ are one float, or a float cannot hold one of them.
     """
     tables = _tables(compensator, number)
     if number == "float":

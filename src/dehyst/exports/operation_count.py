@@ -15,11 +15,7 @@ _TRIES = 200
 class Operations:
     """Counts of operations on real numbers; operations on integers and moves are not counted.
 
-    Attributes
-    ----------
-    arithmetic : int
-        Additions, subtractions, multiplications and changes of sign.
-    divisions, comparisons : int
+    `arithmetic`: additions, subtractions, multiplications and changes of sign.
     """
 
     arithmetic: int = 0
@@ -40,12 +36,7 @@ def worst_case(compensator: Compensator) -> Operations:
 
     The count follows the functions of `core/` on their most expensive branches: an offer, then a simulation of the
     actuator with another voltage than the candidate's, past every breakaway and every knot on the way. `compensator` is
-    the one that is exported.
-
-    Raises
-    ------
-    ModelError
-        If it is no Compensator.
+    the one that is exported. Raise `ModelError` if it is no Compensator.
     """
     demand_compensator(compensator)
     tables = compensator.tables()

@@ -140,13 +140,7 @@ class AbstractRig(ABC):
 
     @final
     def read(self) -> Reading:
-        """Read the instrument once.
-
-        Raises
-        ------
-        RigError
-            If there is no answer, or a number in it is not finite.
-        """
+        """Read the instrument once; raise `RigError` if there is no answer, or a number in it is not finite."""
         self._refuse_closed()
         return finite(self.name, self._reading())
 
@@ -213,10 +207,7 @@ class AbstractRig(ABC):
     def retreat(self) -> float:
         """Stop the wave and ramp to the safe voltage [V], which is returned; Ctrl-C waits until it is reached.
 
-        Raises
-        ------
-        RigError
-            If the device fails.
+        Raise `RigError` if the device fails.
         """
         self._refuse_closed()
         with shielded(defer=True):

@@ -49,7 +49,8 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     sent becomes part of the actuator's memory. Before the first `set` the axis must be homed, in a plan by
     ``yield from homing(axis)``: the history of the actuator is unknown.
 
-    A displacement outside the reach of the limits is refused before anything moves. `stop` holds the voltage.
+    A displacement outside the reach of the limits is refused before anything moves. `stop` holds the voltage. Raise
+    `ModelError` if a number is impossible.
 
     Parameters
     ----------
@@ -79,11 +80,6 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         The voltage that was sent [V]. If anything else sets it, the axis must be homed again.
     position : SignalR
         The reading of the sensor [um]; it is in the device's hints.
-
-    Raises
-    ------
-    ModelError
-        If a number is impossible.
     """
 
     def __init__(

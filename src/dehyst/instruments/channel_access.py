@@ -53,17 +53,9 @@ _worker = _Worker()
 class ChannelAccess:
     """Process variables with a common prefix.
 
-    Parameters
-    ----------
-    prefix : str
-        Put before each name, as it is.
-    timeout : float
-        Seconds that one exchange may take.
+    Raise `MissingExtraError` if aioca is not installed.
 
-    Raises
-    ------
-    MissingExtraError
-        If aioca is not installed.
+    `prefix`: put before each name, as it is. `timeout`: seconds that one exchange may take.
     """
 
     def __init__(self, prefix: str, timeout: float) -> None:
@@ -89,22 +81,13 @@ class ChannelAccess:
         return self._run(unconnected()).isdisjoint(self.prefix + name for name in names)
 
     def numbers(self, *names: str) -> list[float]:
-        """Read numbers, all at the same time.
-
-        Raises
-        ------
-        LinkError
-            If an answer is late, or is not a number.
-        """
+        """Read numbers, all at the same time; raise `LinkError` if an answer is late, or is not a number."""
         return [self._number(name, value) for name, value in zip(names, self._get(names), strict=True)]
 
     def arrays(self, *names: str, count: int) -> list[Array]:
         """Read the first `count` numbers of each array.
 
-        Raises
-        ------
-        LinkError
-            If an answer is late, or has fewer numbers.
+        Raise `LinkError` if an answer is late, or has fewer numbers.
         """
         columns = [np.atleast_1d(np.asarray(value)) for value in self._get(names, count=count)]
         for name, values in zip(names, columns, strict=True):
@@ -129,10 +112,7 @@ class ChannelAccess:
     def metres(self, name: str) -> float | None:
         """Return the unit of a record in metres; None if it has no unit.
 
-        Raises
-        ------
-        LinkError
-            If it is not a unit of length.
+        Raise `LinkError` if it is not a unit of length.
         """
         (value,) = self._get([name], format=self._ca.FORMAT_CTRL, count=1)
         unit = str(getattr(value, "units", "")).strip()
@@ -149,12 +129,8 @@ class ChannelAccess:
     def put(self, name: str, value: float | Array) -> None:
         """Write a value, and wait until the IOC has processed it.
 
-        Raises
-        ------
-        LinkError
-            If there is no answer in time: the value may have been written, or not.
-        DeviceError
-            If it is refused.
+        Raise `LinkError` if there is no answer in time: the value may have been written, or not. Raise `DeviceError` if
+        it is refused.
         """
         self._run(self._put(name, value, {}))
 

@@ -25,13 +25,7 @@ def driver_errors(name: str, method: str) -> Iterator[None]:
 
 
 def reading_of(name: str, values: object) -> Reading:
-    """Return three numbers as a reading, finite or not.
-
-    Raises
-    ------
-    DeviceError
-        If `values` are not three numbers.
-    """
+    """Return three numbers as a reading, finite or not; raise `DeviceError` if `values` are not three numbers."""
     try:
         time, voltage, displacement = map(float, values)  # type: ignore[call-overload]
     except (TypeError, ValueError) as error:

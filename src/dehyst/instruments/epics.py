@@ -65,13 +65,7 @@ class PvNames:
 
     @property
     def plays(self) -> bool:
-        """Whether waves can be played.
-
-        Raises
-        ------
-        RigError
-            If some of the names for that are missing, but not all.
-        """
+        """Whether waves can be played; raise `RigError` if some of the names for that are missing, but not all."""
         wanted = [field.name for field in fields(self) if field.name.startswith(("wave_", "record_"))]
         missing = [what for what in wanted if what not in self.waves]
         if missing and self.waves:

@@ -19,14 +19,8 @@ _END = "# END_HEADER"
 class GcsArray(NamedTuple):
     """A GCS array.
 
-    Attributes
-    ----------
-    sample_time : float
-        [s] from one row to the next.
-    names : tuple of str
-        Name of each column; empty where the header has none.
-    columns : (k, n) array
-        In the controller's units.
+    `sample_time`: [s] from one row to the next. `names`: name of each column; empty where the header has none.
+    `columns` (k, n): in the controller's units.
     """
 
     sample_time: float
@@ -37,10 +31,7 @@ class GcsArray(NamedTuple):
 def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
     """Parse an answer of DRR? that has `rows` rows and `columns` columns.
 
-    Raises
-    ------
-    LinkError
-        If the header is incomplete or has other sizes, or a row is not `columns` finite numbers.
+    Raise `LinkError` if the header is incomplete or has other sizes, or a row is not `columns` finite numbers.
     """
     stripped = [line.strip() for line in lines]
     if _END not in stripped:

@@ -17,6 +17,8 @@ _NEWER = 3.0
 class GcsClient:
     """A client of a controller over a link; it sends nothing twice.
 
+    Raise `LinkError` if the answers are not those of a controller. Raise `DeviceError` if its version is not GCS 2.
+
     Parameters
     ----------
     link : AbstractGcsLink
@@ -27,13 +29,6 @@ class GcsClient:
         Its answer to *IDN?.
     commands : frozenset of str
         The commands that it supports.
-
-    Raises
-    ------
-    LinkError
-        If the answers are not those of a controller.
-    DeviceError
-        If its version is not GCS 2.
     """
 
     def __init__(self, link: AbstractGcsLink) -> None:
@@ -55,10 +50,7 @@ class GcsClient:
     def query(self, line: str, parse: Callable[[list[str]], _Answer], commands: Sequence[str] = ()) -> _Answer:
         """Send commands without answers and a query, and return the answer's lines as parsed by `parse`.
 
-        Raises
-        ------
-        LinkError
-            If there is no answer, or `parse` refuses it; the next call resynchronises first.
+        Raise `LinkError` if there is no answer, or `parse` refuses it; the next call resynchronises first.
         """
         sent = [*commands, line]
         try:
@@ -76,12 +68,8 @@ class GcsClient:
     def set(self, *commands: str, expect: frozenset[int] = frozenset()) -> None:
         """Send commands and query the error number.
 
-        Raises
-        ------
-        DeviceError
-            If there is an error that is not in `expect`.
-        LinkError
-            If the controller does not answer.
+        Raise `DeviceError` if there is an error that is not in `expect`. Raise `LinkError` if the controller does not
+        answer.
         """
         number = self.query("ERR?", _error, commands)
         if number and number not in expect:

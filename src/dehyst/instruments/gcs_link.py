@@ -28,10 +28,7 @@ _SPOILED = b" *spoiled*\n"
 class AbstractGcsLink(ABC):
     """A link that carries lines to one controller and its answers back.
 
-    Attributes
-    ----------
-    where : str
-        Address, for messages.
+    `where`: address, for messages.
     """
 
     where: str
@@ -40,20 +37,14 @@ class AbstractGcsLink(ABC):
     def exchange(self, commands: Sequence[str], query: str) -> list[str]:
         """Send commands without answers, then a query; return the lines of its answer without line ends.
 
-        Raises
-        ------
-        LinkError
-            If there is no answer, or an incomplete one.
+        Raise `LinkError` if there is no answer, or an incomplete one.
         """
 
     @abstractmethod
     def settle(self, identity: str) -> None:
         """Resynchronise after an exchange that failed; `identity` is the earlier answer to *IDN?.
 
-        Raises
-        ------
-        LinkError
-            If that fails.
+        Raise `LinkError` if that fails.
         """
 
     @abstractmethod
@@ -64,17 +55,9 @@ class AbstractGcsLink(ABC):
 class TcpLink(AbstractGcsLink):
     """A socket to a controller, which takes one client at a time.
 
-    Parameters
-    ----------
-    host : str
-    port : int
-    timeout : float
-        Seconds without a byte after which an answer is abandoned.
+    Raise `LinkError` if no connection can be made.
 
-    Raises
-    ------
-    LinkError
-        If no connection can be made.
+    `timeout`: seconds without a byte after which an answer is abandoned.
     """
 
     def __init__(self, host: str, port: int, timeout: float = 5.0) -> None:
@@ -204,16 +187,10 @@ class TcpLink(AbstractGcsLink):
 class DeviceLink(AbstractGcsLink):
     """A device object that the user has connected; it stays open.
 
-    Parameters
-    ----------
-    device : object
-        With two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
-        `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`.
+    Raise `LinkError` if it does not have them.
 
-    Raises
-    ------
-    LinkError
-        If it does not have them.
+    `device`: with two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
+    `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`.
     """
 
     def __init__(self, device: Any) -> None:

@@ -47,10 +47,7 @@ def command(word: str, *arguments: object) -> str:
 def volts(value: float, low: float = -math.inf, high: float = math.inf) -> str:
     """Return a voltage as text: to 1 uV, but with all its digits where rounding would leave `low` to `high` [V].
 
-    Raises
-    ------
-    RigError
-        If it is not a number within `low` and `high`.
+    Raise `RigError` if it is not a number within `low` and `high`.
     """
     if not low <= value <= high or not math.isfinite(value):
         raise RigError(f"{value} V is not within {low:.6g} to {high:.6g} V; nothing was sent")
@@ -84,10 +81,7 @@ def wave_points(table: int, points: Sequence[str], longest: int = _LINE) -> Iter
 def line_of(raw: bytes) -> tuple[str, bool]:
     """Return the text of one line, from `raw` that ends with a line feed, and whether the answer goes on.
 
-    Raises
-    ------
-    LinkError
-        If it has no line feed, or characters that are not printable ASCII.
+    Raise `LinkError` if it has no line feed, or characters that are not printable ASCII.
     """
     body = raw[:-1].removesuffix(b"\r")
     # Some controllers' lists contain tabs.

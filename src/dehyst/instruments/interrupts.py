@@ -15,10 +15,7 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 class Shield:
     """Signal handlers that can defer signals; made by `shielded`.
 
-    Attributes
-    ----------
-    deferring : bool
-        Whether signals wait. The first signal that raises an exception sets it.
+    `deferring`: whether signals wait. The first signal that raises an exception sets it.
     """
 
     def __init__(self) -> None:

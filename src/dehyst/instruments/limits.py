@@ -17,12 +17,7 @@ _SLACK = 1e-6
 def common_limits(device: VoltageLimits, limits: tuple[float, float] | None, slew_rate: float | None) -> VoltageLimits:
     """Return the limits that device and user both allow, always with a slew rate.
 
-    Raises
-    ------
-    RigError
-        If they have no voltage in common.
-    ModelError
-        If the user's limits are not valid.
+    Raise `RigError` if they have no voltage in common. Raise `ModelError` if the user's limits are not valid.
     """
     given = VoltageLimits(*((device.low, device.high) if limits is None else limits), slew_rate)
     low, high = max(device.low, given.low), min(device.high, given.high)

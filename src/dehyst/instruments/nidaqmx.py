@@ -32,7 +32,9 @@ class NiRig(AbstractRig):
     with an oscilloscope, without an actuator connected, before you trust it.
 
     The hardware's clock, which the inputs share, times a wave; the wave is not repeated. An input is read at the edge
-    that changes the output, so the sample of a voltage is taken at the next edge, at the end of that voltage.
+    that changes the output, so the sample of a voltage is taken at the next edge, at the end of that voltage. Raise
+    `MissingExtraError` if the package nidaqmx is not installed. Raise `RigError` if the card or channel does not exist,
+    has no hardware-timed output, or the output cannot be read back.
 
     Parameters
     ----------
@@ -51,13 +53,6 @@ class NiRig(AbstractRig):
         As of `AbstractRig`.
     clock : callable, optional
         Seconds of the host.
-
-    Raises
-    ------
-    MissingExtraError
-        If the package nidaqmx is not installed.
-    RigError
-        If the card or channel does not exist, has no hardware-timed output, or the output cannot be read back.
     """
 
     def __init__(

@@ -40,7 +40,9 @@ class PiRig(AbstractRig):
     """A PI controller's axis in open loop.
 
     The wave generator plays and the data recorder records; the host only fills and reads tables. Without them the host
-    sends voltages one by one, at 200 Hz at most, with a warning.
+    sends voltages one by one, at 200 Hz at most, with a warning. Raise `LinkError` if the answers are not those of a
+    controller. Raise `DeviceError` if it cannot send voltages in open loop, or does not report its limits and none are
+    given. Raise `RigError` if it has no such axis, or its limits and the given ones have no voltage in common.
 
     Parameters
     ----------
@@ -54,15 +56,6 @@ class PiRig(AbstractRig):
         Largest abs(dv/dt) [V/s].
     patience : float
         Seconds without a new sample after which a recorder has stopped.
-
-    Raises
-    ------
-    LinkError
-        If the answers are not those of a controller.
-    DeviceError
-        If it cannot send voltages in open loop, or does not report its limits and none are given.
-    RigError
-        If it has no such axis, or its limits and the given ones have no voltage in common.
 
     Notes
     -----
@@ -114,12 +107,10 @@ class PiRig(AbstractRig):
     ) -> Self:
         """Connect to a controller by TCP; `timeout` [s] is the longest wait for an answer.
 
-        Raises
-        ------
-        RigError
-            As the class does.
+        Raise `RigError` as the class does.
         """
-        return cls._open(TcpLink(host, port, timeout), axis, limits, slew_rate, patience)
+        link = TcpLink(host, port, timeout)
+        return cls._open(link, axis=axis, limits=limits, slew_rate=slew_rate, patience=patience)
 
     @classmethod
     def of_device(
@@ -132,19 +123,12 @@ class PiRig(AbstractRig):
         patience: float = _PATIENCE,
     ) -> Self:
         """Make a rig of a connected object that has `ReadGCSCommand` and `GcsCommandset`; `close` leaves it open."""
-        return cls._open(DeviceLink(device), axis, limits, slew_rate, patience)
+        return cls._open(DeviceLink(device), axis=axis, limits=limits, slew_rate=slew_rate, patience=patience)
 
     @classmethod
-    def _open(
-        cls,
-        link: AbstractGcsLink,
-        axis: str | None,
-        limits: tuple[float, float] | None,
-        slew_rate: float | None,
-        patience: float,
-    ) -> Self:
+    def _open(cls, link: AbstractGcsLink, **options: Any) -> Self:
         try:
-            return cls(link, axis=axis, limits=limits, slew_rate=slew_rate, patience=patience)
+            return cls(link, **options)
         except BaseException:
             link.close()
             raise

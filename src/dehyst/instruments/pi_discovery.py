@@ -19,14 +19,8 @@ _FOR_VOLTAGES = ("SVA", "VOL?", "POS?", "ERR?")
 class WaveTraits:
     """Properties of a controller that plays and records waves.
 
-    Attributes
-    ----------
-    servo_period : float
-        [s]; waves are played and recorded in multiples of it.
-    longest : int
-        Samples that both a wave table and two recorder tables hold.
-    options : gcs_syntax.Options
-        Record options of position and voltage.
+    `servo_period` [s]; waves are played and recorded in multiples of it. `longest`: samples that both a wave table and
+    two recorder tables hold. `options`: record options of position and voltage.
     """
 
     servo_period: float
@@ -65,22 +59,11 @@ class Traits:
 def discover(client: GcsClient, axis: str | None, limits: tuple[float, float] | None) -> Traits:
     """Query the properties of a controller.
 
-    Parameters
-    ----------
-    client : GcsClient
-    axis : str, optional
-        Needed if the controller has several.
-    limits : (float, float), optional
-        Voltages [V] to use if the controller does not report its own.
+    Raise `DeviceError` if it cannot send a voltage and read a displacement, or does not report its limits. Raise
+    `RigError` if it has no such axis. Raise `LinkError` if an answer is not valid.
 
-    Raises
-    ------
-    DeviceError
-        If it cannot send a voltage and read a displacement, or does not report its limits.
-    RigError
-        If it has no such axis.
-    LinkError
-        If an answer is not valid.
+    `axis`: needed if the controller has several. `limits`: voltages [V] to use if the controller does not report its
+    own.
     """
     absent = [word for word in _FOR_VOLTAGES if word not in client.commands]
     if absent:

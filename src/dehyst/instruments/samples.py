@@ -38,12 +38,7 @@ Listener = Callable[[Samples], None]
 class Inspection:
     """A check of the samples of one record, piece by piece.
 
-    Parameters
-    ----------
-    name : str
-        The instrument, for messages.
-    span : float
-        Range of the voltage [V].
+    `name`: the instrument, for messages. `span`: range of the voltage [V].
     """
 
     def __init__(self, name: str, span: float) -> None:
@@ -58,10 +53,7 @@ class Inspection:
     def admit(self, samples: Samples) -> Samples:
         """Return the samples as arrays.
 
-        Raises
-        ------
-        LinkError
-            If they cannot follow the samples before: too many, not finite, or times that do not increase.
+        Raise `LinkError` if they cannot follow the samples before: too many, not finite, or times that do not increase.
         """
         time, voltage, displacement = (self._column(*column) for column in zip(samples, Samples._fields, strict=True))
         sizes = {column.shape for column in (time, voltage, displacement)}

@@ -14,10 +14,7 @@ _DEAD = 0.2
 class SensorWatch:
     """A check of samples as they arrive: it raises when the reading is constant while the voltage moves.
 
-    Parameters
-    ----------
-    span : float
-        Range of the voltage [V].
+    `span`: range of the voltage [V].
     """
 
     def __init__(self, span: float) -> None:
@@ -29,11 +26,8 @@ class SensorWatch:
     def observe(self, voltage: Array, displacement: Array) -> None:
         """Check samples (n,) [V], (n,) [m] that follow the ones before.
 
-        Raises
-        ------
-        SensorError
-            If the reading has not changed while the voltage crossed a fifth of its range; the message depends on
-            whether it moved before.
+        Raise `SensorError` if the reading has not changed while the voltage crossed a fifth of its range; the message
+        depends on whether it moved before.
         """
         if not displacement.size:
             return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import read_json, write_json
 from dehyst._native import Core
 from dehyst._types import Array
-from dehyst._validation import interval, number, spanned, vector
+from dehyst._validation import interval, keep, number, spanned, vector
 from dehyst.model import part_checks, physical, plausibility, serialization, start_states
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.creep import Creep
@@ -92,19 +92,16 @@ class Actuator(AbstractModel):
 
     def __post_init__(self) -> None:
         part_checks.check_kinds(self)
-        self._set("lag", part_checks.checked_lag(self.lag))
-        self._set("load_stiffness", part_checks.checked_load_stiffness(self.load_stiffness))
+        keep(self, lag=part_checks.checked_lag(self.lag))
+        keep(self, load_stiffness=part_checks.checked_load_stiffness(self.load_stiffness))
         least_slope(self.slip, self.spring)
         if self.state is None:
-            self._set("state", self.turned(float(self.spring.displacement[-1]), extrapolate=True))
+            keep(self, state=self.turned(float(self.spring.displacement[-1]), extrapolate=True))
         self._start(self.state)
         _ = self.model.core if self.wide else self.core  # refuses what a part alone cannot check
         if self.limits is not None:
-            self._set("limits", interval(self.limits))
-        self._set("delay", part_checks.checked_delay(self.delay))
-
-    def _set(self, name: str, value: Any) -> None:
-        object.__setattr__(self, name, value)
+            keep(self, limits=interval(self.limits))
+        keep(self, delay=part_checks.checked_delay(self.delay))
 
     @property
     def wide(self) -> bool:
@@ -152,16 +149,7 @@ class Actuator(AbstractModel):
     @cached_property
     def model(self) -> Evaluator:
         """All parts and their equations."""
-        return Evaluator(
-            self.slip,
-            self.spring,
-            self.transformer,
-            self.creep,
-            self.smooth,
-            self.dynamics,
-            self.lag,
-            self.load_stiffness,
-        )
+        return Evaluator(**{part.name: getattr(self, part.name) for part in fields(Evaluator)})
 
     def simulate(
         self,
@@ -268,13 +256,8 @@ class Actuator(AbstractModel):
     def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
         """Return the state in which no element is strained and the spring alone holds `voltage` [V].
 
-        With `extrapolate`, any voltage will do.
-
-        Raises
-        ------
-        ModelError
-            If the voltage lies farther outside of `voltage_range` and 0 V than that range is wide, unless
-            `extrapolate`.
+        With `extrapolate`, any voltage will do. Raise `ModelError` if the voltage lies farther outside of
+        `voltage_range` and 0 V than that range is wide, unless `extrapolate`.
         """
         v = number(voltage, "voltage")
         if v != 0 and not extrapolate:
@@ -285,13 +268,8 @@ class Actuator(AbstractModel):
         """Return the state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II).
 
         Every smooth element has yielded fully. Creep is at rest, as after a slow motion. With `rising` the motion went
-        up, else down. With `extrapolate`, any displacement will do.
-
-        Raises
-        ------
-        ModelError
-            If the displacement lies more than one stroke outside of `reach` and the knots of the spring, unless
-            `extrapolate`.
+        up, else down. With `extrapolate`, any displacement will do. Raise `ModelError` if the displacement lies more
+        than one stroke outside of `reach` and the knots of the spring, unless `extrapolate`.
         """
         y = number(displacement, "displacement")
         knots = self.spring.displacement
@@ -357,24 +335,10 @@ class Actuator(AbstractModel):
         With c = keq/km: k_i = kappa_i T c, r_i = rho_i / c, f_i = k_i r_i, h = T eta, g = h - keq x. Data of (v, y)
         determine x up to x(0): here x = 0 is where the spring alone holds 0 V.
 
-        Parameters
-        ----------
-        transformer_ratio : float
-            T [N/V].
-        mechanical_stiffness, electrical_stiffness : float
-            km and ke = T^2 / C [N/m].
-
-        Raises
-        ------
-        ModelError
-            If one of them is not a positive number, elements are graded, or there is a transformer curve.
+        `transformer_ratio`: T [N/V]. `mechanical_stiffness`, `electrical_stiffness`: km and ke = T^2 / C [N/m]. Raise
+        `ModelError` if one of them is not a positive number, elements are graded, or there is a transformer curve.
         """
-        return physical.physical(
-            self,
-            transformer_ratio=transformer_ratio,
-            mechanical_stiffness=mechanical_stiffness,
-            electrical_stiffness=electrical_stiffness,
-        )
+        return physical.physical(self, transformer_ratio, mechanical_stiffness, electrical_stiffness)
 
     def charge(
         self,
@@ -386,25 +350,12 @@ class Actuator(AbstractModel):
     ) -> Array:
         """Return the charge q = T x [C] (theory section 9), 0 where the spring alone holds 0 V.
 
-        Parameters
-        ----------
-        displacement : (n,) array_like
-            [m]; with dynamics or a load that of w, such as `State.displacement`.
-        transformer_ratio, mechanical_stiffness, electrical_stiffness : float
-            As in `physical`.
-
-        Raises
-        ------
-        ModelError
-            If a number is impossible, or there is a transformer curve, with which T x balances no power.
+        `displacement` (n,) [m]; with dynamics or a load that of w, such as `State.displacement`. `transformer_ratio`,
+        `mechanical_stiffness`, `electrical_stiffness`: as in `physical`. Raise `ModelError` if a number is impossible,
+        or there is a transformer curve, with which T x balances no power.
         """
-        return physical.charge(
-            self,
-            vector(displacement, "displacement"),
-            transformer_ratio=transformer_ratio,
-            mechanical_stiffness=mechanical_stiffness,
-            electrical_stiffness=electrical_stiffness,
-        )
+        x = vector(displacement, "displacement")
+        return physical.charge(self, x, transformer_ratio, mechanical_stiffness, electrical_stiffness)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values in SI units; `from_dict` reads them back without loss."""
@@ -414,20 +365,14 @@ class Actuator(AbstractModel):
     def from_dict(cls, data: Mapping[str, Any]) -> Actuator:
         """Rebuild from `as_dict`, strictly. `data` is what `as_dict` returns.
 
-        Raises
-        ------
-        ModelError
-            If the format or version differs, a key is unknown or missing, or a number is impossible.
+        Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
         """
         return cls(**serialization.parts(data))
 
     def save(self, path: PathLike) -> None:
         """Write the model file (JSON), completely or not at all. The file's `path` ends in .json.
 
-        Raises
-        ------
-        FileFormatError
-            If it cannot be written.
+        Raise `FileFormatError` if it cannot be written.
         """
         write_json(path, self.as_dict())
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import number, vector
+from dehyst._validation import keep, number, vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,15 +46,9 @@ class State:
         motion: ArrayLike = (),
         smooth: ArrayLike = (),
     ) -> None:
-        object.__setattr__(self, "displacement", number(displacement, "state: displacement"))
-        for name, values, what in (
-            ("carts", carts, "carts"),
-            ("creep", creep, "creep strains"),
-            ("motion", motion, "motion"),
-            ("smooth", smooth, "smooth elongations"),
-        ):
-            object.__setattr__(self, name, vector(values, what))
-            getattr(self, name).flags.writeable = False
+        keep(self, displacement=number(displacement, "state: displacement"))
+        keep(self, carts=vector(carts, "carts"), creep=vector(creep, "creep strains"))
+        keep(self, motion=vector(motion, "motion"), smooth=vector(smooth, "smooth elongations"))
         if self.motion.size not in (0, 2):
             raise ModelError(f"state: got a motion of {self.motion.size} numbers, need displacement and velocity")
 

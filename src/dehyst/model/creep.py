@@ -11,8 +11,7 @@ from dehyst._computable import demand_divisors, demand_magnitudes, demand_result
 from dehyst._errors import ModelError
 from dehyst._native import steps, strains
 from dehyst._types import Array
-from dehyst._validation import untimely, vector
-from dehyst.model.elements import frozen
+from dehyst._validation import keep, untimely, vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,17 +21,8 @@ class Creep:
     Branch j holds ``c_j d_j``; d_j is the displacement less its low-pass of time constant tau_j, for a displacement
     linear in time ``d_j <- a d_j + (1 - a) tau_j / dt * dy`` with ``a = exp(-dt / tau_j)``.
 
-    Parameters
-    ----------
-    time_constants : (J,) array_like
-        tau_j [s], positive.
-    stiffness : (J,) array_like
-        c_j [V/m], not negative.
-
-    Raises
-    ------
-    ModelError
-        If lengths differ, or a value is impossible or too large to compute with (magnitude over 1e30).
+    `time_constants` (J,): tau_j [s], positive. `stiffness` (J,): c_j [V/m], not negative. Raise `ModelError` if lengths
+    differ, or a value is impossible or too large to compute with (magnitude over 1e30).
     """
 
     time_constants: Array
@@ -52,8 +42,7 @@ class Creep:
             )
         demand_divisors(tau, "creep time constants [s]")
         demand_magnitudes(c, "creep stiffnesses [V/m]")
-        object.__setattr__(self, "time_constants", frozen(tau))
-        object.__setattr__(self, "stiffness", frozen(c))
+        keep(self, time_constants=tau, stiffness=c)
 
     def __len__(self) -> int:
         return self.time_constants.size
@@ -70,10 +59,7 @@ class Creep:
     def strains(self, time: ArrayLike, displacement: ArrayLike) -> Array:
         """Return strains d_j (n, J) [m] along a `displacement` (n,) [m] with `time` (n,) [s], 0 at the first sample.
 
-        Raises
-        ------
-        ModelError
-            If time and displacement do not fit.
+        Raise `ModelError` if time and displacement do not fit.
         """
         y = vector(displacement, "displacement")
         bounds, durations = clock(time, y.size)
@@ -83,10 +69,7 @@ class Creep:
 def clock(time: ArrayLike, samples: int) -> tuple[NDArray[np.int64], Array]:
     """Cut samples into runs of equal steps, see `_native.steps`.
 
-    Raises
-    ------
-    ModelError
-        If `time` [s] has another length than the samples or does not strictly increase.
+    Raise `ModelError` if `time` [s] has another length than the samples or does not strictly increase.
     """
     t = vector(time, "time")
     bounds, durations = steps(t)

@@ -72,12 +72,8 @@ class Dynamics:
         """Return steps (R, 8) of `durations` (R,) [s] for (y, y'/omega): phi by rows, then gains of q before and after.
 
         ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time: by
-        the exponential of the matrix whose states include q and its slope. `share` is theta.
-
-        Raises
-        ------
-        ModelError
-            If a step is so many periods of the resonance long that its exponential has no digits.
+        the exponential of the matrix whose states include q and its slope. `share` is theta. Raise `ModelError` if a
+        step is so many periods of the resonance long that its exponential has no digits.
         """
         radians = max(1.0, 2 * self.damping) * self.frequency * float(durations.max(initial=0.0))
         if radians > _LONGEST:

@@ -10,14 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._computable import demand_curve, demand_divisors, demand_magnitudes
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import matrix, vector
-
-
-def frozen(array: Array) -> Array:
-    """Return a read-only copy."""
-    copy = array.copy()
-    copy.flags.writeable = False
-    return copy
+from dehyst._validation import keep, matrix, vector
 
 
 def checked_breakaway(breakaway: ArrayLike) -> Array:
@@ -50,17 +43,8 @@ class MaxwellSlip:
     Element i holds the voltage ``stiffness_i * s_i``; its elongation follows the displacement y as the stop operator
     ``s_i <- clip(s_i + dy, -breakaway_i, +breakaway_i)``.
 
-    Parameters
-    ----------
-    breakaway : (N,) array_like
-        Largest elongations rho_i = c r_i [m], positive and strictly increasing.
-    stiffness : (N,) array_like
-        kappa_i = k_i / (T c) [V/m], not negative.
-
-    Raises
-    ------
-    ModelError
-        If lengths differ, or a value is impossible.
+    `breakaway` (N,): largest elongations rho_i = c r_i [m], positive and strictly increasing. `stiffness` (N,): kappa_i
+    = k_i / (T c) [V/m], not negative. Raise `ModelError` if lengths differ, or a value is impossible.
     """
 
     breakaway: Array
@@ -78,8 +62,7 @@ class MaxwellSlip:
             )
         demand_magnitudes(kappa, "stiffnesses")
         demand_magnitudes(rho, "breakaway elongations")
-        object.__setattr__(self, "breakaway", frozen(rho))
-        object.__setattr__(self, "stiffness", frozen(kappa))
+        keep(self, breakaway=rho, stiffness=kappa)
 
     def __len__(self) -> int:
         return self.breakaway.size
@@ -134,9 +117,7 @@ class GradedSlip:
         if np.any(kappa < 0):
             i, m = np.unravel_index(int(np.argmin(kappa)), kappa.shape)
             raise ModelError(f"stiffness {i}, {m} is {kappa.min():g} V/m; a negative one grows without bound")
-        object.__setattr__(self, "breakaway", frozen(rho))
-        object.__setattr__(self, "knots", frozen(ends))
-        object.__setattr__(self, "stiffness", frozen(kappa))
+        keep(self, breakaway=rho, knots=ends, stiffness=kappa)
 
     def __len__(self) -> int:
         return self.breakaway.size
@@ -167,17 +148,9 @@ class GradedSlip:
 class Spring:
     """The parallel spring h in terminal coordinates: voltage eta(y), piecewise linear, continued linearly.
 
-    Parameters
-    ----------
-    displacement : (M,) array_like
-        Knots [m], strictly increasing, M >= 2.
-    voltage : (M,) array_like
-        eta at the knots [V], strictly increasing (Assumption I).
-
-    Raises
-    ------
-    ModelError
-        If lengths differ, a curve does not strictly increase, or a number is too large to compute with (over 1e30).
+    `displacement` (M,): knots [m], strictly increasing, M >= 2. `voltage` (M,): eta at the knots [V], strictly
+    increasing (Assumption I). Raise `ModelError` if lengths differ, a curve does not strictly increase, or a number is
+    too large to compute with (over 1e30).
     """
 
     displacement: Array
@@ -196,8 +169,7 @@ class Spring:
                 f"{falls[0] + 1}. Identify with a slope floor, or with fewer elements"
             )
         demand_curve(y, v, "spring")
-        object.__setattr__(self, "displacement", frozen(y))
-        object.__setattr__(self, "voltage", frozen(v))
+        keep(self, displacement=y, voltage=v)
 
     @classmethod
     def of_slopes(cls, displacement: Array, slopes: Array, first: float) -> Spring:
@@ -224,17 +196,9 @@ class Transformer:
     Piecewise linear, strictly increasing, continued linearly. This is a fitted map: with it charge does not balance
     power.
 
-    Parameters
-    ----------
-    voltage : (K,) array_like
-        Knots [V], strictly increasing, K >= 2.
-    drive : (K,) array_like
-        tau at the knots [V], strictly increasing.
-
-    Raises
-    ------
-    ModelError
-        If lengths differ, a curve does not strictly increase, or a number is too large to compute with (over 1e30).
+    `voltage` (K,): knots [V], strictly increasing, K >= 2. `drive` (K,): tau at the knots [V], strictly increasing.
+    Raise `ModelError` if lengths differ, a curve does not strictly increase, or a number is too large to compute with
+    (over 1e30).
     """
 
     voltage: Array
@@ -252,8 +216,7 @@ class Transformer:
                     f"transformer {what} must strictly increase, got {values}: each drive needs one voltage"
                 )
         demand_curve(v, tau, "transformer")
-        object.__setattr__(self, "voltage", frozen(v))
-        object.__setattr__(self, "drive", frozen(tau))
+        keep(self, voltage=v, drive=tau)
 
     def __call__(self, voltage: ArrayLike) -> Array:
         """Return the drive tau(v) [V] at voltages [V] of any shape."""

@@ -132,10 +132,8 @@ class Evaluator:
     ) -> tuple[NDArray[np.int64], Array]:
         """Return runs of equal steps, see `dehyst._native.steps`; without time one run of duration 0.
 
-        Raises
-        ------
-        ModelError
-            If time is needed and missing, has another length than the samples, or does not strictly increase.
+        Raise `ModelError` if time is needed and missing, has another length than the samples, or does not strictly
+        increase.
         """
         if time is not None:
             return clock(time, samples)
@@ -151,10 +149,7 @@ class Evaluator:
     def step_coefficients(self, bounds: NDArray[np.int64], durations: Array) -> StepCoefficients:
         """Return the coefficients of steps of durations (R,) [s]; samples bounds[r] to bounds[r + 1] have duration r.
 
-        Raises
-        ------
-        ModelError
-            If a step is too long for a resonance.
+        Raise `ModelError` if a step is too long for a resonance.
         """
         if self.creep is None and self.dynamics is None:
             bounds, durations = bounds[[0, -1]], np.zeros(1)
@@ -249,11 +244,8 @@ def _spline_derivative(displacement: Array, time: Array, order: int) -> Array:
 def least_slope(slip: MaxwellSlip | GradedSlip, spring: Spring) -> float:
     """Return the least slope [V/m] of any branch in any state.
 
-    Raises
-    ------
-    ModelError
-        If graded elements leave a branch that does not rise. Only the outermost two can: on any other some carts stand
-        still, which adds to the slope.
+    Raise `ModelError` if graded elements leave a branch that does not rise. Only the outermost two can: on any other
+    some carts stand still, which adds to the slope.
     """
     if isinstance(slip, MaxwellSlip) or not len(slip):
         return float(spring.slopes.min())

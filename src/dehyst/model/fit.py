@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import Enum
 from math import isfinite
 from typing import Any
@@ -191,14 +191,7 @@ class Check:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "name": self.name,
-            "verdict": self.verdict.name,
-            "value": self.value,
-            "floor": self.floor,
-            "unit": self.unit,
-            "sentence": self.sentence,
-        }
+        return {**asdict(self), "verdict": self.verdict.name}
 
 
 @dataclass(frozen=True, eq=False)

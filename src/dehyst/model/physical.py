@@ -22,12 +22,9 @@ class Physical:
 
     `transformer_ratio` is T. `mechanical_stiffness` is km [N/m]. `electrical_stiffness` is ke [N/m].
 
-    Attributes
-    ----------
-    stiffness, friction, breakaway : (N,) array
-        k_i [N/m], f_i [N] and r_i = f_i / k_i [m of x].
-    deformation, nonlinear, parallel : (M,) array
-        x [m] at the spring's knots; the nonlinear spring's force g(x) and h(x) = keq x + g(x) [N].
+    `stiffness`, `friction`, `breakaway` (N,): k_i [N/m], f_i [N] and r_i = f_i / k_i [m of x]. `deformation`,
+    `nonlinear`, `parallel` (M,): x [m] at the spring's knots; the nonlinear spring's force g(x) and h(x) = keq x + g(x)
+    [N].
     """
 
     transformer_ratio: float
@@ -46,33 +43,23 @@ class Physical:
         return _in_series(self.electrical_stiffness, self.mechanical_stiffness)
 
 
-def physical(
-    actuator: Actuator,
-    *,
-    transformer_ratio: float,
-    mechanical_stiffness: float,
-    electrical_stiffness: float,
-) -> Physical:
+def physical(actuator: Actuator, ratio: float, km: float, ke: float) -> Physical:
     """Convert to the paper's symbols, see `Actuator.physical`."""
     slip, spring = actuator.slip, actuator.spring
     if not isinstance(slip, MaxwellSlip):
         raise ModelError("no physical units: graded elements have no single stiffness k_i")
     at_rest = _rest_displacement(actuator)
-    given = {
-        "transformer_ratio": transformer_ratio,
-        "mechanical_stiffness": mechanical_stiffness,
-        "electrical_stiffness": electrical_stiffness,
-    }
-    given = {name: _positive(value, name) for name, value in given.items()}
-    transformer_ratio, mechanical_stiffness, electrical_stiffness = given.values()
-    equivalent = _in_series(electrical_stiffness, mechanical_stiffness)
-    c = equivalent / mechanical_stiffness
+    ratio, km, ke = _positive(ratio, km, ke)
+    equivalent = _in_series(ke, km)
+    c = equivalent / km
     x = (spring.displacement - at_rest) / c
-    h = transformer_ratio * spring.voltage
+    h = ratio * spring.voltage
     return Physical(
-        **given,
-        stiffness=slip.stiffness * transformer_ratio * c,
-        friction=slip.friction * transformer_ratio,
+        transformer_ratio=ratio,
+        mechanical_stiffness=km,
+        electrical_stiffness=ke,
+        stiffness=slip.stiffness * ratio * c,
+        friction=slip.friction * ratio,
         breakaway=slip.breakaway / c,
         deformation=x,
         nonlinear=h - equivalent * x,
@@ -80,21 +67,10 @@ def physical(
     )
 
 
-def charge(
-    actuator: Actuator,
-    displacement: Array,
-    *,
-    transformer_ratio: float,
-    mechanical_stiffness: float,
-    electrical_stiffness: float,
-) -> Array:
+def charge(actuator: Actuator, displacement: Array, ratio: float, km: float, ke: float) -> Array:
     """Return q = T x [C], with x = (y - y0) km / keq and y0 [m] where the spring alone holds 0 V."""
     at_rest = _rest_displacement(actuator)
-    ratio = _positive(transformer_ratio, "transformer_ratio")
-    km, ke = (
-        _positive(mechanical_stiffness, "mechanical_stiffness"),
-        _positive(electrical_stiffness, "electrical_stiffness"),
-    )
+    ratio, km, ke = _positive(ratio, km, ke)
     return np.asarray(ratio * (displacement - at_rest) * km / _in_series(ke, km))
 
 
@@ -105,10 +81,13 @@ def _rest_displacement(actuator: Actuator) -> float:
     return actuator.core.spring_inverse(0.0)
 
 
-def _positive(value: float, name: str) -> float:
-    checked = number(value, name)
-    if checked <= 0:
-        raise ModelError(f"{name}: got {value}, need a positive number")
+def _positive(ratio: float, km: float, ke: float) -> list[float]:
+    checked = []
+    names = ("transformer_ratio", "mechanical_stiffness", "electrical_stiffness")
+    for value, name in zip((ratio, km, ke), names, strict=True):
+        checked.append(number(value, name))
+        if checked[-1] <= 0:
+            raise ModelError(f"{name}: got {value}, need a positive number")
     return checked
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,14 +22,21 @@ if TYPE_CHECKING:
 
 FORMAT = "dehyst-actuator"
 VERSION = 2
+# The keys of a part's fields, in their order.
+_SPRING = ("displacement_m", "voltage_V")
+_PARTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
+    "transformer": (Transformer, ("voltage_V", "drive_V")),
+    "creep": (Creep, ("time_constants_s", "stiffness_V_per_m")),
+    "smooth": (SmoothSlip, ("length_m", "closing", "stiffness_V_per_m")),
+    "dynamics": (Dynamics, ("frequency_rad_per_s", "damping", "series_V_per_m")),
+}
 _PLAIN = {"format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance"}
-_KEYS = _PLAIN | {"transformer", "creep", "smooth", "dynamics", "load_stiffness_N_per_m", "lag_s"}
+_KEYS = _PLAIN | _PARTS.keys() | {"load_stiffness_N_per_m", "lag_s"}
 
 
 def as_dict(actuator: Actuator) -> dict[str, Any]:
     """Return the JSON values of an actuator in SI units; missing parts are null."""
-    slip, spring, transformer, creep = actuator.slip, actuator.spring, actuator.transformer, actuator.creep
-    smooth, dynamics = actuator.smooth, actuator.dynamics
+    slip = actuator.slip
     elements: dict[str, Any] = {"breakaway_m": slip.breakaway.tolist()}
     if isinstance(slip, GradedSlip):
         elements["knots_m"] = slip.knots.tolist()
@@ -38,27 +46,8 @@ def as_dict(actuator: Actuator) -> dict[str, Any]:
         "version": VERSION,
         "name": actuator.name,
         "slip": elements,
-        "spring": {"displacement_m": spring.displacement.tolist(), "voltage_V": spring.voltage.tolist()},
-        "transformer": None
-        if transformer is None
-        else {"voltage_V": transformer.voltage.tolist(), "drive_V": transformer.drive.tolist()},
-        "creep": None
-        if creep is None
-        else {"time_constants_s": creep.time_constants.tolist(), "stiffness_V_per_m": creep.stiffness.tolist()},
-        "smooth": None
-        if smooth is None
-        else {
-            "length_m": smooth.length.tolist(),
-            "closing": smooth.closing.tolist(),
-            "stiffness_V_per_m": smooth.stiffness.tolist(),
-        },
-        "dynamics": None
-        if dynamics is None
-        else {
-            "frequency_rad_per_s": dynamics.frequency,
-            "damping": dynamics.damping,
-            "series_V_per_m": dynamics.series,
-        },
+        "spring": _values(actuator.spring, _SPRING),
+        **{name: _values(getattr(actuator, name), keys) for name, (_, keys) in _PARTS.items()},
         "load_stiffness_N_per_m": actuator.load_stiffness,
         "lag_s": actuator.lag,
         "state": state_dict(actuator.state),
@@ -66,6 +55,15 @@ def as_dict(actuator: Actuator) -> dict[str, Any]:
         "delay_s": actuator.delay,
         "provenance": dict(actuator.provenance),
     }
+
+
+def _values(part: Any, keys: tuple[str, ...]) -> dict[str, Any] | None:
+    """Return the fields of a part, in order, as JSON values under these keys; None without the part."""
+    if part is None:
+        return None
+    values = [getattr(part, field.name) for field in fields(part)]
+    plain = [value.tolist() if isinstance(value, np.ndarray) else value for value in values]
+    return dict(zip(keys, plain, strict=True))
 
 
 def state_dict(state: State) -> dict[str, Any]:
@@ -84,10 +82,7 @@ def state_dict(state: State) -> dict[str, Any]:
 def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     """Read the arguments of `Actuator`, by name. Version 1 has plain elements and a spring only.
 
-    Raises
-    ------
-    ModelError
-        If the format or version differs, a key is unknown or missing, or a number is impossible.
+    Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
     """
     version = data.get("version")
     if data.get("format") != FORMAT or type(version) is not int or version not in (1, VERSION):
@@ -97,11 +92,11 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     demand_keys(data, _PLAIN if version == 1 else _KEYS, "model")
     if not isinstance(data["name"], str) or not isinstance(data["provenance"], Mapping):
         raise ModelError("model: name must be text and provenance an object")
-    spring = _part(data, "spring", {"displacement_m", "voltage_V"})
+    spring = _part(data, "spring", set(_SPRING))
     limits = None if data["limits"] is None else _part(data, "limits", {"voltage_V"})["voltage_V"]
     plain = {
         "slip": _slip(data, graded=version > 1),
-        "spring": Spring(*_columns(spring, "spring", "displacement_m", "voltage_V")),
+        "spring": Spring(*_columns(spring, "spring", *_SPRING)),
         "limits": None if limits is None else _pair(limits),
         "delay": number(data["delay_s"], "delay_s"),
         "name": data["name"],
@@ -117,19 +112,10 @@ def _further_parts(data: Mapping[str, Any]) -> dict[str, Any]:
         "lag": number(data["lag_s"], "lag_s"),
         "load_stiffness": None if stiffness is None else number(stiffness, "load_stiffness_N_per_m"),
     }
-    if data["transformer"] is not None:
-        part = _part(data, "transformer", {"voltage_V", "drive_V"})
-        parts["transformer"] = Transformer(*_columns(part, "transformer", "voltage_V", "drive_V"))
-    if data["creep"] is not None:
-        part = _part(data, "creep", {"time_constants_s", "stiffness_V_per_m"})
-        parts["creep"] = Creep(*_columns(part, "creep", "time_constants_s", "stiffness_V_per_m"))
-    if data["smooth"] is not None:
-        part = _part(data, "smooth", {"length_m", "closing", "stiffness_V_per_m"})
-        parts["smooth"] = SmoothSlip(*_columns(part, "smooth", "length_m", "closing", "stiffness_V_per_m"))
-    if data["dynamics"] is not None:
-        keys = ("frequency_rad_per_s", "damping", "series_V_per_m")
-        part = _part(data, "dynamics", set(keys))
-        parts["dynamics"] = Dynamics(*(number(part[key], f"dynamics.{key}") for key in keys))
+    for name, (kind, keys) in _PARTS.items():
+        if data[name] is not None:
+            part, read = _part(data, name, set(keys)), number if kind is Dynamics else numbers
+            parts[name] = kind(*(read(part[key], f"{name}.{key}") for key in keys))
     return parts
 
 
@@ -151,10 +137,7 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
 def state(data: Mapping[str, Any]) -> State:
     """Read the entry "state", strictly.
 
-    Raises
-    ------
-    ModelError
-        If a key is unknown or missing, or a number is impossible.
+    Raise `ModelError` if a key is unknown or missing, or a number is impossible.
     """
     return _state(data, {"creep_m", "smooth_m", "motion"})
 

@@ -11,8 +11,7 @@ from dehyst._computable import demand_divisors, demand_magnitudes
 from dehyst._errors import ModelError
 from dehyst._native import smooth_elongations
 from dehyst._types import Array
-from dehyst._validation import vector
-from dehyst.model.elements import frozen
+from dehyst._validation import keep, vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +44,9 @@ class SmoothSlip:
     stiffness: Array
 
     def __init__(self, length: ArrayLike, closing: ArrayLike, stiffness: ArrayLike) -> None:
-        columns = {}
-        for name, values in (("length", length), ("closing", closing), ("stiffness", stiffness)):
-            columns[name] = vector(values, f"smooth elements: {name}")
-            object.__setattr__(self, name, frozen(columns[name]))
+        given = {"length": length, "closing": closing, "stiffness": stiffness}
+        columns = {name: vector(values, f"smooth elements: {name}") for name, values in given.items()}
+        keep(self, **columns)
         if len({column.size for column in columns.values()}) > 1:
             sizes = ", ".join(f"{column.size} of {name}" for name, column in columns.items())
             raise ModelError(f"smooth elements: got {sizes}; need one of each for an element")

@@ -9,9 +9,7 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._native import EMPTY
-from dehyst._types import Array
 from dehyst.model.base import State
-from dehyst.model.elements import frozen
 
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
@@ -35,10 +33,7 @@ def turned_state(actuator: Actuator, displacement: float, *, rising: bool) -> St
 def complete_state(parts: Evaluator, start: State) -> State:
     """Return the state with missing strains, elongations and motion at rest, and with rounding removed.
 
-    Raises
-    ------
-    ModelError
-        If it is not a state of these parts.
+    Raise `ModelError` if it is not a state of these parts.
     """
     if not isinstance(start, State):
         raise ModelError(f"state: got {type(start).__name__}, need a State, such as that of a Motion")
@@ -53,7 +48,9 @@ def complete_state(parts: Evaluator, start: State) -> State:
             f"state: cart {worst} is {excess[worst]:.3g} m farther from the displacement than its breakaway "
             f"elongation {rho[worst]:.3g} m"
         )
-    return start if not excess.size or excess[worst] <= 0 else replace(start, carts=_clipped_carts(start, rho))
+    if not excess.size or excess[worst] <= 0:
+        return start
+    return replace(start, carts=np.clip(start.carts, start.displacement - rho, start.displacement + rho))
 
 
 def _with_motion(parts: Evaluator, state: State) -> State:
@@ -85,7 +82,3 @@ def _with_elongations(parts: Evaluator, state: State) -> State:
             f"{length[worst]:.3g} m"
         )
     return replace(state, smooth=np.clip(state.smooth, -length, length)) if np.any(excess > 0) else state
-
-
-def _clipped_carts(state: State, breakaway: Array) -> Array:
-    return frozen(np.clip(state.carts, state.displacement - breakaway, state.displacement + breakaway))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,8 @@ _LENGTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5])
 _CLOSINGS = np.array([0.5, 1.0])
 # Time constant of the fastest creep branch in samples: faster ones are almost elastic.
 _FASTEST = 3.0
+# Least and most.
+_COUNTS = {"elements": (1, 500), "grades": (1, 50), "knots": (2, 500), "transformer": (0, 200), "creep": (0, 50)}
 
 
 @dataclass(frozen=True)
@@ -68,13 +70,7 @@ class Structure:
     reach: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, least, most in (
-            ("elements", 1, 500),
-            ("grades", 1, 50),
-            ("knots", 2, 500),
-            ("transformer", 0, 200),
-            ("creep", 0, 50),
-        ):
+        for name, (least, most) in _COUNTS.items():
             _validation.count(getattr(self, name), name, least, most)
         _validation.between(self.spacing, "spacing", 0.5, 4, "an exponent")
         _validation.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
@@ -112,17 +108,10 @@ class Structure:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as JSON values."""
-        return {
-            "elements": self.elements,
-            "spacing": self.spacing,
-            "grades": self.grades,
-            "knots": self.knots,
-            "transformer": self.transformer,
-            "creep": self.creep,
-            "smooth": self.smooth,
-            "smoothing": self.smoothing,
-            **({"reach": self.reach} if self.reach > 1 else {}),
-        }
+        fields = asdict(self)
+        if self.reach == 1:
+            del fields["reach"]
+        return fields
 
     def grid(self, span: tuple[float, float], voltages: tuple[float, float], times: tuple[float, float]) -> Grid:
         """Return thresholds and knots for loops over displacements [m], `voltages` [V] and `times` [s], (low, high).

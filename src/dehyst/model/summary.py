@@ -23,13 +23,8 @@ _PLACES = 400
 class Part:
     """One part of an actuator.
 
-    Attributes
-    ----------
-    name : str
-    sentence : str
-        Its effect in this actuator.
-    holds : float or None
-        The largest voltage that it holds within the range of the spring's knots [V]; None if it holds no voltage.
+    `sentence`: its effect in this actuator. `holds`: the largest voltage that it holds within the range of the spring's
+    knots [V]; None if it holds no voltage.
     """
 
     name: str
@@ -55,12 +50,8 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
 class Slopes:
     """Slopes of slow motion at each place: voltage (that of tau) over displacement.
 
-    Attributes
-    ----------
-    displacement : (n,) array
-        [m], over the knots of the spring.
-    turned, rising, falling : (n,) array
-        Just after a turn, when no element slides; on the outermost rising and falling branch, when all slide [V/m].
+    `displacement` (n,) [m], over the knots of the spring. `turned`, `rising`, `falling` (n,): just after a turn, when
+    no element slides; on the outermost rising and falling branch, when all slide [V/m].
     """
 
     displacement: Array

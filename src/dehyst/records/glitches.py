@@ -51,14 +51,8 @@ Indices = NDArray[np.intp]
 class Glitch:
     """Samples `start` to `stop` - 1 of a record, counted from 0.
 
-    Attributes
-    ----------
-    voltage : float
-        The voltage farthest away [V].
-    neighbours : tuple of float
-        Voltages [V] of the samples before and after; only one at an end of the record.
-    time : float
-        Time of its first sample [s].
+    `voltage`: the voltage farthest away [V]. `neighbours`: voltages [V] of the samples before and after; only one at an
+    end of the record. `time`: time of its first sample [s].
     """
 
     start: int
@@ -79,10 +73,7 @@ class Glitch:
 def glitches(time: Array, voltage: Array, displacement: Array) -> tuple[Glitch, ...]:
     """Find the isolated glitches of a voltage.
 
-    Parameters
-    ----------
-    time, voltage, displacement : (n,) array
-        [s], [V] and any unit; sampled about evenly.
+    `time`, `voltage`, `displacement` (n,) [s], [V] and any unit; sampled about evenly.
 
     Returns
     -------

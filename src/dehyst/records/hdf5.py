@@ -52,21 +52,11 @@ def sha256_of(columns: Columns) -> str:
 def pack(columns: Columns, name: str, meta: Mapping[str, Any], where: object) -> bytes:
     """Return the bytes of the file.
 
-    Parameters
-    ----------
-    columns : three (n,) arrays
-        Time [s], voltage [V], displacement [m]; n may be 0.
-    name, meta
-        Written as JSON.
-    where : object
-        Name of the file in messages.
+    Raise `FileFormatError` if name or meta cannot be written as JSON. Raise `MissingExtraError` if h5py is not
+    installed.
 
-    Raises
-    ------
-    FileFormatError
-        If name or meta cannot be written as JSON.
-    MissingExtraError
-        If h5py is not installed.
+    `columns`: time [s], voltage [V], displacement [m]; n may be 0. `name`, `meta`: written as JSON. `where`: name of
+    the file in messages.
     """
     h5py = demand_writer()
     text = to_json({"name": name, "meta": dict(meta)}, f"{where}: meta")
@@ -83,20 +73,11 @@ def pack(columns: Columns, name: str, meta: Mapping[str, Any], where: object) ->
 def decode(path: Path, least: int = 0, content: bytes | None = None, most: int = MOST) -> Stored | None:
     """Return what a file stores of its record; None without a file, or if `pack` did not make it.
 
-    Parameters
-    ----------
-    path : path
-    least : int
-        Least number of samples.
-    content : bytes, optional
-        The bytes of the file, if they are read already.
-    most : int
-        Memory that its samples may take [bytes]; the size of the file if that is larger.
+    Raise `FileFormatError` if it is damaged, its samples do not have the stored hash or lie in another file, or are
+    fewer than `least`.
 
-    Raises
-    ------
-    FileFormatError
-        If it is damaged, its samples do not have the stored hash or lie in another file, or are fewer than `least`.
+    `least`: least number of samples. `content`: the bytes of the file, if they are read already. `most`: memory that
+    its samples may take [bytes]; the size of the file if that is larger.
     """
     if content is None and (path.suffix.lower() not in SUFFIXES or not path.is_file() or not path.stat().st_size):
         return None

@@ -51,11 +51,7 @@ class JournalContents(NamedTuple):
 class Journal:
     """A journal that this process has locked; the lock ends with the process.
 
-    Attributes
-    ----------
-    path : Path
-    samples : int
-        Appended samples that are whole lines on the disk.
+    `samples`: appended samples that are whole lines on the disk.
     """
 
     def __init__(self, path: Path, descriptor: int) -> None:
@@ -120,10 +116,8 @@ class Journal:
     def append(self, columns: Columns) -> None:
         """Append samples; they are on the disk when this returns.
 
-        Raises
-        ------
-        FileFormatError
-            If not all of them are written: whole lines stay. Nothing more can be appended, because of the gap.
+        Raise `FileFormatError` if not all of them are written: whole lines stay. Nothing more can be appended, because
+        of the gap.
         """
         if self._failure is not None:
             raise self._failure
@@ -134,12 +128,7 @@ class Journal:
         """Read the file, line by line.
 
         Lines without three finite numbers, and the fewest lines that keep the time from rising, are left out and
-        counted.
-
-        Raises
-        ------
-        FileFormatError
-            If it cannot be read.
+        counted. Raise `FileFormatError` if it cannot be read.
         """
         try:
             data = self.path.read_bytes()

@@ -117,14 +117,10 @@ class Record:
         return [(int(i), float(steps[i])) for i in np.flatnonzero(steps > 1.5 * np.median(steps))]
 
     def reversals(self, signal: str = "voltage", band: float | None = None) -> NDArray[np.intp]:
-        """Find the turning points of a signal, by a hysteresis band.
+        """Find the turning points of a `signal`, "voltage" or "displacement", by a hysteresis band.
 
-        Parameters
-        ----------
-        signal : {"voltage", "displacement"}
-        band : float, optional
-            Way back [V or m] after which an extreme counts as a turning point; by default the larger of 2 % of the
-            signal's range and the range of its noise: 6 standard deviations, more in a long record.
+        `band`: way back [V or m] after which an extreme counts as a turning point; by default the larger of 2 % of the
+        signal's range and the range of its noise: 6 standard deviations, more in a long record.
 
         Returns
         -------
@@ -204,10 +200,7 @@ class Record:
     def check_usable(self, min_samples: int = 20, min_cycles: int = 1) -> None:
         """Refuse a record from which no hysteresis loop can be identified.
 
-        Parameters
-        ----------
-        min_samples, min_cycles : int
-            Least number of samples and of full voltage cycles.
+        `min_samples`, `min_cycles`: least number of samples and of full voltage cycles.
 
         Raises
         ------

@@ -130,10 +130,7 @@ class Recording:
     def finish(self, record: Record | None = None) -> Path:
         """End a complete recording: write the file and delete the journal.
 
-        Parameters
-        ----------
-        record : Record, optional
-            The whole record, to replace the samples that were added; its meta is added.
+        `record`: the whole record, to replace the samples that were added; its meta is added.
 
         Returns
         -------
@@ -196,23 +193,13 @@ def salvage(folder: PathLike) -> list[Path]:
     Nothing is overwritten: if the file exists, the new one has a number in its name. A journal that a running process
     still writes is not touched, nor is a file whose name is not ``*.h5.part.csv``. A journal with unusable lines (not
     three finite numbers, or a time that does not rise, except a last line cut off) is kept as ``*.part.damaged.csv``
-    beside the file. If it has no sample at all, it is only renamed so.
-
-    Parameters
-    ----------
-    folder : path
+    beside the file. If it has no sample at all, it is only renamed so. Raise `FileFormatError` if there is no such
+    folder, or a file cannot be written: its journal stays. Raise `MissingExtraError` if h5py is not installed.
 
     Returns
     -------
     list of Path
         The files, in the order of their names. `read` refuses those of fewer than 2 samples, which only keep the meta.
-
-    Raises
-    ------
-    FileFormatError
-        If there is no such folder, or a file cannot be written: its journal stays.
-    MissingExtraError
-        If h5py is not installed.
     """
     hdf5.demand_writer()
     folder = path_of(folder)

@@ -25,10 +25,7 @@ def white_noise(values: Array) -> float:
     The estimate is the median absolute difference of order 6, so that the signal itself, its corners and outliers have
     no effect. A long signal is sampled in stretches spread evenly over it.
 
-    Parameters
-    ----------
-    values : (n,) float array
-        In any unit; below 8 samples there is no estimate, and 0 is returned.
+    `values` (n,): in any unit; below 8 samples there is no estimate, and 0 is returned.
 
     Returns
     -------

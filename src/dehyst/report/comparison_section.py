@@ -8,7 +8,7 @@ from dehyst._io.drafts import write_atomically
 from dehyst.baselines import ModelComparison
 from dehyst.baselines.scores import OURS, RecordScore
 from dehyst.baselines.tracking_trials import TrackingErrors
-from dehyst.report.html import Row, document, escape, length, number, table
+from dehyst.report.html import Row, bullets, document, escape, length, number, reproduction, table
 
 _NONE = "–"
 
@@ -16,25 +16,14 @@ _NONE = "–"
 def write_comparison(path: str | PathLike[str], found: ModelComparison, *, command: str | None = None) -> None:
     """Write a comparison to one HTML file that loads nothing from outside.
 
-    Parameters
-    ----------
-    path : path-like
-        Replaced if it exists; never left half written.
-    found : ModelComparison
-    command : str, optional
-        The command line to show.
-
-    Raises
-    ------
-    FileFormatError
-        If the file cannot be written.
+    `path`, `command` and errors are as in `write_report`, but nothing is drawn; `found` is the comparison.
     """
     records = f"Training: {', '.join(found.records)} · held out: {', '.join(found.held_out) or 'none'}"
     parts = [
         "<h1>Models compared</h1>",
         f'<p class="muted">{escape(records)} · stroke {escape(length(found.stroke))}</p>',
         *comparison_sections(found),
-        f"<h2>How to reproduce</h2>\n<pre>{escape(command)}</pre>" if command else "",
+        reproduction(command),
     ]
     write_atomically(path, document("Models compared", parts))
 
@@ -58,7 +47,7 @@ def _table(found: ModelComparison) -> str:
             _errors(row.worst("training")),
             _errors(row.worst("validation")),
             _without(row.worst("validation")),
-            *(_tracking(row.tracking.get(name)) for name in found.truths),
+            *(_errors(row.tracking.get(name)) for name in found.truths),
         ]
         for row in found.rows
     ]
@@ -94,12 +83,8 @@ def _pair(largest: float, rms: float) -> tuple[str, str]:
     return f"{number(largest)} %", f"{number(rms)} %"
 
 
-def _errors(score: RecordScore | None) -> str | tuple[str, str]:
+def _errors(score: RecordScore | TrackingErrors | None) -> str | tuple[str, str]:
     return _NONE if score is None else _pair(score.largest, score.rms)
-
-
-def _tracking(errors: TrackingErrors | None) -> str | tuple[str, str]:
-    return _NONE if errors is None else _pair(errors.largest, errors.rms)
 
 
 def _each(found: ModelComparison) -> str:
@@ -134,5 +119,4 @@ def _each(found: ModelComparison) -> str:
 
 
 def _failures(found: ModelComparison) -> str:
-    items = "\n".join(f"<li>{escape(row.name)}: {escape(row.failure)}</li>" for row in found.rows if row.failure)
-    return f"<h2>Failures</h2>\n<ul>\n{items}\n</ul>" if items else ""
+    return bullets("Failures", (f"{escape(row.name)}: {escape(row.failure)}" for row in found.rows if row.failure))

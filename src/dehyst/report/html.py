@@ -112,6 +112,17 @@ def figure(title: str, caption: str, panels: Sequence[str]) -> str:
     )
 
 
+def bullets(title: str, items: Iterable[str]) -> str:
+    """Set a list under a heading; nothing if there are no items."""
+    body = "\n".join(f"<li>{item}</li>" for item in items)
+    return f"<h2>{title}</h2>\n<ul>\n{body}\n</ul>" if body else ""
+
+
+def reproduction(command: str | None) -> str:
+    """Set the command line that made a page; nothing if it is not known."""
+    return f"<h2>How to reproduce</h2>\n<pre>{escape(command)}</pre>" if command else ""
+
+
 def table(head: Row, rows: Iterable[Row], texts: int) -> str:
     """Set a table whose first `texts` columns are words; the second text of a cell is set small beneath the first."""
 

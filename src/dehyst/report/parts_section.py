@@ -13,10 +13,7 @@ from dehyst.report.html import Row, figure, number, panel, table
 def made_of(actuator: Actuator) -> str:
     """Return the section; empty for a plain actuator, which two other figures show completely.
 
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
+    Raise `MissingExtraError` if matplotlib is not installed.
     """
     if not actuator.wide:
         return ""

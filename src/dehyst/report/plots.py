@@ -103,6 +103,8 @@ def drawing(
 ) -> Drawing:
     """Draw a figure for print in the house style.
 
+    Raise `MissingExtraError` if matplotlib is not installed.
+
     Parameters
     ----------
     name : str
@@ -116,23 +118,12 @@ def drawing(
         Whether axes above one another share the abscissa, and those side by side the ordinate.
     heights : tuple of float, optional
         Relative heights of the rows.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
     """
     text, picture = io.StringIO(), io.BytesIO()
     with _figure(name, size) as figure:
         grid = None if heights is None else {"height_ratios": heights}
-        axes = figure.subplots(
-            rows,
-            columns,
-            squeeze=False,
-            gridspec_kw=grid,
-            sharex="col" if share else False,
-            sharey="row" if share else False,
-        )
+        shared: dict[str, Any] = {"sharex": "col", "sharey": "row"} if share else {}
+        axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **shared)
         draw(*axes.ravel())
         figure.align_ylabels()
         figure.savefig(text, format="svg", metadata=dict.fromkeys(_NO_METADATA))
@@ -148,11 +139,7 @@ def line(ax: Axes, x: Array, y: Array, **style: Any) -> None:
 def loop(trace: Trace, *, name: str) -> str:
     """Draw displacement against voltage, measured and simulated.
 
-    Parameters
-    ----------
-    trace : Trace
-    name : str
-        Makes the ids inside the SVG unique on a page.
+    `name`: makes the ids inside the SVG unique on a page.
     """
     factor, unit = length_unit(float(np.ptp(trace.measured)))
 
@@ -251,18 +238,8 @@ def rising(trace: Trace) -> np.ndarray[Any, np.dtype[np.bool_]]:
 
 def _points(ax: Axes, x: Array, y: Array, colour: str, *, of: int, label: str | None = None) -> None:
     alpha = min(0.8, max(0.06, 35 / np.sqrt(max(of, 1))))
-    ax.plot(
-        x,
-        y,
-        ls="none",
-        marker=".",
-        ms=2.4,
-        mew=0,
-        color=colour,
-        alpha=alpha,
-        label=label,
-        rasterized=of > _VECTOR_POINTS,
-    )
+    style: dict[str, Any] = {"ls": "none", "marker": ".", "ms": 2.4, "mew": 0, "color": colour, "alpha": alpha}
+    ax.plot(x, y, label=label, rasterized=of > _VECTOR_POINTS, **style)
 
 
 def _sample(size: int) -> np.ndarray[Any, np.dtype[np.bool_]]:

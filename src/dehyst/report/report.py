@@ -14,7 +14,7 @@ from dehyst.identification.structure_selection import label
 from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure
 from dehyst.report.comparison_section import comparison_sections
 from dehyst.report.fit_section import loops, numbers, residuals, slip_and_spring
-from dehyst.report.html import Row, document, escape, length, number, table
+from dehyst.report.html import Row, bullets, document, escape, length, number, table
 from dehyst.report.parts_section import made_of
 from dehyst.report.tracking_section import followed_sections
 from dehyst.report.uncertainty_section import sections
@@ -73,20 +73,7 @@ def write_report(
 def write_calibration(path: PathLike, calibration: Calibration, *, command: str | None = None) -> None:
     """Write the report of a calibration: its fit, what the records determine, and the path as measured.
 
-    Parameters
-    ----------
-    path : path-like
-        Replaced if it exists; never left half written.
-    calibration : Calibration
-    command : str, optional
-        The command line to show.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    FileFormatError
-        If the file cannot be written.
+    `path`, `command` and errors are as in `write_report`; the `calibration` has all else.
     """
     followed = {"nominal": calibration.nominal, "compensated": calibration.compensated}
     write_report(path, calibration.fit, command=command, insight=calibration.insight, followed=followed)
@@ -101,12 +88,8 @@ def render(
 ) -> str:
     """Return the text of the report; the same text for the same `fit`.
 
-    `command` is the line that made it. `insight`, `comparison` and the paths `followed` add a section each.
-
-    Raises
-    ------
-    MissingExtraError
-        If there is something to draw and matplotlib is not installed.
+    `command` is the line that made it. `insight`, `comparison` and the paths `followed` add a section each. Raise
+    `MissingExtraError` if there is something to draw and matplotlib is not installed.
     """
     name = fit.actuator.name if isinstance(fit.actuator, Actuator) else "Actuator not identified"
     actuator = fit.actuator if isinstance(fit.actuator, Actuator) else None
@@ -238,8 +221,7 @@ def _checks(fit: Fit, actuator: Actuator | None) -> str:
 def _sentences(title: str, sentences: Sequence[str], none: str) -> str:
     if not sentences:
         return f'<h2>{title}</h2>\n<p class="muted">{none}</p>'
-    items = "\n".join(f"<li>{_with_units(escape(sentence))}</li>" for sentence in sentences)
-    return f"<h2>{title}</h2>\n<ul>\n{items}\n</ul>"
+    return bullets(title, (_with_units(escape(sentence)) for sentence in sentences))
 
 
 def _with_units(sentence: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from dehyst._types import Array
 from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, inline, length_unit
 from dehyst.uncertainty import Insight
+from dehyst.uncertainty.bootstrap import Intervals
 from dehyst.uncertainty.prediction_band import PredictionBand
 
 if TYPE_CHECKING:
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
 _FREE = "#BBBBBB"
 # Singular values below this are rounding; drawn at the foot of the scale.
 _FOOT = 1e-5
+
+
+def _by_noise(noise: Intervals) -> str:
+    return f"{100 * noise.level:.0f} % by noise"
 
 
 def singular_values(identifiability: Identifiability, *, name: str) -> str:
@@ -29,17 +34,8 @@ def singular_values(identifiability: Identifiability, *, name: str) -> str:
         shown = np.maximum(values, _FOOT)
         for some, face, label in ((known, MEASURED, "known"), (~known, "white", "open")):
             if some.any():
-                ax.plot(
-                    number[some],
-                    shown[some],
-                    ls="none",
-                    marker="o",
-                    ms=4.5,
-                    mfc=face,
-                    mec=MEASURED,
-                    label=label,
-                    clip_on=False,
-                )
+                style: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.5, "mfc": face, "mec": MEASURED}
+                ax.plot(number[some], shown[some], label=label, clip_on=False, **style)
         ax.set(yscale="log", xlabel="direction", ylabel="singular value (V/V)")
         ax.set_ylim(bottom=min(_FOOT, float(shown.min())))
         ax.set_xlim(0.5, values.size + 0.5)
@@ -59,7 +55,7 @@ def stiffness_intervals(found: Insight, *, name: str) -> str:
             ax.vlines(rho, *free.stiffness * 1e-6, color=_FREE, lw=5, label="compatible")
         if noise is not None and alone.any():
             low, high = noise.stiffness[:, alone] * 1e-6
-            ax.vlines(rho[alone], low, high, color=SIMULATED, lw=1.6, label=f"{100 * noise.level:.0f} % by noise")
+            ax.vlines(rho[alone], low, high, color=SIMULATED, lw=1.6, label=_by_noise(noise))
         ax.plot(rho, slip.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model", clip_on=False)
         ax.set(xlabel=f"breakaway elongation ({unit})", ylabel="stiffness (V/µm)")
         ax.set_xlim(0, 1.05 * float(rho[-1]))
@@ -80,15 +76,8 @@ def spring_intervals(found: Insight, *, name: str) -> str:
         if free is not None:
             ax.fill_between(y, free.spring[0] - centre, free.spring[1] - centre, color=_FREE, lw=0, label="compatible")
         if noise is not None:
-            ax.fill_between(
-                y,
-                noise.spring[0] - centre,
-                noise.spring[1] - centre,
-                color=SIMULATED,
-                alpha=0.6,
-                lw=0,
-                label=f"{100 * noise.level:.0f} % by noise",
-            )
+            low, high = (end - centre for end in noise.spring)
+            ax.fill_between(y, low, high, color=SIMULATED, alpha=0.6, lw=0, label=_by_noise(noise))
         ax.axhline(0, color=INK, lw=0.8)
         ax.set(xlabel=f"displacement ({unit})", ylabel="spring voltage, off the model's (V)")
         ax.legend(loc="upper left")
@@ -142,9 +131,7 @@ def creep_intervals(found: Insight, *, name: str) -> str:
             return
         if noise is not None and noise.creep is not None:
             low, high = noise.creep * 1e-6
-            ax.vlines(
-                creep.time_constants, low, high, color=SIMULATED, lw=1.6, label=f"{100 * noise.level:.0f} % by noise"
-            )
+            ax.vlines(creep.time_constants, low, high, color=SIMULATED, lw=1.6, label=_by_noise(noise))
         ax.plot(creep.time_constants, creep.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model")
         ax.set(xscale="log", xlabel="time constant (s)", ylabel="stiffness (V/µm)")
         low, high = ax.get_ylim()
@@ -159,25 +146,17 @@ def band(found: PredictionBand, stroke: float, *, name: str) -> str:
     factor, unit = length_unit(float(np.ptp(found.displacement)))
     sample = np.arange(found.displacement.size)
 
-    def percent(edge: Array) -> Array:
-        return np.asarray(100 * (edge - found.wanted) / stroke)
+    def fill(ax: Axes, low: Array, high: Array, colour: str, label: str) -> None:
+        low, high = (100 * (edge - found.wanted) / stroke for edge in (low, high))
+        ax.fill_between(sample, low, high, color=colour, lw=0, label=label)
 
     def draw(upper: Axes, lower: Axes) -> None:
         upper.plot(sample, found.wanted * factor, color=MEASURED, lw=1)
         upper.set_ylabel(f"displacement ({unit})")
-        lower.fill_between(sample, percent(found.lowest), percent(found.highest), color="#E5E5E5", lw=0, label="all")
+        fill(lower, found.lowest, found.highest, "#E5E5E5", "all")
         if found.open is not None:
-            lower.fill_between(
-                sample,
-                percent(found.open[0]),
-                percent(found.open[1]),
-                color="#AAAAAA",
-                lw=0,
-                label="compatible with the records",
-            )
-        lower.fill_between(
-            sample, percent(found.noise[0]), percent(found.noise[1]), color=SIMULATED, lw=0, label="noise"
-        )
+            fill(lower, found.open[0], found.open[1], "#AAAAAA", "compatible with the records")
+        fill(lower, found.noise[0], found.noise[1], SIMULATED, "noise")
         lower.axhline(0, color=FALLING, lw=0.6)
         low, high = lower.get_ylim()
         lower.set_ylim(low, high + 0.35 * (high - low))

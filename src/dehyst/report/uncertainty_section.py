@@ -9,7 +9,7 @@ import numpy as np
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst.control import Homing
 from dehyst.report import uncertainty_plots
-from dehyst.report.html import Row, document, escape, figure, length, number, panel, table
+from dehyst.report.html import Row, document, escape, figure, length, number, panel, reproduction, table
 from dehyst.uncertainty import Insight
 from dehyst.uncertainty.part_identifiability import SHARP
 from dehyst.uncertainty.prediction_band import ERRORS
@@ -20,20 +20,7 @@ _MOST_SENTENCES = 24
 def write_insight(path: PathLike, found: Insight, *, command: str | None = None) -> None:
     """Write an assessment to one HTML file that loads nothing from outside.
 
-    Parameters
-    ----------
-    path : path-like
-        Replaced if it exists; never left half written.
-    found : Insight
-    command : str, optional
-        The command line to show.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    FileFormatError
-        If the file cannot be written.
+    `path`, `command` and errors are as in `write_report`; `found` is the assessment.
     """
     name = escape(found.actuator.name)
     records = ", ".join(escape(one.record.name) for one in found.evidence.comparisons)
@@ -41,7 +28,7 @@ def write_insight(path: PathLike, found: Insight, *, command: str | None = None)
         f"<h1>{name}: how far to trust the model</h1>",
         f'<p class="muted">Records: {records} · stroke {escape(length(found.evidence.stroke))}</p>',
         *sections(found),
-        f"<h2>How to reproduce</h2>\n<pre>{escape(command)}</pre>" if command else "",
+        reproduction(command),
     ]
     write_atomically(path, document(f"{found.actuator.name}: insight", parts))
 

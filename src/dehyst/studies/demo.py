@@ -103,12 +103,8 @@ def demand_folder(folder: PathLike) -> None:
 def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
     """Write the records, the model, the path, the numbers and the report to a folder; return the paths.
 
-    Raises
-    ------
-    FileFormatError
-        If the folder cannot be made, or contains files that are not of a demo.
-    MissingExtraError
-        If a report is requested and matplotlib is missing.
+    Raise `FileFormatError` if the folder cannot be made, or contains files that are not of a demo. Raise
+    `MissingExtraError` if a report is requested and matplotlib is missing.
     """
     target = make_own_folder(folder, *_OWN)
     # First, so that the folder counts as the demo's even if it is not finished.
@@ -116,16 +112,9 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
     for record in demo.records:
         write_record(target / f"{record.name}.csv", record)
     demo.fit.actuator.save(target / "model.json")
-    write_columns(
-        target / "tracking.csv",
-        {
-            "time_s": demo.time,
-            "wanted_um": demo.wanted * 1e6,
-            "voltage_V": demo.voltage,
-            "compensated_um": demo.compensated * 1e6,
-            "linear_um": demo.linear * 1e6,
-        },
-    )
+    wanted = {"time_s": demo.time, "wanted_um": demo.wanted * 1e6, "voltage_V": demo.voltage}
+    reached = {"compensated_um": demo.compensated * 1e6, "linear_um": demo.linear * 1e6}
+    write_columns(target / "tracking.csv", wanted | reached)
     names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json"]
     if report:
         from dehyst.report import write_report

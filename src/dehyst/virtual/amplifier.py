@@ -24,16 +24,9 @@ _PART = 0.01
 class Extremes:
     """The extremes of all voltages that an amplifier has put out.
 
-    Attributes
-    ----------
-    lowest, highest : float
-        Voltages [V].
-    largest_step : float
-        Largest change from one voltage to the next [V].
-    steepest : float
-        Largest change over the device's time between the two voltages [V/s], a servo period at least.
-    refused : int
-        Requests outside the limits; none was put out.
+    `lowest`, `highest`: voltages [V]. `largest_step`: largest change from one voltage to the next [V]. `steepest`:
+    largest change over the device's time between the two voltages [V/s], a servo period at least. `refused`: requests
+    outside the limits; none was put out.
     """
 
     lowest: float
@@ -110,10 +103,7 @@ class Amplifier:
     def play(self, voltage: Array, at: Array) -> Array:
         """Put out voltages (n,) [V] at times (n,) [s], in straight lines; return the displacements (n,) [m].
 
-        Raises
-        ------
-        DeviceError
-            If one is outside the limits; none is put out.
+        Raise `DeviceError` if one is outside the limits; none is put out.
         """
         if not self.allows(voltage):
             raise DeviceError(f"amplifier: got {voltage.min():.6g} to {voltage.max():.6g} V, need {self.limits.words}")

@@ -24,7 +24,10 @@ class VirtualActuator(Protocol):
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
         """Play a `voltage` (n,) [V] at the times (n,) [s]; return the displacement (n,) [m].
 
-        `time` (n,) [s] is needed by models that move in time. With `measured` the sensor's noise is added.
+        `time` (n,) [s], increasing, is needed by models that move in time. Times after those of the last call continue
+        from there, so that an actuator creeps in a pause; other times begin anew, one of their own first intervals
+        after the last call. With `measured` the sensor's noise is added. Raise `ModelError` if the voltage is not
+        finite, or a time that is needed is missing or does not increase.
         """
         ...
 
@@ -39,12 +42,8 @@ class Clock:
         """Return the seconds (n,) that pass before each of `count` samples.
 
         Times that begin after the end of the last call continue from there. Other times begin anew: one of their own
-        first intervals after the last call, or after the rest at 0 V.
-
-        Raises
-        ------
-        ModelError
-            If there is no time, it has another length or does not increase, or it has no first interval.
+        first intervals after the last call, or after the rest at 0 V. Raise `ModelError` if there is no time, it has
+        another length or does not increase, or it has no first interval.
         """
         if time is None:
             raise ModelError(f"this actuator {why}: it needs the time of each sample; give time=, in seconds")
@@ -67,13 +66,7 @@ class Clock:
 
 
 class Sensor:
-    """A sensor with seeded white noise.
-
-    Raises
-    ------
-    ModelError
-        If the standard deviation is negative.
-    """
+    """A sensor with seeded white noise; raise `ModelError` if the standard deviation is negative."""
 
     def __init__(self, noise: float, seed: int) -> None:
         if not 0 <= noise < np.inf:

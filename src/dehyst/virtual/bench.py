@@ -174,10 +174,7 @@ class VirtualBench:
     def set_voltage(self, voltage: float) -> bool:
         """Put out a `voltage` [V], at the slew rate; return False, and do nothing, if it is outside the limits.
 
-        Raises
-        ------
-        DeviceError
-            If the servo is on or a wave is played.
+        Raise `DeviceError` if the servo is on or a wave is played.
         """
         self.advance()
         self._demand_open("set_voltage")
@@ -189,10 +186,7 @@ class VirtualBench:
     def move(self, target: float) -> None:
         """Move to a displacement [m] of the sensor, and hold it against creep. `target` [m].
 
-        Raises
-        ------
-        DeviceError
-            If the servo is off, or the target is no number.
+        Raise `DeviceError` if the servo is off, or the target is no number.
         """
         self.advance()
         if not self._servo or not math.isfinite(target):
@@ -204,17 +198,9 @@ class VirtualBench:
     def start(self, wave: ArrayLike, divider: int = 1) -> None:
         """Play voltages (n,) [V]: sample k at the present + k divider servo_period, and recorded just after.
 
-        Parameters
-        ----------
-        wave : (n,) array_like
-            [V]; the output moves in straight lines from one to the next, and to the first in a jump.
-        divider : int, optional
-            Servo periods from one to the next.
-
-        Raises
-        ------
-        DeviceError
-            If one lies outside the limits, there are too many or none, another wave is played or the servo is on.
+        `wave` (n,) [V]; the output moves in straight lines from one to the next, and to the first in a jump.
+        `divider`: servo periods from one to the next. Raise `DeviceError` if one lies outside the limits, there are too
+        many or none, another wave is played or the servo is on.
         """
         self.advance()
         self._demand_open("start")

@@ -7,7 +7,7 @@ Microelectromech. Syst. 4(4), 1995, 230-237.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -66,13 +66,6 @@ class BoucWenActuator:
     delay: float = 2e-4
     noise: float = 2e-9
     seed: int = 0
-    _lagging: float = field(init=False, repr=False)
-    _ends: tuple[float, float] = field(init=False, repr=False)
-    _motion: tuple[float, float] = field(init=False, repr=False)
-    _now: float = field(init=False, repr=False)
-    _sent: tuple[Array, Array] = field(init=False, repr=False)
-    _clock: Clock = field(init=False, repr=False)
-    _sensor: Sensor = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._check()
@@ -93,23 +86,7 @@ class BoucWenActuator:
         self._clock = Clock()
 
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V]; return the displacement (n,) [m], with sensor noise if `measured`.
-
-        Parameters
-        ----------
-        voltage : (n,) array_like
-            [V].
-        time : (n,) array_like
-            [s], increasing; required. Times after those of the last call continue from there; other times begin anew,
-            one of their own first intervals after the last call.
-        measured : bool, optional
-            Whether to add the sensor's noise.
-
-        Raises
-        ------
-        ModelError
-            If the voltage is not finite, or the time is missing or does not increase.
-        """
+        """Play a `voltage` at its `time`, which is required, `measured` or not; see `VirtualActuator.play`."""
         v = vector(voltage, "voltage")
         at = self._now + np.cumsum(self._clock.steps(time, v.size, "swings"))
         if not v.size:

@@ -64,12 +64,8 @@ class ModelledActuator:
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
         """Play a `voltage` (n,) [V] as `VirtualActuator.play`; without a sensor, `measured` has no effect.
 
-        `time` (n,) [s] is needed by models that move in time.
-
-        Raises
-        ------
-        ModelError
-            If the voltage is not finite, or an actuator that needs the time lacks it, or it does not fit.
+        `time` (n,) [s] is needed by models that move in time. Raise `ModelError` if the voltage is not finite, or an
+        actuator that needs the time lacks it, or it does not fit.
         """
         v = vector(voltage, "voltage")
         if not v.size:
@@ -108,12 +104,8 @@ VIRTUAL: dict[str, Callable[[], VirtualActuator]] = {
 def virtual_actuator(name: str) -> VirtualActuator | Actuator:
     """Return a virtual actuator: one of `VIRTUAL`, or the model in a file.
 
-    Raises
-    ------
-    ModelError
-        If it is no such name, and no such file exists.
-    FileFormatError
-        If the file cannot be read.
+    Raise `ModelError` if it is no such name, and no such file exists. Raise `FileFormatError` if the file cannot be
+    read.
     """
     if name in VIRTUAL:
         return VIRTUAL[name]()

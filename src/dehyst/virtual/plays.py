@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,13 +54,6 @@ class PlayActuator:
     noise: float = 2e-9
     seed: int = 0
     creep: float = 0.0
-    _thresholds: Array = field(init=False, repr=False)
-    _weights: Array = field(init=False, repr=False)
-    _outputs: Array = field(init=False, repr=False)
-    _crept: Array = field(init=False, repr=False)
-    _before: float = field(init=False, repr=False)
-    _clock: Clock = field(init=False, repr=False)
-    _sensor: Sensor = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 0 <= self.creep < 1:
@@ -81,23 +74,7 @@ class PlayActuator:
         self._clock = Clock()
 
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a voltage (n,) [V]; return the displacement (n,) [m], with sensor noise if `measured`.
-
-        Parameters
-        ----------
-        voltage : (n,) array_like
-            [V].
-        time : (n,) array_like, optional
-            [s], increasing; only creep needs it. Times after those of the last call continue from there, so that the
-            actuator creeps in a pause; other times begin anew, one of their own first intervals after the last call.
-        measured : bool, optional
-            Whether to add the sensor's noise.
-
-        Raises
-        ------
-        ModelError
-            If the voltage is not finite, or there is creep and the time is missing or does not increase.
-        """
+        """Play a `voltage`, `measured` or not; see `VirtualActuator.play`. Only creep needs the `time`."""
         v = vector(voltage, "voltage")
         steps = self._clock.steps(time, v.size, "creeps") if self.creep else None
         y = self.stroke * self._map(self._sum_plays(v))

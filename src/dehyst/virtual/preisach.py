@@ -5,7 +5,7 @@ I. D. Mayergoyz, Mathematical Models of Hysteresis, Springer 1991, chapter 1 (Ev
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,10 +57,6 @@ class PreisachActuator:
     uniform: float = 0.25
     noise: float = 2e-9
     seed: int = 0
-    _links: list[tuple[float, float]] = field(init=False, repr=False)
-    _sensor: Sensor = field(init=False, repr=False)
-    _bottom: float = field(init=False, repr=False)
-    _span: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 0 < self.reversible < 1 or not abs(self.bend) < 0.5:
@@ -80,20 +76,12 @@ class PreisachActuator:
 
     def relax(self) -> None:
         """Reset to the state after an alternating voltage that decayed to 0 V."""
-        self._links = [(_LOWEST, 0.0)]
+        self._links: list[tuple[float, float]] = [(_LOWEST, 0.0)]
         decay = 0.5 * (1 - np.arange(2 * _CYCLES_TO_RELAX + 1) / (2 * _CYCLES_TO_RELAX))
         self._relays(decay * (-1.0) ** np.arange(decay.size))
 
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a `voltage` (n,) [V]; return the displacement (n,) [m], with sensor noise if `measured`.
-
-        `time` is ignored: relays do not depend on it.
-
-        Raises
-        ------
-        ModelError
-            If the voltage is not finite.
-        """
+        """Play a `voltage`, `measured` or not; see `VirtualActuator.play`. Relays ignore the `time`."""
         u = vector(voltage, "voltage") / self.highest
         relays = (self._relays(np.clip(u, _LOWEST, _UPPERMOST)) - self._bottom) / self._span
         free = u + self.bend * np.where((u > 0) & (u < 1), u * (u - 1), np.where(u > 0, u - 1, -u))

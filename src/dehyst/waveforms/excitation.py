@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import number, vector
+from dehyst._validation import keep, number, vector
 
 _MOST_SAMPLES = 50_000_000
 # No actuator or amplifier goes beyond, and within them nothing overflows.
@@ -50,8 +50,7 @@ class Excitation:
         voltage = voltages(self.voltage, "voltage")
         if voltage.size < 2:
             raise RecordError(f"voltage: got {counted(voltage.size, 'sample')}, need 2 at least; give a longer one")
-        voltage.flags.writeable = False
-        object.__setattr__(self, "voltage", voltage)
+        keep(self, voltage=voltage)
         set_checked(self, positive, "sample_rate")
 
     def __len__(self) -> int:
@@ -88,10 +87,8 @@ class Excitation:
     def then(self, other: Excitation) -> Excitation:
         """Append another excitation to this one, without a pause. `other` comes second.
 
-        Raises
-        ------
-        RecordError
-            If the other one has another sample rate, begins at another voltage, or makes the result too long.
+        Raise `RecordError` if the other one has another sample rate, begins at another voltage, or makes the result too
+        long.
         """
         if other.sample_rate != self.sample_rate:
             raise RecordError(

@@ -10,6 +10,7 @@ from math import gcd, pi
 import numpy as np
 
 from dehyst._errors import RecordError
+from dehyst._validation import keep
 from dehyst.waveforms.excitation import positive, set_checked
 from dehyst.waveforms.profiles import Travel
 from dehyst.waveforms.scan import CYCLE_SAMPLES, MotionLimits, Scan, length, samples_of, whole
@@ -55,10 +56,8 @@ class Lissajous(Scan):
         for name in ("amplitude", "centre", "ratio"):
             if not isinstance(getattr(self, name), Sequence) or len(getattr(self, name)) != 2:
                 raise RecordError(f"{name}: got {getattr(self, name)!r}, need a pair, for x and y")
-        object.__setattr__(
-            self, "amplitude", tuple(positive(length(a, "amplitude"), "amplitude") for a in self.amplitude)
-        )
-        object.__setattr__(self, "centre", tuple(length(c, "centre") for c in self.centre))
+        keep(self, amplitude=tuple(positive(length(a, "amplitude"), "amplitude") for a in self.amplitude))
+        keep(self, centre=tuple(length(c, "centre") for c in self.centre))
         p, q = (whole(part, "ratio") for part in self.ratio)
         if gcd(p, q) > 1:
             raise RecordError(
@@ -68,7 +67,7 @@ class Lissajous(Scan):
         set_checked(self, positive, optional=("speed", "acceleration", "sample_rate"))
         # Backwards from c/2 on, c an odd multiple of pi/p, x is the same; so is y if q c + 2 phase is one of pi.
         widest = 0.5 * pi * (1 + (1 - q) / p)
-        object.__setattr__(self, "phase", widest if self.phase is None else _angle(self.phase))
+        keep(self, phase=widest if self.phase is None else _angle(self.phase))
         # The harder axis first, so that the values in a message are possible for both.
         for axis in sorted((0, 1), key=lambda i: -self.amplitude[i] * self.ratio[i] ** 2):
             turning, a = 2 * pi * self.ratio[axis] / self.period, self.amplitude[axis]

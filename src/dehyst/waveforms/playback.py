@@ -12,7 +12,7 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._validation import choice, interval
+from dehyst._validation import choice, interval, keep
 from dehyst.waveforms.excitation import Excitation, positive, refuse_long, set_checked, volts
 
 Shape: TypeAlias = Literal["cosine", "triangle"]
@@ -91,7 +91,7 @@ class Sampling:
             )
         if self.limits is not None:
             low, high = interval(self.limits, error=RecordError)
-            object.__setattr__(self, "limits", (volts(low, "limits"), volts(high, "limits")))
+            keep(self, limits=(volts(low, "limits"), volts(high, "limits")))
         set_checked(self, volts, "base", optional=("present",))
         for name in ("base", "present"):
             if getattr(self, name) is not None:
@@ -123,10 +123,7 @@ class Sampling:
     def legs(self, path: Sequence[float]) -> list[Leg]:
         """Return the legs between the voltages of a `path` (m,) [V], m >= 2, at the chosen pace.
 
-        Raises
-        ------
-        RecordError
-            If a voltage comes twice in a row.
+        Raise `RecordError` if a voltage comes twice in a row.
         """
         heights = [abs(b - a) for a, b in pairwise(path)]
         if 0.0 in heights:
@@ -140,13 +137,8 @@ class Sampling:
     def play(self, name: str, legs: Sequence[Leg]) -> Excitation:
         """Sample `legs` that follow one another; all checks are made before memory is taken.
 
-        `name` is the excitation's.
-
-        Raises
-        ------
-        RecordError
-            If a voltage lies outside of the limits, there are more than 5e7 samples, or the slew rate is so low that
-            steps from one sample to the next are lost in rounding.
+        `name` is the excitation's. Raise `RecordError` if a voltage lies outside of the limits, there are more than 5e7
+        samples, or the slew rate is so low that steps from one sample to the next are lost in rounding.
         """
         ends = [legs[0].start, *(leg.end for leg in legs)]
         self._refuse_outside(ends, name)

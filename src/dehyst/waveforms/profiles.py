@@ -36,17 +36,9 @@ class PathPoint(NamedTuple):
 class Edge:
     """A motion from rest to rest: at constant speed except at both ends, where it speeds up and slows down.
 
-    Attributes
-    ----------
-    start, end : float
-        [m].
-    seconds : float
-        Duration.
-    blend : float
-        Duration of each end [s], where the speed changes; 0 to half of `seconds`.
-    rounding : {"parabola", "cosine"}
-        Constant acceleration at the ends, or one that falls to 0 like half a cosine where the straight part begins:
-        then it has no jump in the turn between two edges.
+    `start`, `end` [m]. `seconds`: duration. `blend`: duration of each end [s], where the speed changes; 0 to half of
+    `seconds`. `rounding`: constant acceleration at the ends, or one that falls to 0 like half a cosine where the
+    straight part begins: then it has no jump in the turn between two edges.
     """
 
     start: float
@@ -118,12 +110,7 @@ def least_blend(height: float, seconds: float, acceleration: float, rounding: Ro
 class Bridge:
     """The polynomial of fifth degree that joins two motions; from rest to rest it has the least jerk.
 
-    Attributes
-    ----------
-    start, end : PathPoint
-        Displacement, velocity and acceleration at its ends.
-    seconds : float
-        Duration.
+    `start`, `end`: displacement, velocity and acceleration at its ends. `seconds`: duration.
     """
 
     start: PathPoint

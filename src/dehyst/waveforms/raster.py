@@ -11,13 +11,15 @@ import numpy as np
 from dehyst._errors import RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import choice
+from dehyst._validation import choice, keep
 from dehyst.waveforms.excitation import refuse_long
 from dehyst.waveforms.profiles import Bridge, PathPoint, Rounding, Travel
 from dehyst.waveforms.scan import MotionLimits, Scan, between, whole
 from dehyst.waveforms.triangle import Triangle
 
 Slow: TypeAlias = Literal["staircase", "ramp"]
+# Fields of the triangle along x.
+_FAST = ("low", "high", "frequency", "turns", "speed", "acceleration", "rising", "rounding", "sample_rate")
 
 
 @dataclass(frozen=True)
@@ -64,38 +66,22 @@ class Raster(Scan):
     sample_rate: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("low", "high", "frequency", "turns", "speed", "acceleration", "rising", "sample_rate"):
-            object.__setattr__(self, name, getattr(self.fast, name))
+        keep(self, **{name: getattr(self.fast, name) for name in _FAST})
         ends = self.low if self.y_low is None else self.y_low, self.high if self.y_high is None else self.y_high
-        for name, end in zip(("y_low", "y_high"), between(*ends, ("y_low", "y_high")), strict=True):
-            object.__setattr__(self, name, end)
-        object.__setattr__(self, "lines", whole(self.lines, "lines", 2))
+        y_low, y_high = between(*ends, ("y_low", "y_high"))
+        keep(self, y_low=y_low, y_high=y_high, lines=whole(self.lines, "lines", 2))
         choice(self.slow, "slow", get_args(Slow), error=RecordError)
         self._refuse_steep()
         if self.back is not None:
-            object.__setattr__(self, "back", whole(self.back, "back", 0 if self.slow == "staircase" else 1))
-            self._limits.refuse(
-                f"y on its way back in {counted(self.back, 'line')}",
-                self._return(self.back).peaks,
-                self.frequency,
-                self._height,
-            )
+            keep(self, back=whole(self.back, "back", 0 if self.slow == "staircase" else 1))
+            what = f"y on its way back in {counted(self.back, 'line')}"
+            self._limits.refuse(what, self._return(self.back).peaks, self.frequency, self._height)
         refuse_long(self.samples, self.rate)
 
     @cached_property
     def fast(self) -> Triangle:
         """The triangle along x."""
-        return Triangle(
-            self.low,
-            self.high,
-            self.frequency,
-            self.turns,
-            self.speed,
-            self.acceleration,
-            self.rising,
-            self.rounding,
-            self.sample_rate,
-        )
+        return Triangle(**{name: getattr(self, name) for name in _FAST})
 
     @property
     def axes(self) -> tuple[str, ...]:

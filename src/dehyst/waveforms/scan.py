@@ -10,7 +10,7 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._validation import choice, count, number, vector
+from dehyst._validation import choice, count, keep, number, vector
 from dehyst.waveforms.excitation import positive, refuse_long, set_checked
 from dehyst.waveforms.profiles import PathPoint, Travel
 
@@ -56,8 +56,7 @@ class ScanPath:
                     f"{name}: got {row.size} values for {np.size(self.displacement)} displacements, need as many, and "
                     "one at least"
                 )
-            row.flags.writeable = False
-            object.__setattr__(self, name, row)
+            keep(self, **{name: row})
         set_checked(self, positive, "sample_rate")
 
     def __len__(self) -> int:
@@ -92,12 +91,8 @@ class ScanPath:
     def repeated(self, cycles: int) -> ScanPath:
         """Return so many periods and the sample that closes the last one; for 0 periods the first sample.
 
-        `cycles` counts the periods.
-
-        Raises
-        ------
-        RecordError
-            If the path is not periodic, `cycles` is no number of cycles, or there are more than 5e7 samples.
+        `cycles` counts the periods. Raise `RecordError` if the path is not periodic, `cycles` is no number of cycles,
+        or there are more than 5e7 samples.
         """
         if not self.periodic:
             raise RecordError("cycles: got a path that ends elsewhere than it begins, need a periodic one")
@@ -165,10 +160,7 @@ class Scan(ABC):
     def path(self, axis: str = "x") -> ScanPath:
         """Return one period of an `axis`, or the whole scan if it is not periodic.
 
-        Raises
-        ------
-        RecordError
-            If there is no such axis.
+        Raise `RecordError` if there is no such axis.
         """
         choice(axis, "axis", self.axes, error=RecordError)
         return ScanPath(*self.travel(axis), self.rate, self.periodic)
@@ -263,10 +255,7 @@ def whole(value: object, what: str, least: int = 1) -> int:
 def samples_of(seconds: float, rate: float) -> int:
     """Return the number of samples that so many seconds take, rounded up.
 
-    Raises
-    ------
-    RecordError
-        If they are fewer than a leg needs, or more than 5e7.
+    Raise `RecordError` if they are fewer than a leg needs, or more than 5e7.
     """
     samples = seconds * rate * (1 - 1e-12)
     if samples > LEG_SAMPLES - 1:

@@ -13,7 +13,7 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._validation import choice
+from dehyst._validation import choice, keep
 from dehyst.waveforms.excitation import positive, set_checked
 from dehyst.waveforms.profiles import Edge, Rounding, Travel
 from dehyst.waveforms.scan import MotionLimits, Scan, above, length, samples_of, share, whole
@@ -76,12 +76,12 @@ class Spiral(Scan):
     sample_rate: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", positive(length(self.radius, "radius"), "radius"))
+        keep(self, radius=positive(length(self.radius, "radius"), "radius"))
         set_checked(self, positive, "frequency", optional=("speed", "acceleration", "sample_rate"))
         set_checked(self, share, "turns")
         set_checked(self, whole, "revolutions")
         x, y = self.centre
-        object.__setattr__(self, "centre", (length(x, "centre"), length(y, "centre")))
+        keep(self, centre=(length(x, "centre"), length(y, "centre")))
         choice(self.constant, "constant", get_args(Constant), error=RecordError)
         choice(self.rounding, "rounding", get_args(Rounding), error=RecordError)
         _ = self.samples

@@ -32,14 +32,14 @@ _MOST_TURNS = 1_000_000
 def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
     """Return cycles base -> peak -> base, ``v = base + (peak - base) (1 - cos(2 pi f t)) / 2`` (paper, Sec. 3).
 
+    `drive` is how it is sampled.
+
     Parameters
     ----------
     peaks : float or (m,) array_like
         [V], above the base.
     cycles : int
         Cycles of each peak, before those of the next peak.
-    drive : Sampling
-        How it is sampled.
 
     Raises
     ------
@@ -60,7 +60,8 @@ def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: 
     """Return major cycles, then cycles with tops that fall from `highest` to 1/steps of it in equal steps.
 
     All cycles go down to the base. As many tops as elements determine every stiffness that loops can determine. The
-    first cycle homes the actuator, whatever its state was.
+    first cycle homes the actuator, whatever its state was. Raise `RecordError` as `raised_cosine`. `drive` is how
+    it is sampled.
 
     Parameters
     ----------
@@ -70,13 +71,6 @@ def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: 
         Number of tops; the first is `highest` once more.
     majors : int
         Cycles up to `highest` before them.
-    drive : Sampling
-        How it is sampled.
-
-    Raises
-    ------
-    RecordError
-        As `raised_cosine`.
     """
     top, number = _top(highest, drive), _count(steps, "steps")
     tops = drive.base + (top - drive.base) * np.linspace(1, 1 / number, number)
@@ -90,6 +84,8 @@ def reversal_curves(
 ) -> Excitation:
     """Return first-order reversal curves: major cycles, then highest -> a -> highest for falling a, then the base.
 
+    Raise `RecordError` as `raised_cosine`, or if `lowest` is not below `highest`. `drive` is how it is sampled.
+
     Parameters
     ----------
     highest : float
@@ -100,13 +96,6 @@ def reversal_curves(
         Number of curves; a falls from `highest` in equal steps.
     majors : int
         Number of major cycles.
-    drive : Sampling
-        How it is sampled.
-
-    Raises
-    ------
-    RecordError
-        As `raised_cosine`, or if `lowest` is not below `highest`.
     """
     top = _top(highest, drive)
     bottom = drive.base if lowest is None else volts(lowest, "lowest")
@@ -123,7 +112,8 @@ def minor_loop(
 ) -> Excitation:
     """Return major cycles, then a minor loop with its lead-in: base -> high -> low -> high ... -> base.
 
-    The first major cycle homes the actuator, the second one is the major loop.
+    The first major cycle homes the actuator, the second one is the major loop. Raise `RecordError` as `raised_cosine`,
+    or if the minor loop does not lie within the major one. `drive` is how it is sampled.
 
     Parameters
     ----------
@@ -135,13 +125,6 @@ def minor_loop(
         Cycles of the minor loop.
     majors : int
         Number of major cycles.
-    drive : Sampling
-        How it is sampled.
-
-    Raises
-    ------
-    RecordError
-        As `raised_cosine`, or if the minor loop does not lie within the major one.
     """
     top, lower, upper = _top(highest, drive), volts(low, "low"), volts(high, "high")
     if not drive.base <= lower < upper <= top:
@@ -164,6 +147,8 @@ def staircase(
 ) -> Excitation:
     """Return equal steps from the base up to `highest` and down again; a hold after each step shows creep.
 
+    Raise `RecordError` as `raised_cosine`, or if `hold` or `ramp` is not positive.
+
     Parameters
     ----------
     highest : float
@@ -179,11 +164,6 @@ def staircase(
         fall back to the base leave open.
     drive : Sampling
         How it is played; its pace has no effect.
-
-    Raises
-    ------
-    RecordError
-        As `raised_cosine`, or if `hold` or `ramp` is not positive.
     """
     top, number = _top(highest, drive), _count(steps, "steps")
     waiting = positive(hold, "hold")
@@ -210,6 +190,9 @@ def _places(steps: int, back: bool) -> list[int]:
 def homing(highest: float | None = None, *, turns: ArrayLike | None = None, drive: Sampling = _PAPER) -> Excitation:
     """Return a voltage that homes an actuator: base -> highest -> base, or straight through given turning points.
 
+    Raise `RecordError` as `raised_cosine`, or unless exactly one of `highest` and `turns` is given. `drive` is how
+    it is sampled.
+
     Parameters
     ----------
     highest : float, optional
@@ -217,13 +200,6 @@ def homing(highest: float | None = None, *, turns: ArrayLike | None = None, driv
     turns : (m,) array_like, optional
         Instead of it: voltages [V] to visit in this order, from the present one (by default the base). The record
         ends at the last of them.
-    drive : Sampling
-        How it is sampled.
-
-    Raises
-    ------
-    RecordError
-        As `raised_cosine`, or unless exactly one of `highest` and `turns` is given.
     """
     if (turns is None) == (highest is None):
         got = "neither" if turns is None else "both"

@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from dehyst._errors import RecordError
-from dehyst._validation import choice
+from dehyst._validation import choice, keep
 from dehyst.waveforms.excitation import positive, refuse_long, set_checked
 from dehyst.waveforms.profiles import Bridge, Edge, PathPoint, Travel, least_blend, least_seconds
 from dehyst.waveforms.scan import MotionLimits, Scan, above, length, samples_of
@@ -64,7 +64,7 @@ class Steps(Scan):
     def __post_init__(self) -> None:
         if not isinstance(self.levels, Sequence | np.ndarray) or len(self.levels) < 2:
             raise RecordError(f"levels: got {self.levels!r}, need two displacements at least")
-        object.__setattr__(self, "levels", tuple(length(level, "levels") for level in self.levels))
+        keep(self, levels=tuple(length(level, "levels") for level in self.levels))
         set_checked(self, positive, "dwell", optional=("seconds", "speed", "acceleration", "sample_rate"))
         choice(self.shape, "shape", get_args(Shape), error=RecordError)
         if self.seconds is None and self.acceleration is None:

@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 
 from dehyst._errors import RecordError
-from dehyst._validation import choice
+from dehyst._validation import choice, keep
 from dehyst.waveforms.excitation import positive, set_checked
 from dehyst.waveforms.profiles import Edge, Rounding, Travel, highest, least_blend, least_seconds
 from dehyst.waveforms.scan import CYCLE_SAMPLES, MotionLimits, Scan, below, between, samples_of, share
@@ -57,8 +57,7 @@ class Triangle(Scan):
 
     def __post_init__(self) -> None:
         low, high = between(self.low, self.high)
-        object.__setattr__(self, "low", low)
-        object.__setattr__(self, "high", high)
+        keep(self, low=low, high=high)
         set_checked(self, positive, "frequency", optional=("speed", "acceleration", "sample_rate"))
         set_checked(self, share, "rising", optional=("turns",))
         if self.rising == 1:
@@ -88,9 +87,8 @@ class Triangle(Scan):
     @cached_property
     def legs(self) -> tuple[int, int]:
         """Samples of the rising and of the falling leg."""
-        return samples_of(self.rising / self.frequency, self.rate), samples_of(
-            (1 - self.rising) / self.frequency, self.rate
-        )
+        up, down = (samples_of(share / self.frequency, self.rate) for share in (self.rising, 1 - self.rising))
+        return up, down
 
     @property
     def samples(self) -> int:

@@ -48,14 +48,9 @@ class Cycle(NamedTuple):
 class Agreement:
     """The agreement of a loop that was played again with the record on disk.
 
-    Attributes
-    ----------
-    record : str
-        Name of the record on disk.
-    difference : float
-        Peak to peak, as a share of the stroke of the loop on disk.
-    allowed : float
-        Most that noise, spread from cycle to cycle, creep and temperature may add up to, as a share of the stroke.
+    `record`: name of the record on disk. `difference`: peak to peak, as a share of the stroke of the loop on disk.
+    `allowed`: most that noise, spread from cycle to cycle, creep and temperature may add up to, as a share of the
+    stroke.
     """
 
     record: str
@@ -133,14 +128,8 @@ def agreement(
 ) -> Agreement:
     """Compare a record on disk with its `replay`.
 
-    Parameters
-    ----------
-    stored, played : Record
-        Of the excitation, and of its replay.
-    excitation : Excitation
-        That of the stored record.
-    stored_rows, played_rows : (n,) int array
-        Which sample of its excitation each sample of a record belongs to, see `AbstractRig.rows`.
+    `stored`, `played`: of the excitation, and of its replay. `excitation`: that of the stored record. `stored_rows`,
+    `played_rows` (n,): which sample of its excitation each sample of a record belongs to, see `AbstractRig.rows`.
     """
     whole = cycles(excitation.voltage)
     length = whole[-1].last - whole[-1].first

@@ -73,10 +73,7 @@ class PlannedStep(NamedTuple):
 def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     """Return what a calibration would send, without sending it.
 
-    Raises
-    ------
-    RecordError
-        If it cannot be played within the rig's limits.
+    Raise `RecordError` if it cannot be played within the rig's limits.
     """
     excitations = plan.excitations(rig)
     # With a constant ratio the voltages of the path depend on no measured displacement.

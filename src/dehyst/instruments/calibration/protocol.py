@@ -29,6 +29,8 @@ _SLOWER = 0.95
 class ExcitationPlan:
     """The excitations of a calibration, by their speed and their voltages.
 
+    Raise `RecordError` if a number is impossible, or there are fewer than 8 samples a cycle.
+
     Parameters
     ----------
     low, high : float
@@ -41,11 +43,6 @@ class ExcitationPlan:
         Time [s] at each voltage of the holds that measure creep.
     slew_rate : float, optional
         Largest abs(dv/dt) [V/s]; steeper legs are stretched.
-
-    Raises
-    ------
-    RecordError
-        If a number is impossible, or there are fewer than 8 samples a cycle.
     """
 
     low: float

@@ -53,6 +53,8 @@ class NullProgress:
 class Session:
     """Records on one rig, in one folder.
 
+    Raise `FileFormatError` if the folder cannot be made, or belongs to another instrument.
+
     Parameters
     ----------
     folder : path
@@ -70,11 +72,6 @@ class Session:
         Of a loop on disk, played again; None if no record on disk was kept.
     salvaged : tuple of Path
         Records that a killed process had left incomplete.
-
-    Raises
-    ------
-    FileFormatError
-        If the folder cannot be made, or belongs to another instrument.
     """
 
     def __init__(self, folder: PathLike, rig: AbstractRig, listener: ProgressListener) -> None:
@@ -108,7 +105,9 @@ class Session:
     ) -> Record:
         """Play an excitation and write its record, unless it is on disk already.
 
-        Before the first record on disk is kept, one of its loops is played again and must agree.
+        Before the first record on disk is kept, one of its loops is played again and must agree. Raise `RecordError` or
+        `RigError` as `AbstractRig.play`; RecordError also if the record on disk looks like one of another actuator.
+        Raise `FileFormatError` if nothing can be written.
 
         Parameters
         ----------
@@ -121,13 +120,6 @@ class Session:
             Reference of its error [m].
         afresh : bool
             Whether to play it although it is on disk.
-
-        Raises
-        ------
-        RecordError, RigError
-            As `AbstractRig.play`; RecordError also if the record on disk looks like one of another actuator.
-        FileFormatError
-            If nothing can be written.
         """
         path = self.records / f"{name}.h5"
         stored = None if afresh else self._stored(path, excitation)
@@ -219,7 +211,8 @@ class Session:
 
     def _claim(self) -> None:
         """Claim the folder for this instrument; raises FileFormatError if it belongs to another one."""
-        path, instrument = self.folder / "campaign.json", self._instrument()
+        path = self.folder / "campaign.json"
+        instrument: dict[str, Any] = {"rig": self.rig.identity, "axis": self.rig.axis}
         if not os.path.lexists(path):
             write_json(path, {"format": FORMAT, "version": 1, **instrument})
             return
@@ -232,9 +225,6 @@ class Session:
                 f"{self.folder}: holds a calibration of {owner.get('rig')}, axis {owner.get('axis')}, and this is "
                 f"{instrument['rig']}, axis {instrument['axis']}; give another folder with -o"
             )
-
-    def _instrument(self) -> dict[str, Any]:
-        return {"rig": self.rig.identity, "axis": self.rig.axis}
 
     def _stored(self, path: Path, excitation: Excitation) -> Record | None:
         """Return the record in a file if it is complete, undamaged and of this excitation on this instrument."""

@@ -83,13 +83,9 @@ class Table:
         return len(self._candidates(quantity)) == 1
 
     def column(self, quantity: str, wanted: str | None = None) -> Array:
-        """Return one column in SI units.
+        """Return the column of a `quantity` ("time", "voltage" or "displacement") in SI units.
 
-        Parameters
-        ----------
-        quantity : {"time", "voltage", "displacement"}
-        wanted : str, optional
-            Name, unique last part of the name, or "name:unit"; by default the one column named like the quantity.
+        `wanted`: name, unique last part of the name, or "name:unit"; by default the one column named like the quantity.
 
         Returns
         -------

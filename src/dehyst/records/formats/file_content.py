@@ -29,12 +29,7 @@ class Content(NamedTuple):
 class Allowance:
     """The memory that the numbers of a file may take; sizes that its headers declare are checked first.
 
-    Parameters
-    ----------
-    path : path
-        Name of the file in messages.
-    most : int
-        Limit for all numbers together [bytes].
+    `path`: name of the file in messages. `most`: limit for all numbers together [bytes].
     """
 
     def __init__(self, path: Path, most: int) -> None:

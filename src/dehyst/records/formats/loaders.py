@@ -16,14 +16,9 @@ _NAMES = {".parquet": "Parquet", ".tdms": "TDMS"}
 class Format(NamedTuple):
     """A readable format.
 
-    Attributes
-    ----------
-    load : callable
-        Function of the bytes and their allowance that returns columns.
-    library : str
-        Module of an optional package that it needs; empty without one.
-    isolated : bool
-        Whether it runs in a separate process, because a damaged file may crash or stop its C library.
+    `load`: function of the bytes and their allowance that returns columns. `library`: module of an optional package
+    that it needs; empty without one. `isolated`: whether it runs in a separate process, because a damaged file may
+    crash or stop its C library.
     """
 
     load: Callable[[bytes, Allowance], list[Column]]

@@ -52,13 +52,8 @@ class Loaded(NamedTuple):
 def load(content: Content, most: int, with_meta: bool) -> Loaded:
     """Read a file's columns, in the helper process if its format needs isolation.
 
-    Parameters
-    ----------
-    content : Content
-    most : int
-        Memory that its numbers may take [bytes].
-    with_meta : bool
-        Whether to read the name and meta that `write_hdf5` writes.
+    `most`: memory that its numbers may take [bytes]. `with_meta`: whether to read the name and meta that `write_hdf5`
+    writes.
 
     Raises
     ------

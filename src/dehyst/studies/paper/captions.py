@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from dehyst.studies.paper.experiment import (
     PRE_ENERGISED,
     RELAXED,
     Experiment,
-    PaperTrial,
     midpoints,
+    true_errors,
 )
 from dehyst.studies.paper.tables import PAPER, physical
 
@@ -24,10 +24,7 @@ from dehyst.studies.paper.tables import PAPER, physical
 def captions(found: Experiment, symmetric: Experiment) -> dict[int, str]:
     """Return one caption for each figure, by the paper's number.
 
-    Parameters
-    ----------
-    found, symmetric : Experiment
-        With the virtual E-280.10, and with the same without its asymmetric map.
+    `found`, `symmetric`: with the virtual E-280.10, and with the same without its asymmetric map.
     """
     single: dict[int, Callable[[Experiment], str]] = {
         3: _typical_loop,
@@ -89,7 +86,7 @@ def _initial_states(found: Experiment) -> str:
 
 
 def _loops(found: Experiment) -> str:
-    paper, record, tops = (_three(found.trials[key]) for key in ("breakpoints", "record", "record_tops"))
+    paper, record, tops = (true_errors(found.trials[key]) for key in ("breakpoints", "record", "record_tops"))
     peaks = ", ".join(f"{peak:g}" for peak in PEAKS.values())
     return (
         f"Raised cosines of {peaks} V, {CYCLES} cycles each in one run; the major and the small loop were fitted, the "
@@ -100,10 +97,6 @@ def _loops(found: Experiment) -> str:
         "the medium loop is wrong because two loops leave directions of the stiffnesses open. In (c) none is open; no "
         f"model of the class avoids {symmetric_width_floor(found.exact):.2f} % of the remaining error."
     )
-
-
-def _three(trial: PaperTrial) -> str:
-    return ", ".join(f"{trial.errors[loop].true:.2f}" for loop in PEAKS)
 
 
 def _parallel_spring(found: Experiment) -> str:
@@ -151,7 +144,9 @@ def _trajectories(found: Experiment) -> str:
 
 
 def _tracking_errors(found: Experiment, symmetric: Experiment) -> str:
-    of, without = (_tracked(experiment.trials) for experiment in (found, symmetric))
+    of, without = (
+        {key: trial.tracking.largest for key, trial in experiment.trials.items()} for experiment in (found, symmetric)
+    )
     return (
         f"Reached minus wanted. (a) Nominal ratio {found.nominal.largest:.2f} % (paper {PAPER['nominal']:g} %), "
         f"Goldfarb and Celanovic {of['goldfarb']:.2f} %. (b) The paper's method {of['breakpoints']:.2f} % (paper "
@@ -159,7 +154,3 @@ def _tracking_errors(found: Experiment, symmetric: Experiment) -> str:
         f"actuator that differs only in having no asymmetric map: {without['breakpoints']:.2f} and "
         f"{without['record_tops']:.2f} %. The difference between (c) and (b) is due to the model class."
     )
-
-
-def _tracked(trials: Mapping[str, PaperTrial]) -> dict[str, float]:
-    return {key: trial.tracking.largest for key, trial in trials.items()}

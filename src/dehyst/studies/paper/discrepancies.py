@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from dehyst.studies.paper.experiment import CYCLES, PEAKS, PRE_ENERGISED, Experiment, PaperTrial
+from dehyst.studies.paper.experiment import CYCLES, PEAKS, PRE_ENERGISED, Experiment, true_errors
 from dehyst.studies.paper.tables import PAPER, floors, open_directions, physical, subscript
 
 
 def findings(found: Experiment, symmetric: Experiment) -> tuple[str, ...]:
     """Return the main findings as sentences.
 
-    Parameters
-    ----------
-    found, symmetric : Experiment
-        With the virtual E-280.10, and with the same without its asymmetric map.
+    `found`, `symmetric`: with the virtual E-280.10, and with the same without its asymmetric map.
     """
     paper, tops = found.trials["breakpoints"], found.trials["record_tops"]
     plain, plain_tops = symmetric.trials["breakpoints"], symmetric.trials["record_tops"]
@@ -23,11 +20,11 @@ def findings(found: Experiment, symmetric: Experiment) -> tuple[str, ...]:
         f"Inverse control by the paper's method brings it to {paper.tracking.largest:.2f} % (paper "
         f"{PAPER['tracking']:g} %), by the whole record with descending tops to {tops.tracking.largest:.2f} %; on an "
         f"actuator without the asymmetric map to {plain.tracking.largest:.2f} and {plain_tops.tracking.largest:.2f} %.",
-        f"The paper's method is limited by the grid: {_loops(plain)} % (major, medium, small loop) without the "
+        f"The paper's method is limited by the grid: {true_errors(plain)} % (major, medium, small loop) without the "
         "asymmetric map are due to the first of ten segments.",
         "The whole-record method is limited by the records, then by the model class: "
-        f"{_loops(found.trials['record'])} % with the paper's two loops, {_loops(tops)} % with descending tops, "
-        f"{_loops(plain_tops)} % with them and without the asymmetric map.",
+        f"{true_errors(found.trials['record'])} % with the paper's two loops, {true_errors(tops)} % with descending "
+        f"tops, {true_errors(plain_tops)} % with them and without the asymmetric map.",
     )
 
 
@@ -172,7 +169,3 @@ def _shift(found: Experiment) -> str:
         "voltage, a model needs h below the identified range, where the paper does not identify it and this package "
         f"extrapolates: {1e6 * found.trials['breakpoints'].shift:.2f} µm by the paper's method."
     )
-
-
-def _loops(trial: PaperTrial) -> str:
-    return ", ".join(f"{trial.errors[loop].true:.2f}" for loop in PEAKS)

@@ -20,10 +20,7 @@ _PLACES = 801
 class ClosedLoop:
     """The closed major loop of an actuator without noise.
 
-    Attributes
-    ----------
-    rising, falling : (2, n) array
-        Displacement [m] and voltage [V] of the two branches, both with increasing displacement.
+    `rising`, `falling` (2, n): displacement [m] and voltage [V] of the two branches, both with increasing displacement.
     """
 
     rising: Array

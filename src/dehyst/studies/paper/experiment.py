@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -54,14 +54,7 @@ class PaperError(NamedTuple):
 class Measured:
     """A record whose sensor reads zero at its first sample, and what a perfect sensor of the same zero would read.
 
-    Attributes
-    ----------
-    record : Record
-    true : (n,) array
-        [m].
-    zero : float
-        Where the sensor's zero lies on the actuator's own axis [m].
-    start : Start
+    `true` (n,) [m]. `zero`: where the sensor's zero lies on the actuator's own axis [m].
     """
 
     record: Record
@@ -110,12 +103,8 @@ class PaperTracking:
 class PaperPlan:
     """One identification to try: method, number of elements, norm and records.
 
-    Attributes
-    ----------
-    tops : bool
-        Whether descending tops are in the training, beside the major and the small loop.
-    noiseless : bool
-        Whether the sensor is perfect.
+    `tops`: whether descending tops are in the training, beside the major and the small loop. `noiseless`: whether the
+    sensor is perfect.
     """
 
     key: str
@@ -143,16 +132,9 @@ PLANS = (
 class PaperTrial:
     """An identified model beside the truth.
 
-    Attributes
-    ----------
-    simulated : (n,) array
-        Displacement [m] for the voltage of the run, from the run alone: no constant is fitted.
-    errors : Mapping
-        Of each amplitude, from the first peak on.
-    shift : float
-        By how much Eq. 10 predicts the loop to lie above the relaxed one after pre-energising [m].
-    outcome : str
-        Name of the `Outcome`, or "CLOSED_FORM".
+    `simulated` (n,): displacement [m] for the voltage of the run, from the run alone: no constant is fitted. `errors`:
+    of each amplitude, from the first peak on. `shift`: by how much Eq. 10 predicts the loop to lie above the relaxed
+    one after pre-energising [m]. `outcome`: name of the `Outcome`, or "CLOSED_FORM".
     """
 
     key: str
@@ -163,6 +145,11 @@ class PaperTrial:
     shift: float
     outcome: str
     remarks: tuple[str, ...]
+
+
+def true_errors(trial: PaperTrial) -> str:
+    """Return the largest errors against the truth (major, medium, small loop), for a sentence."""
+    return ", ".join(f"{trial.errors[loop].true:.2f}" for loop in PEAKS)
 
 
 class Shift(NamedTuple):
@@ -246,16 +233,9 @@ def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan
             replace(tops.record, displacement=tops.record.displacement + tops.zero - relaxed.zero, name="tops")
         )
     # The virtual sensor neither lags nor creeps, and it is not zeroed between loops.
-    fit = identify(
-        records,
-        validate=seen.cut("medium"),
-        method=plan.method,
-        elements=plan.elements,
-        norm=plan.norm,
-        shared_datum=True,
-        delay=0.0,
-        drift=False,
-    )
+    known: dict[str, Any] = {"shared_datum": True, "delay": 0.0, "drift": False}
+    options = {"method": plan.method, "elements": plan.elements, "norm": plan.norm, **known}
+    fit = identify(records, validate=seen.cut("medium"), **options)
     return _trial(truth, relaxed, plan.key, fit.actuator, fit.outcome.name, fit.remarks)
 
 

@@ -34,14 +34,8 @@ _DISPLACEMENT, _VOLTAGE, _TIME = "displacement (µm)", "voltage (V)", "time (s)"
 class Plate:
     """A figure of the paper for the virtual actuator.
 
-    Attributes
-    ----------
-    number : int
-        The paper's.
-    wide : bool
-        Whether it takes two columns of a journal.
-    data : Mapping
-        Tables by suffix of the file's name ("" for the main one), each columns by name with their units.
+    `number`: the paper's. `wide`: whether it takes two columns of a journal. `data`: tables by suffix of the file's
+    name ("" for the main one), each columns by name with their units.
     """
 
     number: int
@@ -59,10 +53,7 @@ class Plate:
 def plates(found: Experiment, symmetric: Experiment) -> list[Plate]:
     """Draw every figure, from the virtual E-280.10 and the same without its asymmetric map.
 
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
+    Raise `MissingExtraError` if matplotlib is not installed.
     """
     return [
         _typical_loop(found),
@@ -94,6 +85,12 @@ def _letter(ax: Axes, text: str) -> None:
     ax.set_title(text, loc="left", fontsize=8.5)
 
 
+def _span(ax: Axes, x: float, one: float, other: float) -> None:
+    """Draw a double arrow along the ordinate."""
+    arrow = {"arrowstyle": "<->", "lw": 0.8, "color": INK, "shrinkA": 0, "shrinkB": 0}
+    ax.annotate("", (x, one), (x, other), arrowprops=arrow)
+
+
 def _legend_above(ax: Axes) -> None:
     """Set a legend above all axes, for where it would hide data inside."""
     handles, labels = ax.get_legend_handles_labels()
@@ -110,12 +107,8 @@ def _typical_loop(found: Experiment) -> Plate:
             ax, v[half : half + _CYCLE + 1], y[half : half + _CYCLE + 1], color=plots.MEASURED, lw=1.2, label="loop"
         )
         for k in (int(0.72 * _CYCLE), int(1.26 * _CYCLE)):
-            ax.annotate(
-                "",
-                (v[k + 12], y[k + 12]),
-                (v[k - 12], y[k - 12]),
-                arrowprops={"arrowstyle": "-|>", "color": plots.MEASURED, "lw": 1.0},
-            )
+            arrow = {"arrowstyle": "-|>", "color": plots.MEASURED, "lw": 1.0}
+            ax.annotate("", (v[k + 12], y[k + 12]), (v[k - 12], y[k - 12]), arrowprops=arrow)
         ax.set(xlabel=_VOLTAGE, ylabel=_DISPLACEMENT, xlim=(-5, 207))
         ax.legend(loc="upper left")
 
@@ -142,17 +135,15 @@ def _antisymmetry(found: Experiment, symmetric: Experiment) -> Plate:
         _letter(left, "(a)")
         right.axhline(0, color=INK, lw=0.6)
         right.plot(pairs, off, marker="o", ms=4, lw=0.8, color=plots.MEASURED, label="virtual E-280.10")
-        right.plot(
-            pairs,
-            off_symmetric,
-            marker="s",
-            ms=3.4,
-            lw=0.8,
-            ls=(0, (4, 1.5)),
-            mfc="white",
-            color=plots.FALLING,
-            label="without its asymmetric map",
-        )
+        hollow: dict[str, Any] = {
+            "marker": "s",
+            "ms": 3.4,
+            "lw": 0.8,
+            "ls": (0, (4, 1.5)),
+            "mfc": "white",
+            "color": plots.FALLING,
+        }
+        right.plot(pairs, off_symmetric, label="without its asymmetric map", **hollow)
         right.set(xlabel="pair of break points i", ylabel="midpoint less v₀/2 (V)", ylim=(None, 1.45 * off.max() + 0.5))
         right.set_xticks(pairs)
         right.legend(loc="upper right")
@@ -176,37 +167,17 @@ def _break_points(found: Experiment) -> Plate:
     def draw(ax: Axes) -> None:
         plots.line(ax, v, y, color=plots.MEASURED, lw=3, alpha=0.35, label="measured loop")
         for branch, face, name in ((down, INK, "descending"), (up, "white", "ascending")):
-            ax.plot(
-                branch[:, 1],
-                branch[:, 0],
-                color=INK,
-                lw=0.8,
-                marker="o",
-                ms=3.6,
-                mfc=face,
-                mew=0.8,
-                label=f"break points, {name}",
-            )
+            style: dict[str, Any] = {"color": INK, "lw": 0.8, "marker": "o", "ms": 3.6, "mfc": face, "mew": 0.8}
+            ax.plot(branch[:, 1], branch[:, 0], label=f"break points, {name}", **style)
         for i, (place, _) in enumerate(down):
             ax.plot((-22, 222), (place, place), color="#D0D0D0", lw=0.5, zorder=0)
             if 0 < i < ELEMENTS:
                 ax.text(224, place, f"Y{subscript(i)}", va="center", fontsize=8)
         for branch, word, offset, side in ((down, "v↓", (-5, 3), "right"), (up, "v↑", (6, -8), "left")):
             for i in range(1, ELEMENTS):
-                ax.annotate(
-                    f"{word}{subscript(i)}",
-                    (branch[i, 1], branch[i, 0]),
-                    offset,
-                    textcoords="offset points",
-                    ha=side,
-                    fontsize=8,
-                )
-        ax.annotate(
-            "",
-            (213, down[marked, 0]),
-            (213, down[marked + 1, 0]),
-            arrowprops={"arrowstyle": "<->", "lw": 0.8, "color": INK, "shrinkA": 0, "shrinkB": 0},
-        )
+                place = branch[i, 1], branch[i, 0]
+                ax.annotate(f"{word}{subscript(i)}", place, offset, textcoords="offset points", ha=side, fontsize=8)
+        _span(ax, 213, down[marked, 0], down[marked + 1, 0])
         ax.text(210, down[marked, 0] - step / 2, f"2δ keq/km = {step:.3f} µm", ha="right", va="center", fontsize=8)
         ax.annotate(
             "y(T₀/2), v₀", (down[0, 1], down[0, 0]), (-6, 5), textcoords="offset points", ha="right", fontsize=8
@@ -343,12 +314,7 @@ def _right_extreme(found: Experiment) -> Plate:
         for key in keys:
             ax.plot(v[near], simulated[key][near], **_LINES[key])
         ends = (y.max() - step, y.max())
-        ax.annotate(
-            "",
-            (peak + 2.4, ends[0]),
-            (peak + 2.4, ends[1]),
-            arrowprops={"arrowstyle": "<->", "lw": 0.8, "color": INK, "shrinkA": 0, "shrinkB": 0},
-        )
+        _span(ax, peak + 2.4, *ends)
         ax.text(peak + 3.2, sum(ends) / 2, "first\nsegment", va="center", fontsize=8)
         ax.set(xlabel=_VOLTAGE, ylabel=_DISPLACEMENT, xlim=(None, peak + 15), ylim=(None, y.max() + 0.55 * step))
         ax.legend(loc="upper left")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from dehyst.report.html import MINUS, Row, document, escape, table
+from dehyst.report.html import MINUS, Row, bullets, document, escape, table
 from dehyst.studies.paper.captions import captions
 from dehyst.studies.paper.discrepancies import discrepancies, findings
 from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, Experiment
@@ -69,7 +69,10 @@ def _facts(found: Experiment) -> str:
 def _summary(title: str, found: Experiment) -> str:
     head: Row = ("Quantity", "Paper", ("Measured", "no model"), *MODELS.values())
     rows: list[Row] = [
-        (row.words, _paper(row), _value(row.actuator, row.unit), *(_cell(row, key) for key in MODELS))
+        (
+            *(row.words, "–" if row.paper is None else f"{row.paper:g} {row.unit}", _value(row.actuator, row.unit)),
+            *(_cell(row, key) for key in MODELS),
+        )
         for row in summary(found)
     ]
     return (
@@ -87,10 +90,6 @@ def _cell(row: Quantity, key: str) -> str | tuple[str, str]:
     value = _value(row.models[key], row.unit)
     noisy = row.against_noise.get(key)
     return value if noisy is None else (value, _value(noisy, row.unit))
-
-
-def _paper(row: Quantity) -> str:
-    return "–" if row.paper is None else f"{row.paper:g} {row.unit}"
 
 
 def _value(value: float | None, unit: str) -> str:
@@ -162,15 +161,12 @@ def _plate(plate: Plate, caption: str, files: Sequence[str]) -> str:
 
 
 def _list(title: str, sentences: Sequence[str]) -> str:
-    items = "\n".join(f"<li>{_typeset(sentence)}</li>" for sentence in sentences)
-    return f"<h2>{escape(title)}</h2>\n<ul>\n{items}\n</ul>"
+    return bullets(escape(title), map(_typeset, sentences))
 
 
 def _named(title: str, sentences: Mapping[str, str]) -> str:
-    items = "\n".join(
-        f"<li><strong>{_typeset(name)}.</strong> {_typeset(text)}</li>" for name, text in sentences.items()
-    )
-    return f"<h2>{escape(title)}</h2>\n<ul>\n{items}\n</ul>"
+    items = (f"<strong>{_typeset(name)}.</strong> {_typeset(text)}" for name, text in sentences.items())
+    return bullets(escape(title), items)
 
 
 def _typeset(sentence: str) -> str:

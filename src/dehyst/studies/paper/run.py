@@ -26,12 +26,8 @@ _ACTUATORS = {"asymmetric": "virtual E-280.10", "symmetric": "without its asymme
 class Paper:
     """The result of the experiment.
 
-    Attributes
-    ----------
-    asymmetric : Experiment
-        On the virtual E-280.10.
-    symmetric : Experiment
-        On the same without its asymmetric map: the difference between the two is due to the model class.
+    `asymmetric`: on the virtual E-280.10. `symmetric`: on the same without its asymmetric map: the difference between
+    the two is due to the model class.
     """
 
     asymmetric: Experiment
@@ -67,14 +63,9 @@ def write(result: Paper, folder: PathLike) -> list[Path]:
     """Write every figure (SVG, PNG, CSV), the tables, the numbers and a page to a folder; return the paths.
 
     Files are index.html, results.json, summary.csv, limits.csv, table1.csv, and figNN.svg, .png and .csv. Each is
-    written wholly or not at all, the page last, and none if a figure cannot be drawn.
-
-    Raises
-    ------
-    FileFormatError
-        If the folder cannot be made or written to, or holds files that are not of this experiment.
-    MissingExtraError
-        If matplotlib is not installed.
+    written wholly or not at all, the page last, and none if a figure cannot be drawn. Raise `FileFormatError` if the
+    folder cannot be made or written to, or holds files that are not of this experiment. Raise `MissingExtraError` if
+    matplotlib is not installed.
     """
     from dehyst.studies.paper.figures import plates
     from dehyst.studies.paper.page import render

@@ -49,16 +49,9 @@ _NORMS = {"l1": "absolute sum", "l2": "sum of squares", "linf": "largest"}
 class Quantity:
     """A row of the summary.
 
-    Attributes
-    ----------
-    paper : float or None
-        The paper's number, if it gives one.
-    actuator : float or None
-        What was measured on the virtual actuator, where no model is needed.
-    models : Mapping
-        Value by model, where it applies; errors are against the truth.
-    against_noise : Mapping
-        The same against the noisy measurement.
+    `paper`: the paper's number, if it gives one. `actuator`: what was measured on the virtual actuator, where no model
+    is needed. `models`: value by model, where it applies; errors are against the truth. `against_noise`: the same
+    against the noisy measurement.
     """
 
     key: str

@@ -73,26 +73,12 @@ class Ioc:
         bench, (low, high) = self._instrument, self._instrument.limits
         # A command that is put twice is done twice, and its callback comes when it is done.
         command = {"always_update": True, "blocking": True}
-        voltage = {"EGU": "V", "PREC": 4}
+        voltage, sent = {"EGU": "V", "PREC": 4}, {"on_update": self._handler(self._set_voltage)}
+        period = {"initial_value": 100 * bench.servo_period, "on_update": self._handler(self._set_period)}
         self._records |= {
-            "VOLTAGE": builder.aOut(
-                "VOLTAGE",
-                low,
-                high,
-                **voltage,
-                initial_value=bench.voltage,
-                on_update=self._handler(self._set_voltage),
-                **command,
-            ),
+            "VOLTAGE": builder.aOut("VOLTAGE", low, high, **voltage, initial_value=bench.voltage, **sent, **command),
             "WAVE:VOLTAGE": builder.WaveformOut("WAVE:VOLTAGE", length=bench.wave_points, datatype=float, **voltage),
-            "WAVE:PERIOD": builder.aOut(
-                "WAVE:PERIOD",
-                EGU="s",
-                PREC=6,
-                initial_value=100 * bench.servo_period,
-                on_update=self._handler(self._set_period),
-                **command,
-            ),
+            "WAVE:PERIOD": builder.aOut("WAVE:PERIOD", EGU="s", PREC=6, **period, **command),
             "WAVE:START": builder.Action("WAVE:START", on_update=self._handler(self._start), blocking=True),
             "WAVE:STOP": builder.Action("WAVE:STOP", on_update=self._handler(self._stop), blocking=True),
         }

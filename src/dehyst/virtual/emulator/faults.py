@@ -54,10 +54,7 @@ class Fault:
     def parse(cls, text: str) -> Fault:
         """Read NAME, NAME@SAMPLES or NAME@SECONDSs, such as drop@2000 or unplug@3.5s. `text` has that form.
 
-        Raises
-        ------
-        ModelError
-            If it is none of these.
+        Raise `ModelError` if it is none of these.
         """
         match = _FORM.fullmatch(text.strip())
         if match is None or match["name"] not in FAULTS or (match["name"] == "narrow" and match["at"]):

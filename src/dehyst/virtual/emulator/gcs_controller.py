@@ -146,13 +146,13 @@ class Controller:
             "DRC": recorder.configure,
             "DRT": recorder.arm,
             "HLT": self._stop,
-            "MOV": self._mov,
-            "MVR": self._mvr,
+            "MOV": lambda words: self._move(1e-6 * self._value(words)),
+            "MVR": lambda words: self._move(self._target + 1e-6 * self._value(words)),
             "RTR": recorder.slow,
             "STP": self._stop,
-            "SVA": self._sva,
+            "SVA": lambda words: self._send(self._value(words)),
             "SVO": self._svo,
-            "SVR": self._svr,
+            "SVR": lambda words: self._send(self.instrument.voltage + self._value(words)),
             "WAV": waves.write,
             "WCL": waves.clear,
             "WGC": waves.repeat,
@@ -239,12 +239,6 @@ class Controller:
         demand(words[0] == self.axis, GcsError.AXIS)
         return real(words[1])
 
-    def _sva(self, words: _Words) -> None:
-        self._send(self._value(words))
-
-    def _svr(self, words: _Words) -> None:
-        self._send(self.instrument.voltage + self._value(words))
-
     def _send(self, voltage: float) -> None:
         demand(not self.instrument.servo, GcsError.SERVO_ON)
         demand(not self.instrument.playing, GcsError.WAVE_RUNNING)
@@ -257,12 +251,6 @@ class Controller:
         if bool(on) != self.instrument.servo:
             self.instrument.servo = bool(on)
             self._target = self.instrument.displacement()
-
-    def _mov(self, words: _Words) -> None:
-        self._move(1e-6 * self._value(words))
-
-    def _mvr(self, words: _Words) -> None:
-        self._move(self._target + 1e-6 * self._value(words))
 
     def _move(self, target: float) -> None:
         demand(self.instrument.servo, GcsError.SERVO_OFF)

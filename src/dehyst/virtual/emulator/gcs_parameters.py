@@ -13,10 +13,7 @@ SERVO_PERIOD, WAVE_POINTS, RECORD_POINTS, SLEW_RATE = 0x0E000200, 0x13000004, 0x
 class Parameters:
     """The read-only parameters of an instrument, by number.
 
-    Parameters
-    ----------
-    instrument : VirtualBench
-        Without a slew rate it has no such parameter.
+    `instrument`: without a slew rate it has no such parameter.
     """
 
     def __init__(self, instrument: VirtualBench) -> None:

@@ -18,10 +18,7 @@ _LONGEST_SEGMENT = 4096
 class WaveGenerator:
     """The settings and tables of the wave generator.
 
-    Parameters
-    ----------
-    instrument : VirtualBench
-        The instrument whose limits and wave table size apply.
+    `instrument`: the instrument whose limits and wave table size apply.
     """
 
     def __init__(self, instrument: VirtualBench) -> None:
