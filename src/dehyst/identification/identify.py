@@ -20,6 +20,7 @@ from dehyst.identification.diagnostics.assumptions import assumption_checks
 from dehyst.identification.diagnostics.identifiability import identifiability, probe_identifiability
 from dehyst.identification.diagnostics.residuals import residual_checks
 from dehyst.identification.dynamics_search import SensedDynamics
+from dehyst.identification.extrapolation import unsupported
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.regression import nuisances
@@ -235,10 +236,7 @@ class _Identification:
             if missing:
                 self.remarks += missing
                 return self.by_records()
-            self.report("looking for inertia")
-            frame = self._with_delay(frame).with_inertia()
-            structure, self.trials, remarks = frame.chosen(Structure(), self.report)
-            self.remarks += remarks
+            frame, structure = self._chosen(self._with_delay(frame))
             if structure.plain and not frame.inertia.mass and not refine:
                 self.delay = frame.inertia.delay
                 return self._plainly(frame, structure)
@@ -262,6 +260,21 @@ class _Identification:
         self.report("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
         return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
+
+    def _chosen(self, still: TrainingData) -> tuple[TrainingData, Structure]:
+        """Return the records with inertia if they have it, and the structure that they support."""
+        self.report("looking for inertia")
+        frame = still.with_inertia()
+        structure, self.trials, remarks = frame.chosen(Structure(), self.report)
+        self.remarks += remarks
+        fixed: tuple[str, ...] = ()
+        while dropped := unsupported(frame, still, structure, self.report):
+            self.remarks.append(messages.of_dropped(dropped.part, dropped.without, dropped.within, self.stroke))
+            frame = still if dropped.part == "inertia" else frame
+            fixed = ("creep",) if dropped.part == "creep" else fixed
+            structure, trials, _ = frame.chosen(Structure(), self.report, fixed)
+            self.trials += trials
+        return frame, structure
 
     def _longer(self, made: StructuredFit) -> StructuredFit:
         """Return the fit with elements beyond half the stroke, if it simulates the records better."""

@@ -49,20 +49,11 @@ class StructuredFit:
     @cached_property
     def actuator(self) -> Actuator:
         """Without limits and name."""
-        rows, inertia = self.regression.rows, self.frame.inertia
-        reference = int(rows.epoch[rows.record == self.frame.widest].max())
-        return self.found.to_actuator(
-            self.regression.grid,
-            self.found.offsets[reference],
-            dynamics=inertia.dynamics,
-            delay=inertia.delay,
-            lag=inertia.lag,
-        )
+        return self.frame.actuator_of(self.regression, self.found)
 
     def playback(self) -> SimulationError:
         """Return the training records, to be simulated."""
-        stroke = self.frame.span[1] - self.frame.span[0]
-        return SimulationError.of(self.actuator, self.frame.training, self.regression.datum, stroke)
+        return SimulationError.of(self.actuator, self.frame.training, self.regression.datum, self.frame.stroke)
 
     def tune_dynamics(self, report: Callable[[str], None]) -> StructuredFit:
         """Return the same with the dynamics that simulate the records best, if they do so better."""

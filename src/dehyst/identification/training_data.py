@@ -23,7 +23,7 @@ from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure_selection import StructureTrial, select
-from dehyst.model import Structure
+from dehyst.model import Actuator, Structure
 from dehyst.model.structure import Grid
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
@@ -84,6 +84,11 @@ class TrainingData:
     denoised: bool = True
 
     @property
+    def stroke(self) -> float:
+        """Range of the widest loop [m]."""
+        return self.span[1] - self.span[0]
+
+    @property
     def times(self) -> tuple[float, float]:
         """Shortest sample time and longest record [s]."""
         records = [item.record for item in self.training]
@@ -133,7 +138,7 @@ class TrainingData:
     @cached_property
     def _paths(self) -> list[tuple[int, Record]]:
         """Record number and path that drives the elements of each piece of all records."""
-        delay, lag, stroke = self.inertia.delay, self.inertia.lag, self.span[1] - self.span[0]
+        delay, lag, stroke = self.inertia.delay, self.inertia.lag, self.stroke
         paths = [(q, piece) for q, item in enumerate(self.training) for piece in item.acting(delay, lag)]
         if not self.denoised:
             return paths
@@ -144,7 +149,7 @@ class TrainingData:
 
     def grows(self) -> bool:
         """Whether most samples of a record come before its range is at its widest."""
-        source = self.on_grid(Grid.plain(np.array([self.span[1] - self.span[0]]), np.array(self.span)), 1).source
+        source = self.on_grid(Grid.plain(np.array([self.stroke]), np.array(self.span)), 1).source
         last = sum(own[-1].stop - own[-1].start for own in source.epochs if own)
         return last < _GROWING * sum(len(piece) for _, piece, _ in source.pieces)
 
@@ -182,7 +187,7 @@ class TrainingData:
         """Records that drift, seen from plain elements; none if branches account for creep."""
         if self.supports_creep():
             return ()
-        few, stroke, error = self._rows_of(Structure(), _FEW_ROWS), self.span[1] - self.span[0], TrainingErrors()
+        few, stroke, error = self._rows_of(Structure(), _FEW_ROWS), self.stroke, TrainingErrors()
         return worthwhile(lambda drifting: error(replace(few, drifting=drifting)), self.can_drift, stroke)
 
     @cached_property
@@ -206,13 +211,27 @@ class TrainingData:
         lasting = [count * step for count, step in zip(cycles, times, strict=True)]
         return (len(lasting) > 1 and max(lasting) > _SPEEDS * min(lasting)) or any(map(_holds, self.training))
 
+    def actuator_of(self, regression: Regression, found: Coefficients) -> Actuator:
+        """Return the actuator of coefficients, without limits and name."""
+        rows = regression.rows
+        reference = int(rows.epoch[rows.record == self.widest].max())
+        return found.to_actuator(
+            regression.grid,
+            found.offsets[reference],
+            dynamics=self.inertia.dynamics,
+            delay=self.inertia.delay,
+            lag=self.inertia.lag,
+        )
+
     def chosen(
-        self, start: Structure, report: Callable[[str], None]
+        self, start: Structure, report: Callable[[str], None], without: tuple[str, ...] = ()
     ) -> tuple[Structure, tuple[StructureTrial, ...], list[str]]:
-        """Return the structure that the records support, the trials, and what they do not support."""
-        without: tuple[str, ...] = ()
+        """Return the structure that the records support, the trials, and what they do not support.
+
+        Fields in `without` do not change.
+        """
         remarks = []
-        if not self.supports_creep():
+        if not self.supports_creep() and not without:
             without = ("creep",)
             remarks.append(
                 "Creep was not looked for: the records neither hold still for as long as their cycles last nor have "

@@ -31,6 +31,22 @@ LONGER_ELEMENTS = (
 )
 
 
+_EXCITATIONS = {
+    "inertia": "Faster motion, up to a fifth of the resonance at least, would show it",
+    "creep": "A step that is held for as long as a cycle lasts, or loops at two speeds, would show it",
+}
+
+
+def of_dropped(part: str, without: float, within: float, stroke: float) -> str:
+    """Return the sentence for a part that does not predict time that was not trained on."""
+    named = {"inertia": "A resonance", "creep": "Creep"}[part]
+    return (
+        f"{named} was found and left out: it does not predict the thirds of the records that were not trained on "
+        f"(RMS {100 * within / stroke:.2g} % of the range with it, {100 * without / stroke:.2g} % without). Drift, "
+        f"vibration, the sensor's noise or its filter may look like it. {_EXCITATIONS[part]}."
+    )
+
+
 def of_noise(first: float, noise: float) -> list[str]:
     """Return a remark if jitter, which only wider structures remove, drags the first element, at `first` [m]."""
     if first >= _LOUD * noise:

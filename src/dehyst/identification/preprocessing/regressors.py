@@ -94,6 +94,8 @@ class Rows:
     displacement, voltage, drift : (n,) array
         y [m], v [V] and the record's creep curve (log of time since its start, mean zero).
     record, epoch : (n,) int array
+    time : (n,) array
+        [s].
     moved : (n, E) array
         Internal states besides carts, such as creep strains [m]; E is 0 without such parts.
     """
@@ -105,6 +107,7 @@ class Rows:
     drift: Array
     record: NDArray[np.intp]
     epoch: NDArray[np.intp]
+    time: Array
     moved: Array
 
     def __len__(self) -> int:
@@ -269,14 +272,15 @@ class RowSource:
         y, known = piece.displacement[at], 2 * self.breakaway <= epoch.reach
         s = np.where(known, elongation, y[:, None] - epoch.middle)
         stuck = ~known | (np.abs(elongation) < self.breakaway * (1 - 1e-9))
-        return Rows(s, stuck, y, piece.voltage[at], drift, np.full(at.size, number), np.full(at.size, k), moved)
+        numbers = np.full(at.size, number), np.full(at.size, k)
+        return Rows(s, stuck, y, piece.voltage[at], drift, *numbers, piece.time[at], moved)
 
     def _stacked(self, step: int) -> Rows:
         parts = list(self.blocks(step))
         if not parts:
             empty, none = np.zeros(0), np.zeros((0, self.breakaway.size))
             numbers, moved = empty.astype(int), np.zeros((0, self.moved[0].width if self.moved else 0))
-            return Rows(none, none > 0, empty, empty, empty, numbers, numbers, moved)
+            return Rows(none, none > 0, empty, empty, empty, numbers, numbers, empty, moved)
         names = Rows.__dataclass_fields__
         return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 

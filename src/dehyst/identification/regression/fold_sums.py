@@ -53,16 +53,21 @@ class FoldSums:
         The unknowns of a fit nearby that are not zero: the first fit starts from them.
     folds : int, optional
         Parts of the rows.
+    given : (n,) int array, optional
+        The fold of each row.
     """
 
     regression: Regression
     weights: Array
     nearby: Nearby | None = None
     folds: int = _FOLDS
+    given: NDArray[np.intp] | None = None
 
     @cached_property
     def fold(self) -> NDArray[np.intp]:
-        """Fold of each row (n,): every third cycle."""
+        """Fold of each row (n,): `given`, or every third cycle."""
+        if self.given is not None:
+            return self.given
         rows = self.regression.rows
         return blocks(rows.voltage, rows.epoch) % self.folds
 
@@ -115,6 +120,11 @@ class FoldSums:
         moving[free:] = self.nearby.moving_of(self.regression.places(), columns.shape[1] - free)
         return ActiveSet(moving, np.zeros(0, dtype=bool))
 
+    def without(self, k: int) -> Coefficients | None:
+        """Fit all rows but those of a fold; None if no other row is left."""
+        used = self.fold != k
+        return self._fit(used, sum_of(self._sums) - self._sums[k], self.whole) if used.any() else None
+
     def training_error(self) -> float:
         """Return the RMS error of the fit of all rows [m]."""
         columns, _ = self._columns
@@ -123,13 +133,11 @@ class FoldSums:
 
     def held_out_errors(self) -> Array:
         """Return the error of each row [m] in the fit without its fold."""
-        total, errors, like = sum_of(self._sums), np.empty(self.fold.size), self.whole
-        columns, _ = self._columns
+        errors, (columns, _) = np.empty(self.fold.size), self._columns
         for k in range(self.folds):
-            out = self.fold == k
-            if not out.any():
+            out, coefficients = self.fold == k, self.without(k)
+            if coefficients is None or not out.any():
                 continue
-            coefficients = self._fit(~out, total - self._sums[k], like)
             left = columns[out] @ _unknowns(coefficients) - self.regression.target[out]
             epochs = self.regression.rows.epoch[out]
             for epoch in np.setdiff1d(epochs, self.regression.rows.epoch[~out]):
