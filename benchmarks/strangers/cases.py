@@ -82,7 +82,9 @@ class Experiment:
         parts = protocol.parts(case.random("protocol"), truth.fast)
         self.sample = truth.period / protocol.samples
         self.shortest = self.sample / max(part.speed for part in parts)
-        self.bench = Bench(truth, case.disturbance.delay * self.shortest)
+        # What lags, lags by parts of the fastest period, however few samples that has.
+        self.unit = truth.period / 200 / max(part.speed for part in parts)
+        self.bench = Bench(truth, case.disturbance.delay * self.unit)
         self.now, self.history = 0.0, ([], [])
         if parts[0].u[0]:
             self._play(through([0.0, parts[0].u[0]], [protocol.samples // 4]), self.sample)
@@ -107,7 +109,7 @@ class Experiment:
 
     def _recorded(self, played: list[tuple[Array, Array, Array]], parts: list[Part]) -> list[Record]:
         truth, disturbance = self.case.truth, self.case.disturbance
-        scale = Scale(truth.stroke, truth.high - truth.low, truth.period, self.shortest)
+        scale = Scale(truth.stroke, truth.high - truth.low, truth.period, self.unit)
         rng = self.case.random("disturbance")
         raws = [Raw(*columns, f"{self.case.truth.name}-{k}") for k, columns in enumerate(played)]
         noisy = [
@@ -143,7 +145,7 @@ class Experiment:
         figures = self._errors("", wanted[1:] - reached) | {"clamped": clamped}
         if self.case.disturbance.name == "filter":
             raw = [Raw(when[1:], sent[1:], reached, "reached")]
-            scale = Scale(self.case.truth.stroke, 1.0, 1.0, self.shortest)
+            scale = Scale(self.case.truth.stroke, 1.0, 1.0, self.unit)
             seen = self.case.disturbance.change(raw, scale, self.case.random("sensor"))[0].displacement
             figures |= self._errors("sensed_", wanted[1:] - seen)
         return figures

@@ -28,12 +28,15 @@ class Raw:
 
 @dataclass(frozen=True)
 class Scale:
-    """What disturbances are measured by: stroke [m], range [V], slow period [s] and shortest sample time [s]."""
+    """What disturbances are measured by: stroke [m], range [V] and slow period [s].
+
+    `unit` is a two hundredth of the fastest period [s].
+    """
 
     stroke: float
     volts: float
     period: float
-    sample: float
+    unit: float
 
 
 Change = Callable[[list[Raw], Scale, np.random.Generator], list[Raw]]
@@ -43,7 +46,7 @@ Change = Callable[[list[Raw], Scale, np.random.Generator], list[Raw]]
 class Disturbance:
     """A disturbance of records; `named` is a pattern of the words by which a warning names it.
 
-    `delay` is one of the drive, in samples; `parts` are those by which a model may rightly follow it.
+    `delay` is one of the drive, in units of `Scale`; `parts` are those by which a model may rightly follow it.
     """
 
     name: str
@@ -100,8 +103,8 @@ def _coarse_voltage(raws: list[Raw], scale: Scale, rng: np.random.Generator) -> 
 
 
 def _filtered(raw: Raw, scale: Scale, rng: np.random.Generator) -> Array:
-    """By a first-order low-pass of the sensor of two and a half samples: 0.25 s beside loops of 20 s."""
-    y, keep = raw.displacement, float(np.exp(-np.median(np.diff(raw.time)) / (2.5 * scale.sample)))
+    """By a first-order low-pass of the sensor of an eightieth of the fastest period: 0.25 s beside loops of 20 s."""
+    y, keep = raw.displacement, float(np.exp(-np.median(np.diff(raw.time)) / (2.5 * scale.unit)))
     late, filtered = float(y[0]), []
     for now in y.tolist():
         late = keep * late + (1 - keep) * now
