@@ -34,6 +34,7 @@ wheel: $(VENV)/.release
 bench: $(VENV)/.test
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/accuracy.py
+	$(BIN)/python benchmarks/strangers.py --jobs 2
 	$(BIN)/python benchmarks/paper.py
 	$(BIN)/python benchmarks/coverage.py
 	$(BIN)/python benchmarks/solver.py
