@@ -39,8 +39,8 @@ from dehyst.records import Record
 
 # A model that misses its own training records by more of the range than this is of no use.
 _USELESS_PERCENT = 5.0
-# Thresholds in half strokes that records whose loops grow are also tried with.
-_REACH = 1.25
+# Thresholds in half strokes that records whose loops grow are also tried with, and how far they must lower the error.
+_REACH, _WORTH_OF_REACH = 1.25, 0.9
 # Of the spring, by default.
 _MOST_KNOTS = 41
 # A delay is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
@@ -204,7 +204,8 @@ class _Identification:
         if self.settings.breakaway is None and self._data(self.delay).grows():
             longer, more = self._fit_plain(_REACH * rho)
             other = self._actuator(longer, more) if more.solved.optimal else None
-            if other is not None and self._whole_error(other, longer) < self._whole_error(actuator, regression):
+            worth = _WORTH_OF_REACH * self._whole_error(actuator, regression)
+            if other is not None and self._whole_error(other, longer) < worth:
                 actuator, regression, found = other, longer, more
                 self.remarks.append(messages.LONGER_ELEMENTS)
         directions = identifiability(self._on_axis(regression.datum), regression)
@@ -282,7 +283,7 @@ class _Identification:
         if not longer.found.solved.optimal:
             return made
         before, after = (self._whole_error(one.actuator, one.regression) for one in (made, longer))
-        if after >= before:
+        if after >= _WORTH_OF_REACH * before:
             return made
         self.structure = longer.structure
         self.remarks.append(messages.LONGER_ELEMENTS)

@@ -26,7 +26,7 @@ from dehyst.identification.structure_selection import StructureTrial, select
 from dehyst.model import Actuator, Structure
 from dehyst.model.structure import Grid
 from dehyst.records import Record
-from dehyst.records.signals import turning_points
+from dehyst.records.signals import energy_share, resolution, turning_points
 
 # Rows for a trial, and for the final program.
 _FEW_ROWS = 4000
@@ -35,6 +35,10 @@ _MOST_ROWS = 30_000
 # does, too.
 _SPEEDS = 3.0
 _HELD = 0.005
+# Steps of a voltage, as a part of its range, that are too coarse for a hold to be one.
+_COARSE = 0.002
+# Least part of the voltage's energy above half the frequency of a resonance.
+_EXCITED = 1e-7
 # The structure that shows whether a record began at rest, and by how much that must lower the RMS residual.
 _CREEPING = Structure(elements=20, transformer=20, grades=4, creep=9)
 _WORTH_OF_START = 0.9
@@ -180,7 +184,14 @@ class TrainingData:
         masses = [replace(self.inertia, mass=(root * step) ** 2) for root in _ROOTS]
         if min(error(one) for one in masses) > _WORTH_OF_MASS * without:
             return self
-        return replace(self, inertia=find_dynamics(error, self.inertia.delay, step, cycle))
+        found = find_dynamics(error, self.inertia.delay, step, cycle)
+        excited = found.dynamics is not None and self._excites(found.dynamics.frequency / (2 * np.pi))
+        return replace(self, inertia=found) if excited else self
+
+    def _excites(self, frequency: float) -> bool:
+        """Whether a voltage has energy where a resonance [Hz] would show: without it noise is what is fitted."""
+        pieces = [piece for item in self.training for piece in item.pieces]
+        return max(energy_share(piece.voltage, piece.sample_time, 0.5 * frequency) for piece in pieces) > _EXCITED
 
     @cached_property
     def drifting(self) -> tuple[int, ...]:
@@ -244,6 +255,9 @@ class TrainingData:
 def _holds(item: Prepared) -> bool:
     """Whether the voltage stands still for as long as a cycle lasts somewhere, or for a tenth of the record."""
     v, record = item.record.voltage, item.record
+    # A coarse voltage stands still wherever it moves by less than one of its steps.
+    if resolution(v)[1] > _COARSE:
+        return False
     still = np.abs(np.diff(v)) < 1e-3 * _HELD * np.ptp(v)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
     longest = max((b - a for a, b in zip(edges[::2], edges[1::2], strict=True)), default=0) * record.sample_time

@@ -114,3 +114,21 @@ def resolution(values: Array) -> tuple[float, float]:
     if not len(moving) or len(moving) > 0.8 * len(steps):
         return 0.0, 0.0
     return float(moving.min()), float(moving.min()) / span
+
+
+def energy_share(signal: Array, sample_time: float, frequency: float) -> float:
+    """Return the part of a signal's energy above a frequency, of that of all its changes.
+
+    Parameters
+    ----------
+    signal : (n,) array
+    sample_time : float
+        [s].
+    frequency : float
+        [Hz].
+    """
+    line = np.linspace(signal[0], signal[-1], signal.size)
+    power = np.abs(np.fft.rfft((signal - line) * np.hanning(signal.size))) ** 2
+    above = np.fft.rfftfreq(signal.size, sample_time) > frequency
+    total = float(power[1:].sum())
+    return float(power[above].sum()) / total if total > 0 else 0.0
