@@ -68,6 +68,14 @@ if TYPE_CHECKING:
 )
 @click.option("--delay", type=float, metavar="SECONDS", help="Lag of the displacement.  [default: estimated]")
 @click.option("--shared-datum", is_flag=True, help="All records share one sensor zero.")
+@click.option(
+    "--goal",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="Largest error, in % of the stroke, with which the model is ready for use.",
+)
 @click.option("--no-drift", is_flag=True, help="Do not estimate and remove the drift of a record.")
 @force_option
 @columns_options

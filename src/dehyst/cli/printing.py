@@ -22,6 +22,8 @@ _SHOWN = 5
 
 def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
     """Print the result of an identification."""
+    if fit.expectation is not None:
+        echo(fit.expectation.sentence)
     echo(fit.outcome.value)
     if fit.errors:
         names = [escaped(error.record) for error in fit.errors]
@@ -47,7 +49,9 @@ def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
             echo(f"  {trial.held_out * 1e9:>7.1f} nm  {label(trial.structure, fit.trials)}{chosen}")
         echo("  (A part is kept only if it lowers this error by at least 3 %.)")
     _print_parts(fit.actuator)
-    for title, sentences in (("Repaired or left out", fit.repairs), ("Remarks", fit.remarks)):
+    causes = [one.sentence(fit.errors[0].stroke) for one in fit.remaining]
+    lists = ("Repaired or left out", fit.repairs), ("Remaining error", causes), ("Remarks", fit.remarks)
+    for title, sentences in lists:
         if sentences:
             echo()
             echo(f"{title}:")

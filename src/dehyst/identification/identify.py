@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dehyst import _validation
 from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
@@ -17,7 +18,9 @@ from dehyst._version import __version__
 from dehyst.identification import output_error, paper_methods
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.assumptions import assumption_checks
+from dehyst.identification.diagnostics.expectation import expectation
 from dehyst.identification.diagnostics.identifiability import identifiability, probe_identifiability
+from dehyst.identification.diagnostics.remaining_error import remaining_error
 from dehyst.identification.diagnostics.residuals import residual_checks
 from dehyst.identification.dynamics_search import SensedDynamics
 from dehyst.identification.extrapolation import unsupported
@@ -34,11 +37,10 @@ from dehyst.identification.structured_fit import StructuredFit
 from dehyst.identification.training_data import TrainingData
 from dehyst.identification.validation import MOST_ROWS, Protocol, errors_of
 from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure, Trace
+from dehyst.model.readiness import USELESS
 from dehyst.model.structure import Grid
 from dehyst.records import Record
 
-# A model that misses its own training records by more of the range than this is of no use.
-_USELESS_PERCENT = 5.0
 # Thresholds in half strokes that records whose loops grow are also tried with, and how far they must lower the error.
 _REACH, _WORTH_OF_REACH = 1.25, 0.9
 # Of the spring, by default.
@@ -64,6 +66,7 @@ def identify(
     branch: Direction = "descending",
     structure: Structure | Literal["auto", "paper"] = "auto",
     refine: bool = False,
+    goal: float = 1.0,
     throw: bool = True,
     progress: Progress | None = None,
 ) -> Fit:
@@ -104,6 +107,8 @@ def identify(
     refine : bool, optional
         Try Gauss-Newton steps that make the error of simulation small, thresholds free, and keep them if they are
         better on cycles held out; not for the paper's class ("paper").
+    goal : float, optional
+        Largest error [% of the stroke] with which the model is ready for use: see `Expectation`.
     throw : bool, optional
         Raise if the solver finds no optimum (default), or return a Fit with `Outcome.FAILED`.
     progress : callable, optional
@@ -121,6 +126,7 @@ def identify(
         If an option is impossible, or no sample determines anything of the elements.
     """
     settings = Settings(method, elements, breakaway, norm, knots, slope_floor, delay, shared_datum, drift, branch)  # type: ignore[arg-type]
+    _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
     report = progress or (lambda _: None)
     training, held_out = as_list(records), as_list(validate)
     if not training:
@@ -135,7 +141,7 @@ def identify(
     report("checking the records")
     with one_thread():
         job = _Identification(
-            settings, [prepare(record) for record in training], [prepare(record) for record in held_out], report
+            settings, [prepare(record) for record in training], [prepare(record) for record in held_out], report, goal
         )
         if structure != "paper":
             fit = job.by_structure(structure, refine)
@@ -178,6 +184,7 @@ class _Identification:
     training: list[Prepared]
     held_out: list[Prepared]
     report: Progress
+    goal: float = 1.0
     repairs: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     structure: Structure | None = None
@@ -470,9 +477,9 @@ class _Identification:
             checked = residual_checks(actuator, traces, errors)
         else:
             checked = assumption_checks(actuator, records, errors, floor=floor, imposed=imposed)
-        if max(error.largest_percent for error in errors) > _USELESS_PERCENT:
+        if max(error.largest_percent for error in errors) > USELESS:
             outcome = Outcome.VALIDATION_MISSED
-        if max(error.largest_percent for error in errors if error.role == "training") > _USELESS_PERCENT:
+        if max(error.largest_percent for error in errors if error.role == "training") > USELESS:
             outcome = Outcome.INACCURATE
         actuator = replace(actuator, provenance={**actuator.provenance, "outcome": outcome.name})
         self.remarks += messages.of_rare_voltages(self.training, self._limits())
@@ -492,4 +499,6 @@ class _Identification:
             options,
             checked,
             self.trials,
+            expectation(outcome, errors, checked, self.trials, max(item.noise for item in records), self.goal),
+            tuple(remaining_error(trace) for trace in traces),
         )

@@ -8,7 +8,10 @@ from enum import Enum
 from math import isfinite
 from typing import Any
 
+import numpy as np
+
 from dehyst._types import Array
+from dehyst.model.readiness import Expectation
 
 # Largest creep [% of the range a decade]; least part of a decade from which a rate is reported.
 MOST_CREEP, FEWEST_DECADES = 20.0, 0.5
@@ -156,6 +159,59 @@ class Trace:
         return self.measured - self.simulated
 
 
+@dataclass(frozen=True)
+class RemainingError:
+    """Where the error of a record comes from: shares of the power of its residual.
+
+    Attributes
+    ----------
+    record, role : str
+    rms : float
+        RMS of the residual less its mean [m].
+    noise, slow, vibration, model : float
+        Shares of white noise, of drift and the like, of a line that the voltage does not have, and of the model.
+    frequency : float
+        That of the line [Hz]; 0 without one.
+    """
+
+    record: str
+    role: str
+    rms: float
+    noise: float
+    slow: float
+    vibration: float
+    model: float
+    frequency: float
+
+    @property
+    def vibration_amplitude(self) -> float:
+        """Amplitude of the line [m]."""
+        return self.rms * float(np.sqrt(2 * self.vibration))
+
+    def sentence(self, stroke: float) -> str:
+        """Return the shares in words, with what would reduce the largest one."""
+        parts = [(self.noise, "white noise"), (self.slow, "drift or another slow cause"), (self.model, "the model")]
+        if self.vibration:
+            size = f"{100 * self.vibration_amplitude / stroke:.2g} % of the stroke, which the voltage does not cause"
+            parts.append((self.vibration, f"a vibration of {self.frequency:.3g} Hz, {size}"))
+        parts.sort(reverse=True)
+        shares = ", ".join(f"{100 * share:.0f} % {cause}" for share, cause in parts)
+        return f"{self.record}: of the remaining error's power, {shares}. {_REMEDIES[parts[0][1].split()[0]]}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return asdict(self)
+
+
+# By the first word of the largest part.
+_REMEDIES = {
+    "white": "A quieter sensor or averaged cycles would reduce it; a better model would not.",
+    "drift": "Let the actuator warm up, record at a constant temperature, or zero the sensor in time.",
+    "the": "More elements, grades or loops that turn elsewhere may reduce it.",
+    "a": "Isolate the stage, or close the loop: no model of the voltage can follow it.",
+}
+
+
 class Verdict(Enum):
     """Whether an assumption of a model holds; the value is the word to show."""
 
@@ -221,6 +277,10 @@ class Fit:
         Assumptions of the model, tested on the records.
     trials : tuple of dehyst.identification.structure_selection.StructureTrial
         Structures that were tried, if one was selected.
+    expectation : Expectation or None
+        How well a path will be followed, and the verdict; None when the outcome is `Outcome.FAILED`.
+    remaining : tuple of RemainingError
+        Where the error of each record comes from.
     """
 
     actuator: Any
@@ -234,6 +294,8 @@ class Fit:
     options: Mapping[str, Any] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
     trials: tuple[Any, ...] = ()
+    expectation: Expectation | None = None
+    remaining: tuple[RemainingError, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the traces."""
@@ -241,6 +303,8 @@ class Fit:
             "outcome": self.outcome.name,
             "sentence": self.outcome.value,
             "good": self.outcome.good,
+            "verdict": None if self.expectation is None else self.expectation.as_dict(),
+            "remaining": [one.as_dict() for one in self.remaining],
             "errors": [error.as_dict() for error in self.errors],
             "checks": [check.as_dict() for check in self.checks],
             "repairs": list(self.repairs),

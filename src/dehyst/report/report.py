@@ -11,7 +11,7 @@ from dehyst._io.drafts import PathLike, write_atomically
 from dehyst.baselines import ModelComparison
 from dehyst.control import TrackedPath
 from dehyst.identification.structure_selection import label
-from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure
+from dehyst.model import Actuator, Fit, Readiness, RecordErrors, Structure
 from dehyst.report.comparison_section import comparison_sections
 from dehyst.report.fit_section import loops, numbers, residuals, slip_and_spring
 from dehyst.report.html import Row, bullets, document, escape, length, number, table
@@ -96,12 +96,13 @@ def render(
     parts = [
         f"<h1>{escape(name)}</h1>",
         _facts(fit, actuator),
-        _outcome(fit.outcome),
+        _outcome(fit),
         *followed_sections(followed),
         _errors(fit.errors),
         _trials(fit),
         _checks(fit, actuator),
         _sentences("What was repaired or left out", fit.repairs, "Nothing was repaired or left out."),
+        _sentences("Remaining error", [one.sentence(fit.errors[0].stroke) for one in fit.remaining], "None."),
         _sentences("Remarks", fit.remarks, "No remarks."),
         loops(fit),
         residuals(fit),
@@ -126,14 +127,18 @@ def _facts(fit: Fit, actuator: Actuator | None) -> str:
     return f'<p class="muted">{escape(" · ".join(facts))}</p>'
 
 
-def _outcome(outcome: Outcome) -> str:
-    if outcome is Outcome.IDENTIFIED:
-        colour, word = "green", "Good"
-    elif outcome.good:
-        colour, word = "amber", "Usable, with care"
+_COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
+
+
+def _outcome(fit: Fit) -> str:
+    """Return the verdict in the colour of its readiness, then how the identification ended."""
+    if fit.expectation is None:
+        colour, word, sentence = "red", Readiness.NOT_USABLE.value.capitalize(), fit.outcome.value
     else:
-        colour, word = "red", "Not usable"
-    return f'<p class="outcome {colour}" role="status"><strong>{word}</strong> {_with_units(escape(outcome.value))}</p>'
+        colour = _COLOURS[fit.expectation.readiness]
+        word, _, sentence = fit.expectation.sentence.partition(": ")
+        sentence = f"{sentence[0].upper()}{sentence[1:]} {fit.outcome.value}"
+    return f'<p class="outcome {colour}" role="status"><strong>{word}</strong> {_with_units(escape(sentence))}</p>'
 
 
 def _errors(errors: Sequence[RecordErrors]) -> str:

@@ -1,0 +1,54 @@
+"""The error to expect on a path like the records, and the reasons for care, from the results of an identification."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dehyst.identification.structure_selection import StructureTrial
+from dehyst.model import Check, Outcome, RecordErrors, Verdict
+from dehyst.model.readiness import MOST_SET_ASIDE, WIDEST_GAP, Expectation
+
+
+def expectation(
+    outcome: Outcome,
+    errors: Sequence[RecordErrors],
+    checks: Sequence[Check],
+    trials: Sequence[StructureTrial],
+    noise: float,
+    goal: float,
+) -> Expectation:
+    """Return what to expect.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    errors, checks, trials
+        Those of a `Fit`.
+    noise : float
+        Standard deviation of the sensor [m].
+    goal : float
+        [% of the stroke].
+    """
+    training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
+    judged, basis = (validation, "validation records") if validation else (training, "training records")
+    rms, largest = max(one.rms for one in judged), max(one.largest for one in judged)
+    if trials and not validation:
+        held_out, basis = min(trial.held_out for trial in trials), "held-out parts and whole training records"
+        largest *= max(held_out / rms, 1.0) if rms else 1.0
+        rms = max(rms, held_out)
+    reasons = []
+    aside = sum(one.left_out for one in training) / sum(one.left_out + one.samples for one in training)
+    if aside > MOST_SET_ASIDE:
+        reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
+    fitted = max(one.rms for one in training)
+    if validation and rms > WIDEST_GAP * fitted:
+        reasons.append(f"validation records are missed {rms / fitted:.1f} times as far as training records")
+    drifted = max(abs(one.drifted_percent) for one in errors)
+    if drifted > goal:
+        reasons.append(f"a drift of {drifted:.2g} % was removed, which a path will show")
+    if outcome is Outcome.UNDETERMINED:
+        reasons.append("the records do not determine all stiffnesses")
+    failed = [check.name for check in checks if check.verdict is Verdict.FAILS]
+    if failed:
+        reasons.append(f"failed checks: {', '.join(failed)}")
+    return Expectation(rms, largest, noise, errors[0].stroke, goal, basis, tuple(reasons))
