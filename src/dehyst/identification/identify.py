@@ -189,6 +189,7 @@ class _Identification:
     remarks: list[str] = field(default_factory=list)
     structure: Structure | None = None
     trials: tuple[StructureTrial, ...] = ()
+    steady: bool = False
 
     def __post_init__(self) -> None:
         self.repairs += [sentence for item in (*self.training, *self.held_out) for sentence in item.sentences]
@@ -279,7 +280,8 @@ class _Identification:
         while dropped := unsupported(frame, still, structure, self.report):
             self.remarks.append(messages.of_dropped(dropped.part, dropped.without, dropped.within, self.stroke))
             frame = still if dropped.part == "inertia" else frame
-            fixed = ("creep",) if dropped.part == "creep" else fixed
+            if dropped.part == "creep":
+                fixed, still, frame = ("creep",), replace(still, creepless=True), replace(frame, creepless=True)
             structure, trials, _ = frame.chosen(Structure(), self.report, fixed)
             self.trials += trials
         return frame, structure
@@ -363,7 +365,7 @@ class _Identification:
         grid = self.stroke / 60 * np.arange(1.0, 31.0)
         drifting = tuple(self._can_drift())
 
-        data = self._data(0.0)
+        data = self._data_of(0.0)
         few = [item.coarser(_SEARCH_CYCLE, _SEARCH_SAMPLES) for item in self.training]
         data = replace(data, training=few, floor=data.floor / self.settings.slope_floor * 0.01)
 
@@ -378,6 +380,16 @@ class _Identification:
 
     def _data(self, delay: float) -> TrainingData:
         """Return the training records as plain elements need them: displacements as measured, each on its own axis."""
+        data = self._data_of(delay)
+        if not self.steady and data.drifts_steadily():
+            self.steady = True
+            self.training, self.held_out = (
+                [replace(item, steady=True) for item in items] for items in (self.training, self.held_out)
+            )
+            data = self._data_of(delay)
+        return data
+
+    def _data_of(self, delay: float) -> TrainingData:
         mean_slope = float(np.ptp(self.training[self.widest].record.voltage)) / self.stroke
         return TrainingData(
             self.training,

@@ -37,6 +37,9 @@ _SPEEDS = 3.0
 _HELD = 0.005
 # Steps of a voltage, as a part of its range, that are too coarse for a hold to be one.
 _COARSE = 0.002
+# The structure that shows how records drift, and by how much a straight line must lower the RMS residual.
+_DRIFTING = Structure(elements=20, grades=4)
+_WORTH_OF_LINE = 0.97
 # Least part of the voltage's energy above half the frequency of a resonance.
 _EXCITED = 1e-7
 # The structure that shows whether a record began at rest, and by how much that must lower the RMS residual.
@@ -75,6 +78,8 @@ class TrainingData:
         Records that may creep by a logarithm of time since their start, where no branches account for creep.
     denoised : bool
         Whether the sensor's noise is taken out of the path that drives the elements.
+    creepless : bool
+        Whether creep was found not to predict: records may drift instead.
     """
 
     training: Sequence[Prepared]
@@ -86,6 +91,7 @@ class TrainingData:
     widest: int = 0
     can_drift: tuple[int, ...] = ()
     denoised: bool = True
+    creepless: bool = False
 
     @property
     def stroke(self) -> float:
@@ -201,6 +207,17 @@ class TrainingData:
         few, stroke, error = self._rows_of(Structure(), _FEW_ROWS), self.stroke, TrainingErrors()
         return worthwhile(lambda drifting: error(replace(few, drifting=drifting)), self.can_drift, stroke)
 
+    def drifts_steadily(self) -> bool:
+        """Whether a drift in proportion to time explains the records better than one by its logarithm."""
+        if not self.can_drift:
+            return False
+        lines = replace(self, training=[replace(item, steady=True) for item in self.training])
+        error, grid = TrainingErrors(), _DRIFTING.grid(self.span, self.voltages, self.times)
+        by_logarithm, by_time = (
+            error(replace(one.on_grid(grid, _FEW_ROWS).regression, drifting=self.can_drift)) for one in (self, lines)
+        )
+        return by_time < _WORTH_OF_LINE * by_logarithm
+
     @cached_property
     def strained(self) -> tuple[int, ...]:
         """Records that creep as if they had not been at rest as they began, where that explains much."""
@@ -217,6 +234,8 @@ class TrainingData:
 
     def supports_creep(self) -> bool:
         """Whether there are loops at different speeds, or a hold: else creep looks like hysteresis."""
+        if self.creepless:
+            return False
         cycles = [cycle.stop - cycle.start for item in self.training for cycle in item.record.cycles()]
         times = [item.record.sample_time for item in self.training for _ in item.record.cycles()]
         lasting = [count * step for count, step in zip(cycles, times, strict=True)]

@@ -337,6 +337,7 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
         datum=compared.datum,
         drift=-compared.drift / slope,
         decades=float(np.ptp(regression.rows.drift)),
+        steady=record.steady,
     ), trace
 
 

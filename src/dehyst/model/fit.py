@@ -74,6 +74,8 @@ class RecordErrors:
         Removed drift [m a decade of time since the record's start].
     decades : float
         Decades of that time that the used samples cover.
+    steady : bool
+        Whether the drift is in proportion to time; `drift` times `decades` is all of it.
     """
 
     record: str
@@ -89,6 +91,7 @@ class RecordErrors:
     datum: float
     drift: float
     decades: float = 1.0
+    steady: bool = False
 
     @property
     def drifted_percent(self) -> float:
@@ -98,7 +101,7 @@ class RecordErrors:
     @property
     def creeps(self) -> bool:
         """Whether the drift can be creep, so that its rate is reported."""
-        return may_creep(100 * self.drift / self.stroke, self.decades)
+        return not self.steady and may_creep(100 * self.drift / self.stroke, self.decades)
 
     @property
     def largest_percent(self) -> float:
@@ -127,6 +130,7 @@ class RecordErrors:
             "datum_m": self.datum,
             "drift_percent": 100 * self.drift / self.stroke,
             "drift_decades": self.decades,
+            "drift_steady": self.steady,
         }
 
 

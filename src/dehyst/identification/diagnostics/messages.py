@@ -171,6 +171,11 @@ def _drift(error: RecordErrors) -> str:
     """Describe a drift; as a rate only if it can be creep."""
     if error.creeps:
         return f"creeps by {100 * error.drift / error.stroke:.3g} % of the range a decade of time since its start"
+    if error.steady:
+        return (
+            f"drifts steadily by {error.drifted_percent:.3g} % of the range over the samples that count: the sensor, "
+            "the temperature, or creep that lasts longer than the record"
+        )
     few = error.decades < FEWEST_DECADES
     why = "too short a time to determine a rate of creep" if few else "which is more than creep"
     return f"drifts by {error.drifted_percent:.3g} % of the range over the samples that count, {why}"

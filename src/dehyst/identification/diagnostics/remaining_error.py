@@ -34,8 +34,8 @@ def remaining_error(trace: Trace) -> RemainingError:
     model = max(total - white - drifting - line, 0.0)
     # Estimates of parts may add up to more than the whole.
     scale = total / max(white + drifting + line + model, total)
-    shares = [part * scale / total for part in (white, drifting, line, model)]
-    return RemainingError(trace.record, trace.role, float(np.sqrt(total)), *shares, frequency=frequency)
+    noise, drift, vibration, rest = (part * scale / total for part in (white, drifting, line, model))
+    return RemainingError(trace.record, trace.role, float(np.sqrt(total)), noise, drift, vibration, rest, frequency)
 
 
 def _slow(trace: Trace, residual: Array) -> Array:

@@ -41,6 +41,8 @@ class Prepared:
         Whether it has enough cycles to separate drift from hysteresis.
     sentences : tuple of str
         Sentences: what was repaired.
+    steady : bool
+        Whether it drifts in proportion to time, as a sensor does, and not to its logarithm, as creep does.
     """
 
     record: Record
@@ -52,6 +54,7 @@ class Prepared:
     noise: float
     can_drift: bool
     sentences: tuple[str, ...]
+    steady: bool = False
 
     def span(self) -> tuple[float, float]:
         """Return the lowest and highest displacement [m] of the samples that count and of the turns before them."""
@@ -78,8 +81,15 @@ class Prepared:
         return [(number, piece, self.drift_curve(piece)) for piece in self.acting(delay, lag)]
 
     def drift_curve(self, piece: Record) -> Array:
-        """Return the curve of a drift, a logarithm of the time since the record began, at the samples of a piece."""
-        return np.interp(piece.time, self.record.time, cleaning.drift_curve(self.record, self.start))
+        """Return the curve of a drift at the samples of a piece: a logarithm of the time since the record began.
+
+        A steady drift is a straight line that covers as many decades.
+        """
+        curve = cleaning.drift_curve(self.record, self.start)
+        if self.steady:
+            time = self.record.time
+            curve = (time - time.mean()) * float(np.ptp(curve)) / float(np.ptp(time))
+        return np.interp(piece.time, self.record.time, curve)
 
     def coarser(self, cycle: int, most: int) -> Prepared:
         """Return the record in fewer samples, for searches.
