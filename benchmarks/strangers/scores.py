@@ -105,12 +105,13 @@ def claims(fit: Fit, experiment: Experiment) -> dict[str, Any]:
     """Return what a fit claims: errors [% of the stroke], outcome, warnings and parts."""
     training = [error for error in fit.errors if error.role == "training"]
     stroke = training[0].stroke
-    held_out = _held_out(fit)
-    claimed = max(error.rms_percent for error in training) if held_out is None else 100 * held_out / stroke
+    expected = fit.expectation
+    claimed = max(error.rms_percent for error in training) if expected is None else 100 * expected.rms / stroke
     total = sum(error.samples + error.left_out for error in training)
     return {
         "claimed_rms": claimed,
-        "claimed_by": "training" if held_out is None else "held-out",
+        "claimed_by": "training" if expected is None else expected.basis,
+        "verdict": None if expected is None else expected.as_dict(),
         "training_rms": max(error.rms_percent for error in training),
         "training_largest": max(error.largest_percent for error in training),
         "set_aside": sum(error.left_out for error in training) / total,
@@ -121,15 +122,6 @@ def claims(fit: Fit, experiment: Experiment) -> dict[str, Any]:
         "parts": parts(fit.actuator),
         "delay_samples": fit.actuator.delay / experiment.shortest,
     }
-
-
-def _held_out(fit: Fit) -> float | None:
-    """Return the held-out error of the structure that was chosen [m]; None if none was tried."""
-    used = fit.options.get("structure")
-    same = [trial.held_out for trial in fit.trials if trial.structure.as_dict() == used]
-    if used is None:
-        same = [trial.held_out for trial in fit.trials if trial.structure.plain]
-    return min(same, default=None)
 
 
 def parts(actuator: Actuator) -> str:

@@ -1,27 +1,30 @@
-"""Time that was not trained on: parts that move in time must predict the first and the last third of the records.
+"""Time that was not trained on: what a model of two thirds of the records makes of the rest, simulated.
 
 Folds that interleave cycles never extrapolate, and the equation of a row knows the measured displacement: both let a
-resonance filter the sensor's noise, and creep follow a drift. Here a model of two thirds of the time is simulated from
-the voltages alone over the other third. A straight line in time is taken from what it misses in each record, for the
-comparison only: drift is no reason for a part.
+resonance filter the sensor's noise, and creep follow a drift. Here sixths of the time, two at a time, are simulated
+from the voltages alone by a model of the others. Where parts that move in time compete, a straight line in time is
+taken from what is missed in each record: drift is no reason for such a part.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dehyst._types import Array, Progress
+from dehyst._types import Array, Mask, Progress
 from dehyst.identification.regression.fold_sums import FoldSums, first_weights
+from dehyst.identification.regression.regression import Regression
 from dehyst.identification.training_data import TrainingData
 from dehyst.identification.validation import Protocol, errors_of
 from dehyst.model import Structure
 from dehyst.records.metrics import rms
 
 _ROWS = 4000
-_THIRDS = 3
-# A part stays only if without it the thirds not trained on are missed by more than this ratio.
+_PARTS = 6
+# A part of the model stays only if without it the error is larger by more than this ratio.
 _WORTH = 1.03
 
 
@@ -34,7 +37,7 @@ class Dropped:
     part : str
         "inertia", "creep" or "delay".
     without, within : float
-        RMS error [m] of the thirds not trained on, without the part and with it.
+        Error [m] of time that was not trained on, without the part and with it.
     """
 
     part: str
@@ -43,26 +46,57 @@ class Dropped:
 
 
 def extrapolation_error(frame: TrainingData, structure: Structure) -> float:
-    """Return the RMS error [m] of the first and the last third, each simulated by a model of the rest."""
-    regression = frame.regression(structure, _ROWS)
-    rows = regression.rows
-    begin = np.array([item.record.time[0] for item in frame.training])
-    end = np.array([item.record.time[-1] for item in frame.training])
-    part = (rows.time - begin[rows.record]) / (end - begin)[rows.record]
-    third = np.clip((_THIRDS * part).astype(np.intp), 0, _THIRDS - 1)
-    sums = FoldSums(regression, first_weights(regression), folds=_THIRDS, given=third)
-    squares: list[Array] = []
-    for k in (0, _THIRDS - 1):
-        coefficients = sums.without(k)
-        if coefficients is None:
-            continue
-        actuator = frame.actuator_of(regression, coefficients)
-        for q, item in enumerate(frame.training):
-            protocol = Protocol("training", actuator.delay, float(regression.datum[q]), False, frame.stroke)
-            _, trace = errors_of(actuator, item, protocol)
-            where = np.clip((_THIRDS * (trace.time - begin[q]) / (end[q] - begin[q])).astype(np.intp), 0, _THIRDS - 1)
-            squares.append(_detrended(trace.time, trace.residual)[where == k])
-    return rms(np.concatenate(squares)) if squares else float("nan")
+    """Return the error [m] of parts of the time that were not trained on, less a straight line in each record."""
+    parts = _Parts(frame, frame.regression(structure, _ROWS))
+    return _typical([_detrended(*one)[where] for one, where in parts.residuals()])
+
+
+def block_error(frame: TrainingData, regression: Regression) -> float:
+    """Return the error [m] of parts of the time that were not trained on."""
+    return _typical([residual[where] for (_, residual), where in _Parts(frame, regression.thinned(_ROWS)).residuals()])
+
+
+def _typical(parts: list[Array]) -> float:
+    """Return the median RMS error: a part with the only loops of their size says little of the others."""
+    return float(np.median([rms(part) for part in parts if part.size])) if any(map(np.size, parts)) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """Sixths of the time of all records, two of them held out at a time.
+
+    Samples beyond the displacements of the rest do not count: there nothing is known.
+    """
+
+    frame: TrainingData
+    regression: Regression
+
+    def _part(self, q: int, time: Array) -> NDArray[np.intp]:
+        """Return the part in which each time of a record lies."""
+        first, last = self.frame.training[q].record.time[[0, -1]]
+        return np.asarray(np.clip((_PARTS * (time - first) / (last - first)).astype(np.intp), 0, _PARTS - 1))
+
+    def residuals(self) -> Iterator[tuple[tuple[Array, Array], Mask]]:
+        """Yield time and residual of a record under a model that lacks a group, and which samples were held out."""
+        rows = self.regression.rows
+        part = np.zeros(len(rows), dtype=np.intp)
+        for q in range(len(self.frame.training)):
+            part[rows.record == q] = self._part(q, rows.time[rows.record == q])
+        weights = first_weights(self.regression)
+        for k in range(_PARTS // 2):
+            group = k, k + _PARTS // 2
+            out = np.isin(part, group)
+            fitted = FoldSums(self.regression, weights, folds=2, given=out.astype(np.intp)).without(1)
+            if fitted is None:
+                continue
+            actuator = self.frame.actuator_of(self.regression, fitted)
+            known = self.regression.axis[~out]
+            for q, item in enumerate(self.frame.training):
+                datum = float(self.regression.datum[q])
+                protocol = Protocol("training", actuator.delay, datum, q in self.regression.drifting, self.frame.stroke)
+                _, trace = errors_of(actuator, item, protocol)
+                inside = (trace.measured >= known.min()) & (trace.measured <= known.max())
+                yield (trace.time, trace.residual), np.isin(self._part(q, trace.time), group) & inside
 
 
 def _detrended(time: Array, residual: Array) -> Array:
@@ -87,7 +121,7 @@ def unsupported(frame: TrainingData, still: TrainingData, structure: Structure, 
     if frame.inertia.mass:
         simpler.append(("inertia", still, structure))
     if structure.creep:
-        simpler.append(("creep", frame, replace(structure, creep=0)))
+        simpler.append(("creep", replace(frame, creepless=True), replace(structure, creep=0)))
     if not simpler:
         return None
     report("predicting time that was not trained on")

@@ -23,7 +23,7 @@ from dehyst.identification.diagnostics.identifiability import identifiability, p
 from dehyst.identification.diagnostics.remaining_error import remaining_error
 from dehyst.identification.diagnostics.residuals import residual_checks
 from dehyst.identification.dynamics_search import SensedDynamics
-from dehyst.identification.extrapolation import unsupported
+from dehyst.identification.extrapolation import block_error, unsupported
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.regression import nuisances
@@ -190,6 +190,7 @@ class _Identification:
     structure: Structure | None = None
     trials: tuple[StructureTrial, ...] = ()
     steady: bool = False
+    held_out_error: float = 0.0
 
     def __post_init__(self) -> None:
         self.repairs += [sentence for item in (*self.training, *self.held_out) for sentence in item.sentences]
@@ -219,6 +220,7 @@ class _Identification:
         directions = identifiability(self._on_axis(regression.datum), regression)
         outcome, remarks = messages.of_plain(directions, regression, found)
         self.remarks += remarks
+        self.held_out_error = block_error(replace(self._data(self.delay), datum=regression.datum), regression)
         return self._finish(actuator, regression, outcome, found.solved.status, found.solved.gap)
 
     def _fit_plain(self, rho: Array) -> tuple[Regression, Coefficients]:
@@ -268,6 +270,7 @@ class _Identification:
         )
         self.report("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
+        self.held_out_error = block_error(made.frame, made.regression)
         return self._finish(actuator, made.regression, outcome, solution.status, solution.gap)
 
     def _chosen(self, still: TrainingData) -> tuple[TrainingData, Structure]:
@@ -511,6 +514,6 @@ class _Identification:
             options,
             checked,
             self.trials,
-            expectation(outcome, errors, checked, self.trials, max(item.noise for item in records), self.goal),
+            expectation(outcome, errors, checked, self.held_out_error, max(item.noise for item in records), self.goal),
             tuple(remaining_error(trace) for trace in traces),
         )

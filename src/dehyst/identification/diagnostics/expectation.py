@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dehyst.identification.structure_selection import StructureTrial
 from dehyst.model import Check, Outcome, RecordErrors, Verdict
 from dehyst.model.readiness import MOST_SET_ASIDE, WIDEST_GAP, Expectation
+
+# Largest error of a path in RMS errors, at least.
+_PEAK = 3.0
 
 
 def expectation(
     outcome: Outcome,
     errors: Sequence[RecordErrors],
     checks: Sequence[Check],
-    trials: Sequence[StructureTrial],
+    held_out: float,
     noise: float,
     goal: float,
 ) -> Expectation:
@@ -22,8 +24,10 @@ def expectation(
     Parameters
     ----------
     outcome : Outcome
-    errors, checks, trials
+    errors, checks
         Those of a `Fit`.
+    held_out : float
+        RMS error of parts of the training records that were held out in turn [m].
     noise : float
         Standard deviation of the sensor [m].
     goal : float
@@ -32,10 +36,10 @@ def expectation(
     training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
     judged, basis = (validation, "validation records") if validation else (training, "training records")
     rms, largest = max(one.rms for one in judged), max(one.largest for one in judged)
-    if trials and not validation:
-        held_out, basis = min(trial.held_out for trial in trials), "held-out parts and whole training records"
-        largest *= max(held_out / rms, 1.0) if rms else 1.0
-        rms = max(rms, held_out)
+    if held_out > rms and not validation:
+        basis = "parts of the records held out in turn"
+        rms = held_out
+        largest = max(largest, _PEAK * rms)
     reasons = []
     aside = sum(one.left_out for one in training) / sum(one.left_out + one.samples for one in training)
     if aside > MOST_SET_ASIDE:

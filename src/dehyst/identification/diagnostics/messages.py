@@ -41,7 +41,7 @@ def of_dropped(part: str, without: float, within: float, stroke: float) -> str:
     """Return the sentence for a part that does not predict time that was not trained on."""
     named = {"inertia": "A resonance", "creep": "Creep"}[part]
     return (
-        f"{named} was found and left out: it does not predict the thirds of the records that were not trained on "
+        f"{named} was found and left out: it does not predict parts of the records that were not trained on "
         f"(RMS {100 * within / stroke:.2g} % of the range with it, {100 * without / stroke:.2g} % without). Drift, "
         f"vibration, the sensor's noise or its filter may look like it. {_EXCITATIONS[part]}."
     )
