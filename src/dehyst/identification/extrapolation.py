@@ -25,7 +25,7 @@ from dehyst.records.metrics import rms
 _ROWS = 4000
 _PARTS = 6
 # A part of the model stays only if without it the error is larger by more than this ratio.
-_WORTH = 1.03
+_WORTH = 1.2
 
 
 @dataclass(frozen=True)

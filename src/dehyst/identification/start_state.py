@@ -21,8 +21,9 @@ from dehyst._types import Array
 from dehyst.model import GradedSlip, MaxwellSlip
 from dehyst.model.elements import segment_of
 
-# All carts above the displacement, at it, below it.
-_STARTS = (1.0, 0.0, -1.0)
+# All carts at the displacement, above it, below it; others are tried if one leaves more than this part of the range.
+_STARTS = (0.0, 1.0, -1.0)
+_GOOD = 5e-3
 _STEPS = 12
 # A step that lowers the sum of squares by less than this part ends the search.
 _WORTH = 1e-4
@@ -67,8 +68,12 @@ def fit_start(
         The largest such voltages [V].
     """
     problem = _Problem(slip, np.ascontiguousarray(displacement), force, fades * most)
-    begins = (np.append(np.full(len(slip), sign), np.zeros(most.size)) for sign in _STARTS)
-    _, u, constant = min((problem.solved(begin) for begin in begins), key=lambda solution: solution[0])
+    solutions = []
+    for sign in _STARTS:
+        solutions.append(problem.solved(np.append(np.full(len(slip), sign), np.zeros(most.size))))
+        if solutions[-1][0] < (_GOOD * float(np.ptp(force))) ** 2:
+            break
+    _, u, constant = min(solutions, key=lambda solution: solution[0])
     return StartState(problem.carts(u), constant, u[len(slip) :] * most)
 
 
@@ -134,18 +139,15 @@ def _held(slip: MaxwellSlip | GradedSlip, displacement: Array, position: Array) 
     """Return the force of all elements (n,) [V] at carts (n, N)."""
     if isinstance(slip, MaxwellSlip):
         return np.asarray((displacement[:, None] - position) @ slip.stiffness)
-    held = np.zeros(displacement.size)
-    for i in range(len(slip)):
-        held += _integral(slip, i, displacement) - _integral(slip, i, position[:, i])
-    return held
+    return np.asarray(_integrals(slip, displacement[:, None]).sum(axis=1) - _integrals(slip, position).sum(axis=1))
 
 
-def _integral(slip: GradedSlip, number: int, y: Array) -> Array:
-    """Return the stiffness of an element, integrated from its first knot to y (n,) [V]."""
-    knots, stiffness = slip.knots, slip.stiffness[number]
-    below = np.concatenate([[0.0], np.cumsum(stiffness * np.diff(knots))])
-    segment = segment_of(knots, y)
-    return np.asarray(below[segment] + stiffness[segment] * (y - knots[segment]))
+def _integrals(slip: GradedSlip, y: Array) -> Array:
+    """Return the stiffness of each element, integrated from the first knot to y (n, N) or (n, 1) [V]."""
+    knots, stiffness = slip.knots, slip.stiffness
+    below = np.hstack([np.zeros((len(slip), 1)), np.cumsum(stiffness * np.diff(knots), axis=1)])
+    segment, number = segment_of(knots, y), np.arange(len(slip))
+    return np.asarray(below[number, segment] + stiffness[number, segment] * (y - knots[segment]))
 
 
 def _stiffness_at(slip: MaxwellSlip | GradedSlip, carts: Array) -> Array:
