@@ -42,7 +42,7 @@ from dehyst.model.structure import Grid
 from dehyst.records import Record
 
 # Thresholds in half strokes that records whose loops grow are also tried with, and how far they must lower the error.
-_REACH, _WORTH_OF_REACH = 1.25, 0.9
+_REACH, _WORTH_OF_REACH = 1.25, 0.6
 # Of the spring, by default.
 _MOST_KNOTS = 41
 # A delay is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
