@@ -70,8 +70,22 @@ def main(given: Sequence[str] | None = None) -> None:
     if options.only:
         print(json.dumps(results, indent=1))
     if output is not None:
-        output.write_text(json.dumps({"seed": options.seed, "cases": results}, indent=1) + "\n")
+        output.write_text(written(options.seed, results))
     Path(kept.name).unlink()
+
+
+def written(seed: int, results: list[dict[str, Any]]) -> str:
+    """Return the file of results, a line a case, numbers to four digits."""
+    lines = ",\n".join(json.dumps(_rounded(found)) for found in results)
+    return f'{{"seed": {seed}, "cases": [\n{lines}\n]}}\n'
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_rounded(one) for one in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 def line(found: dict[str, Any], k: int, count: int) -> str:
