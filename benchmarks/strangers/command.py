@@ -33,15 +33,16 @@ def arguments(given: Sequence[str] | None) -> argparse.Namespace:
 def run(cases: Sequence[Case], jobs: int) -> Iterator[dict[str, Any]]:
     """Yield the results of cases as they come."""
     if jobs == 1:
-        yield from map(attempted, cases)
+        yield from (attempted(case.name, case.seed) for case in cases)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        for done in as_completed([pool.submit(attempted, case) for case in cases]):
+        for done in as_completed([pool.submit(attempted, case.name, case.seed) for case in cases]):
             yield done.result()
 
 
-def attempted(case: Case) -> dict[str, Any]:
+def attempted(name: str, seed: int) -> dict[str, Any]:
     """Run one case; an error of the program that is no refusal is kept with the case."""
+    case = named(name, seed)
     try:
         return score(case)
     except Exception:
