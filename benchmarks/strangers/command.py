@@ -72,7 +72,7 @@ def main(given: Sequence[str] | None = None) -> None:
         print(json.dumps(results, indent=1))
     if output is not None:
         output.write_text(written(options.seed, results))
-    Path(kept.name).unlink()
+    Path(kept.name).unlink(missing_ok=True)
 
 
 def written(seed: int, results: list[dict[str, Any]]) -> str:
