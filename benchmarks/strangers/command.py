@@ -33,15 +33,16 @@ def arguments(given: Sequence[str] | None) -> argparse.Namespace:
 def run(cases: Sequence[Case], jobs: int) -> Iterator[dict[str, Any]]:
     """Yield the results of cases as they come."""
     if jobs == 1:
-        yield from map(attempted, cases)
+        yield from (attempted(case.name, case.seed) for case in cases)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        for done in as_completed([pool.submit(attempted, case) for case in cases]):
+        for done in as_completed([pool.submit(attempted, case.name, case.seed) for case in cases]):
             yield done.result()
 
 
-def attempted(case: Case) -> dict[str, Any]:
+def attempted(name: str, seed: int) -> dict[str, Any]:
     """Run one case; an error of the program that is no refusal is kept with the case."""
+    case = named(name, seed)
     try:
         return score(case)
     except Exception:
@@ -70,8 +71,22 @@ def main(given: Sequence[str] | None = None) -> None:
     if options.only:
         print(json.dumps(results, indent=1))
     if output is not None:
-        output.write_text(json.dumps({"seed": options.seed, "cases": results}, indent=1) + "\n")
-    Path(kept.name).unlink()
+        output.write_text(written(options.seed, results))
+    Path(kept.name).unlink(missing_ok=True)
+
+
+def written(seed: int, results: list[dict[str, Any]]) -> str:
+    """Return the file of results, a line a case, numbers to four digits."""
+    lines = ",\n".join(json.dumps(_rounded(found)) for found in results)
+    return f'{{"seed": {seed}, "cases": [\n{lines}\n]}}\n'
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_rounded(one) for one in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 def line(found: dict[str, Any], k: int, count: int) -> str:

@@ -67,7 +67,7 @@ def _reversal_curves(rng: np.random.Generator, fast: float) -> list[Part]:
 
 def _growing(rng: np.random.Generator, fast: float) -> list[Part]:
     halves = np.linspace(0.04, 0.5, 16)
-    return _cycles([0.5, *(0.5 + side * half for half in halves for side in (1, -1)), 0.0], 180)
+    return _cycles([0.5, *(0.5 + side * half for half in halves for side in (1, -1))], 180)
 
 
 def _decaying(rng: np.random.Generator, fast: float) -> list[Part]:

@@ -93,3 +93,10 @@ def test_a_refusal_is_no_silent_failure():
     verdicts = scores.judged(named("relays/tops/none", 0), {"auto": refused, "plain": refused}, None)
     assert verdicts["refused"] == "got no loop"
     assert not verdicts["silent"]
+
+
+@pytest.mark.slow
+def test_a_process_of_its_own_finds_the_same():
+    cases = [named("stribeck/sparse/vibration", 0)]
+    (alone,), (sent,) = (list(command.run(cases, jobs)) for jobs in (1, 2))
+    assert sent["methods"]["auto"]["rms"] == alone["methods"]["auto"]["rms"]
