@@ -18,6 +18,8 @@ from dehyst.records.metrics import rms
 Build = Callable[[Structure], Regression]
 # A part must reduce the held-out error to this share: a smaller gain may be noise.
 _WORTH = 0.97
+# A transformer bends what graded elements can bend too; cycles held out hardly show which of them does.
+_WORTH_BESIDE_GRADES = 0.8
 # Parts, tried one by one.
 PARTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("more elements, dense where loops are small", {"elements": 40, "spacing": 2.0, "knots": 41}),
@@ -93,6 +95,11 @@ def select(
     first = try_structure(build, start, progress)
     changes = [change for _, change in PARTS if not set(change) & set(without)]
     best, trials = _best_after(build, first, changes, progress)
+    if best.trial.structure.transformer and best.trial.structure.grades > 1:
+        straight = try_structure(build, replace(best.trial.structure, transformer=0), progress, best)
+        trials.append(straight)
+        if not best.trial.held_out < _WORTH_BESIDE_GRADES * straight.trial.held_out:
+            best = straight
     tuning = [change for _, change in TUNING if "grades" not in change or best.trial.structure.grades > 1]
     best, tuned = _best_after(build, best, tuning, progress)
     return best.trial.structure, tuple(tried.trial for tried in (first, *trials, *tuned))
@@ -113,13 +120,20 @@ def _best_after(build: Build, best: Tried, left: list[dict[str, Any]], progress:
     while left:
         candidates = [try_structure(build, replace(best.trial.structure, **change), progress, best) for change in left]
         trials += candidates
-        first = int(np.argmin([tried.trial.held_out for tried in candidates]))
-        if not candidates[first].trial.held_out < _WORTH * best.trial.held_out:
+        worth = [_worth(best.trial.structure, change) for change in left]
+        gains = [tried.trial.held_out / share for tried, share in zip(candidates, worth, strict=True)]
+        first = int(np.argmin(gains))
+        if not gains[first] < best.trial.held_out:
             break
         best, taken = candidates[first], set(left[first])
         # Other values of the same field have been tried too.
         left = [change for change in left if not taken & set(change)]
     return best, trials
+
+
+def _worth(structure: Structure, change: dict[str, Any]) -> float:
+    """Return the share to which a change must reduce the held-out error."""
+    return _WORTH_BESIDE_GRADES if "transformer" in change and structure.grades > 1 else _WORTH
 
 
 def try_structure(build: Build, structure: Structure, progress: Progress, before: Tried | None = None) -> Tried:
