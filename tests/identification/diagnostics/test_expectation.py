@@ -1,0 +1,70 @@
+"""The verdict: its rules, and that a better model never gets a worse one."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dehyst.identification.diagnostics.expectation import expectation
+from dehyst.model import Check, Expectation, Outcome, Readiness, RecordErrors, Verdict
+
+STROKE = 1e-5
+ERRORS = RecordErrors("a", "training", 1000, 0, 5e-8, 1e-8, 5e-8, 1e-8, STROKE, 0.0, 0.0, 0.0)
+
+
+def expected(*errors, held_out=0.0, checks=(), goal=1.0, noise=0.0, outcome=Outcome.WIDER):
+    return expectation(outcome, errors, checks, held_out, noise, goal)
+
+
+def test_small_errors_are_ready_and_large_ones_of_no_use():
+    assert expected(ERRORS).readiness is Readiness.READY
+    assert expected(replace(ERRORS, largest=3e-7)).readiness is Readiness.USABLE
+    assert expected(replace(ERRORS, largest=6e-7)).readiness is Readiness.NOT_USABLE
+    assert expected(replace(ERRORS, largest=3e-7), goal=4.0).readiness is Readiness.READY
+
+
+def test_the_sensor_s_peaks_are_not_the_model_s():
+    noisy = replace(ERRORS, largest=2e-7)
+    assert expected(noisy).readiness is Readiness.USABLE
+    assert expected(noisy, noise=3e-8).readiness is Readiness.READY
+
+
+def test_validation_records_are_what_counts():
+    other = replace(ERRORS, role="validation", rms=5e-8, largest=9e-8)
+    found = expected(ERRORS, other, held_out=1.0)
+    assert (found.rms, found.basis) == (5e-8, "validation records")
+    assert "5.0 times" in found.sentence
+
+
+def test_held_out_parts_count_where_they_are_worse():
+    assert expected(ERRORS, held_out=9e-8).rms == 9e-8
+    assert expected(ERRORS, held_out=9e-8).largest == pytest.approx(2.7e-7)
+    assert expected(ERRORS, held_out=1e-9).rms == ERRORS.rms
+
+
+@pytest.mark.parametrize(
+    ("errors", "words"),
+    [
+        (replace(ERRORS, left_out=200), "17 % of the samples were set aside"),
+        (replace(ERRORS, drift=2e-7), "drift of 2 % was removed"),
+    ],
+)
+def test_what_speaks_against_a_model_is_said(errors, words):
+    found = expected(errors)
+    assert found.readiness is Readiness.USABLE
+    assert words in found.sentence
+
+
+def test_a_failed_check_is_a_reason():
+    check = Check("Width", Verdict.FAILS, 1.0, 0.1, "%", "too wide")
+    assert "Width" in expected(ERRORS, checks=[check]).reasons[0]
+
+
+@given(st.floats(1e-9, 1e-6), st.floats(0, 1), st.floats(0, 1e-7))
+def test_a_smaller_error_is_never_judged_worse(largest, share, noise):
+    order = [Readiness.READY, Readiness.USABLE, Readiness.NOT_USABLE]
+    worse, better = (
+        Expectation(size / 3, size, noise, STROKE, 1.0, "training records") for size in (largest, share * largest)
+    )
+    assert order.index(better.readiness) <= order.index(worse.readiness)

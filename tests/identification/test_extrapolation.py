@@ -1,0 +1,69 @@
+"""Only what the voltage causes: drift, noise and vibration make no part; creep that is there stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import structured_records as wide
+
+import dehyst
+from dehyst import Creep, Record
+from dehyst.model import Readiness
+
+RATE = 50.0
+PLANT = plain_records.plant(10)
+
+
+def two_speeds(actuator):
+    """Loops of falling size, fast, then slow, in one record; relaxed at the start."""
+    tops = (1.0, 0.7, 0.85, 0.5, 0.65, 0.35, 0.9)
+    legs = [0.0]
+    for top in tops:
+        legs += [top, 0.02]
+    corners = plain_records.VOLTS * np.array(legs)
+    parts = [np.linspace(a, b, n + 1)[1:] for n in (40, 200) for a, b in zip(corners[:-1], corners[1:], strict=True)]
+    voltage = np.concatenate([corners[:1], *parts])
+    time = np.arange(voltage.size) / RATE
+    given = {"time": time} if actuator.needs_time else {}
+    return time, voltage, actuator.simulate(voltage, state=actuator.relaxed(), **given).displacement
+
+
+def recorded(actuator, disturb, noise=5e-4):
+    time, voltage, y = two_speeds(actuator)
+    stroke = np.ptp(y)
+    jitter = noise * stroke * np.random.default_rng(1).normal(size=y.size)
+    return Record(time, voltage, y + jitter + stroke * disturb(time), "disturbed")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("disturb", "noise"),
+    [
+        (lambda time: 0.03 * time / time[-1], 5e-4),
+        (lambda time: 0.005 * np.sin(2 * np.pi * 3.1 * time), 5e-4),
+        (lambda time: 0 * time, 5e-3),
+    ],
+    ids=["drift", "vibration", "noise"],
+)
+def test_what_the_voltage_does_not_cause_makes_no_part(disturb, noise):
+    fit = dehyst.identify(recorded(PLANT, disturb, noise))
+    assert fit.actuator.dynamics is None
+    assert fit.actuator.creep is None
+    assert fit.actuator.delay == 0
+
+
+@pytest.mark.slow
+def test_creep_that_is_there_stays():
+    creeping = replace(PLANT, creep=Creep([0.5, 20.0], [0.1 * wide.SLOPE, 0.1 * wide.SLOPE]))
+    fit = dehyst.identify(recorded(creeping, lambda time: 0 * time))
+    assert fit.actuator.creep is not None
+    assert fit.expectation.readiness is not Readiness.NOT_USABLE
+
+
+@pytest.mark.slow
+def test_a_vibration_is_reported_with_its_frequency():
+    fit = dehyst.identify(recorded(PLANT, lambda time: 0.005 * np.sin(2 * np.pi * 3.1 * time)))
+    (remaining,) = fit.remaining
+    assert remaining.frequency == pytest.approx(3.1, abs=0.1)
+    assert remaining.vibration_amplitude == pytest.approx(0.005 * fit.errors[0].stroke, rel=0.3)

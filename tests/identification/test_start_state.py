@@ -1,0 +1,64 @@
+"""The carts with which a record begins: found again from voltages, with creep, graded elements and noise."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dehyst._native import slip_elongations
+from dehyst.identification.start_state import fit_start
+from dehyst.model import GradedSlip, MaxwellSlip
+
+COUNT = 12
+RHO = np.arange(1.0, COUNT + 1) * 1e-6
+NO_CREEP = np.zeros(0)
+
+
+def growing(loops=8, largest=12e-6, samples=20):
+    legs = [0.0]
+    for size in np.linspace(largest / loops, largest, loops):
+        legs += [size, -size]
+    return np.concatenate([np.linspace(a, b, samples) for a, b in zip(legs[:-1], legs[1:], strict=True)])
+
+
+def carts_of(u, first):
+    return first + np.cumsum(np.diff(RHO, prepend=0.0) * u)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=COUNT, max_size=COUNT))
+def test_the_simulated_force_is_that_of_the_true_carts(u):
+    """Some carts bear on no sample: the force is what must come back, and the carts that bear on it."""
+    path, slip = growing(), MaxwellSlip(RHO, np.linspace(2e5, 1e5, COUNT))
+    true, _ = slip_elongations(RHO, carts_of(np.array(u), path[0]), path)
+    force = true @ slip.stiffness + 3.0
+    start = fit_start(slip, path, force, np.zeros((path.size, 0)), NO_CREEP)
+    found, _ = slip_elongations(RHO, start.carts, path)
+    left = force - found @ slip.stiffness - start.constant
+    assert left.std() < 0.01 * np.ptp(force)
+    assert np.all(np.abs(start.carts - path[0]) <= RHO * (1 + 1e-9))
+
+
+def test_graded_elements_and_creep_come_back():
+    path, rng = growing(), np.random.default_rng(1)
+    slip = GradedSlip(RHO, np.linspace(-15e-6, 15e-6, 4), rng.uniform(1e5, 3e5, (COUNT, 3)))
+    carts = carts_of(np.full(COUNT, 0.5), path[0])
+    elongation, _ = slip_elongations(RHO, carts, path)
+    dense = np.linspace(-40e-6, 40e-6, 80_001)
+    stiffness = slip.stiffness[:, np.clip(np.searchsorted(slip.knots, dense) - 1, 0, 2)]
+    integral = np.cumsum(stiffness, axis=1) * (dense[1] - dense[0])
+    held = sum(
+        np.interp(path, dense, integral[i]) - np.interp(path - elongation[:, i], dense, integral[i])
+        for i in range(COUNT)
+    )
+    fades = np.exp(-np.arange(path.size) / 40.0)[:, None]
+    force = held + 0.4 * fades[:, 0] - 1.0
+    start = fit_start(slip, path, force, fades, np.array([2.0]))
+    assert start.creep[0] == pytest.approx(0.4, abs=0.1)
+    assert start.constant == pytest.approx(-1.0, abs=0.2)
+
+
+def test_a_known_state_leaves_the_constant_alone():
+    """Where the first sample's carts never matter, whatever they are, the constant is found."""
+    path, slip = np.array([0.0, 1e-9, 0.0, 1e-9]), MaxwellSlip([1e-10], [1e6])
+    start = fit_start(slip, path, np.full(4, 2.0), np.zeros((4, 0)), NO_CREEP)
+    assert start.constant == pytest.approx(2.0, abs=1e-3)
