@@ -1,6 +1,6 @@
 """Smoothing and derivatives by polynomials through neighbours (Savitzky and Golay 1964, Anal. Chem. 36, 1627).
 
-SciPy has the same in `scipy.signal`, whose import takes longer than the identification of a plain actuator.
+SciPy has the same filter, in a module whose import takes longer than the identification of a plain actuator.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ class NormalEquations:
         matrix, lower = inequalities[0][:, kept] / scale * unit, inequalities[1]
         size = np.abs(matrix).max(axis=1, initial=0.0)
         size[size == 0] = 1.0
-        scaled = _Scaled(
+        scaled = _UnitProgram(
             self.gram[np.ix_(kept, kept)] / np.outer(scale, scale),
             self.image[kept] / scale / unit,
             int(np.count_nonzero(kept < self.free)),
@@ -98,7 +98,7 @@ def _spread(values: NDArray[Any], places: NDArray[np.intp], size: int) -> NDArra
 
 
 @dataclass(frozen=True, eq=False)
-class _Scaled:
+class _UnitProgram:
     """The program with a unit diagonal of G and an image of unit length."""
 
     gram: Array
