@@ -12,7 +12,7 @@ b_i+1 = b_i + (rho_i+1 - rho_i) u_i+1 with all u in [-1, 1].
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,8 @@ _STEPS = 12
 _WORTH = 1e-4
 # Neighbours are held alike by this part of the rows' weight: some carts bear on no sample.
 _ALIKE = 1e-2
+# Each cart by itself is kept if that leaves less than this part of the sum of squares; neighbours hardly held alike.
+_WORTH_ALONE, _HARDLY = 0.5, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,12 @@ class StartState:
 
 
 def fit_start(
-    slip: MaxwellSlip | GradedSlip, displacement: Array, force: Array, fades: Array, most: Array
+    slip: MaxwellSlip | GradedSlip,
+    displacement: Array,
+    force: Array,
+    fades: Array,
+    most: Array,
+    constant: float | None = None,
 ) -> StartState:
     """Fit the carts and what creep branches hold at the first sample.
 
@@ -66,15 +73,25 @@ def fit_start(
         What is left of one volt that each creep branch held at the first sample.
     most : (J,) array
         The largest such voltages [V].
+    constant : float, optional
+        The constant, where it is known.
     """
-    problem = _Problem(slip, np.ascontiguousarray(displacement), force, fades * most)
+    known = constant is not None
+    problem = _Problem(slip, np.ascontiguousarray(displacement), force - (constant or 0.0), fades * most, known)
     solutions = []
     for sign in _STARTS:
         solutions.append(problem.solved(np.append(np.full(len(slip), sign), np.zeros(most.size))))
         if solutions[-1][0] < (_GOOD * float(np.ptp(force))) ** 2:
             break
-    _, u, constant = min(solutions, key=lambda solution: solution[0])
-    return StartState(problem.carts(u), constant, u[len(slip) :] * most)
+    cost, u, rest = min(solutions, key=lambda solution: solution[0])
+    # No history need lead to the carts: each by itself, from there.
+    free = replace(problem, alone=True)
+    rho = slip.breakaway
+    alone = np.append(np.clip((problem.carts(u) - displacement[0]) / rho, -1.0, 1.0), u[rho.size :])
+    polished = free.solved(alone)
+    if polished[0] < _WORTH_ALONE * cost:
+        problem, (_, u, rest) = free, polished
+    return StartState(problem.carts(u), (constant or 0.0) + rest, u[rho.size :] * most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +102,14 @@ class _Problem:
     displacement: Array
     force: Array
     fades: Array
+    known: bool
+    alone: bool = False
 
     def carts(self, u: Array) -> Array:
         """Return the carts (N,) [m]."""
         rho = self.slip.breakaway
+        if self.alone:
+            return np.asarray(self.displacement[0] + rho * u[: rho.size])
         return np.asarray(self.displacement[0] + np.cumsum(np.diff(rho, prepend=0.0) * u[: rho.size]))
 
     def _residual(self, u: Array) -> tuple[Array, Array]:
@@ -100,7 +121,8 @@ class _Problem:
         # An element that has slid once no longer depends on where its cart stood.
         standing = np.logical_and.accumulate(np.abs(position - carts) <= 1e-9 * rho, axis=0)
         # Reversed cumulative sums: u_i moves cart i and all those of longer elements.
-        by_u = -np.cumsum((standing * stiffness)[:, ::-1], axis=1)[:, ::-1] * np.diff(rho, prepend=0.0)
+        by_cart = standing * -stiffness
+        by_u = by_cart * rho if self.alone else np.cumsum(by_cart[:, ::-1], axis=1)[:, ::-1] * np.diff(rho, prepend=0.0)
         residual = self.force - held - self.fades @ u[rho.size :]
         return residual, np.hstack([by_u, self.fades])
 
@@ -110,29 +132,35 @@ class _Problem:
         carts = np.hstack([np.diff(np.eye(count), axis=0), np.zeros((count - 1, branches))])
         return np.vstack([carts, np.hstack([np.zeros((branches, count)), np.eye(branches)])])
 
+    def _cost(self, residual: Array) -> float:
+        return float(np.mean(residual**2) if self.known else np.var(residual))
+
     def solved(self, u: Array) -> tuple[float, Array, float]:
         """Return the sum of squares, u and the constant, from a start, by Gauss and Newton's steps."""
         from scipy.optimize import lsq_linear
 
         residual, slopes = self._residual(u)
-        cost = float(np.var(residual))
-        alike = self._alike() * (_ALIKE * np.abs(slopes).max(initial=0.0) * np.sqrt(residual.size))
+        cost = self._cost(residual)
+        alike = self._alike() * (
+            (_HARDLY if self.alone else _ALIKE) * np.abs(slopes).max(initial=0.0) * np.sqrt(residual.size)
+        )
         for _ in range(_STEPS):
-            centred, goal = slopes - slopes.mean(axis=0), residual - residual.mean()
-            triangle = np.asarray(np.linalg.qr(np.column_stack([centred, goal]), mode="r"), dtype=np.float64)
+            both = np.column_stack([slopes, residual])
+            both -= 0.0 if self.known else both.mean(axis=0)
+            triangle = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64)
             rows = np.vstack([triangle[:, :-1], alike])
             target = np.concatenate([triangle[:, -1], -alike @ u])
             step = lsq_linear(rows, target, bounds=(-1.0 - u - 1e-12, 1.0 - u + 1e-12), method="bvls").x
             for length in (1.0, 0.5, 0.25, 0.0):
                 trial = np.clip(u + length * step, -1.0, 1.0)
                 residual, slopes = self._residual(trial)
-                if np.var(residual) < cost or not length:
+                if self._cost(residual) < cost or not length:
                     break
-            now, before, u = float(np.var(residual)), cost, trial
+            now, before, u = self._cost(residual), cost, trial
             cost = min(now, cost)
             if now > (1 - _WORTH) * before:
                 break
-        return cost, u, float(residual.mean())
+        return cost, u, 0.0 if self.known else float(residual.mean())
 
 
 def _held(slip: MaxwellSlip | GradedSlip, displacement: Array, position: Array) -> Array:

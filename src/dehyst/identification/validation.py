@@ -170,7 +170,7 @@ class RecordComparison:
         """
         own, piece = self.epochs[number], self.pieces[number][1]
         last = own[-1] if own else Epoch(0, 0, len(piece), 0.0, 0.0)
-        standing = bool(np.any(2 * actuator.slip.breakaway > last.reach))
+        standing = bool(np.any((2 * actuator.slip.breakaway > last.reach) & (actuator.slip.friction > 0)))
         stop = last.stop if standing else max(last.start, first) + _KNOWN_SAMPLES
         places = first + _places(piece.displacement[first:stop])
         y = piece.displacement[places] + self.datum
@@ -188,7 +188,9 @@ class RecordComparison:
             most = float(np.ptp(self.regression.knots)) * actuator.creep.stiffness
         if actuator.smooth is not None:
             force = force - internal[1] @ actuator.smooth.stiffness
-        start = fit_start(actuator.slip, y, force - spring - self.drift * self.pieces[number][2][places], fades, most)
+        known = None if standing or not own else self.last_offsets()[number]
+        held = force - spring - self.drift * self.pieces[number][2][places]
+        start = fit_start(actuator.slip, y, held, fades, most, known)
         state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0, 0.0), start.creep)
         return replace(state, carts=start.carts - self.datum), start.constant
 
