@@ -344,7 +344,8 @@ def test_the_command_line_reports_glitches_and_rare_voltages(folder):
     assert (status, "voltage glitch at sample 1100" in out) == (0, True)
     assert Actuator.load(folder / "found.json").limits == (0.0, 200.0)
     status, out, _ = run("identify", "rare.csv", "--structure", "paper", "--json", cwd=folder)
-    assert (status, "lie above 180 V" in " ".join(json.loads(out)["remarks"])) == (0, True)
+    # Two samples determine nothing up there, and the record, simulated whole, is missed by far.
+    assert (status, "lie above 180 V" in " ".join(json.loads(out)["remarks"])) == (1, True)
 
 
 @pytest.mark.parametrize(
