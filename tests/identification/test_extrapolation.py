@@ -38,18 +38,21 @@ def recorded(actuator, disturb, noise=5e-4):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("disturb", "noise"),
-    [
-        (lambda time: 0.03 * time / time[-1], 5e-4),
-        (lambda time: 0.005 * np.sin(2 * np.pi * 3.1 * time), 5e-4),
-        (lambda time: 0 * time, 5e-3),
-    ],
-    ids=["drift", "vibration", "noise"],
+    "disturb",
+    [lambda time: 0.03 * time / time[-1], lambda time: 0.005 * np.sin(2 * np.pi * 3.1 * time)],
+    ids=["drift", "vibration"],
 )
-def test_what_the_voltage_does_not_cause_makes_no_part(disturb, noise):
-    fit = dehyst.identify(recorded(PLANT, disturb, noise))
+def test_what_the_voltage_does_not_cause_makes_no_part(disturb):
+    fit = dehyst.identify(recorded(PLANT, disturb))
     assert fit.actuator.dynamics is None
     assert fit.actuator.creep is None
+    assert fit.actuator.delay == 0
+
+
+@pytest.mark.slow
+def test_noise_makes_no_resonance():
+    fit = dehyst.identify(recorded(PLANT, lambda time: 0 * time, 5e-3))
+    assert fit.actuator.dynamics is None
     assert fit.actuator.delay == 0
 
 
@@ -66,4 +69,4 @@ def test_a_vibration_is_reported_with_its_frequency():
     fit = dehyst.identify(recorded(PLANT, lambda time: 0.005 * np.sin(2 * np.pi * 3.1 * time)))
     (remaining,) = fit.remaining
     assert remaining.frequency == pytest.approx(3.1, abs=0.1)
-    assert remaining.vibration_amplitude == pytest.approx(0.005 * fit.errors[0].stroke, rel=0.3)
+    assert remaining.vibration_amplitude == pytest.approx(0.005 * np.ptp(two_speeds(PLANT)[2]), rel=0.1)

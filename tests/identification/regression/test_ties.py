@@ -18,7 +18,7 @@ def epochs_of(path, grid, stiffness, carts):
     for k, stop in enumerate(range(2, path.size + 1, 2)):
         low, high = path[:stop].min(), path[:stop].max()
         one = EpochRange(k, 0, 0, float(low), float(high), float(high - low))
-        stuck = 2 * RHO > one.reach
+        stuck = one.reach < 2 * RHO
         cart = path[stop - 1] - elongation[stop - 1]
         ranges.append(one)
         constants[k] = float(stiffness @ np.where(stuck, one.middle - cart, 0.0))

@@ -62,4 +62,14 @@ def _vibration(trace: Trace, residual: Array) -> tuple[float, float]:
     driven = float(drive[near].max()) > _DRIVEN * float(drive[1:].max(initial=0.0))
     if driven or share < _LINE or not around.size or power[k] < _ABOVE * float(np.median(around)):
         return 0.0, 0.0
-    return k / (step * residual.size), share * float(np.mean(residual**2))
+    frequency, amplitude = _line(residual, step, k / (step * residual.size))
+    return frequency, 0.5 * amplitude**2
+
+
+def _line(residual: Array, step: float, near: float) -> tuple[float, float]:
+    """Return frequency [Hz] and amplitude [m] of the sine next to a frequency that holds most of a residual."""
+    time = np.arange(residual.size) * step
+    frequencies = near + np.linspace(-1, 1, 21) / time[-1]
+    sizes = [2 * abs(np.mean(residual * np.exp(-2j * np.pi * f * time))) for f in frequencies]
+    k = int(np.argmax(sizes))
+    return float(frequencies[k]), float(sizes[k])
