@@ -1,5 +1,6 @@
 """Only what the voltage causes: drift, noise and vibration make no part; creep that is there stays."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,7 @@ def two_speeds(actuator):
     for top in tops:
         legs += [top, 0.02]
     corners = plain_records.VOLTS * np.array(legs)
-    parts = [np.linspace(a, b, n + 1)[1:] for n in (40, 200) for a, b in zip(corners[:-1], corners[1:], strict=True)]
+    parts = [np.linspace(a, b, n + 1)[1:] for n in (40, 200) for a, b in itertools.pairwise(corners)]
     voltage = np.concatenate([corners[:1], *parts])
     time = np.arange(voltage.size) / RATE
     given = {"time": time} if actuator.needs_time else {}

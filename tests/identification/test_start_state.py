@@ -1,5 +1,7 @@
 """The carts with which a record begins: found again from voltages, with creep, graded elements and noise."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,7 +20,7 @@ def growing(loops=8, largest=12e-6, samples=20):
     legs = [0.0]
     for size in np.linspace(largest / loops, largest, loops):
         legs += [size, -size]
-    return np.concatenate([np.linspace(a, b, samples) for a, b in zip(legs[:-1], legs[1:], strict=True)])
+    return np.concatenate([np.linspace(a, b, samples) for a, b in itertools.pairwise(legs)])
 
 
 def carts_of(u, first):
