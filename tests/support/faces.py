@@ -24,7 +24,7 @@ FACES = {
             Exported Footprint SourceOnlyWarning export export_fmu sizes worst_case
         """,
         "identification": """
-            Method Norm identify
+            Deadline Method Norm identify
         """,
         "instruments": """
             HIGHEST_RATE AbstractRig DeviceError LinkError Listener Reading RigError Samples SensorError host_timed

@@ -46,6 +46,12 @@ class StructuredFit:
         """Solve the program."""
         return cls(frame, structure, norm, *frame.fit(structure, norm))
 
+    @classmethod
+    def solve_quickly(cls, frame: TrainingData, structure: Structure) -> StructuredFit:
+        """Solve the program by least squares, of the rows that fit in memory."""
+        regression = frame.regression(structure)
+        return cls(frame, structure, "l2", regression, regression.fit_weighted("l2"))
+
     @cached_property
     def actuator(self) -> Actuator:
         """Without limits and name."""
