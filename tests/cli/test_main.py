@@ -51,7 +51,7 @@ def test_identify_prints_a_table_and_writes_a_report(folder):
     assert re.search(r"loops +training +\d+ +\d+ +\d\.\d+ % +\d\.\d+ %", out)
     assert out.startswith("Identified")
     assert "<svg" in (folder / "r.html").read_text()
-    assert err == ""  # progress is for terminals only
+    assert err == ""  # beside a terminal, progress is for longer work only
 
 
 def test_compensate_then_simulate_gives_the_path_back(folder):

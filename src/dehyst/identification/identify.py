@@ -29,6 +29,7 @@ from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.regression import nuisances
 from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.fold_sums import least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.settings import Direction, Method, Settings
@@ -249,7 +250,7 @@ class _Identification:
         self.report(f"solving the {self.settings.norm} program for {len(stream.source)} samples")
         self._hand_over(regression)
         found = self._by_norm(
-            replace(stream, regression=regression).fit_weighted, lambda: regression.fit_weighted("l2")
+            replace(stream, regression=regression).fit_weighted, lambda: least_squares_of_sums(regression)
         )
         return regression, found
 
@@ -282,7 +283,7 @@ class _Identification:
         if first_model is None:
             return
         few = regression.thinned(_FIRST_ROWS)
-        found = few.fit_weighted("l2")
+        found = least_squares_of_sums(few)
         if found.solved.optimal:
             first_model(self._actuator(few, found).with_provenance(norm="l2", provisional=True))
 

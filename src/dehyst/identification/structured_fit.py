@@ -8,6 +8,7 @@ from functools import cached_property
 
 from dehyst.identification.dynamics_search import SensedDynamics
 from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.fold_sums import least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.resonance_tuning import tune_resonance
 from dehyst.identification.simulation_error import SimulationError
@@ -50,7 +51,7 @@ class StructuredFit:
     def solve_quickly(cls, frame: TrainingData, structure: Structure) -> StructuredFit:
         """Solve the program by least squares, of the rows that fit in memory."""
         regression = frame.regression(structure)
-        return cls(frame, structure, "l2", regression, regression.fit_weighted("l2"))
+        return cls(frame, structure, "l2", regression, least_squares_of_sums(regression))
 
     @cached_property
     def actuator(self) -> Actuator:
