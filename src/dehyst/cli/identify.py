@@ -137,14 +137,13 @@ def identify(
         assessment = None if quick else assess(fit.actuator, training, repeats=0)
         write_report(report, fit, command=command_line(), insight=assessment)
     progress("")
-    if deadline.ended:
-        note(
-            f"stopped by Ctrl-C: {output or 'below'} is the best model so far" if fit.actuator else "stopped by Ctrl-C"
-        )
     if as_json:
         echo_json(fit.as_dict())
     else:
         print_fit(fit, output, report)
+    if deadline.ended:
+        where = "was printed" if output is None or fit.actuator is None else f"is in {output}"
+        note(f"stopped by Ctrl-C; the best model so far {where}")
     sys.exit(0 if fit.outcome.good and not deadline.ended else 1)
 
 

@@ -52,11 +52,6 @@ class Deadline:
         self._begin = time.monotonic()
         self._inside = False
 
-    @classmethod
-    def of(cls, limit: float | Deadline | None) -> Deadline:
-        """Return a deadline that is given, or one in so many seconds."""
-        return limit if isinstance(limit, Deadline) else cls(limit)
-
     @property
     def so_far(self) -> float:
         """Seconds since the start."""

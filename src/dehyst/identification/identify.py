@@ -141,7 +141,7 @@ def identify(
     """
     settings = Settings(method, elements, breakaway, norm, knots, slope_floor, delay, shared_datum, drift, branch)  # type: ignore[arg-type]
     _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
-    deadline = Deadline.of(time_limit)
+    deadline = time_limit if isinstance(time_limit, Deadline) else Deadline(time_limit)
     report = deadline.watched(progress or (lambda _: None))
     training, held_out = as_list(records), as_list(validate)
     if not training:
