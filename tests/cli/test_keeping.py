@@ -19,8 +19,10 @@ from dehyst.virtual import PlayActuator
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 # Trials take long here, so that a test can stop between them.
 SLOW = """
-import time
+import signal, time
 from dehyst.identification import structure_selection
+# A shell's background job ignores Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 trial = structure_selection.try_structure
 
 def slow(*arguments):
@@ -48,7 +50,6 @@ def started(folder, *arguments, seconds=1.0):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     until = time.monotonic() + TIMEOUT
     while not (folder / "m.json").exists():

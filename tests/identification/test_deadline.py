@@ -2,6 +2,7 @@
 
 import signal
 import time
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -123,7 +124,8 @@ def test_a_search_ends_with_the_best_so_far(monkeypatch):
     assert deadline.cut == ["the search for a structure after 4 of up to 21 trials"]
     assert said[0] == "trial 1 (of up to 21): 20 elements; 0 s so far"
     assert said[3] == (
-        "trial 4 (of up to 21): 20 elements and graded in 8 segments; best held-out error 0.2 % of the range; 0 s so far"
+        "trial 4 (of up to 21): 20 elements and graded in 8 segments; best held-out error 0.2 % of the range; "
+        "0 s so far"
     )
 
 
@@ -141,7 +143,7 @@ def test_the_number_of_trials_is_never_more_than_was_announced(monkeypatch):
     _, trials = select(None, START, said.append, deadline=deadline)
     most = [int(words.split("up to ")[1].split(")")[0]) for words in said]
     assert most[0] == 21
-    assert all(after <= before for before, after in zip(most, most[1:], strict=False))
+    assert all(after <= before for before, after in pairwise(most))
     assert len(trials) <= most[-1]
 
 

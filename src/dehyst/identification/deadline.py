@@ -92,7 +92,13 @@ class Deadline:
             raise _StepLeftError
 
     def watched(self, report: Progress) -> Progress:
-        """Return the same report of a step's progress, at which a step is left once the deadline has passed."""
+        """Return the same report of a step's progress, at which a step is left once the deadline has passed.
+
+        Parameters
+        ----------
+        report : callable
+            Called with a few words.
+        """
 
         def watched(words: str) -> None:
             self.check()
@@ -103,7 +109,14 @@ class Deadline:
     def attempt(self, step: Callable[[], _T], otherwise: _U, name: str) -> _T | _U:
         """Return what a step makes; if the deadline passes before, `otherwise`, and note the name of what was cut.
 
-        A step inside another one is left together with it.
+        Parameters
+        ----------
+        step : callable
+            Left where it calls `check`, or by a signal. A step inside another one is left together with it.
+        otherwise : object
+            What the step should improve.
+        name : str
+            For `cut`.
         """
         if self._inside:
             self.check()
@@ -120,7 +133,13 @@ class Deadline:
         return otherwise
 
     def remarks(self, best: str) -> list[str]:
-        """Return the sentence about what was cut, and the words of the model that remained; none if all was done."""
+        """Return the sentence about what was cut; none if all was done.
+
+        Parameters
+        ----------
+        best : str
+            The model that remained, in words.
+        """
         if not self.cut:
             return [f"{self._cause} came when all searches had ended: the model is complete."] if self.ended else []
         cut = self.cut[0] if len(self.cut) == 1 else f"{', '.join(self.cut[:-1])} and {self.cut[-1]}"
