@@ -154,6 +154,12 @@ def seconds(value: object, name: str) -> float:
     return _real(value)
 
 
+def duration(value: object, name: str) -> float:
+    """Return seconds, more than 0; raise `IdentifyError` for anything else."""
+    demand(0 < _real(value) < inf, name, value, "a positive, finite number of seconds")
+    return _real(value)
+
+
 def choice(value: object, name: str, among: Collection[str], *, error: type[DehystError] = IdentifyError) -> None:
     """Raise `error` unless `value` is one of the words."""
     words = " or ".join(map(repr, among)) if len(among) < 3 else f"one of {', '.join(among)}"

@@ -31,10 +31,21 @@ def test_parts_are_added_while_one_is_worth_it(monkeypatch):
     errors_by(monkeypatch, error)
     best, trials = select(None, START, None)
     assert best == replace(START, transformer=20, grades=8)
-    # One by itself, five parts, the four left, the three left, none of them worth it, and what is tuned.
-    assert len(trials) == 1 + 5 + 4 + 3 + 3
+    # One by itself, five parts, the four left, the three left, none of them worth it, one without the transformer, and
+    # what is tuned.
+    assert len(trials) == 1 + 5 + 4 + 3 + 1 + 3
     assert trials[0].structure == START
     assert len({trial.structure for trial in trials}) == len(trials)
+
+
+@pytest.mark.parametrize(("gain", "kept"), [(0.15, False), (0.25, True)])
+def test_a_transformer_beside_grades_must_be_worth_twenty_percent(monkeypatch, gain, kept):
+    """Whichever of the two came first."""
+    for graded in (0.1, 0.5):
+        errors_by(monkeypatch, lambda one, g=graded: (1 - g * (one.grades > 1)) * (1 - gain * bool(one.transformer)))
+        best, _ = select(None, START, None)
+        assert best.grades > 1
+        assert bool(best.transformer) is kept
 
 
 @pytest.mark.parametrize(("gain", "taken"), [(0.029, False), (0.031, True)])
@@ -56,7 +67,7 @@ def test_every_part_can_be_added(monkeypatch):
 
     errors_by(monkeypatch, error)
     best, trials = select(None, START, None)
-    assert len(trials) == 1 + 5 + 4 + 3 + 2 + 1 + 3
+    assert len(trials) == 1 + 5 + 4 + 3 + 2 + 1 + 1 + 3
     assert best == Structure(elements=40, spacing=2.0, knots=41, transformer=20, grades=8, creep=9, smooth=True)
     assert best == Structure(**{key: value for _, change in PARTS for key, value in change.items()})
 

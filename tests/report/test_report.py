@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 
 from dehyst._errors import FileFormatError, MissingExtraError
-from dehyst.model import Actuator, Check, Fit, MaxwellSlip, Outcome, RecordErrors, Spring, Trace, Verdict
+from dehyst.model import (
+    Actuator,
+    Check,
+    Expectation,
+    Fit,
+    MaxwellSlip,
+    Outcome,
+    Readiness,
+    RecordErrors,
+    Spring,
+    Trace,
+    Verdict,
+)
 from dehyst.report import fit_section, plots, report
 
 HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$ " + "long_" * 60
@@ -150,10 +162,26 @@ def test_it_says_what_the_fit_says(fit, text):
     assert "−98.000" in words  # a knot [um]
 
 
+@pytest.mark.parametrize(
+    ("percent", "readiness", "colour"),
+    [(0.5, Readiness.READY, "green"), (3.0, Readiness.USABLE, "amber"), (6.0, Readiness.NOT_USABLE, "red")],
+)
 @pytest.mark.parametrize("outcome", Outcome)
-def test_colour_follows_the_outcome(outcome):
-    expected = "green" if outcome is Outcome.IDENTIFIED else "amber" if outcome.good else "red"
-    assert f'class="outcome {expected}"' in report.render(Fit(None, outcome))
+def test_colour_follows_the_readiness(outcome, percent, readiness, colour):
+    expected = Expectation(percent * 3e-8, percent * 1e-7, 1e-9, 1e-5, 1.0, "validation records")
+    text = report.render(Fit(None, outcome, expectation=expected))
+    assert expected.readiness is readiness
+    assert re.findall(r'class="outcome (\w+)"', text) == [colour]
+    words = Page(text).words
+    assert f"{readiness.value.capitalize()} Expect a path to be followed within" in words
+    assert outcome.value in words
+
+
+@pytest.mark.parametrize("outcome", Outcome)
+def test_without_an_expectation_the_colour_is_red(outcome):
+    text = report.render(Fit(None, outcome))
+    assert re.findall(r'class="outcome (\w+)"', text) == ["red"]
+    assert f"Not usable {outcome.value}" in Page(text).words
 
 
 def test_hostile_names_stay_text():

@@ -24,7 +24,7 @@ FACES = {
             Exported Footprint SourceOnlyWarning export export_fmu sizes worst_case
         """,
         "identification": """
-            Method Norm identify
+            Deadline Method Norm identify
         """,
         "instruments": """
             HIGHEST_RATE AbstractRig DeviceError LinkError Listener Reading RigError Samples SensorError host_timed
@@ -34,8 +34,8 @@ FACES = {
             Calibration Plan ProgressListener calibrate
         """,
         "model": """
-            AbstractModel Actuator Check Creep Dynamics Fit GradedSlip MaxwellSlip Motion Outcome Physical RecordErrors
-            SmoothSlip Spring State Structure Trace Transformer Verdict simulated
+            AbstractModel Actuator Check Creep Dynamics Expectation Fit GradedSlip MaxwellSlip Motion Outcome Physical
+            Readiness RecordErrors RemainingError SmoothSlip Spring State Structure Trace Transformer Verdict simulated
         """,
         "records": """
             Record Recording read read_table write_columns write_hdf5 write_record

@@ -240,6 +240,8 @@ def read_model(path: Path) -> Actuator:
     outcome = getattr(Outcome, str(actuator.provenance.get("outcome")), None)
     if isinstance(outcome, Outcome) and not outcome.good:
         note(f"{path}: when this model was identified: {outcome.value}")
+    if actuator.provenance.get("provisional") is True:
+        note(f"{path}: is provisional, because its identification did not end; it was not checked. Identify again")
     return actuator
 
 

@@ -21,8 +21,9 @@ from dehyst.cli.common import (
     refuse_overwriting,
     refuse_replacing,
 )
+from dehyst.cli.keeping import BestSoFar
 from dehyst.cli.printing import print_fit
-from dehyst.cli.terminal import echo_json, progress_line, worded
+from dehyst.cli.terminal import echo_json, note, progress_line, worded
 
 if TYPE_CHECKING:
     from dehyst.model import Check
@@ -76,6 +77,12 @@ if TYPE_CHECKING:
     metavar="PERCENT",
     help="Largest error, in % of the stroke, with which the model is ready for use.",
 )
+@click.option(
+    "--time-limit",
+    type=float,
+    metavar="SECONDS",
+    help="End the search for a structure then, and complete the best model so far.",
+)
 @click.option("--no-drift", is_flag=True, help="Do not estimate and remove the drift of a record.")
 @force_option
 @columns_options
@@ -85,36 +92,59 @@ def identify(
     output: Path | None,
     validate: tuple[Path, ...],
     report: Path | None,
+    time_limit: float | None,
     no_drift: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Identify an actuator from RECORDs of voltage and displacement."""
+    """Identify an actuator from RECORDs of voltage and displacement.
+
+    Within about a second the output holds a first, provisional model. From then on Ctrl-C ends the search: the best
+    model so far is completed and written, and the exit status is 1. A second Ctrl-C stops at once.
+    """
+    from dehyst.identification import Deadline
     from dehyst.identification import identify as run
     from dehyst.uncertainty import insight as assess
 
     refuse_overwriting([*records, *validate], output, report)
-    progress = progress_line()
+    deadline = Deadline(time_limit)
+    best, progress = BestSoFar(deadline, output), progress_line(lines=True)
     progress("reading")
     training, held_out = read_records(records, options), read_records(validate, options)
     settings = {name: value for name, value in options.items() if name not in COLUMNS}
-    fit = run(training, validate=held_out, drift=not no_drift, throw=False, progress=progress, **settings)
+    with best.ended_by_interrupt():
+        fit = run(
+            training,
+            validate=held_out,
+            drift=not no_drift,
+            throw=False,
+            progress=progress,
+            time_limit=deadline,
+            first_model=best.keep,
+            **settings,
+        )
     refuse_replacing(output, report)
     fit = replace(fit, repairs=worded(fit.repairs), remarks=worded(fit.remarks), checks=_worded_checks(fit.checks))
     if output is not None and fit.actuator is not None:
         fit.actuator.save(output)
+    if fit.actuator is None:
+        best.remove()
     if report is not None:
         from dehyst.report import write_report
 
         progress("drawing the report")
-        assessment = None if fit.actuator is None else assess(fit.actuator, training, repeats=0)
+        quick = fit.actuator is None or deadline.ended
+        assessment = None if quick else assess(fit.actuator, training, repeats=0)
         write_report(report, fit, command=command_line(), insight=assessment)
     progress("")
     if as_json:
         echo_json(fit.as_dict())
     else:
         print_fit(fit, output, report)
-    sys.exit(0 if fit.outcome.good else 1)
+    if deadline.ended:
+        where = "was printed" if output is None or fit.actuator is None else f"is in {output}"
+        note(f"stopped by Ctrl-C; the best model so far {where}")
+    sys.exit(0 if fit.outcome.good and not deadline.ended else 1)
 
 
 def _worded_checks(checks: tuple[Check, ...]) -> tuple[Check, ...]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO
@@ -15,6 +17,9 @@ import click
 from dehyst._io.json_files import finite
 from dehyst._text import escaped
 from dehyst.cli.option_words import in_words_of
+
+# Between lines of progress where there is no terminal, and before the first one.
+_FEW_SECONDS = 5.0
 
 
 class UnprintedError(Exception):
@@ -42,15 +47,40 @@ def note(sentence: object) -> None:
     echo(f"dehyst: {worded([str(sentence)])[0]}", err=True)
 
 
-def progress_line() -> Callable[[str], None]:
-    """Return a function that shows progress: it overwrites one line on a terminal, and is silent elsewhere."""
+def progress_line(*, lines: bool = False) -> Callable[[str], None]:
+    """Return a function that shows progress: it overwrites one line on a terminal.
+
+    Elsewhere it is silent or, if `lines`, prints a line every few seconds.
+    """
     if not sys.stderr.isatty():
-        return lambda _: None
+        return _every_few_seconds() if lines else lambda _: None
 
     def progress(words: str) -> None:
-        _write(f"\r\033[K{escaped(words)}{' ...' if words else ''}", err=True)
+        line = f"{escaped(words)}{' ...' if words else ''}"
+        _write(f"\r\033[K{_fitted(line, shutil.get_terminal_size().columns - 1)}", err=True)
 
     return progress
+
+
+def _every_few_seconds() -> Callable[[str], None]:
+    """Return a function that prints what it is given if its last line is some seconds old."""
+    last = time.monotonic()
+
+    def progress(words: str) -> None:
+        nonlocal last
+        if words and time.monotonic() - last >= _FEW_SECONDS:
+            last = time.monotonic()
+            note(words)
+
+    return progress
+
+
+def _fitted(line: str, width: int) -> str:
+    """Return a line without its middle if it is wider than a terminal, which cannot overwrite two lines."""
+    if len(line) <= width:
+        return line
+    half = max((width - 5) // 2, 0)
+    return f"{line[:half]} ... {line[len(line) - half :]}"
 
 
 def _write(text: str, *, err: bool) -> None:

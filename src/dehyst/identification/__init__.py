@@ -1,7 +1,8 @@
 """Identification: from records to an actuator."""
 
+from dehyst.identification.deadline import Deadline
 from dehyst.identification.identify import identify
 from dehyst.identification.settings import Method
 from dehyst.identification.solvers.program import Norm
 
-__all__ = ["Method", "Norm", "identify"]
+__all__ = ["Deadline", "Method", "Norm", "identify"]

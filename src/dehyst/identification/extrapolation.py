@@ -127,6 +127,7 @@ def unsupported(frame: TrainingData, still: TrainingData, structure: Structure, 
     report("predicting time that was not trained on")
     within = extrapolation_error(frame, structure)
     for part, other, fewer in simpler:
+        report(f"predicting time that was not trained on, without {part}")
         without = extrapolation_error(other, fewer)
         if without <= _WORTH * within:
             return Dropped(part, without, within)

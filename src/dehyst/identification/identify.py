@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._version import __version__
 from dehyst.identification import output_error, paper_methods
+from dehyst.identification.deadline import Deadline
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.assumptions import assumption_checks
 from dehyst.identification.diagnostics.expectation import expectation
@@ -23,16 +24,17 @@ from dehyst.identification.diagnostics.identifiability import identifiability, p
 from dehyst.identification.diagnostics.remaining_error import remaining_error
 from dehyst.identification.diagnostics.residuals import residual_checks
 from dehyst.identification.dynamics_search import SensedDynamics
-from dehyst.identification.extrapolation import block_error, unsupported
+from dehyst.identification.extrapolation import Dropped, block_error, unsupported
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.regression import nuisances
 from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.fold_sums import least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.settings import Direction, Method, Settings
 from dehyst.identification.solvers.program import Norm
-from dehyst.identification.structure_selection import StructureTrial
+from dehyst.identification.structure_selection import StructureTrial, simplest
 from dehyst.identification.structured_fit import StructuredFit
 from dehyst.identification.training_data import TrainingData
 from dehyst.identification.validation import MOST_ROWS, Protocol, errors_of
@@ -41,6 +43,7 @@ from dehyst.model.readiness import USELESS
 from dehyst.model.structure import Grid
 from dehyst.records import Record
 
+_T = TypeVar("_T")
 # Thresholds in half strokes that records whose loops grow are also tried with, and how far they must lower the error.
 _REACH, _WORTH_OF_REACH = 1.25, 0.6
 # Of the spring, by default.
@@ -48,6 +51,8 @@ _MOST_KNOTS = 41
 # A delay is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
 _SEARCH_CYCLE = 20_000
 _SEARCH_SAMPLES = 1_000_000
+# Of the first model.
+_FIRST_ROWS = 4000
 
 
 def identify(
@@ -69,6 +74,8 @@ def identify(
     goal: float = 1.0,
     throw: bool = True,
     progress: Progress | None = None,
+    time_limit: float | Deadline | None = None,
+    first_model: Callable[[Actuator], None] | None = None,
 ) -> Fit:
     """Identify an actuator from records of major and minor loops; none needs to start relaxed.
 
@@ -113,6 +120,13 @@ def identify(
         Raise if the solver finds no optimum (default), or return a Fit with `Outcome.FAILED`.
     progress : callable, optional
         Called with a few words at each step.
+    time_limit : float or Deadline, optional
+        Seconds after which no further step of a search begins; the best model so far is completed, by least squares if
+        the program in another norm is not solved by then, and `Fit.remarks` names it. That takes some time more.
+        Another thread or a signal handler can end a `Deadline`.
+    first_model : callable, optional
+        Called once with a plain actuator, as soon as delay and sensor data are known; "record" only. It is a
+        least-squares fit of few samples and was not checked: its provenance has `"provisional": True`.
 
     Returns
     -------
@@ -127,7 +141,8 @@ def identify(
     """
     settings = Settings(method, elements, breakaway, norm, knots, slope_floor, delay, shared_datum, drift, branch)  # type: ignore[arg-type]
     _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
-    report = progress or (lambda _: None)
+    deadline = time_limit if isinstance(time_limit, Deadline) else Deadline(time_limit)
+    report = deadline.watched(progress or (lambda _: None))
     training, held_out = as_list(records), as_list(validate)
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
@@ -141,7 +156,13 @@ def identify(
     report("checking the records")
     with one_thread():
         job = _Identification(
-            settings, [prepare(record) for record in training], [prepare(record) for record in held_out], report, goal
+            settings,
+            [prepare(record) for record in training],
+            [prepare(record) for record in held_out],
+            report,
+            goal,
+            deadline,
+            first_model,
         )
         if structure != "paper":
             fit = job.by_structure(structure, refine)
@@ -185,12 +206,15 @@ class _Identification:
     held_out: list[Prepared]
     report: Progress
     goal: float = 1.0
+    deadline: Deadline = field(default_factory=Deadline)
+    first_model: Callable[[Actuator], None] | None = None
     repairs: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     structure: Structure | None = None
     trials: tuple[StructureTrial, ...] = ()
     steady: bool = False
     held_out_error: float = 0.0
+    searched: Structure | None = None
 
     def __post_init__(self) -> None:
         self.repairs += [sentence for item in (*self.training, *self.held_out) for sentence in item.sentences]
@@ -211,12 +235,10 @@ class _Identification:
         actuator = self._actuator(regression, found)
         self.report("simulating every record")
         if self.settings.breakaway is None and self._data(self.delay).grows():
-            longer, more = self._fit_plain(_REACH * rho)
-            other = self._actuator(longer, more) if more.solved.optimal else None
-            worth = _WORTH_OF_REACH * self._whole_error(actuator, regression)
-            if other is not None and self._whole_error(other, longer) < worth:
-                actuator, regression, found = other, longer, more
-                self.remarks.append(messages.LONGER_ELEMENTS)
+            plain = actuator, regression, found
+            actuator, regression, found = self.deadline.attempt(
+                lambda: self._longer_plain(rho, *plain), plain, "the trial of longer elements"
+            )
         directions = identifiability(self._on_axis(regression.datum), regression)
         outcome, remarks = messages.of_plain(directions, regression, found)
         self.remarks += remarks
@@ -228,7 +250,44 @@ class _Identification:
         stream = self._stream(rho, self._data(self.delay))
         regression = self._with_drifts(self._with_datums(stream.regression))
         self.report(f"solving the {self.settings.norm} program for {len(stream.source)} samples")
-        return regression, replace(stream, regression=regression).fit_weighted(self.settings.norm)
+        self._hand_over(regression)
+        found = self._by_norm(
+            replace(stream, regression=regression).fit_weighted, lambda: least_squares_of_sums(regression)
+        )
+        return regression, found
+
+    def _longer_plain(
+        self, rho: Array, actuator: Actuator, regression: Regression, found: Coefficients
+    ) -> tuple[Actuator, Regression, Coefficients]:
+        """Return the plain actuator with elements beyond half the stroke, if it simulates the records better."""
+        longer, more = self._fit_plain(_REACH * rho)
+        other = self._actuator(longer, more) if more.solved.optimal else None
+        worth = _WORTH_OF_REACH * self._whole_error(actuator, regression)
+        if other is None or self._whole_error(other, longer) >= worth:
+            return actuator, regression, found
+        self.remarks.append(messages.LONGER_ELEMENTS)
+        return other, longer, more
+
+    def _by_norm(self, solve: Callable[[Norm], _T], quickly: Callable[[], _T]) -> _T:
+        """Solve the final program in the norm that was asked for; by least squares of fewer rows without time."""
+        norm = self.settings.norm
+        found = self.deadline.attempt(
+            lambda: solve(norm), None, f"the {norm} program of all samples (least squares of fewer instead)"
+        )
+        if found is not None:
+            return found
+        self.settings = replace(self.settings, norm="l2")
+        return quickly()
+
+    def _hand_over(self, regression: Regression) -> None:
+        """Give the caller a first plain actuator, once."""
+        first_model, self.first_model = self.first_model, None
+        if first_model is None:
+            return
+        few = regression.thinned(_FIRST_ROWS)
+        found = least_squares_of_sums(few)
+        if found.solved.optimal:
+            first_model(self._actuator(few, found).with_provenance(norm="l2", provisional=True))
 
     def _whole_error(self, actuator: Actuator, regression: Regression) -> float:
         """RMS error of the training records, simulated whole [m]."""
@@ -240,6 +299,7 @@ class _Identification:
         self.report("estimating delay and datums")
         data = self._data(self.delay)
         plain = self._with_datums(self._stream(self._thresholds(), data).regression)
+        self._hand_over(plain)
         frame = replace(data, datum=plain.datum, denoised=True)
         if isinstance(structure, str):
             # Without loops within loops nothing that distinguishes structures can be held out.
@@ -255,14 +315,17 @@ class _Identification:
             frame = self._with_delay(frame, structure)
         self.structure = structure
         self.report(f"solving the program for {structure.words}")
-        made = StructuredFit.solve(frame, structure, self.settings.norm)
+        wanted = structure
+        made = self._by_norm(
+            lambda norm: StructuredFit.solve(frame, wanted, norm), lambda: StructuredFit.solve_quickly(frame, wanted)
+        )
         if structure.reach == 1 and made.found.solved.optimal and frame.grows():
-            made = self._longer(made)
+            made = self._attempt(self._longer, made, "the trial of longer elements")
         solution = made.found.solved
         if not solution.optimal:
             return self._failed(solution.status)
         if frame.inertia.mass:
-            made = made.tune_dynamics(self.report)
+            made = self._attempt(lambda one: one.tune_dynamics(self.report), made, "the tuning of the resonance")
         refined = self._refined(made) if refine else made.actuator
         self.delay = refined.delay
         actuator = replace(
@@ -276,18 +339,44 @@ class _Identification:
     def _chosen(self, still: TrainingData) -> tuple[TrainingData, Structure]:
         """Return the records with inertia if they have it, and the structure that they support."""
         self.report("looking for inertia")
-        frame = still.with_inertia()
-        structure, self.trials, remarks = frame.chosen(Structure(), self.report)
+        frame = self.deadline.attempt(lambda: still.with_inertia(self.deadline), still, "the search for inertia")
+        structure, self.trials, remarks = frame.chosen(Structure(), self.report, deadline=self.deadline)
         self.remarks += remarks
         fixed: tuple[str, ...] = ()
-        while dropped := unsupported(frame, still, structure, self.report):
+        while dropped := self._unsupported(frame, still, structure):
             self.remarks.append(messages.of_dropped(dropped.part, dropped.without, dropped.within, self.stroke))
             frame = still if dropped.part == "inertia" else frame
             if dropped.part == "creep":
                 fixed, still, frame = ("creep",), replace(still, creepless=True), replace(frame, creepless=True)
-            structure, trials, _ = frame.chosen(Structure(), self.report, fixed)
-            self.trials += trials
+            again = self._chosen_again(frame, fixed, dropped.part)
+            structure = again or simplest(self.trials, creep="creep" not in fixed) or Structure()
+        self.searched = structure
         return frame, structure
+
+    def _chosen_again(self, frame: TrainingData, fixed: tuple[str, ...], part: str) -> Structure | None:
+        """Return the structure that the records support without a part; None if no time is left."""
+        again = self.deadline.attempt(
+            lambda: frame.chosen(Structure(), self.report, fixed, self.deadline),
+            None,
+            f"the search for a structure without {part}",
+        )
+        self.trials += () if again is None else again[1]
+        return None if again is None else again[0]
+
+    def _unsupported(self, frame: TrainingData, still: TrainingData, structure: Structure) -> Dropped | None:
+        """Return a part that does not predict; without time plain elements stand in for the rest of the structure."""
+        if not (frame.inertia.mass or structure.creep):
+            return None
+        judged = self.deadline.attempt(
+            lambda: (unsupported(frame, still, structure, self.report),),
+            None,
+            "the prediction of time that was not trained on (plain elements stood in for the rest of the structure)",
+        )
+        return judged[0] if judged else unsupported(frame, still, Structure(creep=structure.creep), self.report)
+
+    def _attempt(self, step: Callable[[StructuredFit], StructuredFit], made: StructuredFit, name: str) -> StructuredFit:
+        """Return what a step makes of a fit, or the fit if no time is left."""
+        return self.deadline.attempt(lambda: step(made), made, name)
 
     def _longer(self, made: StructuredFit) -> StructuredFit:
         """Return the fit with elements beyond half the stroke, if it simulates the records better."""
@@ -314,7 +403,9 @@ class _Identification:
         ]
 
     def _refined(self, made: StructuredFit) -> Actuator:
-        found = output_error.refine(made, self.report)
+        found = self.deadline.attempt(lambda: output_error.refine(made, self.report), None, "the refinement")
+        if found is None:
+            return made.actuator
         what = "kept" if found.kept else "not better, and left out"
         self.remarks.append(
             f"Refined by simulation: RMS error of cycles held out {found.after * 1e9:.4g} nm, without "
@@ -481,6 +572,16 @@ class _Identification:
             traces.append(trace)
         return errors, traces
 
+    def _best_words(self, actuator: Actuator) -> str:
+        """Describe the structure of the result and, if it was tried, its held-out error."""
+        structure = self.structure or self.searched
+        if structure is None:
+            return f"{actuator.slip.breakaway.size} elements"
+        errors = [trial.held_out for trial in self.trials if trial.structure == replace(structure, reach=1.0)]
+        if not errors:
+            return structure.words
+        return f"{structure.words}, which miss held-out cycles by {100 * errors[-1] / self.stroke:.2g} % of the range"
+
     def _finish(self, actuator: Actuator, regression: Regression, outcome: Outcome, status: str, gap: float) -> Fit:
         records = (*self.training, *self.held_out)
         errors, traces = self._simulated(actuator, regression, records)
@@ -497,6 +598,7 @@ class _Identification:
         if max(error.largest_percent for error in errors if error.role == "training") > USELESS:
             outcome = Outcome.INACCURATE
         actuator = replace(actuator, provenance={**actuator.provenance, "outcome": outcome.name})
+        self.remarks[:0] = self.deadline.remarks(self._best_words(actuator))
         self.remarks += messages.of_rare_voltages(self.training, self._limits())
         self.remarks += messages.of_held_out(self.held_out, self._limits(), errors)
         sample = self.training[self.widest].record.sample_time

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from dehyst._types import Array, Progress
+from dehyst.identification.deadline import Deadline
 from dehyst.identification.regression.fold_sums import FoldSums, Nearby, first_weights
 from dehyst.identification.regression.regression import Regression
 from dehyst.model import Structure
@@ -73,7 +74,13 @@ def label(structure: Structure, trials: Sequence[StructureTrial]) -> str:
 
 
 def select(
-    build: Build, start: Structure, progress: Progress, *, without: Sequence[str] = ()
+    build: Build,
+    start: Structure,
+    progress: Progress,
+    *,
+    without: Sequence[str] = (),
+    stroke: float = float("nan"),
+    deadline: Deadline | None = None,
 ) -> tuple[Structure, tuple[StructureTrial, ...]]:
     """Add the part that reduces the held-out error most, repeatedly, until no part is worth it; then tune.
 
@@ -86,23 +93,38 @@ def select(
         Called with a few words at each trial.
     without : sequence of str
         Fields of a structure that must not change.
+    stroke : float, optional
+        Range of the widest loop [m], to which reported errors refer.
+    deadline : Deadline, optional
+        When no further trial begins.
 
     Returns
     -------
     Structure, tuple of StructureTrial
-        The selected structure, and all trials in order.
+        The selected structure, and all trials in order: none if the deadline had passed before.
     """
-    first = try_structure(build, start, progress)
+    search = _Search(build, progress, stroke, deadline or Deadline())
     changes = [change for _, change in PARTS if not set(change) & set(without)]
-    best, trials = _best_after(build, first, changes, progress)
-    if best.trial.structure.transformer and best.trial.structure.grades > 1:
-        straight = try_structure(build, replace(best.trial.structure, transformer=0), progress, best)
-        trials.append(straight)
-        if not best.trial.held_out < _WORTH_BESIDE_GRADES * straight.trial.held_out:
-            best = straight
-    tuning = [change for _, change in TUNING if "grades" not in change or best.trial.structure.grades > 1]
-    best, tuned = _best_after(build, best, tuning, progress)
-    return best.trial.structure, tuple(tried.trial for tried in (first, *trials, *tuned))
+    search.later = [change for _, change in TUNING]
+    first = search.tried(start, changes)
+    if first is None:
+        return start, ()
+    best = search.straightened(search.best_after(first, changes))
+    tuning, search.later = search.later, []
+    tuning = [change for change in tuning if "grades" not in change or best.trial.structure.grades > 1]
+    best = search.best_after(best, tuning)
+    return best.trial.structure, tuple(tried.trial for tried in search.done)
+
+
+def simplest(trials: Sequence[StructureTrial], *, creep: bool) -> Structure | None:
+    """Return the structure of fewest parameters whose held-out error is nearly the least; None without a trial.
+
+    If not `creep`, only structures without creep count.
+    """
+    counted = [trial for trial in trials if creep or not trial.structure.creep]
+    least = min((trial.held_out for trial in counted), default=0.0)
+    near = [trial.structure for trial in counted if _WORTH * trial.held_out <= least]
+    return min(near, key=lambda structure: structure.parameters, default=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,21 +136,74 @@ class Tried:
     nearby: Nearby | None = None
 
 
-def _best_after(build: Build, best: Tried, left: list[dict[str, Any]], progress: Progress) -> tuple[Tried, list[Tried]]:
-    """Return the best structure after one change at a time, and all trials."""
-    trials: list[Tried] = []
-    while left:
-        candidates = [try_structure(build, replace(best.trial.structure, **change), progress, best) for change in left]
-        trials += candidates
-        worth = [_worth(best.trial.structure, change) for change in left]
-        gains = [tried.trial.held_out / share for tried, share in zip(candidates, worth, strict=True)]
-        first = int(np.argmin(gains))
-        if not gains[first] < best.trial.held_out:
-            break
-        best, taken = candidates[first], set(left[first])
-        # Other values of the same field have been tried too.
-        left = [change for change in left if not taken & set(change)]
-    return best, trials
+@dataclass(eq=False)
+class _Search:
+    """The trials of one selection, until the deadline."""
+
+    build: Build
+    progress: Progress
+    stroke: float
+    deadline: Deadline
+    done: list[Tried] = field(default_factory=list)
+    later: list[dict[str, Any]] = field(default_factory=list)
+    most: int = 0
+    stopped: bool = False
+
+    def best_after(self, best: Tried, left: list[dict[str, Any]]) -> Tried:
+        """Return the best structure after one change at a time."""
+        while left and not self.stopped:
+            candidates: list[Tried] = []
+            for k, change in enumerate(left):
+                tried = self.tried(replace(best.trial.structure, **change), left, k, best)
+                if tried is None:
+                    break
+                candidates.append(tried)
+            worth = [_worth(best.trial.structure, change) for change in left]
+            gains = [tried.trial.held_out / share for tried, share in zip(candidates, worth, strict=False)]
+            first = int(np.argmin(gains)) if gains else 0
+            if not gains or not gains[first] < best.trial.held_out:
+                break
+            best, taken = candidates[first], set(left[first])
+            # Other values of the same field have been tried too.
+            left = [change for change in left if not taken & set(change)]
+        return best
+
+    def straightened(self, best: Tried) -> Tried:
+        """Return the structure without a transformer, if that is hardly worse beside graded elements."""
+        structure = best.trial.structure
+        if self.stopped or not structure.transformer or structure.grades == 1:
+            return best
+        straight = self.tried(replace(structure, transformer=0), [], before=best)
+        kept = straight is None or best.trial.held_out < _WORTH_BESIDE_GRADES * straight.trial.held_out
+        return best if kept or straight is None else straight
+
+    def tried(
+        self, structure: Structure, left: list[dict[str, Any]], place: int = -1, before: Tried | None = None
+    ) -> Tried | None:
+        """Try a structure, the one at this place of the changes that are left; None if the deadline passes."""
+        # The first structure is tried before all changes.
+        remaining = _most_trials(left) - max(place, 0) + (place < 0)
+        self.most = len(self.done) + remaining + _most_trials(self.later)
+        tried = self.deadline.attempt(
+            lambda: try_structure(self.build, structure, self._report, before), None, self._cut()
+        )
+        self.stopped = tried is None
+        self.done += [] if tried is None else [tried]
+        return tried
+
+    def _report(self, words: str) -> None:
+        least = min((100 * tried.trial.held_out / self.stroke for tried in self.done), default=float("nan"))
+        error = f"best held-out error {least:.2g} % of the range; " if np.isfinite(least) else ""
+        self.progress(f"trial {len(self.done) + 1} (of up to {self.most}): {words}; {error}{self.deadline.clock}")
+
+    def _cut(self) -> str:
+        return f"the search for a structure after {len(self.done)} of up to {self.most} trials"
+
+
+def _most_trials(left: list[dict[str, Any]]) -> int:
+    """Return the most trials that can follow: all of these changes, and those left after any of them is taken."""
+    rests = [[change for change in left if not set(taken) & set(change)] for taken in left]
+    return len(left) + max(map(_most_trials, rests), default=0)
 
 
 def _worth(structure: Structure, change: dict[str, Any]) -> float:
@@ -138,7 +213,7 @@ def _worth(structure: Structure, change: dict[str, Any]) -> float:
 
 def try_structure(build: Build, structure: Structure, progress: Progress, before: Tried | None = None) -> Tried:
     """Cross-validate a structure, rows weighted by the inverse slopes of the model before."""
-    progress(f"trying {structure.words}")
+    progress(structure.words)
     begin = time.perf_counter()
     regression = build(structure)
     weights = None if before is None else before.weights

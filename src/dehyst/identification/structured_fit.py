@@ -8,6 +8,7 @@ from functools import cached_property
 
 from dehyst.identification.dynamics_search import SensedDynamics
 from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.fold_sums import least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.resonance_tuning import tune_resonance
 from dehyst.identification.simulation_error import SimulationError
@@ -45,6 +46,12 @@ class StructuredFit:
     def solve(cls, frame: TrainingData, structure: Structure, norm: Norm) -> StructuredFit:
         """Solve the program."""
         return cls(frame, structure, norm, *frame.fit(structure, norm))
+
+    @classmethod
+    def solve_quickly(cls, frame: TrainingData, structure: Structure) -> StructuredFit:
+        """Solve the program by least squares, of the rows that fit in memory."""
+        regression = frame.regression(structure)
+        return cls(frame, structure, "l2", regression, least_squares_of_sums(regression))
 
     @cached_property
     def actuator(self) -> Actuator:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from dehyst._types import Array
+from dehyst.identification.deadline import Deadline
 from dehyst.identification.dynamics_search import SensedDynamics, find_dynamics
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.preprocessing.denoising import remove_jitter
@@ -181,8 +182,11 @@ class TrainingData:
         late, prompt = (held_out_error(one._rows_of(_PROMPT, _FEW_ROWS)) for one in (self, without))
         return without if prompt < _WORTH_OF_DELAY * late else self
 
-    def with_inertia(self) -> TrainingData:
-        """Return the same with the delay, damping and mass that the records ask for, if they do."""
+    def with_inertia(self, deadline: Deadline | None = None) -> TrainingData:
+        """Return the same with the delay, damping and mass that the records ask for, if they do.
+
+        The search is left when the deadline passes.
+        """
         step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
         if cycle > _SLOWEST * step:
             return self
@@ -190,6 +194,8 @@ class TrainingData:
         training_error = TrainingErrors()
 
         def error(inertia: SensedDynamics) -> float:
+            if deadline is not None:
+                deadline.check()
             return training_error(replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2))
 
         without = error(self.inertia)
@@ -260,11 +266,15 @@ class TrainingData:
         )
 
     def chosen(
-        self, start: Structure, report: Callable[[str], None], without: tuple[str, ...] = ()
+        self,
+        start: Structure,
+        report: Callable[[str], None],
+        without: tuple[str, ...] = (),
+        deadline: Deadline | None = None,
     ) -> tuple[Structure, tuple[StructureTrial, ...], list[str]]:
         """Return the structure that the records support, the trials, and what they do not support.
 
-        Fields in `without` do not change.
+        Fields in `without` do not change. No trial begins after the deadline.
         """
         remarks = []
         if not self.supports_creep() and not without:
@@ -273,7 +283,14 @@ class TrainingData:
                 "Creep was not looked for: the records neither hold still for as long as their cycles last nor have "
                 "loops at two speeds; add a staircase or slower loops."
             )
-        best, trials = select(lambda one: self.regression(one, _FEW_ROWS), start, report, without=without)
+        best, trials = select(
+            lambda one: self.regression(one, _FEW_ROWS),
+            start,
+            report,
+            without=without,
+            stroke=self.stroke,
+            deadline=deadline,
+        )
         return best, trials, remarks
 
 

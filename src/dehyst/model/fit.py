@@ -193,7 +193,7 @@ class RemainingError:
         return self.rms * float(np.sqrt(2 * self.vibration))
 
     def sentence(self, stroke: float) -> str:
-        """Return the shares in words, with what would reduce the largest one."""
+        """Return the shares in words, lengths as parts of `stroke` [m], with what would reduce the largest one."""
         parts = [(self.noise, "white noise"), (self.slow, "drift or another slow cause"), (self.model, "the model")]
         if self.vibration:
             size = f"{100 * self.vibration_amplitude / stroke:.2g} % of the stroke, which the voltage does not cause"

@@ -88,7 +88,8 @@ class Structure:
     def parameters(self) -> int:
         """Number of coefficients of the convex program, without the constants of records."""
         smooth = _LENGTHS.size * _CLOSINGS.size if self.smooth else 0
-        return (self.elements - 1) * self.grades + self.knots - 1 + max(self.transformer - 1, 0) + self.creep + smooth
+        sliding = self.elements - (self.reach == 1)
+        return sliding * self.grades + self.knots - 1 + max(self.transformer - 1, 0) + self.creep + smooth
 
     @property
     def words(self) -> str:

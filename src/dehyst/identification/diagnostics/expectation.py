@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dehyst.model import Check, Outcome, RecordErrors, Verdict
-from dehyst.model.readiness import MOST_SET_ASIDE, WIDEST_GAP, Expectation
+from dehyst.model import Check, Expectation, Outcome, RecordErrors, Verdict
+from dehyst.model.readiness import MOST_SET_ASIDE, WIDEST_GAP
 
 # Largest error of a path in RMS errors, at least.
 _PEAK = 3.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.model.fit import RemainingError, Trace
+from dehyst.model import RemainingError, Trace
 from dehyst.records.signals import turning_points, white_noise
 
 # A line of the spectrum counts if it holds this part of the power, and this many times its neighbours'.

@@ -183,6 +183,12 @@ def first_weights(regression: Regression) -> Array:
     return _of_equal_weights(regression, None).inverse_slopes
 
 
+def least_squares_of_sums(regression: Regression) -> Coefficients:
+    """Fit the rows of a regression, weighted by the inverse slope of a first fit, by their sums alone: quickly."""
+    found = FoldSums(regression, first_weights(regression), folds=1).whole
+    return replace(found, solution=replace(found.solved, status="optimal (normal equations)"))
+
+
 class TrainingErrors:
     """Training errors of regressions nearby, for a search: each fit starts from the active set of the one before."""
 

@@ -260,7 +260,7 @@ class Regression:
             for number, sign in signs.items():
                 row[place[number]] = sign
         whole = np.hstack([np.zeros((lower.size, free)), matrix])
-        slack = _SLACK * float(np.ptp(self.rows.voltage))
+        slack = _SLACK * float(np.ptp(self.rows.voltage)) if len(self.rows) else 0.0
         return np.vstack([whole, *rows]), np.append(lower, np.full(len(rows), -slack))
 
     def solved_with(
