@@ -31,9 +31,8 @@ def test_parts_are_added_while_one_is_worth_it(monkeypatch):
     errors_by(monkeypatch, error)
     best, trials = select(None, START, None)
     assert best == replace(START, transformer=20, grades=8)
-    # One by itself, five parts, the four left, the three left, none of them worth it, one without the transformer, and
-    # what is tuned.
-    assert len(trials) == 1 + 5 + 4 + 3 + 1 + 3
+    # One by itself, five parts, the four left, the three left, none of them worth it, and what is tuned.
+    assert len(trials) == 1 + 5 + 4 + 3 + 3
     assert trials[0].structure == START
     assert len({trial.structure for trial in trials}) == len(trials)
 

@@ -173,7 +173,9 @@ class _Search:
         structure = best.trial.structure
         if self.stopped or not structure.transformer or structure.grades == 1:
             return best
-        straight = self.tried(replace(structure, transformer=0), [], before=best)
+        simpler = replace(structure, transformer=0)
+        known = next((tried for tried in self.done if tried.trial.structure == simpler), None)
+        straight = known or self.tried(simpler, [], before=best)
         kept = straight is None or best.trial.held_out < _WORTH_BESIDE_GRADES * straight.trial.held_out
         return best if kept or straight is None else straight
 

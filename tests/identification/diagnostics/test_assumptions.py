@@ -374,7 +374,9 @@ def test_an_asymmetric_width_foretells_the_errors(asymmetry):
     errors = {}
     for norm in ("linf", "l1"):
         fit = dehyst.identify(record, elements=30, norm=norm, slope_floor=0.05)
-        errors[norm] = fit.errors[0].largest_percent
+        # Two cycles of the widest loop: where the record begins, the start's own error comes in addition.
+        errors[norm] = 100 * np.abs(fit.traces[0].residual[-801:]).max() / fit.errors[0].stroke
+        assert errors[norm] <= fit.errors[0].largest_percent
         check = by_name(fit.checks)["Symmetry of the width"]
     assert check.verdict is FAILS
     assert (

@@ -37,6 +37,12 @@ def test_validation_records_are_what_counts():
     assert "5.0 times" in found.sentence
 
 
+def test_a_model_that_misses_its_own_records_is_of_no_use_whatever_it_makes_of_others():
+    own, other = replace(ERRORS, largest=6e-7), replace(ERRORS, role="validation")
+    found = expected(own, other, outcome=Outcome.INACCURATE)
+    assert (found.readiness, found.basis) == (Readiness.NOT_USABLE, "training records")
+
+
 def test_held_out_parts_count_where_they_are_worse():
     assert expected(ERRORS, held_out=9e-8).rms == 9e-8
     assert expected(ERRORS, held_out=9e-8).largest == pytest.approx(2.7e-7)

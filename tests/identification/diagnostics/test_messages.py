@@ -8,6 +8,7 @@ import pytest
 
 import dehyst
 from dehyst.identification.diagnostics.messages import repaired
+from dehyst.model import RecordErrors
 from dehyst.records import Record
 
 SAMPLE = 1e-3
@@ -21,33 +22,69 @@ def test_a_delay_that_no_record_shows_is_not_worth_a_sentence():
     assert sentence.startswith("The displacement lags the voltage by 0.5 ms (0.5 samples, estimated)")
 
 
-def drifting(turns, share):
-    """A record whose sensor drifts evenly by a share of the stroke."""
+def drifting(turns, share, shape):
+    """A record whose sensor drifts by a share of the stroke."""
     made = plain_records.loops(PLANT, turns, name="made")
-    drift = share * plain_records.STROKE * np.linspace(0, 1, len(made))
-    return Record(made.time, made.voltage, made.displacement + drift, "made")
+    drift = shape(made.time) - shape(made.time[0])
+    return Record(made.time, made.voltage, made.displacement + share * plain_records.STROKE * drift / drift[-1], "made")
+
+
+def set_aside(fit):
+    (sentence,) = [sentence for sentence in fit.repairs if "set aside" in sentence]
+    return sentence
+
+
+STEADILY = (
+    r"made: drifts steadily by (\S+) % of the range over the samples that count: the sensor, the temperature, or creep "
+    r"that lasts longer than the record; set aside\."
+)
+TOO_SHORT = (
+    r"made: drifts by (\S+) % of the range over the samples that count, too short a time to determine a rate of creep; "
+    r"set aside\."
+)
 
 
 @pytest.mark.parametrize(
-    ("turns", "why"),
+    ("turns", "shape", "words"),
     [
-        ((*plain_records.MAJOR, 1, 0), "too short a time to determine a rate of creep"),
-        (plain_records.DESCENDING_TOPS, "which is more than creep"),
+        ((*plain_records.MAJOR, 1, 0), lambda time: time, STEADILY),
+        (plain_records.DESCENDING_TOPS, lambda time: time, STEADILY),
+        ((*plain_records.MAJOR, 1, 0), lambda time: np.log10(1 + time / 0.1), TOO_SHORT),
     ],
 )
-def test_a_drift_that_cannot_be_creep_is_not_called_so(turns, why):
+def test_a_drift_that_cannot_be_creep_is_not_called_so(turns, shape, words):
     """Told as a rate, it was 200 % of the range a decade."""
-    fit = dehyst.identify(drifting(turns, 0.8), structure="paper", elements=10, delay=0.0, throw=False)
-    (said,) = [sentence for sentence in fit.repairs if "set aside" in sentence]
-    found = re.fullmatch(rf"made: drifts by (\S+) % of the range over the samples that count, {why}; set aside\.", said)
+    record = drifting(turns, 0.8, shape)
+    fit = dehyst.identify(record, structure="paper", elements=10, delay=0.0, throw=False)
+    found = re.fullmatch(words, set_aside(fit))
     assert found
     assert 5 < float(found[1]) < 150
     assert not any("a decade" in check.sentence for check in fit.checks)
+
+
+@pytest.mark.parametrize(
+    ("rate", "decades", "steady", "words"),
+    [
+        (0.02, 2.0, False, "creeps by 2 % of the range a decade of time since its start"),
+        (0.3, 2.0, False, "drifts by 60 % of the range over the samples that count, which is more than creep"),
+        (0.3, 0.4, False, "drifts by 12 % of the range over the samples that count, too short a time to determine"),
+        (0.02, 2.0, True, "drifts steadily by 4 % of the range over the samples that count: the sensor"),
+    ],
+)
+def test_a_drift_is_named_by_its_course_and_size(rate, decades, steady, words):
+    stroke = plain_records.STROKE
+    lengths = dict.fromkeys(("largest", "rms", "largest_with_drift", "rms_with_drift", "offset", "datum"), 0.0)
+    errors = RecordErrors(
+        "made", "training", 100, 0, **lengths, stroke=stroke, drift=rate * stroke, decades=decades, steady=steady
+    )
+    (sentence,) = repaired([errors], 0.0, SAMPLE, given=False)
+    assert sentence.startswith(f"made: {words}")
+    assert errors.creeps == ("creeps" in words)
 
 
 def test_a_creep_is_told_as_a_rate():
     made = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, name="made")
     crept = made.displacement + 0.02 * plain_records.STROKE * np.log10(1 + made.time / 0.1)
     fit = dehyst.identify(Record(made.time, made.voltage, crept, "made"), structure="paper", elements=10, delay=0.0)
-    (said,) = [sentence for sentence in fit.repairs if "set aside" in sentence]
+    said = set_aside(fit)
     assert re.fullmatch(r"made: creeps by \S+ % of the range a decade of time since its start; set aside\.", said)

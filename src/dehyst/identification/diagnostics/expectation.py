@@ -34,9 +34,11 @@ def expectation(
         [% of the stroke].
     """
     training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
-    judged, basis = (validation, "validation records") if validation else (training, "training records")
+    # A model that misses its own records by too much is of no use, whatever it makes of others.
+    by_others = bool(validation) and outcome is not Outcome.INACCURATE
+    judged, basis = (validation, "validation records") if by_others else (training, "training records")
     rms, largest = max(one.rms for one in judged), max(one.largest for one in judged)
-    if held_out > rms and not validation:
+    if held_out > rms and not by_others:
         basis = "parts of the records held out in turn"
         rms = held_out
         largest = max(largest, _PEAK * rms)
