@@ -146,7 +146,8 @@ def test_the_measured_lag_is_said_and_can_be_put_in(folder):
     assert run("simulate", "late.json", "loops.csv", "-o", "b.csv", "--lag", cwd=folder)[2] == ""
     prompt, late = (read_table(folder / name).column("displacement") for name in ("a.csv", "b.csv"))
     np.testing.assert_allclose(late[1:], prompt[:-1], atol=1e-18)  # one sample takes 0.25 s
-    status, _, err = run("simulate", "late.json", "high.csv", "-o", "c.csv", "--lag", cwd=folder)
+    (folder / "timeless.csv").write_text("voltage_V\n0\n150\n")
+    status, _, err = run("simulate", "late.json", "timeless.csv", "-o", "c.csv", "--lag", cwd=folder)
     assert (status, "--lag needs the time of each sample" in err) == (2, True)
 
 
