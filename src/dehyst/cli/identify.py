@@ -144,7 +144,7 @@ def identify(
     if deadline.ended:
         where = "was printed" if output is None or fit.actuator is None else f"is in {output}"
         note(f"stopped by Ctrl-C; the best model so far {where}")
-    sys.exit(0 if fit.outcome.good and not deadline.ended else 1)
+    sys.exit(0 if fit.good and not deadline.ended else 1)
 
 
 def _worded_checks(checks: tuple[Check, ...]) -> tuple[Check, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.model.readiness import Expectation
+from dehyst.model.readiness import Expectation, Readiness
 
 # Largest creep [% of the range a decade]; least part of a decade from which a rate is reported.
 MOST_CREEP, FEWEST_DECADES = 20.0, 0.5
@@ -301,12 +301,18 @@ class Fit:
     expectation: Expectation | None = None
     remaining: tuple[RemainingError, ...] = ()
 
+    @property
+    def good(self) -> bool:
+        """Whether the model may be used: neither its outcome nor what is expected of it forbids that."""
+        usable = self.expectation is None or self.expectation.readiness is not Readiness.NOT_USABLE
+        return self.outcome.good and usable
+
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the traces."""
         return {
             "outcome": self.outcome.name,
             "sentence": self.outcome.value,
-            "good": self.outcome.good,
+            "good": self.good,
             "verdict": None if self.expectation is None else self.expectation.as_dict(),
             "remaining": [one.as_dict() for one in self.remaining],
             "errors": [error.as_dict() for error in self.errors],

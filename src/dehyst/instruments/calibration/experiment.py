@@ -79,7 +79,7 @@ class Calibration:
     @property
     def good(self) -> bool:
         """Whether the model is usable and the path was followed to the goal."""
-        return self.fit.outcome.good and self.compensated.largest_percent <= self.goal
+        return self.fit.good and self.compensated.largest_percent <= self.goal
 
     def warnings(self) -> tuple[str, ...]:
         """Return the warnings to read before the model is used."""
