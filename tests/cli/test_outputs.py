@@ -136,6 +136,8 @@ def test_what_holds_nothing_may_be_replaced(tmp_path):
     demand_replaceable(tmp_path / "empty")
     demand_replaceable(tmp_path / "new")
     demand_replaceable(os.devnull)
+    assert (tmp_path / "empty").read_bytes() == b""
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_table_may_go_to_a_device_of_any_name(tmp_path):

@@ -212,7 +212,7 @@ class _Identification:
     remarks: list[str] = field(default_factory=list)
     structure: Structure | None = None
     trials: tuple[StructureTrial, ...] = ()
-    steady: bool = False
+    steady: bool | None = None
     held_out_error: float = 0.0
     searched: Structure | None = None
 
@@ -295,7 +295,7 @@ class _Identification:
         return float(np.sqrt(np.average([one.rms**2 for one in errors], weights=[one.samples for one in errors])))
 
     def by_structure(self, structure: Structure | Literal["auto"], refine: bool) -> Fit:
-        """Return A wider class, given or chosen."""
+        """Identify an actuator of a structure that is given, or that the records support."""
         self.report("estimating delay and datums")
         data = self._data(self.delay)
         plain = self._with_datums(self._stream(self._thresholds(), data).regression)
@@ -328,9 +328,7 @@ class _Identification:
             made = self._attempt(lambda one: one.tune_dynamics(self.report), made, "the tuning of the resonance")
         refined = self._refined(made) if refine else made.actuator
         self.delay = refined.delay
-        actuator = replace(
-            refined, limits=self._limits(), name=self.training[self.widest].record.name, provenance=self._provenance()
-        )
+        actuator = self._named(refined)
         self.report("simulating every record")
         outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
         self.held_out_error = block_error(made.frame, made.regression)
@@ -474,14 +472,12 @@ class _Identification:
 
     def _data(self, delay: float) -> TrainingData:
         """Return the training records as plain elements need them: displacements as measured, each on its own axis."""
-        data = self._data_of(delay)
-        if not self.steady and data.drifts_steadily():
-            self.steady = True
+        if self.steady is None:
+            self.steady = self._data_of(delay).drifts_steadily()
             self.training, self.held_out = (
-                [replace(item, steady=True) for item in items] for items in (self.training, self.held_out)
+                [replace(item, steady=self.steady) for item in items] for items in (self.training, self.held_out)
             )
-            data = self._data_of(delay)
-        return data
+        return self._data_of(delay)
 
     def _data_of(self, delay: float) -> TrainingData:
         mean_slope = float(np.ptp(self.training[self.widest].record.voltage)) / self.stroke
@@ -518,15 +514,12 @@ class _Identification:
         return replace(regression, drifting=nuisances.find_drifts(regression, self._can_drift()))
 
     def _actuator(self, regression: Regression, found: Coefficients) -> Actuator:
-        reference = regression.rows.epoch[regression.rows.record == self.widest].max()
-        return found.to_actuator(
-            regression.grid,
-            found.offsets[int(reference)],
-            limits=self._limits(),
-            delay=self.delay,
-            name=self.training[self.widest].record.name,
-            provenance=self._provenance(),
-        )
+        """Return the actuator of coefficients, with its limits, name and provenance."""
+        return self._named(self._data_of(self.delay).actuator_of(regression, found))
+
+    def _named(self, actuator: Actuator) -> Actuator:
+        name = self.training[self.widest].record.name
+        return replace(actuator, limits=self._limits(), name=name, provenance=self._provenance())
 
     def _limits(self) -> tuple[float, float]:
         """Voltages that were used: what glitches show, or what a gap cuts off, was not."""

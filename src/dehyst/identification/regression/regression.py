@@ -253,12 +253,13 @@ class Regression:
         numbers = np.unique(self.rows.epoch) if epochs is None else epochs
         free = numbers.size + len(self.drifting)
         matrix, lower = bounds(self.grid, len(self.strained), self.bounded.shape[1], TRANSFORMER_FLOOR)
-        tied = ties(self.grid, [one.shifted(float(self.datum[one.record])) for one in self.ranges])
         place = {int(number): k for k, number in enumerate(numbers)}
-        rows = [self._all_columns(row[None], free)[0] for signs, row in tied if set(signs) <= set(place)]
-        for row, (signs, _) in zip(rows, (one for one in tied if set(one[0]) <= set(place)), strict=True):
-            for number, sign in signs.items():
-                row[place[number]] = sign
+        rows = []
+        for signs, stiffness in ties(self.grid, [one.shifted(float(self.datum[one.record])) for one in self.ranges]):
+            if set(signs) <= set(place):
+                row = self._all_columns(stiffness[None], free)[0]
+                row[[place[number] for number in signs]] = list(signs.values())
+                rows.append(row)
         whole = np.hstack([np.zeros((lower.size, free)), matrix])
         slack = _SLACK * float(np.ptp(self.rows.voltage)) if len(self.rows) else 0.0
         return np.vstack([whole, *rows]), np.append(lower, np.full(len(rows), -slack))
