@@ -236,7 +236,7 @@ def test_a_delay_is_found_in_every_so_many_th_sample_too(monkeypatch):
     late = np.interp(made.time - 0.03, made.time, made.displacement)
     record = dehyst.Record(made.time, made.voltage, late + 1e-9 * rng.normal(size=len(made)), "late")
     fine = dehyst.identify(record, elements=12).options["delay_s"]
-    monkeypatch.setattr(sys.modules["dehyst.identification.identify"], "_SEARCH_CYCLE", 200)
+    monkeypatch.setattr(sys.modules["dehyst.identification.run"], "_SEARCH_CYCLE", 200)
     coarse = dehyst.identify(record, elements=12).options["delay_s"]
     assert fine == pytest.approx(0.03, abs=0.1 / 200)
     assert coarse == pytest.approx(0.03, abs=0.3 / 200)
