@@ -15,15 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask, Progress
+from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.regression.fold_sums import FoldSums, first_weights
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.training_data import TrainingData
-from dehyst.identification.validation import Protocol, errors_of
-from dehyst.model import Structure
+from dehyst.identification.validation import Protocol, compare, errors_of
+from dehyst.model import Actuator, Structure
 from dehyst.records.metrics import rms
 
 _ROWS = 4000
 _PARTS = 6
+# A start is not fitted where this part of a record comes after all elements are known.
+_SOON = 0.5
 # A part of the model stays only if without it the error is larger by more than this ratio.
 _WORTH = 1.2
 
@@ -94,9 +97,20 @@ class _Parts:
             for q, item in enumerate(self.frame.training):
                 datum = float(self.regression.datum[q])
                 protocol = Protocol("training", actuator.delay, datum, q in self.regression.drifting, self.frame.stroke)
-                _, trace = errors_of(actuator, item, protocol)
-                inside = (trace.measured >= known.min()) & (trace.measured <= known.max())
-                yield (trace.time, trace.residual), np.isin(self._part(q, trace.time), group) & inside
+                time, measured, simulated = _played(actuator, item, protocol)
+                inside = (measured >= known.min()) & (measured <= known.max())
+                yield (time, measured - simulated), np.isin(self._part(q, time), group) & inside
+
+
+def _played(actuator: Actuator, item: Prepared, protocol: Protocol) -> tuple[Array, Array, Array]:
+    """Return time, measured and simulated displacement: from where all elements are known, if that is soon enough."""
+    beside = compare(actuator, item, protocol)
+    last = [one for one in beside.played(actuator) if one[1] is beside.epochs[one[0]][-1]]
+    if sum(epoch.stop - epoch.start for _, epoch, _ in last) < _SOON * sum(map(len, beside.measured)):
+        _, trace = errors_of(actuator, item, protocol)
+        return trace.time, trace.measured, trace.simulated
+    time, _, measured, simulated, _ = (np.concatenate(column) for column in zip(*(one[2] for one in last), strict=True))
+    return time, measured, simulated
 
 
 def _detrended(time: Array, residual: Array) -> Array:

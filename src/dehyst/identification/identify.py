@@ -13,7 +13,8 @@ from dehyst._threads import one_thread
 from dehyst._types import Progress
 from dehyst.identification.deadline import Deadline
 from dehyst.identification.plain_class import identify_at_breakpoints, identify_plain
-from dehyst.identification.preprocessing.preparation import as_list, prepare
+from dehyst.identification.preprocessing.block_means import ENOUGH
+from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.run import Run
 from dehyst.identification.settings import Direction, Method, Settings
 from dehyst.identification.solvers.program import Norm
@@ -121,11 +122,18 @@ def identify(
     if refine and structure == "paper":
         raise IdentifyError("refine: the paper's class is fitted as it is; leave refine out, or try structure='auto'")
     report("checking the records")
+
+    # The paper's class takes every sample as it is.
+    most = 1.0 if structure == "paper" else sum(map(len, training)) / ENOUGH
+
+    def prepared(record: Record) -> Prepared:
+        return prepare(record).with_block(most)
+
     with one_thread():
         run = Run(
             settings,
-            [prepare(record) for record in training],
-            [prepare(record) for record in held_out],
+            [prepared(record) for record in training],
+            [prepared(record) for record in held_out],
             report,
             goal,
             deadline,

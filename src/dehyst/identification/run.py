@@ -126,13 +126,13 @@ class Run:
                 )
             return self.settings.delay
         longest = 0.05 * min(cleaning.cycle_time(item.record) for item in self.training)
-        sample = min(item.record.sample_time for item in self.training)
+        sample = min(item.reduced.record.sample_time for item in self.training)
         # Too few elements or knots would round the turning points as a delay does, and creep would open the loop.
         grid = self.stroke / 60 * np.arange(1.0, 31.0)
         drifting = tuple(self.can_drift())
 
         data = self._data_of(0.0)
-        few = [item.coarser(_SEARCH_CYCLE, _SEARCH_SAMPLES) for item in self.training]
+        few = [item.reduced.coarser(_SEARCH_CYCLE, _SEARCH_SAMPLES) for item in self.training]
         data = replace(data, training=few, floor=data.floor / self.settings.slope_floor * 0.01)
 
         def build(delay: float) -> Regression:
@@ -157,7 +157,7 @@ class Run:
     def _data_of(self, delay: float) -> TrainingData:
         mean_slope = float(np.ptp(self.training[self.widest].record.voltage)) / self.stroke
         return TrainingData(
-            self.training,
+            [item.reduced for item in self.training],
             SensedDynamics(delay, 0.0, 0.0),
             self.span,
             self.limits(),

@@ -106,6 +106,7 @@ def select(
     search = _Search(build, progress, stroke, deadline or Deadline())
     changes = [change for _, change in PARTS if not set(change) & set(without)]
     search.later = [change for _, change in TUNING]
+    changes = [change for change in changes if replace(start, **change) != start]
     first = search.tried(start, changes)
     if first is None:
         return start, ()

@@ -18,7 +18,13 @@ from dehyst.identification.preprocessing.internal_states import InternalStates
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import TrainingErrors, held_out_error
+from dehyst.identification.regression.fold_sums import (
+    FoldSums,
+    TrainingErrors,
+    first_weights,
+    held_out_error,
+    nearly_least_absolute,
+)
 from dehyst.identification.regression.nuisances import worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.regression.streaming import Stream
@@ -120,7 +126,11 @@ class TrainingData:
     def fit(self, structure: Structure, norm: Norm) -> tuple[Regression, Coefficients]:
         """Solve the program of all rows; return the regression of those in memory beside its answer."""
         stream = self.stream(structure)
-        return stream.regression, stream.fit_weighted(norm)
+        regression = stream.regression
+        if not stream.whole:
+            return regression, stream.fit_weighted(norm)
+        weights = FoldSums(regression, first_weights(regression), folds=1).inverse_slopes
+        return regression, regression.fit(norm, weights, like=nearly_least_absolute(regression, weights))
 
     def _rows_of(self, structure: Structure, most: int) -> Regression:
         return self._stream_of(structure, most).regression

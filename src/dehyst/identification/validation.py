@@ -74,6 +74,7 @@ class RecordComparison:
     Attributes
     ----------
     record : Prepared
+        Reduced.
     source : RowSource
         Its pieces, voltages delayed; with dynamics the displacements are those that hysteresis makes, before the
         resonance.
@@ -85,6 +86,10 @@ class RecordComparison:
         The model's, with this record's constants and drift [V].
     base : float
         Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
+    whole : list of (number, Record, drift curve (n,))
+        The pieces with all their samples, measured, voltages delayed: those that are played.
+    block : int
+        Of how many of these samples a sample of the reduced record is the mean.
     """
 
     record: Prepared
@@ -93,6 +98,8 @@ class RecordComparison:
     regression: Regression
     found: Coefficients
     base: float
+    whole: list[tuple[int, Record, Array]]
+    block: int = 1
 
     @property
     def pieces(self) -> list[tuple[int, Record, Array]]:
@@ -132,7 +139,9 @@ class RecordComparison:
         for number, own in enumerate(self.epochs):
             for epoch in own:
                 state, size = self.state_before(actuator, number, epoch), epoch.stop - epoch.start
-                (played,) = self.play(actuator, number, slice(epoch.start, epoch.stop), (state, next(left)), size)
+                (played,) = self.play(
+                    actuator, number, slice(epoch.start, epoch.stop), (state, next(left)), self.block * size
+                )
                 parts.append((number, epoch, played))
         return parts
 
@@ -146,10 +155,13 @@ class RecordComparison:
     ) -> Iterator[tuple[Array, ...]]:
         """Time, voltage, measured, simulated, and simulated with the drift left in, `size` samples at a time.
 
-        Over samples of the piece of this number, from a state of the record's axis, its voltages less an offset [V].
+        Over samples of the reduced piece of this number, from a state of the record's axis, its voltages less an offset
+        [V].
         """
-        (_, piece, curve), y = self.pieces[number], self.measured[number].displacement
-        drift, (state, offset) = self.drift * curve, begin
+        (_, piece, curve), (state, offset) = self.whole[number], begin
+        last = len(piece) if span.stop == len(self.measured[number]) else span.stop * self.block
+        span = slice(span.start * self.block + self.block // 2, last)
+        y, drift = piece.displacement, self.drift * curve
         level = float(drift[span].mean())
         steady = drifting = state.shifted(self.datum)
         for start in range(span.start, span.stop, size):
@@ -220,16 +232,18 @@ class RecordComparison:
 
 def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> RecordComparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
-    measured = record.delayed(0, protocol.delay, actuator.lag)
-    pieces = [(q, _path(actuator, piece, record.noise, protocol.stroke), drift) for q, piece, drift in measured]
-    source, regression, model = _beside(actuator, record, pieces, (0,) if protocol.drifting else ())
+    few, whole = record.reduced, record.delayed(0, protocol.delay, actuator.lag)
+    measured = whole if record.block == 1 else few.delayed(0, protocol.delay, actuator.lag)
+    pieces = [(q, _path(actuator, piece, few.noise, protocol.stroke), drift) for q, piece, drift in measured]
+    source, regression, model = _beside(actuator, few, pieces, (0,) if protocol.drifting else ())
     datum = protocol.datum
     if datum is None:
         datum = find_datum(regression, 0, protocol.stroke, given=model)
     regression = replace(regression, datum=np.array([datum]))
     found = (regression if actuator.wide else Stream(source, regression)).fit_nuisances(model)
     base = float(actuator.spring.voltage[0])
-    return RecordComparison(record, source, [piece for _, piece, _ in measured], regression, found, base)
+    samples = [piece for _, piece, _ in measured]
+    return RecordComparison(few, source, samples, regression, found, base, whole, record.block)
 
 
 def compare_all(

@@ -71,21 +71,27 @@ def _chosen(run: Run, still: TrainingData) -> tuple[TrainingData, Structure]:
         frame = still if dropped.part == "inertia" else frame
         if dropped.part == "creep":
             fixed, still, frame = ("creep",), replace(still, creepless=True), replace(frame, creepless=True)
-        again = _chosen_again(run, frame, fixed, dropped.part)
+        start = replace(structure, creep=0) if dropped.part == "creep" else structure
+        again = _chosen_again(run, frame, start, fixed, dropped.part)
         structure = again or simplest(run.trials, creep="creep" not in fixed) or Structure()
     run.searched = structure
     return frame, structure
 
 
-def _chosen_again(run: Run, frame: TrainingData, fixed: tuple[str, ...], part: str) -> Structure | None:
-    """Return the structure that the records support without a part; None if no time is left."""
+def _chosen_again(
+    run: Run, frame: TrainingData, start: Structure, fixed: tuple[str, ...], part: str
+) -> Structure | None:
+    """Return the structure that the records support without a part, from a structure nearby; None without time."""
     again = run.deadline.attempt(
-        lambda: frame.chosen(Structure(), run.report, fixed, run.deadline),
+        lambda: frame.chosen(start, run.report, fixed, run.deadline),
         None,
         f"the search for a structure without {part}",
     )
-    run.trials += () if again is None else again[1]
-    return None if again is None else again[0]
+    if again is None:
+        return None
+    run.trials += again[1]
+    # With a part less, others may no longer be worth their parameters.
+    return simplest(again[1] if part == "inertia" else run.trials, creep="creep" not in fixed) or again[0]
 
 
 def _unsupported(run: Run, frame: TrainingData, still: TrainingData, structure: Structure) -> Dropped | None:

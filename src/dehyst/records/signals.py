@@ -132,3 +132,23 @@ def energy_share(signal: Array, sample_time: float, frequency: float) -> float:
     above = np.fft.rfftfreq(signal.size, sample_time) > frequency
     total = float(power[1:].sum())
     return float(power[above].sum()) / total if total > 0 else 0.0
+
+
+def bandwidth(signal: Array, sample_time: float, share: float) -> float:
+    """Return the frequency [Hz] above which a signal has this share of the energy of its changes, its noise aside.
+
+    Parameters
+    ----------
+    signal : (n,) array
+    sample_time : float
+        [s].
+    share : float
+        White noise as strong as the median of the upper half of the spectrum is not counted.
+    """
+    line = np.linspace(signal[0], signal[-1], signal.size)
+    power = np.abs(np.fft.rfft((signal - line) * np.hanning(signal.size)))[1:] ** 2
+    # The power of noise in a line of the spectrum is distributed exponentially: its mean is the median over ln 2.
+    power -= float(np.median(power[power.size // 2 :])) / log(2)
+    above = np.cumsum(power[::-1])[::-1]
+    within = np.flatnonzero(above > share * above[0])
+    return float((within[-1] + 1 if within.size else 1) / (signal.size * sample_time))

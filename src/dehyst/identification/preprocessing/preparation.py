@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.preprocessing import cleaning
+from dehyst.identification.preprocessing.block_means import block_means, block_of
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.model import Creep
 from dehyst.records import Record
@@ -43,6 +45,8 @@ class Prepared:
         Sentences: what was repaired.
     steady : bool
         Whether it drifts in proportion to time, as a sensor does, and not to its logarithm, as creep does.
+    block : int
+        Samples that `reduced` takes the mean of.
     """
 
     record: Record
@@ -55,6 +59,22 @@ class Prepared:
     can_drift: bool
     sentences: tuple[str, ...]
     steady: bool = False
+    block: int = 1
+
+    @cached_property
+    def reduced(self) -> Prepared:
+        """The record as means of `block` samples: the same motion, and less noise."""
+        if self.block == 1:
+            return self
+        lead = None if self.lead is None else block_means(self.lead, min(self.block, max(len(self.lead) // 2, 1)))
+        pieces = tuple(block_means(piece, self.block) for piece in self.pieces)
+        record = block_means(self.record, self.block)
+        return replace(self, record=record, lead=lead, pieces=pieces, noise=record.noise, block=1)
+
+    def with_block(self, most: float) -> Prepared:
+        """Return the same, to be reduced to the bandwidth of its motion, by means of `most` samples at most."""
+        shortest = min(map(len, self.pieces), default=0) / (2 * _SHORTEST)
+        return replace(self, block=block_of(self.record, min(most, shortest)))
 
     def span(self) -> tuple[float, float]:
         """Return the lowest and highest displacement [m] of the samples that count and of the turns before them."""

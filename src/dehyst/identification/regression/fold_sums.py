@@ -19,6 +19,8 @@ from dehyst.records.signals import turning_points
 _FOLDS = 3
 # Least number of blocks of a record, so that a staircase of two long legs can be held out in parts.
 _BLOCKS = 12
+# Passes towards least absolute residuals; those below this part of the median one weigh alike.
+_REWEIGHTED, _LEAST_MISSED = 3, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +129,11 @@ class FoldSums:
 
     def training_error(self) -> float:
         """Return the RMS error of the fit of all rows [m]."""
-        columns, _ = self._columns
-        left = columns @ _unknowns(self.whole) - self.regression.target
-        return rms(left * self.inverse_slopes)
+        return rms(self.residual() * self.inverse_slopes)
+
+    def residual(self) -> Array:
+        """Return the residual of the fit of all rows (n,) [V]."""
+        return np.asarray(self._columns[0] @ _unknowns(self.whole) - self.regression.target)
 
     def held_out_errors(self) -> Array:
         """Return the error of each row [m] in the fit without its fold."""
@@ -187,6 +191,17 @@ def least_squares_of_sums(regression: Regression) -> Coefficients:
     """Fit the rows of a regression, weighted by the inverse slope of a first fit, by their sums alone: quickly."""
     found = FoldSums(regression, first_weights(regression), folds=1).whole
     return replace(found, solution=replace(found.solved, status="optimal (normal equations)"))
+
+
+def nearly_least_absolute(regression: Regression, weights: Array) -> Coefficients:
+    """Fit by least squares whose rows weigh less the more they are missed: nearly the weighted L1 fit, and quickly."""
+    found = FoldSums(regression, weights, folds=1)
+    for _ in range(_REWEIGHTED):
+        missed = np.abs(found.residual() * weights)
+        least = _LEAST_MISSED * float(np.median(missed))
+        milder = weights * np.sqrt(np.median(missed) / np.maximum(missed, least))
+        found = FoldSums(regression, milder, found.handed_on(), folds=1)
+    return found.whole
 
 
 class TrainingErrors:

@@ -9,7 +9,7 @@ that does not end (block principal pivoting; Portugal, Judice and Vicente 1994, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,8 +25,10 @@ _ZERO, _FLAT = 1e-9, 1e-8
 # Exchanges of all limits that make nothing better before one at a time, and exchanges in all.
 _PATIENCE, _EXCHANGES = 5, 80
 # The diagonal of G being one: keeps factors of dependent columns finite.
-_RIDGE, _RIDGE_OF_LIMITS = 1e-13, 1e-12
+_RIDGE, _RIDGE_OF_LIMITS, _REFINEMENTS = 1e-13, 1e-12, 3
 _CLOSE = 1e-11
+# Of columns that depend on one another: changes predictions by less than any noise.
+_INDEPENDENT = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +70,7 @@ class NormalEquations:
         inequalities : (m, q) and (m,) array
             C and l; met to 1e-9 of the largest term, columns being scaled to one length.
         start : ActiveSet, optional
-            Of a program nearby; without it an interior point comes first.
+            Of a program nearby; by default no coefficient is at its bound.
         """
         diagonal = np.sqrt(np.maximum(np.diag(self.gram), 0.0))
         kept = np.flatnonzero(diagonal > 1e-12 * diagonal.max(initial=TINY))
@@ -87,10 +89,9 @@ class NormalEquations:
             matrix / size[:, None],
             lower / size,
         )
-        solution = None
-        if start is not None:
-            solution = scaled.exchanged(start.moving[kept], start.of_limits(lower.size).active)
-        x, moving, active = scaled.from_inside() if solution is None else solution
+        near = np.ones(kept.size, dtype=bool) if start is None else start.moving[kept]
+        met = np.zeros(lower.size, dtype=bool) if start is None else start.of_limits(lower.size).active
+        x, moving, active = scaled.exchanged(near, met) or scaled.ridged().exchanged(near, met) or scaled.from_inside()
         return _spread(x / scale * unit, kept, diagonal.size), ActiveSet(_spread(moving, kept, diagonal.size), active)
 
 
@@ -109,6 +110,10 @@ class _UnitProgram:
     free: int
     matrix: Array
     lower: Array
+
+    def ridged(self) -> _UnitProgram:
+        """Return a program nearby whose columns are independent: exchanges end where they may go round otherwise."""
+        return replace(self, gram=self.gram + _INDEPENDENT * np.eye(len(self.gram)))
 
     def from_inside(self) -> tuple[Array, Mask, Mask]:
         """Return the minimum, its moving coefficients and active inequalities, by an interior point first."""
@@ -138,6 +143,10 @@ class _UnitProgram:
             x, wrong, unmet = self._violations(*solution, moving, active)
             count = int(np.count_nonzero(wrong) + np.count_nonzero(unmet))
             if not count:
+                # Limits that contradict one another, or have no column that moves, cannot all be met.
+                missed = np.abs(self.matrix[active] @ x - self.lower[active]).max(initial=0.0)
+                if not missed <= _ZERO * max(np.abs(x).max(initial=0.0), 1.0):
+                    return None
                 x[self.free :] = np.maximum(x[self.free :], 0.0)
                 return x, moving, active
             least, patience = (count, _PATIENCE) if count < least else (least, patience - 1)
@@ -152,7 +161,8 @@ class _UnitProgram:
         size, steep = np.abs(x).max(initial=TINY), np.abs(self.image).max(initial=TINY)
         wrong = np.where(moving, x < -_ZERO * size, pull < -_FLAT * steep)
         wrong[: self.free] = False
-        unmet = np.where(active, multipliers < -_FLAT * steep, self.matrix @ x < self.lower - _ZERO * size)
+        left = self.matrix @ x - self.lower
+        unmet = np.where(active, multipliers < -_FLAT * steep, left < -_ZERO * size)
         return x, wrong, unmet
 
     def _on_face(self, moving: Mask, active: Mask) -> tuple[Array, Array] | None:
@@ -173,18 +183,17 @@ class _UnitProgram:
             equations = self.matrix[np.ix_(limits, columns)]
             response = dpotrs(factor, np.asfortranarray(equations.T), lower=1)[0]
             normal = equations @ response
+            if not np.all(np.isfinite(normal)):
+                return None
             normal[np.diag_indices(limits.size)] += _RIDGE_OF_LIMITS * max(np.trace(normal) / limits.size, TINY)
-            try:
-                force = np.linalg.solve(normal, self.lower[limits] - equations @ some)
-            except np.linalg.LinAlgError:
+            factor, failure = dpotrf(np.asfortranarray(normal), lower=1, overwrite_a=1, clean=0)
+            if failure:
                 return None
-            if not np.all(np.isfinite(force)):
-                return None
-            multipliers[limits], some = force, some + response @ force
-            # Limits that contradict one another, or have no column that moves, cannot all be met.
-            missed = np.abs(equations @ some - self.lower[limits]).max()
-            if not missed <= _ZERO * max(np.abs(some).max(), 1.0):
-                return None
+            # The ridge leaves a little of the limits unmet: again for what is left, as an augmented Lagrangian does.
+            for _ in range(_REFINEMENTS):
+                force = dpotrs(factor, self.lower[limits] - equations @ some, lower=1)[0]
+                multipliers[limits] += force
+                some = some + response @ force
         x[columns] = some
         return x, multipliers
 
