@@ -168,7 +168,7 @@ def test_it_says_what_the_fit_says(fit, text):
 )
 @pytest.mark.parametrize("outcome", Outcome)
 def test_colour_follows_the_readiness(outcome, percent, readiness, colour):
-    expected = Expectation(percent * 3e-8, percent * 1e-7, 1e-9, 1e-5, 1.0, "validation records")
+    expected = Expectation(percent * 3e-8, percent * 1e-7, percent * 3e-8, 1e-9, 1e-5, 1.0, "validation records")
     text = report.render(Fit(None, outcome, expectation=expected))
     assert expected.readiness is readiness
     assert re.findall(r'class="outcome (\w+)"', text) == [colour]

@@ -68,6 +68,12 @@ if TYPE_CHECKING:
     help="Least slope of the spring, as a part of its mean.",
 )
 @click.option("--delay", type=float, metavar="SECONDS", help="Lag of the displacement.  [default: estimated]")
+@click.option(
+    "--sensor-lag",
+    type=float,
+    metavar="SECONDS",
+    help="Time constant of the sensor's filter, 0 if it has none.  [default: unknown; a lag is the actuator's]",
+)
 @click.option("--shared-datum", is_flag=True, help="All records share one sensor zero.")
 @click.option(
     "--goal",

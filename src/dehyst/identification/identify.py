@@ -34,6 +34,7 @@ def identify(
     knots: int | None = None,
     slope_floor: float = 0.2,
     delay: float | None = None,
+    sensor_lag: float | None = None,
     shared_datum: bool = False,
     drift: bool = True,
     branch: Direction = "descending",
@@ -69,6 +70,9 @@ def identify(
         Least slope of the spring as a fraction of the mean slope of the widest loop (Assumption I with a margin).
     delay : float, optional
         Seconds by which the displacement lags the voltage; default: estimated from the training records.
+    sensor_lag : float, optional
+        Time constant of the sensor's own filter [s], a low-pass of first order, 0 if it has none; default: unknown.
+        What lags otherwise is taken as the actuator's. A record does not tell which it is.
     shared_datum : bool, optional
         Say that no record zeroed its sensor anew; default: each record's datum is looked for.
     drift : bool, optional
@@ -107,7 +111,19 @@ def identify(
     IdentifyError
         If an option is impossible, or no sample determines anything of the elements.
     """
-    settings = Settings(method, elements, breakaway, norm, knots, slope_floor, delay, shared_datum, drift, branch)  # type: ignore[arg-type]
+    settings = Settings(
+        method,
+        elements,
+        breakaway,  # type: ignore[arg-type]
+        norm,
+        knots,
+        slope_floor,
+        delay,
+        sensor_lag,
+        shared_datum,
+        drift,
+        branch,
+    )
     _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
     deadline = time_limit if isinstance(time_limit, Deadline) else Deadline(time_limit)
     report = deadline.watched(progress or (lambda _: None))
@@ -127,7 +143,8 @@ def identify(
     most = 1.0 if structure == "paper" else sum(map(len, training)) / ENOUGH
 
     def prepared(record: Record) -> Prepared:
-        return prepare(record).with_block(most)
+        found = prepare(record).with_block(most)
+        return found.reduced.without_lag(sensor_lag) if sensor_lag else found
 
     with one_thread():
         run = Run(

@@ -8,7 +8,6 @@ from dehyst._types import Array
 from dehyst.identification import paper_methods
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.identifiability import identifiability
-from dehyst.identification.extrapolation import block_error
 from dehyst.identification.regression import nuisances
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.fold_sums import least_squares_of_sums
@@ -36,7 +35,7 @@ def identify_plain(run: Run) -> Fit:
     directions = identifiability(run.on_axis(regression.datum), regression)
     outcome, remarks = messages.of_plain(directions, regression, found)
     run.remarks += remarks
-    run.held_out_error = block_error(replace(run.data(run.delay), datum=regression.datum), regression)
+    run.look_beyond(replace(run.data(run.delay), datum=regression.datum), regression, actuator)
     return run.finish(actuator, regression, outcome, found.solved.status, found.solved.gap)
 
 

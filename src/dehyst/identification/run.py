@@ -15,10 +15,12 @@ from dehyst._version import __version__
 from dehyst.identification.deadline import Deadline
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.assumptions import assumption_checks
-from dehyst.identification.diagnostics.expectation import expectation
+from dehyst.identification.diagnostics.expectation import HeldOut, expectation
 from dehyst.identification.diagnostics.remaining_error import remaining_error
 from dehyst.identification.diagnostics.residuals import residual_checks
 from dehyst.identification.dynamics_search import SensedDynamics
+from dehyst.identification.extrapolation import block_error
+from dehyst.identification.path_error import disagreement, size_error
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.regression import nuisances
@@ -35,6 +37,7 @@ from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure, Trace
 from dehyst.model.readiness import USELESS
 from dehyst.model.structure import Grid
 from dehyst.records import Record
+from dehyst.records.metrics import rms
 
 _T = TypeVar("_T")
 # Thresholds in half strokes that records whose loops grow are also tried with, and how far they must lower the error.
@@ -64,7 +67,7 @@ class Run:
     structure: Structure | None = None
     trials: tuple[StructureTrial, ...] = ()
     steady: bool | None = None
-    held_out_error: float = 0.0
+    unseen: HeldOut = field(default_factory=HeldOut)
     searched: Structure | None = None
 
     def __post_init__(self) -> None:
@@ -241,6 +244,27 @@ class Run:
             traces.append(trace)
         return errors, traces
 
+    def look_beyond(self, frame: TrainingData, regression: Regression, actuator: Actuator) -> None:
+        """Find how far the actuator misses what it was not trained on."""
+        self.unseen = HeldOut(
+            block_error(frame, regression),
+            size_error(regression),
+            disagreement(frame, actuator, self.limits(), self.trials),
+            max(item.noise for item in frame.training),
+        )
+
+    def doubts(self, actuator: Actuator) -> list[str]:
+        """Return what the records cannot tell, if a path depends on it by more than what is known of the model."""
+        lag = actuator.delay + actuator.lag
+        if self.settings.sensor_lag is not None or self.settings.delay is not None or not lag:
+            return []
+        items = [item.reduced.record for item in self.training]
+        moved = lag * max(rms(np.diff(one.displacement)) / one.sample_time for one in items)
+        if moved <= max(self.unseen.in_time, self.unseen.by_size):
+            return []
+        self.remarks.append(messages.of_lag(lag, moved, self.stroke))
+        return [f"the sensor or the actuator lags by {1e3 * lag:.3g} ms, the records cannot tell which"]
+
     def best_words(self, actuator: Actuator) -> str:
         """Describe the structure of the result and, if it was tried, its held-out error."""
         structure = self.structure or self.searched
@@ -273,6 +297,8 @@ class Run:
         self.remarks += messages.of_held_out(self.held_out, self.limits(), errors)
         sample = self.training[self.widest].record.sample_time
         repaired = messages.repaired(errors, self.delay, sample, given=self.settings.delay is not None)
+        remaining = tuple(remaining_error(trace) for trace in traces)
+        noise, doubts = max(item.noise for item in records), self.doubts(actuator)
         options = {**self.provenance(), "delay_s": self.delay, "stroke_m": self.stroke}
         return Fit(
             actuator,
@@ -286,6 +312,6 @@ class Run:
             options,
             checked,
             self.trials,
-            expectation(outcome, errors, checked, self.held_out_error, max(item.noise for item in records), self.goal),
-            tuple(remaining_error(trace) for trace in traces),
+            expectation(outcome, errors, checked, self.unseen, remaining, noise, self.goal, doubts),
+            remaining,
         )

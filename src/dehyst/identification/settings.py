@@ -37,6 +37,7 @@ class Settings:
     knots: int | None = None
     slope_floor: float = 0.2
     delay: float | None = None
+    sensor_lag: float | None = None
     shared_datum: bool = False
     drift: bool = True
     branch: Direction = "descending"
@@ -54,6 +55,8 @@ class Settings:
         _validation.fraction(self.slope_floor, "slope_floor")
         if self.delay is not None:
             _validation.seconds(self.delay, "delay")
+        if self.sensor_lag is not None:
+            _validation.seconds(self.sensor_lag, "sensor_lag")
         if self.breakaway is not None:
             self._check_breakaway(self.breakaway)
 
@@ -83,4 +86,5 @@ class Settings:
             "slope_floor": self.slope_floor,
             "shared_datum": self.shared_datum,
             "drift": self.drift,
+            **({} if self.sensor_lag is None else {"sensor_lag": self.sensor_lag}),
         }

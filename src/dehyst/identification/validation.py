@@ -256,7 +256,8 @@ def compare_all(
     tuple of Comparison, float, float
         One a record, the range of the widest loop [m], and the least slope that the spring was allowed [V/m].
     """
-    prepared = [prepare(record) for record in as_list(records)]
+    lag = float(actuator.provenance.get("sensor_lag") or 0.0)
+    prepared = [prepare(record).without_lag(lag) for record in as_list(records)]
     options, spans = actuator.provenance, [high - low for low, high in (item.span() for item in prepared)]
     stroke, widest = max(spans), prepared[int(np.argmax(spans))].record
     datum = 0.0 if options.get("shared_datum") else None
@@ -278,7 +279,7 @@ def state_after(actuator: Actuator, lead: Record, stroke: float) -> tuple[State,
     of its last sample, and what the record leaves open of the carts is taken as none.
     """
     try:
-        record = prepare(lead)
+        record = prepare(lead).without_lag(float(actuator.provenance.get("sensor_lag") or 0.0))
         beside = compare(actuator, record, Protocol("validation", actuator.delay, None, False, stroke))
         number, own = len(beside.pieces) - 1, beside.epochs[-1]
     except ValueError:

@@ -9,7 +9,7 @@ from typing import Literal
 from dehyst.identification import output_error
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.identifiability import probe_identifiability
-from dehyst.identification.extrapolation import Dropped, block_error, unsupported
+from dehyst.identification.extrapolation import Dropped, unsupported
 from dehyst.identification.plain_class import identify_plain
 from dehyst.identification.run import REACH, WORTH_OF_REACH, Run
 from dehyst.identification.structure_selection import simplest
@@ -55,7 +55,7 @@ def identify_structure(run: Run, structure: Structure | Literal["auto"], refine:
     actuator = run.named(refined)
     run.report("simulating every record")
     outcome = Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
-    run.held_out_error = block_error(made.frame, made.regression)
+    run.look_beyond(made.frame, made.regression, refined)
     return run.finish(actuator, made.regression, outcome, solution.status, solution.gap)
 
 

@@ -192,6 +192,11 @@ class RemainingError:
         """Amplitude of the line [m]."""
         return self.rms * float(np.sqrt(2 * self.vibration))
 
+    @property
+    def sensed(self) -> float:
+        """RMS of what is the sensor's: white noise and vibration [m]."""
+        return self.rms * float(np.sqrt(self.noise + self.vibration))
+
     def sentence(self, stroke: float) -> str:
         """Return the shares in words, lengths as parts of `stroke` [m], with what would reduce the largest one."""
         parts = [(self.noise, "white noise"), (self.slow, "drift or another slow cause"), (self.model, "the model")]

@@ -30,6 +30,7 @@ _LABELS = {
     "norm": "Norm",
     "elements": "Slip elements requested",
     "slope_floor": "Floor of the slope (part of the mean)",
+    "sensor_lag": "Sensor's lag (s)",
     "shared_datum": "Sensor zero shared by all records",
     "drift": "Drift of a record removed",
 }

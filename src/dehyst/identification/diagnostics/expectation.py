@@ -3,21 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from dehyst.model import Check, Expectation, Outcome, RecordErrors, Verdict
+from dehyst.model import Check, Expectation, Outcome, RecordErrors, RemainingError, Verdict
 from dehyst.model.readiness import MOST_SET_ASIDE, WIDEST_GAP
 
-# Largest error of a path in RMS errors, at least.
-_PEAK = 3.0
+# Largest error of a path in RMS errors, at least; peaks of white noise in standard deviations.
+_PEAK, _NOISE_PEAK = 3.0, 4.0
+# What is subtracted as noise is known to this part.
+_KNOWN = 0.1
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Errors on what was not trained on; 0 where it was not tried.
+
+    Attributes
+    ----------
+    in_time : float
+        RMS error of parts of the training records that were held out in turn [m].
+    by_size : float
+        RMS error of cycles of sizes that were held out [m].
+    disagreement : float
+        RMS distance of other structures that explain the records as well, on a random path [m].
+    noise : float
+        Standard deviation of the sensor in the samples that were compared [m].
+    """
+
+    in_time: float = 0.0
+    by_size: float = 0.0
+    disagreement: float = 0.0
+    noise: float = 0.0
 
 
 def expectation(
     outcome: Outcome,
     errors: Sequence[RecordErrors],
     checks: Sequence[Check],
-    held_out: float,
+    held_out: HeldOut,
+    remaining: Sequence[RemainingError],
     noise: float,
     goal: float,
+    doubts: Sequence[str] = (),
 ) -> Expectation:
     """Return what to expect.
 
@@ -26,29 +53,43 @@ def expectation(
     outcome : Outcome
     errors, checks
         Those of a `Fit`.
-    held_out : float
-        RMS error of parts of the training records that were held out in turn [m].
+    held_out : HeldOut
+    remaining : sequence of RemainingError
+        One for each of the errors.
     noise : float
         Standard deviation of the sensor [m].
     goal : float
         [% of the stroke].
+    doubts : sequence of str, optional
+        What the records cannot tell: more reasons.
     """
     training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
     # A model that misses its own records by too much is of no use, whatever it makes of others.
     by_others = bool(validation) and outcome is not Outcome.INACCURATE
     judged, basis = (validation, "validation records") if by_others else (training, "training records")
-    rms, largest = max(one.rms for one in judged), max(one.largest for one in judged)
-    if held_out > rms and not by_others:
-        basis = "parts of the records held out in turn"
-        rms = held_out
-        largest = max(largest, _PEAK * rms)
-    reasons = []
+    causes = [cause for cause in remaining if cause.role == judged[0].role]
+    measured = max(one.rms for one in judged)
+    # What the sensor adds, a path does not have.
+    rms = max(_less(one.rms, cause.sensed) for one, cause in zip(judged, causes, strict=True))
+    peak = _NOISE_PEAK * noise + max(cause.vibration_amplitude for cause in causes)
+    if not by_others:
+        vibration = max(cause.vibration_amplitude for cause in causes) / 2**0.5
+        parts = [
+            _less(part, (held_out.noise**2 + vibration**2) ** 0.5) for part in (held_out.in_time, held_out.by_size)
+        ]
+        names = ("parts of the records held out in turn", "loops of sizes held out")
+        for part, name in zip(parts, names, strict=True):
+            rms, basis, measured = (part, name, held_out.in_time) if part > rms else (rms, basis, measured)
+        rms = (rms**2 + held_out.disagreement**2) ** 0.5
+    rms = (rms**2 + (_KNOWN * noise) ** 2) ** 0.5
+    largest = max(max(one.largest for one in judged) - peak, _PEAK * rms)
+    reasons = list(doubts)
     aside = sum(one.left_out for one in training) / sum(one.left_out + one.samples for one in training)
     if aside > MOST_SET_ASIDE:
         reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
     fitted = max(one.rms for one in training)
-    if validation and rms > WIDEST_GAP * fitted:
-        reasons.append(f"validation records are missed {rms / fitted:.1f} times as far as training records")
+    if by_others and measured > WIDEST_GAP * fitted:
+        reasons.append(f"validation records are missed {measured / fitted:.1f} times as far as training records")
     drifted = max(abs(one.drifted_percent) for one in errors)
     if drifted > goal:
         reasons.append(f"a drift of {drifted:.2g} % was removed, which a path will show")
@@ -57,4 +98,9 @@ def expectation(
     failed = [check.name for check in checks if check.verdict is Verdict.FAILS]
     if failed:
         reasons.append(f"failed checks: {', '.join(failed)}")
-    return Expectation(rms, largest, noise, errors[0].stroke, goal, basis, tuple(reasons))
+    return Expectation(rms, largest, measured, noise, errors[0].stroke, goal, basis, tuple(reasons))
+
+
+def _less(error: float, noise: float) -> float:
+    """Return what is left of an RMS error without an independent part of it."""
+    return float(max(error**2 - noise**2, 0.0) ** 0.5)

@@ -47,6 +47,16 @@ def of_dropped(part: str, without: float, within: float, stroke: float) -> str:
     )
 
 
+def of_lag(lag: float, moved: float, stroke: float) -> str:
+    """Return the sentence for a lag [s] that may be the sensor's, in which the displacement moves by `moved` [m]."""
+    return (
+        f"The displacement lags by {1e3 * lag:.3g} ms, in which it moves by {100 * moved / stroke:.2g} % of the stroke "
+        "(RMS). This was taken as the actuator's, and is compensated. If it is the sensor's filter, a path is missed "
+        "by as much: look for its time constant in the sensor's data sheet, or watch a step with a faster sensor, and "
+        "give it as sensor_lag=SECONDS (0 if the sensor has none)."
+    )
+
+
 def of_noise(first: float, noise: float) -> list[str]:
     """Return a remark if jitter, which only wider structures remove, drags the first element, at `first` [m]."""
     if first >= _LOUD * noise:

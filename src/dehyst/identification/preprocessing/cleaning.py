@@ -11,10 +11,13 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.records import Record
 from dehyst.records.glitches import Glitch, glitch_sentences, glitches
+from dehyst.records.spikes import spikes
 
 _BINS = 64
 # Displacements in a hole that exceed those beside it by this part of the stroke show a reversal.
 _TURN = 0.02
+# Least rate of the voltage beside a gap, as a part of its mean rate in the gap: a reversal in it would be faster.
+_ALIKE = 0.5
 
 
 def remove_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tuple[str, ...]]:
@@ -38,6 +41,31 @@ def remove_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tuple
     kept = replace(record, time=record.time[keep], voltage=record.voltage[keep], displacement=record.displacement[keep])
     holes = dict(_hole(record, glitch) for glitch in removed if len(glitch.neighbours) == 2)
     return kept, holes, tuple(f"{record.name}: {sentence}" for sentence in glitch_sentences(removed))
+
+
+def remove_spikes(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Replace spikes of the displacement by straight lines, see `dehyst.records.spikes`.
+
+    Returns
+    -------
+    Record
+        The same object if there are none.
+    tuple of str
+        A sentence about them.
+    """
+    bad = spikes(record.voltage, record.displacement)
+    if not bad.any():
+        return record, ()
+    y = record.displacement
+    clean = np.where(bad, np.interp(record.time, record.time[~bad], y[~bad]), y)
+    largest = float(np.abs(y - clean).max())
+    runs = int(np.count_nonzero(np.diff(np.concatenate([[0], bad.astype(np.int8)])) == 1))
+    times = f"the first at {record.time[int(np.argmax(bad))]:.6g} s" if runs > 1 else f"at {record.time[bad][0]:.6g} s"
+    sentence = (
+        f"{record.name}: {runs} spike{'s' * (runs > 1)} of the displacement, {times}, up to {largest * 1e6:.4g} um, "
+        "which no voltage explains: replaced by straight lines."
+    )
+    return replace(record, displacement=clean), (sentence,)
 
 
 def _hole(record: Record, glitch: Glitch) -> tuple[float, bool]:
@@ -101,7 +129,8 @@ def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> 
         hidden = known_holes.get(float(record.time[i]))
         if hidden is False:
             continue
-        hidden = hidden or length > 0.2 * cycle or jump > 0.05 * float(np.ptp(record.voltage))
+        far = jump > 0.05 * float(np.ptp(record.voltage)) and not _goes_on(record, i, length)
+        hidden = hidden or length > 0.2 * cycle or far
         where = f"{record.name}: a gap of {length:.4g} s after {record.time[i]:.4g} s"
         if hidden:
             cuts.append(i + 1)
@@ -112,6 +141,17 @@ def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> 
         sentences = [*sentences[:4], f"{record.name}: {len(sentences) - 4} more gaps, {len(cuts) - 1} cuts in all."]
     cuts.append(len(record))
     return [record.slice(a, b) for a, b in pairwise(cuts) if b - a >= 20], sentences
+
+
+def _goes_on(record: Record, i: int, length: float) -> bool:
+    """Whether the voltage moves through the gap of this length [s] after sample i as it does before and after it."""
+    if not 0 < i < len(record) - 2:
+        return False
+    rate = (record.voltage[i + 1] - record.voltage[i]) / length
+    before, after = (
+        (record.voltage[k + 1] - record.voltage[k]) / (record.time[k + 1] - record.time[k]) for k in (i - 1, i + 1)
+    )
+    return bool(_ALIKE * abs(rate) < min(before * np.sign(rate), after * np.sign(rate)))
 
 
 def cycle_time(record: Record) -> float:

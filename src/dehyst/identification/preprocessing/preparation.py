@@ -13,11 +13,14 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.block_means import block_means, block_of
+from dehyst.identification.preprocessing.local_polynomial import local_polynomial
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.model import Creep
 from dehyst.records import Record
 
 _SHORTEST = 20
+# Samples of a cycle through whose neighbours a derivative may be taken widely.
+_MANY = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +72,26 @@ class Prepared:
         lead = None if self.lead is None else block_means(self.lead, min(self.block, max(len(self.lead) // 2, 1)))
         pieces = tuple(block_means(piece, self.block) for piece in self.pieces)
         record = block_means(self.record, self.block)
-        return replace(self, record=record, lead=lead, pieces=pieces, noise=record.noise, block=1)
+        samples = self.samples // self.block
+        return replace(self, record=record, lead=lead, pieces=pieces, samples=samples, noise=record.noise, block=1)
+
+    def without_lag(self, lag: float) -> Prepared:
+        """Return the record with the displacements before its sensor's low-pass of first order: y + lag y'."""
+        if not lag:
+            return self
+
+        # Few samples a cycle leave no room for a long window.
+        window = 9 if cleaning.cycle_time(self.record) > _MANY * self.record.sample_time else 5
+
+        def before(one: Record) -> Record:
+            rate = local_polynomial(one.displacement, window, 4, 1, one.sample_time)
+            return replace(one, displacement=one.displacement + lag * rate)
+
+        pieces, record = tuple(map(before, self.pieces)), before(self.record)
+        sentence = f"{self.name}: displacements are those before the sensor's lag of {1e3 * lag:.4g} ms, as given."
+        lead = None if self.lead is None or len(self.lead) < _SHORTEST else before(self.lead)
+        sentences = (*self.sentences, sentence)
+        return replace(self, record=record, lead=lead, pieces=pieces, noise=record.noise, sentences=sentences)
 
     def with_block(self, most: float) -> Prepared:
         """Return the same, to be reduced to the bandwidth of its motion, by means of `most` samples at most."""
@@ -162,8 +184,9 @@ def prepare(record: Record) -> Prepared:
     """
     given = record
     record, holes, left_out = cleaning.remove_glitches(given)
+    record, replaced = cleaning.remove_spikes(record)
     record.check_usable()
-    sentences = [*left_out]
+    sentences = [*left_out, *replaced]
     sentences += [
         sentence if record.name in sentence else f"{record.name}: {sentence}"
         for sentence in record.problems()

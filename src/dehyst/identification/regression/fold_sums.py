@@ -137,17 +137,23 @@ class FoldSums:
 
     def held_out_errors(self) -> Array:
         """Return the error of each row [m] in the fit without its fold."""
-        errors, (columns, _) = np.empty(self.fold.size), self._columns
+        errors = np.empty(self.fold.size)
         for k in range(self.folds):
-            out, coefficients = self.fold == k, self.without(k)
-            if coefficients is None or not out.any():
-                continue
-            left = columns[out] @ _unknowns(coefficients) - self.regression.target[out]
-            epochs = self.regression.rows.epoch[out]
-            for epoch in np.setdiff1d(epochs, self.regression.rows.epoch[~out]):
-                left[epochs == epoch] -= np.median(left[epochs == epoch])
-            errors[out] = left / self.regression.chosen(out).slope(coefficients)
+            left = self.errors_of(k)
+            if left is not None:
+                errors[self.fold == k] = left
         return errors
+
+    def errors_of(self, k: int) -> Array | None:
+        """Return the errors of the rows of a fold [m] in the fit of the others; None if either has no row."""
+        out, coefficients = self.fold == k, self.without(k)
+        if coefficients is None or not out.any():
+            return None
+        left = self._columns[0][out] @ _unknowns(coefficients) - self.regression.target[out]
+        epochs = self.regression.rows.epoch[out]
+        for epoch in np.setdiff1d(epochs, self.regression.rows.epoch[~out]):
+            left[epochs == epoch] -= np.median(left[epochs == epoch])
+        return np.asarray(left / self.regression.chosen(out).slope(coefficients))
 
     def _fit(self, used: Mask, sums: NormalEquations, like: Coefficients | None) -> Coefficients:
         """Fit rows whose sums are given, from the active set and inequalities of another fit."""
