@@ -1,5 +1,7 @@
 """What a path unlike the records would be missed by."""
 
+import itertools
+
 import numpy as np
 
 from dehyst import Actuator, Record, identify
@@ -14,7 +16,7 @@ STROKE = 1e-5
 
 def record(turns, seed=0, noise=0.0, bend=0.0):
     """A plain actuator between these voltages; with `bend` one whose branches depend on where they begin."""
-    v = np.concatenate([np.linspace(a, b, 60, endpoint=False) for a, b in zip(turns[:-1], turns[1:], strict=True)])
+    v = np.concatenate([np.linspace(a, b, 60, endpoint=False) for a, b in itertools.pairwise(turns)])
     rho = STROKE / 2 * np.array([0.05, 0.2, 0.5, 0.9])
     ends = np.array([-0.2 * STROKE, 1.5 * STROKE])
     y = Actuator(MaxwellSlip(rho, np.array([2e6, 1e6, 8e5, 4e5])), Spring(ends, 7e6 * ends)).simulate(v).displacement
@@ -24,7 +26,7 @@ def record(turns, seed=0, noise=0.0, bend=0.0):
 
 def captured(monkeypatch, records, **options):
     """The regression of a fit, and its data."""
-    import dehyst.identification.run as run
+    from dehyst.identification import run
 
     kept = {}
 

@@ -1,5 +1,7 @@
 """A lag that may be the sensor's or the actuator's."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ def records():
     rng = np.random.default_rng(3)
     turns = np.concatenate([[0, 80, 0, 80, 0], rng.uniform(0, 80, 14), [0]])
     t = np.linspace(0, np.pi, 100, endpoint=False)
-    v = np.concatenate([a + (b - a) * 0.5 * (1 - np.cos(t)) for a, b in zip(turns[:-1], turns[1:], strict=True)])
+    v = np.concatenate([a + (b - a) * 0.5 * (1 - np.cos(t)) for a, b in itertools.pairwise(turns)])
     ends = np.array([-0.2 * STROKE, 1.5 * STROKE])
     slip = MaxwellSlip(STROKE / 2 * np.array([0.05, 0.2, 0.5, 0.9]), np.array([2e6, 1e6, 8e5, 4e5]))
     y = Actuator(slip, Spring(ends, 7e6 * ends)).simulate(v).displacement
