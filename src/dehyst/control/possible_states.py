@@ -26,9 +26,7 @@ from dehyst.waveforms import Sampling
 _HISTORIES, _TURNS = 12, 8
 
 
-def possible_states(
-    actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None
-) -> tuple[State, ...]:
+def possible_states(actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None) -> tuple[State, ...]:
     """Return states at a voltage that bound all those in which an actuator of unknown history may stand there.
 
     Two states if they are proven to be the extremes, the lower one first; more for an actuator with smooth elements or
@@ -77,9 +75,7 @@ def keeps_order(actuator: Actuator) -> bool:
     return actuator.smooth is None and (dynamics is None or not dynamics.series)
 
 
-def timed_states(
-    actuator: Actuator, limits: tuple[float, float], present: float, half: float
-) -> tuple[State, ...]:
+def timed_states(actuator: Actuator, limits: tuple[float, float], present: float, half: float) -> tuple[State, ...]:
     """Return the extreme states at the `present` voltage [V] of an actuator that moves in time.
 
     If states keep no order, those after random histories too, with legs of `half` seconds and about.
