@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import RecordError
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 from dehyst._validation import interval, vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.homing import Homing
@@ -20,7 +20,6 @@ from dehyst.control.reachable import state_at
 from dehyst.control.start import Start
 from dehyst.control.start_error import StartError, model_error
 from dehyst.control.state_bounds import moves_on
-from dehyst.control.trajectory import Command
 from dehyst.model import Actuator, State
 from dehyst.waveforms import Leg, Sampling
 
@@ -56,12 +55,14 @@ class HomedPath:
         At the last sample.
     homing : Homing
         With its certificate.
-    command : Command or None
-        Of the path; None if the voltage was given.
+    clamped : (n,) bool array
+        Samples whose voltage was changed to keep limits and slew rate.
+    followed : bool
+        As that of a `Command`; true if the voltage was given.
     error : StartError
         What the unknown start leaves open along the path, by playing the whole voltage from all possible states.
     warnings : tuple of str
-        Remarks on the homing, and those of the command.
+        Remarks on the homing, and on what was clamped.
     """
 
     time: Array | None
@@ -71,7 +72,8 @@ class HomedPath:
     expected: Array
     state: State
     homing: Homing
-    command: Command | None
+    clamped: Mask
+    followed: bool
     error: StartError
     warnings: tuple[str, ...]
 
@@ -138,8 +140,7 @@ def home_before(
     way = _Way.found(compensator, when, wanted.size, present, lambda state: actuator.voltage(first_state(state)))
     # A mass moves with the path from its first sample on.
     begin = first_state(way.state) if actuator.model.moves_on else way.state
-    derivatives = {"velocity": velocity, "acceleration": acceleration}
-    command = compensator.trajectory(wanted, time=when, **derivatives, state=begin)
+    command = compensator.trajectory(wanted, time=when, velocity=velocity, acceleration=acceleration, state=begin)
     played = way.then(command.voltage, when)
     expected = np.concatenate([played.expected[: way.size], command.displacement])
     return replace(
@@ -147,7 +148,8 @@ def home_before(
         displacement=np.concatenate([played.expected[: way.size], wanted]),
         expected=expected,
         state=command.state,
-        command=command,
+        clamped=np.concatenate([played.clamped[: way.size], command.clamped]),
+        followed=command.followed,
         warnings=(*played.warnings, *command.warnings),
     )
 
@@ -184,7 +186,8 @@ def _time(compensator: Compensator, time: ArrayLike | None, size: int) -> Array 
     if not size:
         raise RecordError("path: got no samples, need one at least")
     if time is None:
-        return None if compensator.period is None else compensator.period * np.arange(size)
+        period = compensator.period
+        return None if period is None else period * np.arange(size, dtype=np.float64)
     return vector(time, "time")
 
 
@@ -264,7 +267,8 @@ class _Way:
             motion.displacement,
             motion.state,
             self.homing,
-            None,
+            np.zeros(whole.size, dtype=bool),
+            True,
             StartError.along(actuator, states, whole, time=when, first=self.size),
             self.warnings,
         )
@@ -279,9 +283,7 @@ def _pace(actuator: Actuator, time: Array | None) -> tuple[float, float]:
     return 1 / step, max(leg, leg_seconds(actuator, leg))
 
 
-def _ramp(
-    actuator: Actuator, drive: Sampling, state: State, goal: Callable[[State], float]
-) -> tuple[Array, State]:
+def _ramp(actuator: Actuator, drive: Sampling, state: State, goal: Callable[[State], float]) -> tuple[Array, State]:
     """Return the voltages [V] from the end of a homing to the first sample of a path, without it, and the state there.
 
     The way takes a share of a leg's time, but lets a mass and an amplifier follow.

@@ -133,5 +133,6 @@ class StartError:
 def model_error(actuator: Actuator) -> float:
     """Return the largest error [m] of the model on its training records, by its provenance."""
     error, stroke = actuator.provenance.get("largest_error_m"), float(np.ptp(actuator.reach))
-    known = isinstance(error, int | float) and not isinstance(error, bool) and 0 <= error < np.inf
-    return max(float(error), _LEAST * stroke) if known else _MODEL_ERROR * stroke
+    if not isinstance(error, int | float) or isinstance(error, bool) or not 0 <= error < np.inf:
+        return _MODEL_ERROR * stroke
+    return max(float(error), _LEAST * stroke)
