@@ -17,7 +17,7 @@ FACES = {
             main
         """,
         "control": """
-            ClampWarning Command Compensator HomedPath Homing PathPlanner Snapshot Start StartError StateBounds
+            ClampWarning Command Compensator HomedPath Homing PathPlanner PossibleStart Snapshot StartError StateBounds
             TrackedPath VoltageLimits WaveTable home_before home_before_voltage shortest_homing start_at wave_table
         """,
         "exports": """

@@ -24,7 +24,7 @@ from dehyst.cli.common import (
 )
 from dehyst.cli.path_voltages import PathVoltages
 from dehyst.cli.scans import NAMES, errors_in_options, named_scan, scan_options
-from dehyst.cli.start import Request, error_line, given_start, home_option, start_dict, start_option, state_dict
+from dehyst.cli.start import Request, error_line, given_start, home_option, start_dict, start_option
 from dehyst.cli.terminal import progress_line
 from dehyst.cli.wave_table import refuse_cycles, tabulate
 
@@ -181,12 +181,12 @@ def _follow(
         "highest_V": high,
         **start_dict(answer.start.name, answer.error, homed),
         "warnings": remarks,
-        "state": state_dict(answer.state),
+        "state": answer.state.as_dict(),
         "output": str(output),
     }
     lines = [f"{counted(voltage.size, 'sample')}, {low:.6g} to {high:.6g} V {answer.words}: {output}"]
     if answer.error is not None:
-        lines.append(error_line(answer.error, homed=homed is not None, remedy="give --start, or --home"))
+        lines.append(error_line(answer.start.name, answer.error, homed=homed is not None))
     conclude(request.as_json, result, lines, remarks)
     sys.exit(0 if answer.followed and not (request.home and homed and not homed.certified) else 1)
 

@@ -13,7 +13,7 @@ from dehyst.cli.start import given_start, start_or_top_option, start_words
 from dehyst.records.formats.file_content import MOST
 
 if TYPE_CHECKING:
-    from dehyst.control import Compensator, Start
+    from dehyst.control import Compensator, PossibleStart
     from dehyst.exports import Exported
     from dehyst.model import Actuator, State
 
@@ -93,7 +93,7 @@ def export(
     _demand_of_fmu(fmu, kind, number, name, measure, limited=limits is not None or slew is not None or preview)
     actuator = read_model(model)
     begin, remarks = given_start(actuator, start, limits, MOST)
-    remarks += _open_start(begin)
+    remarks += _open_start(actuator, begin)
     state = begin.state
     compensator = Compensator(
         actuator, _NONE if kind == "actuator" else limits, slew, period=period, state=state, preview=preview
@@ -152,15 +152,17 @@ def _write_fmu(
     return {**result, "warnings": remarks}, f"{path}: an FMU {version} of the {kind}, {content}", remarks
 
 
-def _open_start(start: Start) -> list[str]:
-    """Warn of a start that the voltages before it leave open."""
-    if start.known:
-        return []
+def _open_start(actuator: Actuator, start: PossibleStart) -> list[str]:
+    """Warn of a start that the voltages before it leave open by more than the model's error."""
+    from dehyst.control.start_error import model_error
+
     places = [state.displacement for state in start.states]
-    width = 1e6 * (max(places) - min(places))
+    width = max(places) - min(places)
+    if width <= model_error(actuator):
+        return []
     return [
-        f"{start.name}: these voltages leave the displacement at the start open by {width:.3g} um: memory begins in "
-        "the middle; home the actuator first"
+        f"{start.name}: these voltages leave the displacement at the start open by {1e6 * width:.3g} um: memory begins "
+        "in the middle; home the actuator first"
     ]
 
 
@@ -182,7 +184,7 @@ def _begins(compensator: Compensator) -> dict[str, Any]:
     return {"begins": {"displacement_m": begin.displacement, "voltage_V": begin.voltage, "way": begin.way}}
 
 
-def _begin_words(compensator: Compensator, actuator: Actuator, start: Start, kind: str | None = None) -> str:
+def _begin_words(compensator: Compensator, actuator: Actuator, start: PossibleStart, kind: str | None = None) -> str:
     from dehyst.exports.start import ExportedStart
 
     begin = ExportedStart.of(compensator)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 from dehyst.cli.start import Request, begin_within, delay_warnings, file_warnings, homed_words, start_words
 
 if TYPE_CHECKING:
-    from dehyst.control import Compensator, HomedPath, Start, StartError
+    from dehyst.control import Compensator, HomedPath, PossibleStart, StartError
     from dehyst.model import State
 
 # Wanted displacement [m], columns of time, and derivatives.
-Path = tuple[Any, dict[str, Any], dict[str, Any]]
+WantedPath = tuple[Any, dict[str, Any], dict[str, Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,14 +23,14 @@ class PathVoltages:
     clamped: int
     followed: bool
     state: State
-    start: Start
+    start: PossibleStart
     words: str
     warnings: list[str]
     error: StartError | None
     homed: HomedPath | None = None
 
     @classmethod
-    def of(cls, request: Request, compensator: Compensator, path: Path) -> PathVoltages:
+    def of(cls, request: Request, compensator: Compensator, path: WantedPath) -> PathVoltages:
         """Return the voltages from the start that was given, or if it matters, with a homing before the path."""
         if request.home:
             return _homed(request, compensator, path)
@@ -40,9 +40,9 @@ class PathVoltages:
         return answer
 
 
-def _from_start(request: Request, compensator: Compensator, path: Path) -> PathVoltages:
+def _from_start(request: Request, compensator: Compensator, path: WantedPath) -> PathVoltages:
     """Return the voltages from the start, or from the middle of the possible ones."""
-    from dehyst.control import Start, StartError, start_at
+    from dehyst.control import PossibleStart, StartError, start_at
     from dehyst.control.reachable import state_at
 
     wanted, time, derivatives = path
@@ -59,7 +59,7 @@ def _from_start(request: Request, compensator: Compensator, path: Path) -> PathV
         states = start.states
         if start.name == "unknown":
             # Without a homing the actuator rests at the first voltage, however it was brought there.
-            states = Start.unknown(actuator, float(command.voltage[0]), compensator.limits).states
+            states = PossibleStart.unknown(actuator, float(command.voltage[0]), compensator.limits).states
         error = StartError.along(actuator, states, command.voltage, time=when)
     columns = {**time, **_columns(wanted, command.voltage, command.displacement)}
     unwritten = file_warnings(actuator, float(command.voltage[0]), start, begin, slew) if wanted.size else []
@@ -69,9 +69,9 @@ def _from_start(request: Request, compensator: Compensator, path: Path) -> PathV
     return PathVoltages(columns, clamped, command.followed, command.state, start, words, warnings, error)
 
 
-def _homed(request: Request, compensator: Compensator, path: Path) -> PathVoltages:
+def _homed(request: Request, compensator: Compensator, path: WantedPath) -> PathVoltages:
     """Return the voltages with the shortest homing before them."""
-    from dehyst.control import Start, home_before
+    from dehyst.control import home_before
 
     wanted, time, derivatives = path
     homed = home_before(compensator, wanted, time=time.get("time_s"), **derivatives, present=request.present)
@@ -81,7 +81,7 @@ def _homed(request: Request, compensator: Compensator, path: Path) -> PathVoltag
         **_columns(homed.displacement, homed.voltage, homed.expected),
     }
     warnings = [*homed.warnings, *delay_warnings(request.actuator)]
-    clamped, start, words = int(homed.clamped.sum()), Start("unknown", ()), homed_words(homed)
+    clamped, start, words = int(homed.clamped.sum()), homed.start, homed_words(homed)
     return PathVoltages(columns, clamped, homed.followed, homed.state, start, words, warnings, homed.error, homed)
 
 

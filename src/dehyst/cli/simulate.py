@@ -30,11 +30,10 @@ from dehyst.cli.start import (
     start_dict,
     start_option,
     start_words,
-    state_dict,
 )
 
 if TYPE_CHECKING:
-    from dehyst.control import HomedPath, Start, StartError
+    from dehyst.control import HomedPath, PossibleStart, StartError
     from dehyst.model import Actuator
 
 
@@ -96,12 +95,12 @@ def simulate(
         "far_outside": far,
         **start_dict(run.start.name, run.error, run.homed),
         "warnings": warnings,
-        "state": state_dict(run.state),
+        "state": run.state.as_dict(),
         "output": str(output),
     }
     lines = [f"{run.voltage.size} samples {run.words}: {output}"]
     if run.error is not None:
-        lines.append(error_line(run.error, homed=run.homed is not None, remedy="give --start, or --home"))
+        lines.append(error_line(run.start.name, run.error, homed=run.homed is not None))
     conclude(as_json, result, lines, warnings)
     sys.exit(1 if far or not run.known else 0)
 
@@ -114,7 +113,7 @@ class _Run:
     voltage: Any
     displacement: Any
     state: Any
-    start: Start
+    start: PossibleStart
     words: str
     error: StartError | None
     homed: HomedPath | None = None
@@ -130,12 +129,12 @@ class _Run:
         return self.homed is None or self.homed.certified
 
 
-def _run(actuator: Actuator, voltage: Any, time: dict[str, Any], given: Start | None) -> _Run:
+def _run(actuator: Actuator, voltage: Any, time: dict[str, Any], given: PossibleStart | None) -> _Run:
     """Simulate from the start that was given, or from the middle of the possible ones."""
-    from dehyst.control import Start, StartError
+    from dehyst.control import PossibleStart, StartError
 
     first = float(voltage[0]) if voltage.size else 0.0
-    start = Start.unknown(actuator, first) if given is None else given
+    start = PossibleStart.unknown(actuator, first) if given is None else given
     when = time.get("time_s")
     clock = when if actuator.needs_time else None
     motion = actuator.simulate(voltage, time=clock, state=start.state, extrapolate=True)
@@ -146,18 +145,17 @@ def _run(actuator: Actuator, voltage: Any, time: dict[str, Any], given: Start | 
 
 def _homed(actuator: Actuator, voltage: Any, time: dict[str, Any]) -> _Run:
     """Simulate a homing, and the voltages after it."""
-    from dehyst.control import Compensator, Start, home_before_voltage
+    from dehyst.control import Compensator, home_before_voltage
 
     compensator = Compensator(actuator, actuator.voltage_range)
     homed = home_before_voltage(compensator, voltage, time=time.get("time_s"))
-    start = Start("unknown", ())
     when = {} if homed.time is None else {"time_s": homed.time}
     return _Run(
         when,
         homed.voltage,
         homed.displacement,
         homed.state,
-        start,
+        homed.start,
         homed_words(homed),
         homed.error,
         homed,

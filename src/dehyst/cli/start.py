@@ -11,12 +11,14 @@ import click
 from dehyst._text import counted
 
 if TYPE_CHECKING:
-    from dehyst.control import HomedPath, Start, StartError
+    from dehyst.control import HomedPath, PossibleStart, StartError
     from dehyst.model import Actuator, State
     from dehyst.records import Record
 
 # Voltages farther outside of a model's limits than this part of their range were not covered by its records.
 _FAR = 0.1
+# Least share of the stroke that is printed as a number [%].
+_SMALL = 1e-3
 _NAMES = ("top", "bottom", "relaxed", "homed")
 
 
@@ -29,7 +31,7 @@ class Request(NamedTuple):
     actuator: Actuator
     limits: tuple[float, float] | None
     slew: float | None
-    start: Start | None
+    start: PossibleStart | None
     home: bool | None
     present: float | None
     as_json: bool
@@ -77,26 +79,26 @@ def home_option(words: str) -> Callable[..., Any]:
 
 def given_start(
     actuator: Actuator, start: str | Path, limits: tuple[float, float] | None, max_bytes: float
-) -> tuple[Start, list[str]]:
+) -> tuple[PossibleStart, list[str]]:
     """Return the start that the option names or the file determines, and remarks on it."""
-    from dehyst.control import Start
+    from dehyst.control import PossibleStart
     from dehyst.records import Record, read_table
 
     if isinstance(start, str):
-        return Start.named(actuator, start), []  # type: ignore[arg-type]
+        return PossibleStart.named(actuator, start), []  # type: ignore[arg-type]
     table = read_table(start, max_bytes=max_bytes)
     voltage, timed = table.column("voltage"), actuator.needs_time or table.has("displacement")
     time = table.column("time") if timed else None
     if time is not None and table.has("displacement"):
         return _after_record(actuator, Record(time, voltage, table.column("displacement"), start.name))
-    return Start.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=start.name), []
+    return PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=start.name), []
 
 
-def _after_record(actuator: Actuator, record: Record) -> tuple[Start, list[str]]:
+def _after_record(actuator: Actuator, record: Record) -> tuple[PossibleStart, list[str]]:
     """Return the state at the end of a record, and a remark if its voltages lie beside the model's."""
     import numpy as np
 
-    from dehyst.control import Start
+    from dehyst.control import PossibleStart
     from dehyst.control.start_error import model_error
     from dehyst.identification import state_after
 
@@ -105,15 +107,15 @@ def _after_record(actuator: Actuator, record: Record) -> tuple[Start, list[str]]
     low, high = actuator.voltage_range
     share = abs(offset) / (high - low)
     if share * stroke <= model_error(actuator):
-        return Start(record.name, (state,)), []
+        return PossibleStart(record.name, (state,)), []
     remark = (
         f"{record.name}: its voltages lie {offset:.4g} V beside those of the model, {100 * share:.2g} % of the range: "
         "expect displacements to lie beside the sensor's by as much"
     )
-    return Start(record.name, (state,)), [remark]
+    return PossibleStart(record.name, (state,)), [remark]
 
 
-def begin_within(actuator: Actuator, start: Start, limits: tuple[float, float] | None) -> State:
+def begin_within(actuator: Actuator, start: PossibleStart, limits: tuple[float, float] | None) -> State:
     """Return the state of a start, or the nearest one within the limits."""
     from dehyst.control.reachable import state_within_limits
 
@@ -121,7 +123,7 @@ def begin_within(actuator: Actuator, start: Start, limits: tuple[float, float] |
     return start.state if allowed is None else state_within_limits(actuator, start.state, allowed)
 
 
-def start_words(actuator: Actuator, start: Start, state: State | None = None) -> str:
+def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
     """Describe the state before the first sample, in brackets; by default that of the start."""
     voltage = f"{actuator.voltage(begin_within(actuator, start, None) if state is None else state):.4g} V"
     words = {
@@ -140,19 +142,26 @@ def homed_words(homed: HomedPath) -> str:
     return f"(homed first, {counted(homed.first, 'sample')}{seconds})"
 
 
-def error_line(error: StartError, *, homed: bool, remedy: str) -> str:
-    """Describe what the unknown start leaves open, in one line."""
-    largest, least = (f"{error.percent(length):.2g} %" for length in (error.largest, error.model_error))
+def error_line(name: str, error: StartError, *, homed: bool) -> str:
+    """Describe what a start of this name leaves open, in one line."""
+    largest, first, least = (_percent(error, length) for length in (error.largest, error.first, error.model_error))
     if homed:
-        return f"unknown start: after the homing it leaves up to {largest} of the stroke; the model's error is {least}"
-    line = f"unknown start: it leaves up to {largest} of the stroke"
+        return f"unknown start: after the homing it leaves {largest} of the stroke open; the model's error is {least}"
+    words = "unknown start: it leaves" if name == "unknown" else f"start after {name}: these voltages leave"
+    line = f"{words} {largest} of the stroke open"
     if not error.matters:
-        return f"{line}, less than the model's error of {least}"
-    line += f", {error.percent(error.first):.2g} % at the first sample; "
+        return f"{line}, the model's error is {least}"
+    remedy = "give --start or --home" if name == "unknown" else "give --home instead of --start"
+    line += f", {first} at the first sample"
     if error.settled is None:
-        return f"{line}it never stays below the model's error of {least}: {remedy}"
+        return f"{line}, and more than the model's error of {least} to the end: {remedy}"
     after = f"sample {error.settled}" if error.settled_seconds is None else f"{error.settled_seconds:.4g} s"
-    return f"{line}below the model's error of {least} after {after}: {remedy}"
+    return f"{line}, and less than the model's error of {least} after {after}: {remedy}"
+
+
+def _percent(error: StartError, length: float) -> str:
+    share = error.percent(length)
+    return f"{share:.2g} %" if share >= _SMALL else f"less than {_SMALL} %"
 
 
 def start_dict(name: str, error: StartError | None, homed: HomedPath | None = None) -> dict[str, Any]:
@@ -162,16 +171,6 @@ def start_dict(name: str, error: StartError | None, homed: HomedPath | None = No
         "homing_samples": 0 if homed is None else homed.first,
         "homing_s": 0.0 if homed is None else homed.seconds,
         "certified": None if homed is None else homed.certified,
-    }
-
-
-def state_dict(state: State) -> dict[str, Any]:
-    """Return a state as JSON values."""
-    more = {"creep_m": state.creep, "motion_m_and_m_per_s": state.motion}
-    return {
-        "displacement_m": state.displacement,
-        "carts_m": state.carts.tolist(),
-        **{name: values.tolist() for name, values in more.items() if values.size},
     }
 
 
@@ -186,7 +185,9 @@ def lagging(displacement: Any, actuator: Actuator, time: dict[str, Any]) -> Any:
     return np.interp(time["time_s"] - actuator.delay, time["time_s"], displacement)
 
 
-def file_warnings(actuator: Actuator, first: float, start: Start, state: State, slew: float | None) -> list[str]:
+def file_warnings(
+    actuator: Actuator, first: float, start: PossibleStart, state: State, slew: float | None
+) -> list[str]:
     """Warn of what the file does not contain: the ramp to its first voltage, earlier creep and the delay."""
     warnings = []
     present = actuator.voltage(state)

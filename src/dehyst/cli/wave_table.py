@@ -17,12 +17,11 @@ from dehyst.cli.start import (
     error_line,
     file_warnings,
     start_dict,
-    state_dict,
 )
 from dehyst.cli.terminal import note, progress_line
 
 if TYPE_CHECKING:
-    from dehyst.control import Start, StartError, WaveTable
+    from dehyst.control import PossibleStart, StartError, WaveTable
     from dehyst.control.wave_table import Played
     from dehyst.waveforms import Scan
 
@@ -94,7 +93,7 @@ def tabulate(
         "lowest_V": low,
         "highest_V": high,
         "warnings": warnings,
-        "state": state_dict(table.state),
+        "state": table.state.as_dict(),
         "output": str(outputs[0]),
         "table": str(outputs[1]),
     }
@@ -105,7 +104,7 @@ def tabulate(
     )
     lines = [line]
     if error is not None:
-        lines.append(error_line(error, homed=home, remedy="give --start, or leave out --no-home"))
+        lines.append(error_line(start.name, error, homed=home))
     conclude(request.as_json, result, lines, warnings)
     sys.exit(0 if table.settled and table.certified and not table.clamped else 1)
 
@@ -114,7 +113,7 @@ def _columns(part: Any) -> dict[str, Any]:
     return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}
 
 
-def _start(request: Request, scan: Scan, axis: str) -> Start:
+def _start(request: Request, scan: Scan, axis: str) -> PossibleStart:
     """Return the start that was given, or the unknown one at the first sample."""
     from dehyst.control import start_at
 
@@ -123,20 +122,20 @@ def _start(request: Request, scan: Scan, axis: str) -> Start:
     return start_at(request.actuator, float(scan.path(axis).displacement[0]), request.limits or request.actuator.limits)
 
 
-def _start_error(request: Request, start: Start, table: WaveTable, played: Played) -> StartError | None:
+def _start_error(request: Request, start: PossibleStart, table: WaveTable, played: Played) -> StartError | None:
     """Return what the start leaves open after the homing; None if it was given, and is known."""
-    from dehyst.control import Start, StartError
+    from dehyst.control import PossibleStart, StartError
 
     if start.known:
         return None
     states, limits = start.states, request.limits or request.actuator.limits
     if start.name == "unknown":
-        states = Start.unknown(request.actuator, float(played.voltage[0]), limits).states
+        states = PossibleStart.unknown(request.actuator, float(played.voltage[0]), limits).states
     first = table.homing_rows.size
     return StartError.along(request.actuator, states, played.voltage, time=played.time, first=first)
 
 
-def _unwritten_warnings(request: Request, start: Start, table: WaveTable) -> list[str]:
+def _unwritten_warnings(request: Request, start: PossibleStart, table: WaveTable) -> list[str]:
     """Warn of what the file does not contain."""
     actuator = request.actuator
     if table.homing is not None:

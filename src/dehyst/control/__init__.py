@@ -5,8 +5,8 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.homed_path import HomedPath, home_before, home_before_voltage, start_at
 from dehyst.control.homing import Homing, shortest_homing
 from dehyst.control.limits import VoltageLimits
+from dehyst.control.possible_start import PossibleStart
 from dehyst.control.snapshot import Snapshot
-from dehyst.control.start import Start
 from dehyst.control.start_error import StartError
 from dehyst.control.state_bounds import StateBounds
 from dehyst.control.tracking import PathPlanner, TrackedPath
@@ -20,8 +20,8 @@ __all__ = [
     "HomedPath",
     "Homing",
     "PathPlanner",
+    "PossibleStart",
     "Snapshot",
-    "Start",
     "StartError",
     "StateBounds",
     "TrackedPath",

@@ -15,9 +15,8 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.homing import Homing
 from dehyst.control.homing_in_time import leg_seconds
 from dehyst.control.homing_played import FASTEST_LEG, played_homing, present_voltage, rows_of
-from dehyst.control.possible_states import possible_states
+from dehyst.control.possible_start import PossibleStart
 from dehyst.control.reachable import state_at
-from dehyst.control.start import Start
 from dehyst.control.start_error import StartError, model_error
 from dehyst.control.state_bounds import moves_on
 from dehyst.model import Actuator, State
@@ -53,6 +52,8 @@ class HomedPath:
         Displacement of the model [m], before the path from the middle of the possible states.
     state : State
         At the last sample.
+    start : PossibleStart
+        The possible states before the homing.
     homing : Homing
         With its certificate.
     clamped : (n,) bool array
@@ -71,6 +72,7 @@ class HomedPath:
     displacement: Array
     expected: Array
     state: State
+    start: PossibleStart
     homing: Homing
     clamped: Mask
     followed: bool
@@ -93,7 +95,7 @@ class HomedPath:
         return self.homing.certified or not self.error.matters
 
 
-def start_at(actuator: Actuator, displacement: float, limits: tuple[float, float] | None = None) -> Start:
+def start_at(actuator: Actuator, displacement: float, limits: tuple[float, float] | None = None) -> PossibleStart:
     """Return the unknown start of an actuator that stands at about a displacement [m].
 
     `limits` [V]: those of all earlier voltages, by default the actuator's `voltage_range`.
@@ -101,7 +103,7 @@ def start_at(actuator: Actuator, displacement: float, limits: tuple[float, float
     y = float(displacement)
     held = actuator.voltage(State(y, np.full(len(actuator.slip), y)))
     low, high = interval(actuator.voltage_range if limits is None else limits)
-    return Start.unknown(actuator, min(max(held, low), high), (low, high))
+    return PossibleStart.unknown(actuator, min(max(held, low), high), (low, high))
 
 
 def home_before(
@@ -255,10 +257,9 @@ class _Way:
         actuator = self.compensator.actuator
         whole = np.concatenate([self.voltage, voltage])
         when = None if time is None else np.concatenate([self.time, self.seconds + time - time[0]])
-        states = possible_states(actuator, self.present, self.compensator.limits)
+        start = PossibleStart.unknown(actuator, self.present, self.compensator.limits)
         clock = when if actuator.needs_time else None
-        middle = Start("unknown", states).state
-        motion = actuator.simulate(whole, time=clock, state=middle, extrapolate=True)
+        motion = actuator.simulate(whole, time=clock, state=start.state, extrapolate=True)
         return HomedPath(
             when,
             np.concatenate([self.phase, np.full(voltage.size, PATH)]),
@@ -266,10 +267,11 @@ class _Way:
             motion.displacement,
             motion.displacement,
             motion.state,
+            start,
             self.homing,
             np.zeros(whole.size, dtype=bool),
             True,
-            StartError.along(actuator, states, whole, time=when, first=self.size),
+            StartError.along(actuator, start.states, whole, time=when, first=self.size),
             self.warnings,
         )
 

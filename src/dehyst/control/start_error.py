@@ -56,7 +56,7 @@ class StartError:
         ----------
         actuator : Actuator
         states : sequence of State
-            That bound the start: `Start.states`.
+            That bound the start: `PossibleStart.states`.
         voltage : (n,) array_like
             [V].
         time : (n,) array_like, optional

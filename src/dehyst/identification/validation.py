@@ -316,10 +316,12 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
     compared = compare(actuator, record, protocol)
     found, regression = compared.found, compared.regression
     sums = _Sums(max(1, sum(len(piece) for _, piece, _ in compared.pieces) // _MOST_DRAWN))
+    starts = []
     for number, (_, piece, _) in enumerate(compared.pieces):
         # What voltage acted on the first samples, before the delay is over, is not recorded.
         first = min(int(np.ceil(protocol.delay / piece.sample_time)), len(piece) - 1) if protocol.delay > 0 else 0
         start = compared.start_of(actuator, number, first)
+        starts.append(start[0].shifted(compared.datum))
         for played in compared.play(actuator, number, slice(first, len(piece)), start, _AT_A_TIME):
             sums.add(played)
     trace = Trace(record.name, protocol.role, *(np.concatenate(column) for column in zip(*sums.drawn, strict=True)))
@@ -340,6 +342,7 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
         drift=-compared.drift / slope,
         decades=float(np.ptp(regression.rows.drift)),
         steady=record.steady,
+        starts=tuple(starts),
     ), trace
 
 

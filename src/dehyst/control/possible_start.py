@@ -19,7 +19,7 @@ NAMES: tuple[str, ...] = get_args(StartName)
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class PossibleStart:
     """The state before a motion, or the states that bound it.
 
     Attributes
@@ -44,7 +44,7 @@ class Start:
         return middle_of(self.states)
 
     @classmethod
-    def named(cls, actuator: Actuator, name: StartName) -> Start:
+    def named(cls, actuator: Actuator, name: StartName) -> PossibleStart:
         """Return the state of a name.
 
         `name`: turned at the "top" or "bottom" of the identified range; "relaxed" at 0 V; or "homed", as after the
@@ -61,7 +61,7 @@ class Start:
         return cls(name, (actuator.turned(float(knots[-1 if rising else 0]), rising=rising),))
 
     @classmethod
-    def unknown(cls, actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None) -> Start:
+    def unknown(cls, actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None) -> PossibleStart:
         """Return the states at a `voltage` [V] if nothing is known of what was before; see `possible_states`."""
         return cls("unknown", possible_states(actuator, voltage, limits))
 
@@ -74,7 +74,7 @@ class Start:
         time: ArrayLike | None = None,
         limits: tuple[float, float] | None = None,
         name: str = "history",
-    ) -> Start:
+    ) -> PossibleStart:
         """Return the states after a voltage that was played from an unknown state.
 
         Parameters
