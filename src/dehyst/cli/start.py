@@ -102,11 +102,10 @@ def _after_record(actuator: Actuator, record: Record) -> tuple[PossibleStart, li
     from dehyst.control.start_error import model_error
     from dehyst.identification import state_after
 
-    stroke = float(np.ptp(actuator.reach))
-    state, offset = state_after(actuator, record, stroke)
+    state, offset = state_after(actuator, record)
     low, high = actuator.voltage_range
     share = abs(offset) / (high - low)
-    if share * stroke <= model_error(actuator):
+    if share * float(np.ptp(actuator.reach)) <= model_error(actuator):
         return PossibleStart(record.name, (state,)), []
     remark = (
         f"{record.name}: its voltages lie {offset:.4g} V beside those of the model, {100 * share:.2g} % of the range: "

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import RecordError
 from dehyst._types import Array, Mask
-from dehyst._validation import interval, vector
+from dehyst._validation import interval, number, vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.homing import Homing
 from dehyst.control.homing_in_time import leg_seconds
@@ -96,11 +96,12 @@ class HomedPath:
 
 
 def start_at(actuator: Actuator, displacement: float, limits: tuple[float, float] | None = None) -> PossibleStart:
-    """Return the unknown start of an actuator that stands at about a displacement [m].
+    """Return the unknown start of an actuator that stands at about a displacement.
 
-    `limits` [V]: those of all earlier voltages, by default the actuator's `voltage_range`.
+    `actuator`: the model. `displacement` [m]. `limits` [V]: those of all earlier voltages, by default the actuator's
+    `voltage_range`. Raise `ModelError` if the displacement is not finite, or the limits are no interval.
     """
-    y = float(displacement)
+    y = number(displacement, "displacement")
     held = actuator.voltage(State(y, np.full(len(actuator.slip), y)))
     low, high = interval(actuator.voltage_range if limits is None else limits)
     return PossibleStart.unknown(actuator, min(max(held, low), high), (low, high))

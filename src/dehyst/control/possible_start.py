@@ -47,8 +47,8 @@ class PossibleStart:
     def named(cls, actuator: Actuator, name: StartName) -> PossibleStart:
         """Return the state of a name.
 
-        `name`: turned at the "top" or "bottom" of the identified range; "relaxed" at 0 V; or "homed", as after the
-        voltage that ``dehyst excite homing --model`` writes by default. Raise `ModelError` for another name, or if the
+        `actuator`: the model. `name`: turned at the "top" or "bottom" of the identified range; "relaxed" at 0 V; or
+        "homed", as after the voltage that ``dehyst excite homing --model`` writes by default. Raise `ModelError` for another name, or if the
         actuator cannot be homed, for it has no limits.
         """
         choice(name, "start", NAMES, error=ModelError)
@@ -62,7 +62,12 @@ class PossibleStart:
 
     @classmethod
     def unknown(cls, actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None) -> PossibleStart:
-        """Return the states at a `voltage` [V] if nothing is known of what was before; see `possible_states`."""
+        """Return the states at a `voltage` [V] if nothing is known of what was before.
+
+        They bound all those in which the `actuator` may stand there: two extreme states, or more if states keep no
+        order. `limits` [V]: range of all earlier voltages, for an actuator that moves in time; default its
+        `voltage_range`. Raise `ModelError` if the voltage is not finite, or the limits are no interval.
+        """
         return cls("unknown", possible_states(actuator, voltage, limits))
 
     @classmethod
@@ -85,7 +90,7 @@ class PossibleStart:
         time : (n,) array_like, optional
             [s], if the actuator needs it.
         limits : (float, float), optional
-            Range of all voltages before these, as in `possible_states`.
+            Range of all voltages before these, as in `unknown`.
         name : str, optional
             Of the start.
 

@@ -256,13 +256,17 @@ def compare_all(
     return compared, stroke, float(np.ptp(widest.voltage)) / stroke * float(options.get("slope_floor", 0.2))
 
 
-def state_after(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:
+def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -> tuple[State, float]:
     """Return the state at a record's last sample, on the model's axis, and the offset of its voltages [V].
 
     Its displacements determine them, and how far its sensor's zero lies from the model's: the offset by least squares
     over the samples that count. Where none does, for the record is too short or has no full cycle, the offset is that
     of its last sample, and what the record leaves open of the carts is taken as none.
+
+    `actuator`: the model. `lead`: the record before the state. `stroke` [m]: range of the widest training loop; default
+    that between the actuator's limits.
     """
+    stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     try:
         record = prepare(lead)
         beside = compare(actuator, record, Protocol("validation", actuator.delay, None, False, stroke))
