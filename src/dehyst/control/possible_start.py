@@ -48,8 +48,8 @@ class PossibleStart:
         """Return the state of a name.
 
         `actuator`: the model. `name`: turned at the "top" or "bottom" of the identified range; "relaxed" at 0 V; or
-        "homed", as after the voltage that ``dehyst excite homing --model`` writes by default. Raise `ModelError` for another name, or if the
-        actuator cannot be homed, for it has no limits.
+        "homed", as after the voltage that ``dehyst excite homing --model`` writes by default. Raise `ModelError` for
+        another name, or if the actuator cannot be homed, for it has no limits.
         """
         choice(name, "start", NAMES, error=ModelError)
         knots = actuator.spring.displacement

@@ -24,7 +24,7 @@ class StartError:
     Attributes
     ----------
     lowest, highest : (n,) array
-        Bounds of the displacement [m].
+        Bounds of the displacement [m]; with dynamics those of its slow part, about which a mass may ring.
     stroke : float
         Between the voltage limits [m], to which percentages refer.
     model_error : float

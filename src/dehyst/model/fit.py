@@ -78,7 +78,8 @@ class RecordErrors:
     steady : bool
         Whether the drift is in proportion to time; `drift` times `decades` is all of it.
     starts : tuple of State
-        The states on the model's axis from which the record was simulated, one for each of its pieces.
+        The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
+        sample that was compared.
     """
 
     record: str
