@@ -223,3 +223,13 @@ def test_measured_records_end_to_end(tmp_path):
         "simulate", "model.json", "v.csv", "-o", "s.csv", "--start", places.DATA / "major.csv", cwd=tmp_path
     )
     assert got["start"] == {"name": "major.csv"}
+
+
+def test_a_long_homing_is_said(folder):
+    slow = dehyst.Creep([3.0, 100.0], [2e5, 4e5])
+    plain = Actuator.load(folder / "model.json")
+    dehyst.Actuator(plain.slip, plain.spring, limits=plain.limits, creep=slow).save(folder / "slow.json")
+    given = ("compensate", "slow.json", "path.csv", "-o", "v.csv")
+    _, _, err = run(*given, cwd=folder)
+    assert "% of the stroke open. If what was played last is on file, --start FILE needs no homing" in err
+    assert "needs no homing" not in run(*given, "--home", cwd=folder)[2]

@@ -156,5 +156,7 @@ def test_wrong_requests_are_refused_in_sentences():
         home_before(compensator, [1e-6], present=900.0)
     with pytest.raises(RecordError, match="path: got no samples"):
         home_before(compensator, [])
+    with pytest.raises(ModelError, match="time"):
+        home_before(compensator, [1e-6, 2e-6], time=[0.0, 0.0])
     with pytest.raises(ModelError, match="start: got 'middle', need one of top, bottom, relaxed, homed"):
         PossibleStart.named(PLAIN, "middle")

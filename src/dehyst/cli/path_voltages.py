@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from dehyst.control import Compensator, HomedPath, PossibleStart, StartError
     from dehyst.model import State
 
+# Seconds of a homing from which on its duration is a warning.
+_LONG = 60.0
 # Wanted displacement [m], columns of time, and derivatives.
 WantedPath = tuple[Any, dict[str, Any], dict[str, Any]]
 
@@ -36,7 +38,9 @@ class PathVoltages:
             return _homed(request, compensator, path)
         answer = _from_start(request, compensator, path)
         if request.start is None and request.home is None and answer.error is not None and answer.error.matters:
-            return _homed(request, compensator, path)
+            homed = _homed(request, compensator, path)
+            homed.warnings.extend(_of_long_homing(homed.homed, answer.error))
+            return homed
         return answer
 
 
@@ -83,6 +87,17 @@ def _homed(request: Request, compensator: Compensator, path: WantedPath) -> Path
     warnings = [*homed.warnings, *delay_warnings(request.actuator)]
     clamped, start, words = int(homed.clamped.sum()), homed.start, homed_words(homed)
     return PathVoltages(columns, clamped, homed.followed, homed.state, start, words, warnings, homed.error, homed)
+
+
+def _of_long_homing(homed: HomedPath | None, without: StartError) -> list[str]:
+    """Warn of a homing that nobody asked for and that takes long, with what it is for."""
+    if homed is None or homed.seconds is None or homed.seconds < _LONG:
+        return []
+    return [
+        f"the homing takes {homed.seconds:.4g} s; without it (--no-home) the unknown start leaves "
+        f"{without.percent(without.largest):.2g} % of the stroke open. If what was played last is on file, --start "
+        "FILE needs no homing"
+    ]
 
 
 def _columns(wanted: Any, voltage: Any, expected: Any) -> dict[str, Any]:

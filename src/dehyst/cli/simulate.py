@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst._text import counted
 from dehyst.cli.common import (
     PATH,
     columns_options,
@@ -98,7 +99,7 @@ def simulate(
         "state": run.state.as_dict(),
         "output": str(output),
     }
-    lines = [f"{run.voltage.size} samples {run.words}: {output}"]
+    lines = [f"{counted(run.voltage.size, 'sample')} {run.words}: {output}"]
     if run.error is not None:
         lines.append(error_line(run.start.name, run.error, homed=run.homed is not None))
     conclude(as_json, result, lines, warnings)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst._errors import RecordError
+from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array, Mask
-from dehyst._validation import interval, number, vector
+from dehyst._validation import interval, number, untimely, vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.homing import Homing
 from dehyst.control.homing_in_time import leg_seconds
@@ -185,13 +185,16 @@ def home_before_voltage(
 
 
 def _time(compensator: Compensator, time: ArrayLike | None, size: int) -> Array | None:
-    """Return the time of a path [s], None if it has none; raise `RecordError` for an empty path."""
+    """Return the time of a path [s], None if it has none; raise if it is empty or the time does not fit."""
     if not size:
         raise RecordError("path: got no samples, need one at least")
     if time is None:
         period = compensator.period
         return None if period is None else period * np.arange(size, dtype=np.float64)
-    return vector(time, "time")
+    when = vector(time, "time")
+    if when.size != size or np.any(np.diff(when) <= 0):
+        raise ModelError(untimely(when, size))
+    return when
 
 
 @dataclass(frozen=True, eq=False)
