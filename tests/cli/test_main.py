@@ -57,10 +57,11 @@ def test_identify_prints_a_table_and_writes_a_report(folder):
 
 
 def test_compensate_then_simulate_gives_the_path_back(folder):
-    assert run("compensate", "model.json", "path.csv", "-o", "voltage.csv", cwd=folder)[0] == 0
+    assert run("compensate", "model.json", "path.csv", "-o", "voltage.csv", "--start", "top", cwd=folder)[0] == 0
     voltage = read_table(folder / "voltage.csv")
     assert voltage.names == ("time_s", "displacement_um", "voltage_V", "expected_um")
-    status, out, _ = run("simulate", "model.json", "voltage.csv", "-o", "back.csv", "--json", cwd=folder)
+    back = ("-o", "back.csv", "--start", "top", "--json")
+    status, out, _ = run("simulate", "model.json", "voltage.csv", *back, cwd=folder)
     assert (status, json.loads(out)["warnings"]) == (0, [])
     back = read_table(folder / "back.csv").column("displacement")
     wanted = read_table(folder / "path.csv").column("displacement")
@@ -153,7 +154,8 @@ def test_the_measured_lag_is_said_and_can_be_put_in(folder):
 
 @pytest.mark.parametrize(("model", "top"), [("paper.json", "199.9 V"), ("model.json", "200 V")])
 def test_the_way_to_the_first_voltage_is_said(folder, model, top):
-    _, out, err = run("compensate", model, "path.csv", "-o", "slow.csv", "--slew", "1e4", cwd=folder)
+    given = ("-o", "slow.csv", "--slew", "1e4", "--start", "top")
+    _, out, err = run("compensate", model, "path.csv", *given, cwd=folder)
     assert "ramp there within the slew rate before you play the file" in err
     assert f"(coming from the top, {top})" in out
 
@@ -334,10 +336,11 @@ def test_an_actuator_that_creeps_is_told_the_time(folder):
     creep = dehyst.Creep([0.1, 3.0], [2e5, 4e5])
     creeping = Actuator(plain.slip, plain.spring, limits=(-50, 300), creep=creep)
     creeping.save(folder / "creeping.json")
-    status, out, _ = run("compensate", "creeping.json", "path.csv", "-o", "v.csv", "--json", cwd=folder)
+    top = ("--start", "top")
+    status, out, _ = run("compensate", "creeping.json", "path.csv", *top, "-o", "v.csv", "--json", cwd=folder)
     assert status == 0
     assert len(json.loads(out)["state"]["creep_m"]) == 2
-    assert run("simulate", "creeping.json", "v.csv", "-o", "y.csv", cwd=folder)[0] == 0
+    assert run("simulate", "creeping.json", "v.csv", *top, "-o", "y.csv", cwd=folder)[0] == 0
     sent, came = read_table(folder / "path.csv"), read_table(folder / "y.csv")
     np.testing.assert_allclose(came.column("displacement"), sent.column("displacement"), atol=1e-16)
     (folder / "timeless.csv").write_text("voltage_V\n1.0\n2.0\n")
@@ -354,7 +357,7 @@ def test_a_mass_is_taken_to_be_led_to_the_first_sample(folder, tmp_path):
     time = np.arange(3000) * 1e-4
     wanted = 7 - 4 * np.cos(2 * np.pi * 10 * time)
     write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": wanted})
-    status, _, err = run("compensate", "swinging.json", "path.csv", "-o", "out.csv", cwd=tmp_path)
+    status, _, err = run("compensate", "swinging.json", "path.csv", "-o", "out.csv", "--start", "top", cwd=tmp_path)
     assert status == 0, err
     assert "ramp there slowly" in err
     expected = read_table(tmp_path / "out.csv").column("displacement", "expected_um")
@@ -368,7 +371,7 @@ def test_a_mass_is_taken_to_be_led_to_the_first_sample(folder, tmp_path):
 
 def test_a_start_is_within_the_limits(folder, tmp_path):
     write_columns(tmp_path / "path.csv", {"time_s": np.arange(3.0), "displacement_um": np.array([3.0, 4.0, 3.0])})
-    limits = ("--limits", 0, 100)
+    limits = ("--limits", 0, 100, "--start", "top")
     status, out, err = run("compensate", folder / "model.json", "path.csv", *limits, "-o", "out.csv", cwd=tmp_path)
     assert status == 0, err
     assert "(coming from the top, 100 V)" in out

@@ -15,7 +15,8 @@ from dehyst._text import counted
 from dehyst.cli import main
 from dehyst.cli.option_words import in_words_of, options_of
 from dehyst.cli.scans import in_options
-from dehyst.cli.start import start_state, start_within, start_words
+from dehyst.cli.start import begin_within, start_words
+from dehyst.control import PossibleStart
 from dehyst.records import write_record
 from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
@@ -163,9 +164,10 @@ def test_the_help_of_knots_is_what_is_done():
 def test_the_start_is_said_alike_and_within_the_limits():
     """The state at the top of the spring is held by a little more than the highest voltage of the records."""
     actuator = replace(anatomy("plain"), limits=(0.0, 150.0))
-    assert actuator.voltage(start_state(actuator, "top")) > 160
-    begin = start_within(actuator, "top", None)
-    assert start_words(actuator, "top") == start_words(actuator, "top", begin) == "(coming from the top, 150 V)"
+    top = PossibleStart.named(actuator, "top")
+    assert actuator.voltage(top.state) > 160
+    begin = begin_within(actuator, top, None)
+    assert start_words(actuator, top) == start_words(actuator, top, begin) == "(coming from the top, 150 V)"
 
 
 def test_numbers_of_things_agree_with_them():

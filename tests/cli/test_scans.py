@@ -11,6 +11,7 @@ from command_line import run
 from dehyst import Actuator, Creep
 
 TRIANGLE = ("--scan", "triangle", "--low", 2, "--high", 12, "--frequency", 10)
+TOP = ("--start", "top")
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +27,8 @@ def folder(tmp_path_factory):
 
 
 def test_a_named_scan_takes_the_place_of_a_file(folder):
-    status, out, err = run(
-        "compensate", "model.json", *TRIANGLE, "--turns", 0.2, "-o", "out.csv", "--cycles", 2, cwd=folder
-    )
+    given = ("--turns", 0.2, "--cycles", 2, "--start", "top")
+    status, out, err = run("compensate", "model.json", *TRIANGLE, *given, "-o", "out.csv", cwd=folder)
     assert status == 0 and out.startswith("801 samples, ")
     assert "ramp there slowly before you play the file" in err
     header, *rows = (folder / "out.csv").read_text().splitlines()
@@ -78,11 +78,11 @@ def test_a_wave_table_its_start_up_and_its_homing_make_the_actuator_follow(folde
 def test_an_axis_of_a_raster_and_steps(folder):
     plane = ("--scan", "raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 4, "--y-low", 3, "--y-high", 6)
     for axis, ends in (("x", (2, 12)), ("y", (3, 6))):
-        assert run("compensate", "model.json", *plane, "--axis", axis, "-o", "r.csv", cwd=folder)[0] == 0
+        assert run("compensate", "model.json", *plane, "--axis", axis, *TOP, "-o", "r.csv", cwd=folder)[0] == 0
         y = np.loadtxt(folder / "r.csv", delimiter=",", skiprows=1)[:, 1]
         assert (y.min(), y.max()) == (pytest.approx(ends[0]), pytest.approx(ends[1]))
     steps = ("--scan", "steps", "--levels", "2,6,10", "--dwell", 0.01, "--edge", 0.02, "--shape", "trapezoid")
-    assert run("compensate", "model.json", *steps, "-o", "s.csv", cwd=folder)[0] == 0
+    assert run("compensate", "model.json", *steps, *TOP, "-o", "s.csv", cwd=folder)[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_an_axis_of_a_raster_and_steps(folder):
 def test_two_axes_in_the_middle_of_what_is_given(folder, kind):
     name, *more = kind
     given = ("--scan", name, "--low", 2, "--high", 12, *more, "--axis", "y")
-    assert run("compensate", "model.json", *given, "-o", "p.csv", cwd=folder)[0] == 0
+    assert run("compensate", "model.json", *given, *TOP, "-o", "p.csv", cwd=folder)[0] == 0
     y = np.loadtxt(folder / "p.csv", delimiter=",", skiprows=1)[:, 1]
     low, high = more[-3], more[-1]
     assert y[0] == pytest.approx(0.5 * (low + high)) and y.max() == pytest.approx(high, abs=0.01)
@@ -114,11 +114,13 @@ def test_what_is_clamped_ends_with_status_1(folder):
         ((), "compensate: got neither of TRAJECTORY and --scan, need one"),
         (("path.csv", *TRIANGLE), "compensate: got both of TRAJECTORY and --scan"),
         (("path.csv", "--low", 2), "--low: got it with a TRAJECTORY, need --scan for it"),
-        (("path.csv", "--homing"), "--homing: got it with a TRAJECTORY"),
+        (("path.csv", "--approach", 1), "--approach: got it with a TRAJECTORY"),
         ((*TRIANGLE, "--time", "t"), "--time: got it with --scan, which has no columns"),
-        ((*TRIANGLE, "--homing"), "--homing: got it without --cycle; give --cycle TABLE.csv"),
-        ((*TRIANGLE, "--cycle", "t.csv", "--present", 3), "--present: got it without --homing"),
-        ((*TRIANGLE, "--cycle", "t.csv", "--homing", "--start", "top"), "--start: got it with --homing"),
+        ((*TRIANGLE, "--approach", 1), "--approach: got it without --cycle; give --cycle TABLE.csv"),
+        ((*TRIANGLE, "--cycle", "t.csv", "--present", 3, *TOP), "--present: got it with --start, without a homing"),
+        (("path.csv", "--present", 3, "--no-home"), "--present: got it with --no-home, without a homing"),
+        ((*TRIANGLE, "--cycle", "t.csv", "--homing", *TOP), "--start: got it with --home"),
+        (("path.csv", "--home", *TOP), "--start: got it with --home"),
         ((*TRIANGLE, "--cycle", "o.csv"), "is the name of two outputs"),
         ((*TRIANGLE, "--cycle", "model.json"), "is also an input of this command"),
         ((*TRIANGLE, "--lines", 3), "--lines: got 3 with --scan triangle, which takes --low"),

@@ -34,7 +34,7 @@ from fmu_runner import (
 )
 
 from dehyst import Compensator, FileFormatError, ModelError
-from dehyst.cli.start import start_state
+from dehyst.control import PossibleStart
 from dehyst.exports import SourceOnlyWarning, export_fmu
 
 
@@ -186,7 +186,7 @@ def test_the_command_line_writes_both_kinds(tmp_path):
     told = json.loads(out)
     begins = told.pop("begins")
     assert told == {"fmu": "a.fmu", "version": "2.0", "kind": "actuator", "binary": True, "warnings": []}
-    state = start_state(compensator.actuator, "top")
+    state = PossibleStart.named(compensator.actuator, "top").state
     assert begins["voltage_V"] == compensator.actuator.voltage(state)
     assert begins["displacement_m"] == state.displacement
     for name in ("c", "a"):
@@ -194,7 +194,7 @@ def test_the_command_line_writes_both_kinds(tmp_path):
     with Slave(fmpy.extract(tmp_path / "a.fmu", tmp_path / "a")) as slave:
         volts = actuator_voltages("creep")
         y = slave.run(volts)
-    expected = displacements("creep", volts, start_state(compensator.actuator, "top"))
+    expected = displacements("creep", volts, PossibleStart.named(compensator.actuator, "top").state)
     np.testing.assert_allclose(y, expected, rtol=0, atol=1e-12 * plain_records.STROKE)
 
 

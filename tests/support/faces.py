@@ -17,14 +17,14 @@ FACES = {
             main
         """,
         "control": """
-            ClampWarning Command Compensator Homing PathPlanner Snapshot StateBounds TrackedPath VoltageLimits WaveTable
-            shortest_homing wave_table
+            ClampWarning Command Compensator HomedPath Homing PathPlanner PossibleStart Snapshot StartError StateBounds
+            TrackedPath VoltageLimits WaveTable home_before home_before_voltage shortest_homing start_at wave_table
         """,
         "exports": """
             Exported Footprint SourceOnlyWarning export export_fmu sizes worst_case
         """,
         "identification": """
-            Deadline Method Norm identify
+            Deadline Method Norm identify state_after
         """,
         "instruments": """
             HIGHEST_RATE AbstractRig DeviceError LinkError Listener Reading RigError Samples SensorError host_timed

@@ -18,10 +18,10 @@ from dehyst._types import Array
 from dehyst.baselines.registry import BASELINES, Identification
 from dehyst.baselines.scores import OURS, ModelComparison, ModelScore, RecordScore
 from dehyst.baselines.tracking_trials import TrackingTrial, trial
-from dehyst.identification import identify
+from dehyst.identification import identify, state_after
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import epochs
-from dehyst.identification.validation import state_after, without_offset
+from dehyst.identification.validation import without_offset
 from dehyst.model import AbstractModel, Actuator, Motion, simulated
 from dehyst.model.replay import timed
 from dehyst.records import Record

@@ -22,8 +22,9 @@ from dehyst.cli.common import (
     slew_option,
     time_of_table,
 )
+from dehyst.cli.path_voltages import PathVoltages
 from dehyst.cli.scans import NAMES, errors_in_options, named_scan, scan_options
-from dehyst.cli.start import Request, file_warnings, start_option, start_within, start_words, state_dict
+from dehyst.cli.start import Request, error_line, given_start, home_option, start_dict, start_option
 from dehyst.cli.terminal import progress_line
 from dehyst.cli.wave_table import refuse_cycles, tabulate
 
@@ -32,7 +33,11 @@ if TYPE_CHECKING:
     from dehyst.waveforms import Scan
 
 _OF_SCANS = ("axis", "cycles", "cycle", *NAMES)
-_OF_TABLES = ("homing", "present", "approach", "start_up", "tolerance")
+_OF_TABLES = ("approach", "start_up", "tolerance")
+_HOME = (
+    "Put the shortest homing before the path; the output then has a column phase: 0 homing, 1 the way to the first "
+    "sample, 2 the path.  [default: if --start is left out and the start matters more than the model's error]"
+)
 
 
 @click.command()
@@ -51,8 +56,8 @@ _OF_TABLES = ("homing", "present", "approach", "start_up", "tolerance")
     help="Write the scan's steady cycle here (CSV); the output then has a column "
     "phase: 0 homing, 1 start-up, 2 steady cycles. Status 1 if clipped, not settled, or the homing is not certified.",
 )
-@click.option("--homing", is_flag=True, help="With --cycle: begin with the shortest homing, not at --start.")
-@click.option("--present", type=float, metavar="V", help="With --homing: present voltage.  [default: 0]")
+@home_option(_HOME)
+@click.option("--present", type=float, metavar="V", help="Voltage before the homing.  [default: 0]")
 @click.option(
     "--approach", type=float, metavar="S", help="With --cycle: time to its first sample.  [default: shortest]"
 )
@@ -76,29 +81,48 @@ def compensate(
     scan: str | None,
     **options: Any,
 ) -> None:
-    """Compute the voltage that makes the actuator follow a TRAJECTORY or a --scan; adds voltage_V, within limits."""
+    """Compute the voltage that makes the actuator follow a TRAJECTORY or a --scan; adds voltage_V, within limits.
+
+    Without --start the state before the path is unknown: a homing comes first where that matters, and what the start
+    leaves open is reported. The status is 1 if a voltage was clamped, or --home leaves more than the model's error.
+    """
     from dehyst._errors import ModelError
 
     if (trajectory is None) == (scan is None):
         raise ModelError(f"compensate: got {'neither' if scan is None else 'both'} of TRAJECTORY and --scan, need one")
     _refuse_unused(scan, options)
     table = options.pop("cycle")
-    refuse_overwriting([model] if trajectory is None else [model, trajectory], output, table)
-    given = {name: options.pop(name) for name in ("limits", "slew", "start", "as_json")}
-    request = Request(read_model(model), **given)
+    inputs = [path for path in (model, trajectory, options["start"]) if isinstance(path, Path)]
+    refuse_overwriting(inputs, output, table)
+    request, remarks = _request(read_model(model), options)
     if scan is None:
-        _follow(request, _of_file(trajectory, options), output)
+        _follow(request, _of_file(trajectory, options), output, tuple(remarks))
     axis, cycles = options["axis"] or "x", 1 if options["cycles"] is None else options["cycles"]
     with errors_in_options():
         path = named_scan(scan or "", options["sample_rate"], options)
         if table is None:
-            _follow(request, _of_scan(path, axis, cycles), output, path.warnings)
-        tabulate(request, path, axis, cycles, (output, table), options)
+            _follow(request, _of_scan(path, axis, cycles), output, (*remarks, *path.warnings))
+        tabulate(request, path, axis, cycles, (output, table), options, remarks)
+
+
+def _request(actuator: Actuator, options: dict[str, Any]) -> tuple[Request, list[str]]:
+    """Return what is asked for, and remarks on the start."""
+    given = {name: options.pop(name) for name in ("limits", "slew", "start", "home", "present", "as_json")}
+    remarks: list[str] = []
+    if given["start"] is not None:
+        given["start"], remarks = given_start(actuator, given["start"], given["limits"], options["max_bytes"])
+    return Request(actuator, **given), remarks
 
 
 def _refuse_unused(scan: str | None, options: dict[str, Any]) -> None:
     """Refuse an option that would have no effect."""
     from dehyst._errors import ModelError
+
+    if options["start"] is not None and options["home"]:
+        raise ModelError("--start: got it with --home, which determines the state; leave one out")
+    if options["present"] is not None and (options["start"] is not None or options["home"] is False):
+        other = "--start" if options["home"] is None else "--no-home"
+        raise ModelError(f"--present: got it with {other}, without a homing; leave one out")
 
     def first(names: tuple[str, ...]) -> str | None:
         given = [name for name in names if options[name] is not None and options[name] is not False]
@@ -112,11 +136,6 @@ def _refuse_unused(scan: str | None, options: dict[str, Any]) -> None:
         raise ModelError(f"{unused}: got it with --scan, which has no columns; leave it out")
     if options["cycle"] is None and (unused := first(_OF_TABLES)) is not None:
         raise ModelError(f"{unused}: got it without --cycle; give --cycle TABLE.csv, the file for the steady cycle")
-    if options["present"] is not None and not options["homing"]:
-        raise ModelError("--present: got it without --homing; give both, or --start")
-    given = click.get_current_context().get_parameter_source("start")
-    if options["homing"] and given is click.core.ParameterSource.COMMANDLINE:
-        raise ModelError("--start: got it with --homing, which determines the state; leave one out")
 
 
 def _of_file(trajectory: Path | None, options: dict[str, Any]) -> tuple[Any, dict[str, Any], dict[str, Any]]:
@@ -142,47 +161,34 @@ def _follow(
 ) -> None:
     """Write the voltage of a path, and exit."""
     from dehyst.control import Compensator
-    from dehyst.control.reachable import state_at
     from dehyst.records import write_columns
 
-    wanted, time, derivatives = path
-    actuator, limits, slew, start, _ = request
-    _refuse_astray(actuator, wanted, limits)
-    begin = start_within(actuator, start, limits)
-    # The user ramps slowly to the first sample, see `file_warnings`.
-    first = state_at(actuator, begin, float(wanted[0])) if wanted.size and actuator.model.moves_on else begin
-    command = Compensator(actuator, limits, slew).trajectory(
-        wanted, time=time.get("time_s"), **derivatives, state=first
-    )
+    wanted, _, _ = path
+    _refuse_astray(request.actuator, wanted, request.limits)
+    answer = PathVoltages.of(request, Compensator(request.actuator, request.limits, request.slew), path)
+    homed, voltage = answer.homed, answer.columns["voltage_V"]
     progress = progress_line()
-    progress(f"writing {wanted.size} rows")
+    progress(f"writing {voltage.size} rows")
     refuse_replacing(output)
-    write_columns(
-        output,
-        {
-            **time,
-            "displacement_um": wanted * 1e6,
-            "voltage_V": command.voltage,
-            "expected_um": command.displacement * 1e6,
-        },
-    )
+    write_columns(output, answer.columns)
     progress("")
-    low, high = float(command.voltage.min()), float(command.voltage.max())
-    remarks = [*warnings, *command.warnings, *file_warnings(actuator, float(command.voltage[0]), start, begin, slew)]
+    low, high = float(voltage.min()), float(voltage.max())
+    remarks = [*warnings, *answer.warnings]
     result = {
-        "samples": wanted.size,
-        "clamped": int(command.clamped.sum()),
+        "samples": voltage.size,
+        "clamped": answer.clamped,
         "lowest_V": low,
         "highest_V": high,
+        **start_dict(answer.start.name, answer.error, homed),
         "warnings": remarks,
-        "state": state_dict(command.state),
+        "state": answer.state.as_dict(),
         "output": str(output),
     }
-    line = (
-        f"{counted(wanted.size, 'sample')}, {low:.6g} to {high:.6g} V {start_words(actuator, start, begin)}: {output}"
-    )
-    conclude(request.as_json, result, line, remarks)
-    sys.exit(0 if command.followed else 1)
+    lines = [f"{counted(voltage.size, 'sample')}, {low:.6g} to {high:.6g} V {answer.words}: {output}"]
+    if answer.error is not None:
+        lines.append(error_line(answer.start.name, answer.error, homed=homed is not None))
+    conclude(request.as_json, result, lines, remarks)
+    sys.exit(0 if answer.followed and not (request.home and homed and not homed.certified) else 1)
 
 
 def _refuse_astray(actuator: Actuator, wanted: Any, limits: tuple[float, float] | None) -> None:

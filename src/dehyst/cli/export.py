@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst.cli.common import PATH, conclude, json_option, limits_option, read_model, refuse_overwriting
-from dehyst.cli.start import start_option, start_state, start_words
+from dehyst.cli.start import given_start, start_or_top_option, start_words
+from dehyst.records.formats.file_content import MOST
 
 if TYPE_CHECKING:
-    from dehyst.control import Compensator
+    from dehyst.control import Compensator, PossibleStart
     from dehyst.exports import Exported
     from dehyst.model import Actuator, State
 
@@ -62,7 +63,7 @@ _NEAR = 0.01
     type=click.Choice(["compensator", "actuator"]),
     help="With --fmu: displacement to voltage, or the virtual actuator.  [default: compensator]",
 )
-@start_option
+@start_or_top_option
 @json_option
 def export(
     model: Path,
@@ -77,7 +78,7 @@ def export(
     force: bool,
     fmu: Any,
     kind: Any,
-    start: str,
+    start: str | Path,
     as_json: bool,
 ) -> None:
     """Write a MODEL's compensator as C into DIR: files, numbers, a README, and a trace that `make check` replays.
@@ -91,18 +92,21 @@ def export(
         raise click.UsageError(f"{directory}: got a name that ends in .fmu without --fmu; give --fmu or another folder")
     _demand_of_fmu(fmu, kind, number, name, measure, limited=limits is not None or slew is not None or preview)
     actuator = read_model(model)
-    state = start_state(actuator, start)
+    begin, remarks = given_start(actuator, start, limits, MOST)
+    remarks += _open_start(actuator, begin)
+    state = begin.state
     compensator = Compensator(
         actuator, _NONE if kind == "actuator" else limits, slew, period=period, state=state, preview=preview
     )
     if fmu is not None:
         refuse_overwriting([model], directory)
-        result, line, remarks = _write_fmu(compensator, state, directory, fmu, kind or "compensator", force)
-        conclude(as_json, result, [line, _begin_words(compensator, actuator, start, kind)], remarks)
+        result, line, more = _write_fmu(compensator, state, directory, fmu, kind or "compensator", force)
+        result["warnings"] = remarks = [*remarks, *more]
+        conclude(as_json, result, [line, _begin_words(compensator, actuator, begin, kind)], remarks)
         return
     named = {} if name is None else {"name": name}
     exported = run(compensator, directory, number, force=force, measure=measure, **named)
-    remarks = _limit_warnings(compensator, state)
+    remarks += _limit_warnings(compensator, state)
     if measure and exported.unmeasured is not None:
         remarks.append(f"bytes and errors were not measured on this computer: {exported.unmeasured}")
     result = {
@@ -112,8 +116,8 @@ def export(
         **_begins(compensator),
         **_numbers(exported),
     }
-    begin = _begin_words(compensator, actuator, start)
-    conclude(as_json, result, [f"{directory}: a compensator of {number}s", begin, *_table(exported)], remarks)
+    words = _begin_words(compensator, actuator, begin)
+    conclude(as_json, result, [f"{directory}: a compensator of {number}s", words, *_table(exported)], remarks)
 
 
 def _demand_of_fmu(
@@ -148,6 +152,20 @@ def _write_fmu(
     return {**result, "warnings": remarks}, f"{path}: an FMU {version} of the {kind}, {content}", remarks
 
 
+def _open_start(actuator: Actuator, start: PossibleStart) -> list[str]:
+    """Warn of a start that the voltages before it leave open by more than the model's error."""
+    from dehyst.control.start_error import model_error
+
+    places = [state.displacement for state in start.states]
+    width = max(places) - min(places)
+    if width <= model_error(actuator):
+        return []
+    return [
+        f"{start.name}: these voltages leave the displacement at the start open by {1e6 * width:.3g} um: memory begins "
+        "in the middle; home the actuator first"
+    ]
+
+
 def _limit_warnings(compensator: Compensator, state: State) -> list[str]:
     """Warn of a start state clearly outside the limits."""
     (low, high), present = compensator.limits, compensator.actuator.voltage(state)
@@ -166,7 +184,7 @@ def _begins(compensator: Compensator) -> dict[str, Any]:
     return {"begins": {"displacement_m": begin.displacement, "voltage_V": begin.voltage, "way": begin.way}}
 
 
-def _begin_words(compensator: Compensator, actuator: Actuator, start: str, kind: str | None = None) -> str:
+def _begin_words(compensator: Compensator, actuator: Actuator, start: PossibleStart, kind: str | None = None) -> str:
     from dehyst.exports.start import ExportedStart
 
     begin = ExportedStart.of(compensator)

@@ -1,84 +1,175 @@
-"""The state in which a model starts, and warnings about what a voltage file does not contain."""
+"""The state in which a model starts, what an unknown one leaves open, and what a voltage file does not contain."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from dehyst._text import counted
+
 if TYPE_CHECKING:
+    from dehyst.control import HomedPath, PossibleStart, StartError
     from dehyst.model import Actuator, State
+    from dehyst.records import Record
 
 # Voltages farther outside of a model's limits than this part of their range were not covered by its records.
 _FAR = 0.1
+# Least share of the stroke that is printed as a number [%].
+_SMALL = 1e-3
+_NAMES = ("top", "bottom", "relaxed", "homed")
 
 
 class Request(NamedTuple):
-    """What a command that computes voltages is asked for: of which model, within what, from which state."""
+    """What a command that computes voltages is asked for: of which model, within what, from which state.
+
+    `start` is None if it is unknown. `home`: whether to home first; None: where the start matters.
+    """
 
     actuator: Actuator
     limits: tuple[float, float] | None
     slew: float | None
-    start: str
+    start: PossibleStart | None
+    home: bool | None
+    present: float | None
     as_json: bool
 
 
+class _StartType(click.ParamType):  # type: ignore[type-arg]
+    """The name of a state, or a file."""
+
+    name = "start"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        return f"{'|'.join(_NAMES)}|FILE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | Path:
+        if value in _NAMES:
+            return str(value)
+        path = Path(value)
+        if not path.exists():
+            self.fail(f"got {value!r}, need {', '.join(_NAMES)}, or a file of what was played before", param, ctx)
+        return path
+
+
+_STATES = (
+    "turned at the top or bottom of the identified range; relaxed at 0 V; homed, as after 'dehyst excite homing "
+    "--model' without other options; or as at the end of FILE, a record, or only the voltages played before."
+)
+
+
 def start_option(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the option that selects the state in which a model starts."""
-    return click.option(
-        "--start",
-        type=click.Choice(["top", "bottom", "relaxed", "homed"]),
-        default="top",
-        show_default=True,
-        help="State before the first sample: turned at the top or bottom of the identified range, relaxed at 0 V, or "
-        "as after 'dehyst excite homing --model' without other options; another --base or --hold ends in another "
-        "state.",
-    )(command)
+    """Add the option that selects the state in which a model starts; without it the state is unknown."""
+    words = f"State before the first sample: {_STATES}  [default: unknown]"
+    return click.option("--start", type=_StartType(), help=words)(command)
 
 
-def start_within(actuator: Actuator, start: str, limits: tuple[float, float] | None) -> State:
-    """Return the state that the option names, or the nearest one within the limits."""
+def start_or_top_option(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the option that selects the state in which a memory begins."""
+    words = f"State in which memory begins: {_STATES}"
+    return click.option("--start", type=_StartType(), default="top", show_default=True, help=words)(command)
+
+
+def home_option(words: str) -> Callable[..., Any]:
+    """Return the option that puts a homing before a path; --homing is its old name."""
+    return click.option("--home/--no-home", "--homing", "home", default=None, help=words)
+
+
+def given_start(
+    actuator: Actuator, start: str | Path, limits: tuple[float, float] | None, max_bytes: float
+) -> tuple[PossibleStart, list[str]]:
+    """Return the start that the option names or the file determines, and remarks on it."""
+    from dehyst.control import PossibleStart
+    from dehyst.records import Record, read_table
+
+    if isinstance(start, str):
+        return PossibleStart.named(actuator, start), []  # type: ignore[arg-type]
+    table = read_table(start, max_bytes=max_bytes)
+    voltage, timed = table.column("voltage"), actuator.needs_time or table.has("displacement")
+    time = table.column("time") if timed else None
+    if time is not None and table.has("displacement"):
+        return _after_record(actuator, Record(time, voltage, table.column("displacement"), start.name))
+    return PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=start.name), []
+
+
+def _after_record(actuator: Actuator, record: Record) -> tuple[PossibleStart, list[str]]:
+    """Return the state at the end of a record, and a remark if its voltages lie beside the model's."""
+    import numpy as np
+
+    from dehyst.control import PossibleStart
+    from dehyst.control.start_error import model_error
+    from dehyst.identification import state_after
+
+    state, offset = state_after(actuator, record)
+    low, high = actuator.voltage_range
+    share = abs(offset) / (high - low)
+    if share * float(np.ptp(actuator.reach)) <= model_error(actuator):
+        return PossibleStart(record.name, (state,)), []
+    remark = (
+        f"{record.name}: its voltages lie {offset:.4g} V beside those of the model, {100 * share:.2g} % of the range: "
+        "expect displacements to lie beside the sensor's by as much"
+    )
+    return PossibleStart(record.name, (state,)), [remark]
+
+
+def begin_within(actuator: Actuator, start: PossibleStart, limits: tuple[float, float] | None) -> State:
+    """Return the state of a start, or the nearest one within the limits."""
     from dehyst.control.reachable import state_within_limits
 
-    state, allowed = start_state(actuator, start), limits or actuator.limits
-    return state if allowed is None else state_within_limits(actuator, state, allowed)
+    allowed = limits or actuator.limits
+    return start.state if allowed is None else state_within_limits(actuator, start.state, allowed)
 
 
-def start_state(actuator: Actuator, start: str) -> State:
-    """Return the state that the option names."""
-    knots = actuator.spring.displacement
-    if start == "relaxed":
-        return actuator.relaxed()
-    if start == "homed":
-        return _homed(actuator)
-    return actuator.turned(float(knots[-1])) if start == "top" else actuator.turned(float(knots[0]), rising=False)
+def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
+    """Describe the state before the first sample, in brackets; by default that of the start."""
+    voltage = f"{actuator.voltage(begin_within(actuator, start, None) if state is None else state):.4g} V"
+    words = {
+        "relaxed": f"(from rest, relaxed, at {voltage})",
+        "homed": f"(homed, at {voltage})",
+        "unknown": f"(from the middle of the possible starts, at {voltage})",
+        "top": f"(coming from the top, {voltage})",
+        "bottom": f"(coming from the bottom, {voltage})",
+    }
+    return words.get(start.name, f"(as at the end of {start.name}, at {voltage})")
 
 
-def _homed(actuator: Actuator) -> State:
-    """Return the state after the homing voltage that `dehyst excite homing` writes by default."""
-    from dehyst.control import shortest_homing
-    from dehyst.waveforms import Sampling
-
-    low, high = actuator.limits or (0.0, 0.0)
-    end = min(max(0.0, low), high)
-    return shortest_homing(actuator, present=end, stiff_only=True, drive=Sampling()).state
+def homed_words(homed: HomedPath) -> str:
+    """Describe the homing before a path, in brackets."""
+    seconds = "" if homed.seconds is None else f", {homed.seconds:.4g} s"
+    return f"(homed first, {counted(homed.first, 'sample')}{seconds})"
 
 
-def start_words(actuator: Actuator, start: str, state: State | None = None) -> str:
-    """Describe the state before the first sample, in brackets; by default the one that the option names."""
-    voltage = f"{actuator.voltage(start_within(actuator, start, None) if state is None else state):.4g} V"
-    words = {"relaxed": f"(from rest, relaxed, at {voltage})", "homed": f"(homed, at {voltage})"}
-    return words.get(start, f"(coming from the {start}, {voltage})")
+def error_line(name: str, error: StartError, *, homed: bool) -> str:
+    """Describe what a start of this name leaves open, in one line."""
+    largest, first, least = (_percent(error, length) for length in (error.largest, error.first, error.model_error))
+    if homed:
+        return f"unknown start: after the homing it leaves {largest} of the stroke open; the model's error is {least}"
+    words = "unknown start: it leaves" if name == "unknown" else f"start after {name}: these voltages leave"
+    line = f"{words} {largest} of the stroke open"
+    if not error.matters:
+        return f"{line}, the model's error is {least}"
+    remedy = "give --start or --home" if name == "unknown" else "give --home instead of --start"
+    line += f", {first} at the first sample"
+    if error.settled is None:
+        return f"{line}, and more than the model's error of {least} to the end: {remedy}"
+    after = f"sample {error.settled}" if error.settled_seconds is None else f"{error.settled_seconds:.4g} s"
+    return f"{line}, and less than the model's error of {least} after {after}: {remedy}"
 
 
-def state_dict(state: State) -> dict[str, Any]:
-    """Return a state as JSON values."""
-    more = {"creep_m": state.creep, "motion_m_and_m_per_s": state.motion}
+def _percent(error: StartError, length: float) -> str:
+    share = error.percent(length)
+    return f"{share:.2g} %" if share >= _SMALL else f"less than {_SMALL} %"
+
+
+def start_dict(name: str, error: StartError | None, homed: HomedPath | None = None) -> dict[str, Any]:
+    """Return the start as JSON values."""
     return {
-        "displacement_m": state.displacement,
-        "carts_m": state.carts.tolist(),
-        **{name: values.tolist() for name, values in more.items() if values.size},
+        "start": {"name": name, **({} if error is None else error.as_dict())},
+        "homing_samples": 0 if homed is None else homed.first,
+        "homing_s": 0.0 if homed is None else homed.seconds,
+        "certified": None if homed is None else homed.certified,
     }
 
 
@@ -93,7 +184,9 @@ def lagging(displacement: Any, actuator: Actuator, time: dict[str, Any]) -> Any:
     return np.interp(time["time_s"] - actuator.delay, time["time_s"], displacement)
 
 
-def file_warnings(actuator: Actuator, first: float, start: str, state: State, slew: float | None) -> list[str]:
+def file_warnings(
+    actuator: Actuator, first: float, start: PossibleStart, state: State, slew: float | None
+) -> list[str]:
     """Warn of what the file does not contain: the ramp to its first voltage, earlier creep and the delay."""
     warnings = []
     present = actuator.voltage(state)
@@ -103,12 +196,12 @@ def file_warnings(actuator: Actuator, first: float, start: str, state: State, sl
             f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from that of the start, "
             f"{present:.6g} V: ramp there {within} before you play the file"
         )
-    if actuator.creep is not None and start != "homed":
+    if actuator.creep is not None and start.name in ("top", "bottom", "relaxed"):
         longest = float(actuator.creep.time_constants[-1])
         warnings.append(
-            f"this model creeps, and --start {start} assumes that the actuator has rested there for much longer than "
-            f"{longest:.3g} s; otherwise the displacement will be off: play a homing (dehyst excite homing --model) "
-            "and use --start homed"
+            f"this model creeps, and --start {start.name} assumes that the actuator has rested there for much longer "
+            f"than {longest:.3g} s; otherwise the displacement will be off: leave out --start, or play a homing "
+            "(dehyst excite homing --model) and use --start homed"
         )
     return [*warnings, *delay_warnings(actuator)]
 

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dehyst._text import counted
 from dehyst.cli.common import conclude, refuse_replacing
 from dehyst.cli.scans import in_options
-from dehyst.cli.start import Request, delay_warnings, file_warnings, start_within, state_dict
+from dehyst.cli.start import (
+    Request,
+    begin_within,
+    delay_warnings,
+    error_line,
+    file_warnings,
+    start_dict,
+)
 from dehyst.cli.terminal import note, progress_line
 
 if TYPE_CHECKING:
-    from dehyst.control import WaveTable
+    from dehyst.control import PossibleStart, StartError, WaveTable
+    from dehyst.control.wave_table import Played
     from dehyst.waveforms import Scan
 
 # A larger file is more than 300 MB.
@@ -21,7 +30,13 @@ _MOST_ROWS = 5_000_000
 
 
 def tabulate(
-    request: Request, scan: Scan, axis: str, cycles: int, outputs: tuple[Path, Path], options: dict[str, Any]
+    request: Request,
+    scan: Scan,
+    axis: str,
+    cycles: int,
+    outputs: tuple[Path, Path],
+    options: dict[str, Any],
+    remarks: Iterable[str] = (),
 ) -> None:
     """Write the wave table of a scan with its homing and start-up, and exit."""
     from dehyst._errors import RecordError
@@ -29,7 +44,8 @@ def tabulate(
     from dehyst.records import write_columns
 
     refuse_cycles(scan, cycles)
-    actuator, limits, slew, start, _ = request
+    actuator, limits, slew = request.actuator, request.limits, request.slew
+    start, home = _start(request, scan, axis), request.start is None and request.home is not False
     tolerance, progress = options["tolerance"], progress_line()
     if tolerance is not None and not tolerance > 0:
         raise RecordError(f"--tolerance: got {tolerance:g}, need a length above 0 in um")
@@ -41,8 +57,8 @@ def tabulate(
             axis=axis,
             limits=limits,
             slew_rate=slew,
-            state=None if options["homing"] else start_within(actuator, start, limits),
-            present=options["present"],
+            state=None if home else begin_within(actuator, start, limits),
+            present=request.present,
             approach=options["approach"],
             cycles=options["start_up"],
             tolerance=None if tolerance is None else tolerance * 1e-6,
@@ -56,26 +72,28 @@ def tabulate(
     write_columns(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
     write_columns(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
     progress("")
-    warnings = [*map(in_options, table.warnings), *_unwritten_warnings(request, table)]
+    warnings = [*map(in_options, table.warnings), *remarks, *_unwritten_warnings(request, start, table)]
+    error = _start_error(request, start, table, played)
     low, high = float(played.voltage.min()), float(played.voltage.max())
     result = {
         "samples": played.voltage.size,
         "sample_rate_Hz": table.sample_rate,
         "frequency_Hz": 1 / scan.period,
-        "homing_samples": table.homing_rows.size,
-        "homing_s": _homing_seconds(table),
         "start_up_samples": len(table.start_up),
         "start_up_cycles": table.cycles,
         "cycle_samples": len(cycle),
         "error_um": table.error * 1e6,
         "unknown_um": table.unknown * 1e6,
+        **start_dict(start.name, error),
+        "homing_samples": table.homing_rows.size,
+        "homing_s": _homing_seconds(table),
         "certified": table.certified,
         "settled": table.settled,
         "clamped": table.clamped,
         "lowest_V": low,
         "highest_V": high,
         "warnings": warnings,
-        "state": state_dict(table.state),
+        "state": table.state.as_dict(),
         "output": str(outputs[0]),
         "table": str(outputs[1]),
     }
@@ -84,7 +102,10 @@ def tabulate(
         f"{counted(played.voltage.size, 'sample')}, {low:.6g} to {high:.6g} V, the steady table after {cycles_of}: "
         f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}"
     )
-    conclude(request.as_json, result, line, warnings)
+    lines = [line]
+    if error is not None:
+        lines.append(error_line(start.name, error, homed=home))
+    conclude(request.as_json, result, lines, warnings)
     sys.exit(0 if table.settled and table.certified and not table.clamped else 1)
 
 
@@ -92,13 +113,35 @@ def _columns(part: Any) -> dict[str, Any]:
     return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}
 
 
-def _unwritten_warnings(request: Request, table: WaveTable) -> list[str]:
+def _start(request: Request, scan: Scan, axis: str) -> PossibleStart:
+    """Return the start that was given, or the unknown one at the first sample."""
+    from dehyst.control import start_at
+
+    if request.start is not None:
+        return request.start
+    return start_at(request.actuator, float(scan.path(axis).displacement[0]), request.limits or request.actuator.limits)
+
+
+def _start_error(request: Request, start: PossibleStart, table: WaveTable, played: Played) -> StartError | None:
+    """Return what the start leaves open after the homing; None if it was given, and is known."""
+    from dehyst.control import PossibleStart, StartError
+
+    if start.known:
+        return None
+    states, limits = start.states, request.limits or request.actuator.limits
+    if start.name == "unknown":
+        states = PossibleStart.unknown(request.actuator, float(played.voltage[0]), limits).states
+    first = table.homing_rows.size
+    return StartError.along(request.actuator, states, played.voltage, time=played.time, first=first)
+
+
+def _unwritten_warnings(request: Request, start: PossibleStart, table: WaveTable) -> list[str]:
     """Warn of what the file does not contain."""
-    actuator, limits, slew, start, _ = request
+    actuator = request.actuator
     if table.homing is not None:
         return delay_warnings(actuator)
-    begin = start_within(actuator, start, limits)
-    return file_warnings(actuator, float(table.start_up.voltage[0]), start, begin, slew)
+    begin = begin_within(actuator, start, request.limits)
+    return file_warnings(actuator, float(table.start_up.voltage[0]), start, begin, request.slew)
 
 
 def _homing_seconds(table: WaveTable) -> float:
@@ -137,7 +180,7 @@ def _note_duration(table: WaveTable, cycles: int) -> None:
     if rows > _MOST_ROWS:
         raise RecordError(
             f"--output: got {durations}, {rows} rows at {rate:g} Hz, need at most {_MOST_ROWS:g} rows; try a lower "
-            "--sample-rate, fewer --cycles or --start-up, or no --homing and --start where the actuator stands"
+            "--sample-rate, fewer --cycles or --start-up, or --start where the actuator stands"
         )
     note(f"{durations}: {rows} rows")
     homing = table.homing

@@ -1,14 +1,10 @@
 """Homing of a state that depends on time: a voltage through the limits, simulated in time from the extreme states.
 
-With creep the order of states holds: a voltage that was never lower leaves no part of the actuator lower. So of all
-histories within the limits, at any speed and of any duration, two states are the extremes: after resting for ever at
-either limit. They bound the displacement from then on. Smooth elements and a mass that acts on the voltage keep no
-order: for them the extremes are simulated with smooth elements pulled either way, and random histories besides.
+The extreme states are those of `dehyst.control.possible_states`; they bound the displacement from then on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -19,7 +15,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number
-from dehyst.control.major_loop import MajorLoop
+from dehyst.control.possible_states import bounds_of, keeps_order, timed_states
 from dehyst.control.state_bounds import StateBounds, moves_on
 from dehyst.model import Actuator, State
 from dehyst.waveforms import Excitation, Leg, Sampling
@@ -30,8 +26,6 @@ _TOLERANCE = 1e-3
 _LEG, _PERIODS = 0.05, 50.0
 # A mass and a lag are at rest after this many of their time constants.
 _RESTS = 12.0
-# Random histories, and turns in each.
-_HISTORIES, _TURNS = 12, 8
 # Most legs; two more are added if they reduce the spread to less than this share.
 _MOST_LEGS, _WORTH = 12, 0.7
 # Samples of a leg in rough simulations.
@@ -92,7 +86,7 @@ class TimedHoming:
         sampling = replace(sampling, base=ends[1], present=ends[0], limits=limits)
         wait = _rest_seconds(actuator) if given is None else given
         homing = cls(actuator, sampling, ends, wait, limits, float(least), 2)
-        homing = replace(homing, states=tuple(homing._possible_states()))
+        homing = replace(homing, states=timed_states(actuator, limits, ends[0], sampling.half))
         if hold is None and homing._longest:
             needed = homing.needed
             homing = replace(homing, hold=homing._longest if needed is None else needed)
@@ -143,8 +137,7 @@ class TimedHoming:
     @property
     def proven(self) -> bool:
         """Whether the two extreme states are proven to be the extremes."""
-        dynamics = self.actuator.dynamics
-        return self.actuator.smooth is None and (dynamics is None or not dynamics.series)
+        return keeps_order(self.actuator)
 
     def remarks(self) -> tuple[str, ...]:
         """Return remarks for the user, in sentences."""
@@ -203,40 +196,6 @@ class TimedHoming:
             low, high = (middle, high) if misses(middle) else (low, middle)
         return high
 
-    def _possible_states(self) -> list[State]:
-        """Return the extreme states, and if states keep no order, those after random histories too."""
-        still = replace(self.actuator, dynamics=None, lag=0.0, state=None)  # type: ignore[arg-type]
-        states = [self._moved_to_present(still, state, []) for state in self._rested()]
-        if not self.proven:
-            random = np.random.default_rng(0)
-            states += [
-                self._moved_to_present(still, states[k % len(states)], random.uniform(*self.limits, _TURNS).tolist())
-                for k in range(_HISTORIES)
-            ]
-        if self.actuator.dynamics is None:
-            return states
-        return [replace(state, motion=np.array([state.displacement, 0.0])) for state in states]
-
-    def _rested(self) -> Iterator[State]:
-        """Yield the states after resting for ever at either limit."""
-        branch, rho, smooth = MajorLoop(self.actuator), self.actuator.slip.breakaway, self.actuator.smooth
-        length = np.zeros(0) if smooth is None else smooth.length
-        for side, limit in ((1, self.limits[0]), (-1, self.limits[1])):
-            y = branch.displacement(limit, side)
-            for share in (1.0, 0.0, -1.0) if length.size else (1.0,):
-                yield State(y, y - side * rho, smooth=share * length)
-
-    def _moved_to_present(self, still: Actuator, state: State, turns: list[float]) -> State:
-        """Return the state at the present voltage, from a state through turns [V]; the last leg takes no time."""
-        reached = still.model.complete_state(state)
-        if turns:
-            seconds = np.cumsum(np.geomspace(0.01, 10, len(turns)) * self.sampling.half)
-            when = seconds if still.needs_time else None
-            reached = still.simulate(turns, time=when, state=reached, extrapolate=True).state
-        now = np.zeros(1) if still.needs_time else None
-        present: State = still.simulate(self.ends[:1], time=now, state=reached, extrapolate=True).state
-        return present
-
     def _legs(self, turns: tuple[float, ...], hold: float) -> list[Leg]:
         """Return legs through the turns, with a hold at the last visit of either limit."""
         legs = self.sampling.legs(turns)
@@ -267,7 +226,7 @@ class TimedHoming:
             end = self._simulate(voltage, time, state)[1]
             ends.append(end)
             paths.append(np.append(self._simulate(*cycle, end)[0], end.displacement))
-        return _bounds(ends), float(np.ptp(paths, axis=0).max())
+        return bounds_of(ends), float(np.ptp(paths, axis=0).max())
 
     def _simulate(self, voltage: Array, time: Array, state: State) -> tuple[Array, State]:
         when = time if self.actuator.needs_time else None
@@ -289,16 +248,6 @@ def _turns(limits: tuple[float, float], start: float, stop: float, legs: int) ->
         ways.append(tuple(visited))
     travel = [sum(abs(b - a) for a, b in pairwise(way)) for way in ways]
     return ways[0] if travel[0] <= travel[1] else ways[1]
-
-
-def _bounds(states: list[State]) -> StateBounds:
-    """Return the tightest bounds of states."""
-    names = ("carts", "creep", "motion", "smooth")
-    ends = []
-    for order in (np.min, np.max):
-        arrays = (order([getattr(state, name) for state in states], axis=0) for name in names)
-        ends.append(State(float(order([state.displacement for state in states])), *arrays))
-    return StateBounds(*ends)
 
 
 def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequency) -> float:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from math import log, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -12,25 +11,17 @@ from numpy.typing import NDArray
 
 from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array
-from dehyst._validation import interval
 from dehyst.control.compensator import Compensator
-from dehyst.control.homing import Homing, shortest_homing
-from dehyst.control.homing_in_time import leg_seconds
+from dehyst.control.homing_played import FASTEST_LEG, played_homing, rows_of
 from dehyst.control.lead_in import approach_to
 from dehyst.control.start_up import StartUp, settle, start_up_cycles
 from dehyst.model import Actuator, State
 from dehyst.waveforms import Excitation, MotionLimits, Sampling, Scan
-from dehyst.waveforms import homing as homing_through
-from dehyst.waveforms.excitation import positive, refuse_long, volts
+from dehyst.waveforms.excitation import positive, refuse_long
 from dehyst.waveforms.scan import whole
 
 # Share of the stroke: deviation of the first steady cycle from the later ones.
 _TOLERANCE = 1e-4
-_HOMING_FREQUENCY = 1.0
-# A homing of more samples has longer steps: this many a leg, and a period of a resonance.
-_EVEN_SAMPLES, _LEG_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
-# If these are still too many, most samples of a hold are left out: their times grow by this factor.
-_SPARSER = 1.02
 HOMING, START_UP, CYCLE = 0, 1, 2
 
 
@@ -114,8 +105,7 @@ class WaveTable:
         if self.homing is None:
             return np.zeros(0, dtype=np.int64)
         # The last sample is the first of the start-up.
-        rows = np.arange(len(self.homing) - 1)
-        return rows if rows.size <= _EVEN_SAMPLES else rows[_thinned(self.homing.voltage[:-1])]
+        return rows_of(self.homing.voltage[:-1])
 
     def rows(self, cycles: int = 1) -> int:
         """Return the number of rows of `played` with `cycles` cycles."""
@@ -214,7 +204,8 @@ def wave_table(
     count = None if cycles is None else start_up_cycles(cycles, path)
     warnings, excitation, unknown, certified, start = list(scan.warnings), None, 0.0, True, state
     if start is None:
-        excitation, homing, remarks = _homing(compensator, scan, present, drive)
+        slowly = max(FASTEST_LEG, 0.5 * scan.period)
+        excitation, homing, remarks = played_homing(compensator, scan.rate, slowly, present=present, drive=drive)
         unknown, certified, start = homing.error, homing.certified, homing.state
         warnings += remarks
     motion = MotionLimits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
@@ -222,50 +213,3 @@ def wave_table(
     settled = settle(compensator, path, way, start, least, count)
     table = {**vars(settled), "warnings": (*warnings, *settled.warnings), "tolerance": least, "unknown": unknown}
     return WaveTable(homing=excitation, certified=certified, start=start, actuator=actuator, **table)
-
-
-def _homing(
-    compensator: Compensator, scan: Scan, present: float | None, drive: Sampling | None
-) -> tuple[Excitation | None, Homing, tuple[str, ...]]:
-    """Return the homing as an excitation at the scan's sample rate, the homing itself, and remarks on it."""
-    actuator, limits = compensator.actuator, interval(compensator.limits or ())
-    now = min(max(0.0, limits[0]), limits[1]) if present is None else volts(present, "present")
-    if not limits[0] <= now <= limits[1]:
-        raise RecordError(
-            f"present: got {now:.9g} V, but the limits are {limits[0]:g} to {limits[1]:g} V; ramp there first, or "
-            "widen the limits if actuator and amplifier allow it"
-        )
-    if drive is None:
-        slowly = max(0.5 / _HOMING_FREQUENCY, 0.5 * scan.period)
-        drive = Sampling(frequency=0.5 / leg_seconds(actuator, slowly), sample_rate=scan.rate)
-    rate = _longer_steps(actuator, drive, scan.rate)
-    drive = replace(drive, sample_rate=rate, base=now, present=now, limits=limits, slew_rate=compensator.slew_rate)
-    homing = shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive)
-    if homing.played is None or homing.played.duration * scan.rate <= _EVEN_SAMPLES:
-        drive = replace(drive, sample_rate=scan.rate)
-        homing = shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive)
-    remarks = () if homing.certified and homing.played is None else homing.remarks
-    if len(homing.turns) < 2:
-        return None, homing, remarks
-    played = homing.played or homing_through(turns=homing.turns, drive=drive)
-    return played, homing, (*remarks, *played.warnings)
-
-
-def _thinned(voltage: Array) -> NDArray[np.bool_]:
-    """Return which samples (n,) to keep: those that move, and in a hold ever fewer."""
-    held = np.zeros(voltage.size, dtype=np.int64)
-    held[1:] = voltage[1:] == voltage[:-1]
-    moving = np.flatnonzero(held == 0)
-    since = np.arange(voltage.size) - np.repeat(moving, np.diff(moving, append=voltage.size))
-    steps = np.unique(np.round(_SPARSER ** np.arange(int(log(voltage.size) / log(_SPARSER)) + 2)))
-    kept: NDArray[np.bool_] = (since == 0) | np.isin(since, steps)
-    kept[:-1] |= since[1:] == 0
-    return kept
-
-
-def _longer_steps(actuator: Actuator, drive: Sampling, rate: float) -> float:
-    """Return the sample rate [Hz] of a long homing: the scan's `rate` over a whole number."""
-    needed = 2 * _LEG_SAMPLES * drive.frequency
-    if actuator.dynamics is not None:
-        needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency / (2 * pi))
-    return rate / max(1, int(rate / needed))

@@ -271,13 +271,17 @@ def compare_all(
     return compared, stroke, float(np.ptp(widest.voltage)) / stroke * float(options.get("slope_floor", 0.2))
 
 
-def state_after(actuator: Actuator, lead: Record, stroke: float) -> tuple[State, float]:
+def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -> tuple[State, float]:
     """Return the state at a record's last sample, on the model's axis, and the offset of its voltages [V].
 
     Its displacements determine them, and how far its sensor's zero lies from the model's: the offset by least squares
     over the samples that count. Where none does, for the record is too short or has no full cycle, the offset is that
     of its last sample, and what the record leaves open of the carts is taken as none.
+
+    `actuator`: the model. `lead`: the record before the state. `stroke` [m]: range of the widest training loop; default
+    that between the actuator's limits.
     """
+    stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     try:
         record = prepare(lead).without_lag(float(actuator.provenance.get("sensor_lag") or 0.0))
         beside = compare(actuator, record, Protocol("validation", actuator.delay, None, False, stroke))
@@ -331,10 +335,12 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
     compared = compare(actuator, record, protocol)
     found, regression = compared.found, compared.regression
     sums = _Sums(max(1, sum(len(piece) for _, piece, _ in compared.pieces) // _MOST_DRAWN))
+    starts = []
     for number, (_, piece, _) in enumerate(compared.pieces):
         # What voltage acted on the first samples, before the delay is over, is not recorded.
         first = min(int(np.ceil(protocol.delay / piece.sample_time)), len(piece) - 1) if protocol.delay > 0 else 0
         start = compared.start_of(actuator, number, first)
+        starts.append(start[0].shifted(compared.datum))
         for played in compared.play(actuator, number, slice(first, len(piece)), start, _AT_A_TIME):
             sums.add(played)
     trace = Trace(record.name, protocol.role, *(np.concatenate(column) for column in zip(*sums.drawn, strict=True)))
@@ -355,6 +361,7 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
         drift=-compared.drift / slope,
         decades=float(np.ptp(regression.rows.drift)),
         steady=record.steady,
+        starts=tuple(starts),
     ), trace
 
 

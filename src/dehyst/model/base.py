@@ -57,6 +57,15 @@ class State:
         motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
         return State(self.displacement + by, self.carts + by, self.creep, motion, self.smooth)
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values; parts that the actuator does not have are left out."""
+        more = {"creep_m": self.creep, "motion_m_and_m_per_s": self.motion, "smooth_m": self.smooth}
+        return {
+            "displacement_m": self.displacement,
+            "carts_m": self.carts.tolist(),
+            **{name: values.tolist() for name, values in more.items() if values.size},
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
+from dehyst.model.base import State
 from dehyst.model.readiness import Expectation, Readiness
 
 # Largest creep [% of the range a decade]; least part of a decade from which a rate is reported.
@@ -76,6 +77,9 @@ class RecordErrors:
         Decades of that time that the used samples cover.
     steady : bool
         Whether the drift is in proportion to time; `drift` times `decades` is all of it.
+    starts : tuple of State
+        The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
+        sample that was compared.
     """
 
     record: str
@@ -92,6 +96,7 @@ class RecordErrors:
     drift: float
     decades: float = 1.0
     steady: bool = False
+    starts: tuple[State, ...] = field(default=(), compare=False)
 
     @property
     def drifted_percent(self) -> float:
@@ -131,6 +136,7 @@ class RecordErrors:
             "drift_percent": 100 * self.drift / self.stroke,
             "drift_decades": self.decades,
             "drift_steady": self.steady,
+            "starts": [state.as_dict() for state in self.starts],
         }
 
 
@@ -311,6 +317,11 @@ class Fit:
         """Whether the model may be used: neither its outcome nor what is expected of it forbids that."""
         usable = self.expectation is None or self.expectation.readiness is not Readiness.NOT_USABLE
         return self.outcome.good and usable
+
+    @property
+    def starts(self) -> dict[str, tuple[State, ...]]:
+        """The states from which each record was simulated, by its name; one for each of its pieces."""
+        return {error.record: error.starts for error in self.errors}
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the traces."""

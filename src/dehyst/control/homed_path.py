@@ -1,0 +1,310 @@
+"""A path or a voltage with the shortest homing before it, for an actuator whose state is unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dehyst._errors import ModelError, RecordError
+from dehyst._types import Array, Mask
+from dehyst._validation import interval, number, untimely, vector
+from dehyst.control.compensator import Compensator
+from dehyst.control.homing import Homing
+from dehyst.control.homing_in_time import leg_seconds
+from dehyst.control.homing_played import FASTEST_LEG, played_homing, present_voltage, rows_of
+from dehyst.control.possible_start import PossibleStart
+from dehyst.control.reachable import state_at
+from dehyst.control.start_error import StartError, model_error
+from dehyst.control.state_bounds import moves_on
+from dehyst.model import Actuator, State
+from dehyst.waveforms import Leg, Sampling
+
+HOMING, WAY, PATH = 0, 1, 2
+# Fewest samples of a leg at the path's sample rate, and samples of a leg where a path has no time.
+_LEG_SAMPLES, _TIMELESS = 25, 100
+# Share of the range of the spring's knots that a homing in time must leave at most, if the model is better than that.
+_TOLERANCE = 1e-3
+# Creep on the way to the first sample changes the voltage there: so often the way is found again.
+_ROUNDS = 3
+# A larger file is more than 300 MB.
+_MOST_ROWS = 5_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class HomedPath:
+    """A voltage that homes the actuator, leads to the first sample of a path, and follows it.
+
+    Attributes
+    ----------
+    time : (n,) array or None
+        [s] from the first sample of the homing; None if the path has no time. A long homing has rows farther apart
+        than the path; between rows the voltage is linear.
+    phase : (n,) array
+        0 for the homing, 1 for the way to the path, 2 for the path.
+    voltage : (n,) array
+        [V], within limits and slew rate.
+    displacement : (n,) array
+        Wanted displacement [m]; before the path, and with a given voltage, that of the model.
+    expected : (n,) array
+        Displacement of the model [m], before the path from the middle of the possible states.
+    state : State
+        At the last sample.
+    start : PossibleStart
+        The possible states before the homing.
+    homing : Homing
+        With its certificate.
+    clamped : (n,) bool array
+        Samples whose voltage was changed to keep limits and slew rate.
+    followed : bool
+        As that of a `Command`; true if the voltage was given.
+    error : StartError
+        What the unknown start leaves open along the path, by playing the whole voltage from all possible states.
+    warnings : tuple of str
+        Remarks on the homing, and on what was clamped.
+    """
+
+    time: Array | None
+    phase: NDArray[np.int64]
+    voltage: Array
+    displacement: Array
+    expected: Array
+    state: State
+    start: PossibleStart
+    homing: Homing
+    clamped: Mask
+    followed: bool
+    error: StartError
+    warnings: tuple[str, ...]
+
+    @property
+    def first(self) -> int:
+        """The first sample of the path."""
+        return int(np.count_nonzero(self.phase != PATH))
+
+    @property
+    def seconds(self) -> float | None:
+        """Time from the first sample to the first one of the path [s]; None if the path has no time."""
+        return None if self.time is None else float(self.time[self.first] - self.time[0])
+
+    @property
+    def certified(self) -> bool:
+        """Whether the state is known: the homing is certified, or leaves less than the model's error on this path."""
+        return self.homing.certified or not self.error.matters
+
+
+def start_at(actuator: Actuator, displacement: float, limits: tuple[float, float] | None = None) -> PossibleStart:
+    """Return the unknown start of an actuator that stands at about a displacement.
+
+    `actuator`: the model. `displacement` [m]. `limits` [V]: those of all earlier voltages, by default the actuator's
+    `voltage_range`. Raise `ModelError` if the displacement is not finite, or the limits are no interval.
+    """
+    y = number(displacement, "displacement")
+    held = actuator.voltage(State(y, np.full(len(actuator.slip), y)))
+    low, high = interval(actuator.voltage_range if limits is None else limits)
+    return PossibleStart.unknown(actuator, min(max(held, low), high), (low, high))
+
+
+def home_before(
+    compensator: Compensator,
+    displacement: ArrayLike,
+    *,
+    time: ArrayLike | None = None,
+    velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    present: float | None = None,
+) -> HomedPath:
+    """Compute the voltages of a path with the shortest homing before it.
+
+    Parameters
+    ----------
+    compensator : Compensator
+        Its actuator, limits and slew rate; its state does not count.
+    displacement, time, velocity, acceleration
+        The path, as in `Compensator.trajectory`.
+    present : float, optional
+        Present voltage [V]; by default 0 V or the nearest limit.
+
+    Raises
+    ------
+    ModelError
+        As `Compensator.trajectory` does.
+    RecordError
+        If the path is empty, the present voltage lies outside of the limits, or there would be more than 5e6 rows.
+    """
+    wanted, actuator = vector(displacement, "displacement"), compensator.actuator
+    when = _time(compensator, time, wanted.size)
+
+    def first_state(state: State) -> State:
+        return state_at(actuator, state, float(wanted[0]))
+
+    way = _Way.found(compensator, when, wanted.size, present, lambda state: actuator.voltage(first_state(state)))
+    # A mass moves with the path from its first sample on.
+    begin = first_state(way.state) if actuator.model.moves_on else way.state
+    command = compensator.trajectory(wanted, time=when, velocity=velocity, acceleration=acceleration, state=begin)
+    played = way.then(command.voltage, when)
+    expected = np.concatenate([played.expected[: way.size], command.displacement])
+    return replace(
+        played,
+        displacement=np.concatenate([played.expected[: way.size], wanted]),
+        expected=expected,
+        state=command.state,
+        clamped=np.concatenate([played.clamped[: way.size], command.clamped]),
+        followed=command.followed,
+        warnings=(*played.warnings, *command.warnings),
+    )
+
+
+def home_before_voltage(
+    compensator: Compensator, voltage: ArrayLike, *, time: ArrayLike | None = None, present: float | None = None
+) -> HomedPath:
+    """Return a voltage with the shortest homing before it, and the displacement that both cause.
+
+    Parameters
+    ----------
+    compensator : Compensator
+        Its actuator, limits and slew rate, which the homing keeps.
+    voltage : (n,) array_like
+        [V]; played as it is.
+    time, present
+        As in `home_before`.
+
+    Raises
+    ------
+    ModelError
+        As `Actuator.simulate` does.
+    RecordError
+        As `home_before` does.
+    """
+    given = vector(voltage, "voltage")
+    when = _time(compensator, time, given.size)
+    way = _Way.found(compensator, when, given.size, present, lambda _: float(given[0]))
+    return way.then(given, when)
+
+
+def _time(compensator: Compensator, time: ArrayLike | None, size: int) -> Array | None:
+    """Return the time of a path [s], None if it has none; raise if it is empty or the time does not fit."""
+    if not size:
+        raise RecordError("path: got no samples, need one at least")
+    if time is None:
+        period = compensator.period
+        return None if period is None else period * np.arange(size, dtype=np.float64)
+    when = vector(time, "time")
+    if when.size != size or np.any(np.diff(when) <= 0):
+        raise ModelError(untimely(when, size))
+    return when
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """The homing and the way to the first sample of a path, without that sample."""
+
+    compensator: Compensator
+    homing: Homing
+    present: float
+    time: Array
+    phase: NDArray[np.int64]
+    voltage: Array
+    seconds: float
+    state: State
+    warnings: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        return self.voltage.size
+
+    @classmethod
+    def found(
+        cls,
+        compensator: Compensator,
+        time: Array | None,
+        size: int,
+        present: float | None,
+        goal: Callable[[State], float],
+    ) -> _Way:
+        """Find the shortest homing, and the way from its end to the voltage [V] of the path's first sample."""
+        actuator, limits = compensator.actuator, compensator.limits
+        now, rate, leg = present_voltage(limits, present), *_pace(actuator, time)
+        least = max(model_error(actuator), _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
+        tolerance = least if moves_on(actuator) else None
+        drive = Sampling(frequency=0.5 / leg, sample_rate=rate)
+        excitation, homing, remarks = played_homing(
+            compensator, rate, leg, present=now, drive=drive, tolerance=tolerance
+        )
+        rows = np.zeros(0, dtype=np.int64) if excitation is None else rows_of(excitation.voltage[:-1])
+        homed = np.zeros(0) if excitation is None else excitation.voltage[rows]
+        seconds = 0.0 if excitation is None else excitation.duration
+        drive = replace(drive, base=now, present=now, limits=limits, slew_rate=compensator.slew_rate)
+        way, state = _ramp(actuator, drive, homing.state, goal)
+        if rows.size + way.size + size > _MOST_ROWS:
+            raise RecordError(
+                f"homing: got {rows.size + way.size} samples before the path, {seconds:.4g} s at {rate:g} Hz, need at "
+                f"most {_MOST_ROWS:g} with it; try a lower sample rate, or give the start"
+            )
+        when = rows / (1.0 if excitation is None else excitation.sample_rate)
+        return cls(
+            compensator,
+            homing,
+            now,
+            np.concatenate([when, seconds + np.arange(way.size) / rate]),
+            np.repeat([HOMING, WAY], [rows.size, way.size]),
+            np.concatenate([homed, way]),
+            seconds + way.size / rate,
+            state,
+            remarks,
+        )
+
+    def then(self, voltage: Array, time: Array | None) -> HomedPath:
+        """Return the way with the voltage of a path after it."""
+        actuator = self.compensator.actuator
+        whole = np.concatenate([self.voltage, voltage])
+        when = None if time is None else np.concatenate([self.time, self.seconds + time - time[0]])
+        start = PossibleStart.unknown(actuator, self.present, self.compensator.limits)
+        clock = when if actuator.needs_time else None
+        motion = actuator.simulate(whole, time=clock, state=start.state, extrapolate=True)
+        return HomedPath(
+            when,
+            np.concatenate([self.phase, np.full(voltage.size, PATH)]),
+            whole,
+            motion.displacement,
+            motion.displacement,
+            motion.state,
+            start,
+            self.homing,
+            np.zeros(whole.size, dtype=bool),
+            True,
+            StartError.along(actuator, start.states, whole, time=when, first=self.size),
+            self.warnings,
+        )
+
+
+def _pace(actuator: Actuator, time: Array | None) -> tuple[float, float]:
+    """Return the sample rate [Hz] of a homing before a path, and the duration of its legs [s]."""
+    if time is None:
+        return 1.0, float(_TIMELESS)
+    step = float(np.median(np.diff(time))) if time.size > 1 else FASTEST_LEG / _LEG_SAMPLES
+    leg = max(FASTEST_LEG, _LEG_SAMPLES * step)
+    return 1 / step, max(leg, leg_seconds(actuator, leg))
+
+
+def _ramp(actuator: Actuator, drive: Sampling, state: State, goal: Callable[[State], float]) -> tuple[Array, State]:
+    """Return the voltages [V] from the end of a homing to the first sample of a path, without it, and the state there.
+
+    The way takes a share of a leg's time, but lets a mass and an amplifier follow.
+    """
+    low, high = drive.limits or (-np.inf, np.inf)
+    still = replace(actuator, creep=None, state=None)  # type: ignore[arg-type]
+    begin, reached, way = drive.start, state, np.zeros(0)
+    for _ in range(_ROUNDS if actuator.needs_time else 1):
+        end = min(max(goal(reached), low), high)
+        if end == begin:
+            return np.zeros(0), state
+        share = abs(end - begin) / (high - low)
+        seconds = max(drive.half * share, leg_seconds(still, 0.0))
+        voltage = drive.play("way", [Leg(begin, end, seconds, requested=False)]).voltage
+        time = np.arange(voltage.size) / drive.rate if actuator.needs_time else None
+        reached = actuator.simulate(voltage, time=time, state=state, extrapolate=True).state
+        way = voltage[:-1]
+    return way, reached

@@ -1,0 +1,235 @@
+"""`--start` and `--home` as processes: what is known of the start, and what an unknown one leaves open."""
+
+import json
+
+import numpy as np
+import places
+import pytest
+from command_line import run
+
+import dehyst
+from dehyst import Actuator
+from dehyst.records import read_table, write_columns, write_record
+from dehyst.studies import demo
+from dehyst.virtual import PlayActuator
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a record, its model, one that creeps, and paths with and without time."""
+    target = tmp_path_factory.mktemp("starts")
+    training, _ = demo.record_loops(PlayActuator(plays=60))
+    write_record(target / "loops.csv", training)
+    plain = dehyst.identify(training, norm="l2", structure="paper").actuator
+    plain.save(target / "model.json")
+    creep = dehyst.Creep([0.1, 3.0], [2e5, 4e5])
+    dehyst.Actuator(plain.slip, plain.spring, limits=plain.limits, creep=creep).save(target / "creep.json")
+    time = np.arange(200) * 0.02
+    wanted = 8 - 5 * np.cos(2 * np.pi * time / 2)
+    write_columns(target / "path.csv", {"time_s": time, "displacement_um": wanted})
+    write_columns(target / "timeless.csv", {"displacement_um": wanted})
+    return target
+
+
+def answer(*arguments, cwd):
+    status, out, err = run(*arguments, "--json", cwd=cwd)
+    assert status in (0, 1), err
+    return status, json.loads(out)
+
+
+def column(folder, file, name):
+    data = {one.name: one.data for one in read_table(folder / file).columns}
+    return data[name]
+
+
+@pytest.mark.parametrize("model", ["model.json", "creep.json"])
+def test_without_a_start_the_path_is_homed_first(folder, model):
+    status, got = answer("compensate", model, "path.csv", "-o", "v.csv", cwd=folder)
+    assert status == 0 and got["certified"] and got["start"]["name"] == "unknown"
+    assert got["start"]["largest_difference_percent"] <= got["start"]["model_error_percent"]
+    assert got["samples"] == got["homing_samples"] + 200
+    phase, time = column(folder, "v.csv", "phase"), column(folder, "v.csv", "time_s")
+    assert list(np.unique(phase)) == [0, 1, 2] and np.count_nonzero(phase < 2) == got["homing_samples"]
+    assert time[got["homing_samples"]] == pytest.approx(got["homing_s"]) and np.all(np.diff(time) > 0)
+    wanted = column(folder, "path.csv", "displacement_um")
+    followed = column(folder, "v.csv", "displacement_um")[got["homing_samples"] :]
+    np.testing.assert_allclose(followed, wanted, rtol=1e-12)
+    # From wherever the actuator comes, the voltages lead it along the path.
+    actuator = Actuator.load(folder / model)
+    when = time if actuator.needs_time else None
+    for state in (actuator.relaxed(), actuator.turned(actuator.reach[1]), actuator.turned(0.0, rising=False)):
+        y = actuator.simulate(column(folder, "v.csv", "voltage_V"), time=when, state=state).displacement
+        error = np.abs(1e6 * y[got["homing_samples"] :] - wanted).max() / (1e6 * np.ptp(actuator.reach))
+        assert 100 * error <= got["start"]["model_error_percent"]
+
+
+def test_the_line_says_what_is_left_and_how_long_the_homing_is(folder):
+    status, out, _ = run("compensate", "model.json", "path.csv", "-o", "v.csv", cwd=folder)
+    first, second = out.splitlines()
+    assert status == 0 and "(homed first, " in first and " samples, " in first
+    assert second.startswith("unknown start: after the homing it leaves less than 0.001 % of the stroke open; ")
+
+
+def test_a_path_without_time_is_homed_without_time(folder):
+    _, got = answer("compensate", "model.json", "timeless.csv", "-o", "v.csv", cwd=folder)
+    assert read_table(folder / "v.csv").names == ("phase", "displacement_um", "voltage_V", "expected_um")
+    assert got["homing_samples"] > 0 and got["homing_s"] is None
+
+
+def test_without_a_homing_the_error_is_reported(folder):
+    given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home")
+    _, got = answer(*given, cwd=folder)
+    assert (got["samples"], got["homing_samples"], got["certified"]) == (200, 0, None)
+    assert got["start"]["largest_difference_percent"] > 5 > got["start"]["model_error_percent"]
+    line = run(*given, cwd=folder)[1].splitlines()[1]
+    assert "% at the first sample, and less than the model's error of" in line
+    assert f" % after {got['start']['settled_s']:.4g} s: give --start or --home" in line
+    assert "phase" not in read_table(folder / "v.csv").names
+
+
+def test_a_present_voltage_begins_the_homing(folder):
+    answer("compensate", "model.json", "path.csv", "-o", "v.csv", "--present", 60, cwd=folder)
+    assert column(folder, "v.csv", "voltage_V")[0] == 60
+
+
+def test_homing_is_another_name_of_home(folder):
+    old = ("compensate", "model.json", "path.csv", "-o", "a.csv", "--homing")
+    new = ("compensate", "model.json", "path.csv", "-o", "b.csv", "--home")
+    assert run(*old, cwd=folder)[0] == run(*new, cwd=folder)[0] == 0
+    assert (folder / "a.csv").read_bytes() == (folder / "b.csv").read_bytes()
+
+
+def test_a_start_that_matters_less_than_the_model_is_not_homed_for(folder):
+    actuator = Actuator.load(folder / "model.json").with_provenance(largest_error_m=1e-3)
+    actuator.save(folder / "coarse.json")
+    _, got = answer("compensate", "coarse.json", "path.csv", "-o", "v.csv", cwd=folder)
+    assert got["homing_samples"] == 0
+    assert 5 < got["start"]["largest_difference_percent"] < got["start"]["model_error_percent"]
+
+
+def test_a_simulation_from_an_unknown_start_is_bounded(folder):
+    voltage = np.concatenate([np.linspace(40, 200, 100), np.linspace(200, 0, 100), np.linspace(0, 90, 50)])
+    write_columns(folder / "drive.csv", {"time_s": np.arange(250) * 0.01, "voltage_V": voltage})
+    _, got = answer("simulate", "model.json", "drive.csv", "-o", "s.csv", cwd=folder)
+    low, y, high = (column(folder, "s.csv", f"{name}_um") for name in ("lowest", "displacement", "highest"))
+    slack = 1e-9
+    assert np.all((low - slack <= y) & (y <= high + slack))
+    actuator = Actuator.load(folder / "model.json")
+    for start in ("top", "bottom", "relaxed"):
+        answer("simulate", "model.json", "drive.csv", "-o", "known.csv", "--start", start, cwd=folder)
+        known = column(folder, "known.csv", "displacement_um")
+        assert np.all((low - slack <= known) & (known <= high + slack)), start
+        assert "lowest_um" not in read_table(folder / "known.csv").names
+    stroke = 1e6 * np.ptp(actuator.reach)
+    assert got["start"]["largest_difference_percent"] == pytest.approx(100 * (high - low).max() / stroke)
+    assert got["start"]["first_difference_percent"] == pytest.approx(100 * (high - low)[0] / stroke)
+    settled = got["start"]["settled_sample"]
+    assert 0 < settled < 250 and got["start"]["settled_s"] == pytest.approx(0.01 * settled)
+
+
+def test_a_simulation_is_homed_on_request_only(folder):
+    write_columns(folder / "short.csv", {"voltage_V": np.linspace(40, 90, 20)})
+    _, got = answer("simulate", "model.json", "short.csv", "-o", "s.csv", cwd=folder)
+    assert (got["samples"], got["homing_samples"]) == (20, 0)
+    status, got = answer("simulate", "model.json", "short.csv", "-o", "s.csv", "--home", cwd=folder)
+    assert status == 0 and got["certified"] and got["samples"] == 20 + got["homing_samples"]
+    assert np.array_equal(column(folder, "s.csv", "voltage_V")[-20:], np.linspace(40, 90, 20))
+
+
+@pytest.mark.parametrize("model", ["model.json", "creep.json"])
+def test_a_record_is_a_start(folder, model):
+    """The second half of a record, predicted from the first."""
+    actuator = Actuator.load(folder / model)
+    voltage = np.concatenate([np.linspace(0, 200, 200), np.linspace(200, 0, 200), np.linspace(0, 120, 150)])
+    time = np.arange(550) * 0.05
+    y = actuator.simulate(voltage, time=time if actuator.needs_time else None).displacement
+    write_record(folder / "first.csv", dehyst.Record(time[:480], voltage[:480], y[:480]))
+    write_columns(folder / "next.csv", {"time_s": time[479:], "voltage_V": voltage[479:]})
+    status, out, _ = run("simulate", model, "next.csv", "-o", "s.csv", "--start", "first.csv", cwd=folder)
+    assert status == 0 and "(as at the end of first.csv, at " in out
+    came = column(folder, "s.csv", "displacement_um")
+    assert np.abs(1e-6 * came - y[479:]).max() < 2e-3 * np.ptp(y)
+
+
+def test_voltages_alone_are_a_start_as_far_as_they_determine_it(folder):
+    write_columns(folder / "next.csv", {"time_s": np.arange(50.0), "voltage_V": np.linspace(30, 100, 50)})
+    for turns, open_ in (([0.0, 40.0, 10.0, 30.0], True), ([0.0, 200.0, 0.0, 30.0], False)):
+        write_columns(folder / "history.csv", {"voltage_V": np.array(turns)})
+        given = ("simulate", "model.json", "next.csv", "-o", "s.csv", "--start", "history.csv")
+        _, got = answer(*given, cwd=folder)
+        assert got["start"]["name"] == "history.csv"
+        share = got["start"]["largest_difference_percent"] / got["start"]["model_error_percent"]
+        assert (share > 1) == open_
+    assert "start after history.csv: these voltages leave" in run(*given, cwd=folder)[1]
+    # A model that creeps needs to know when.
+    given = ("simulate", "creep.json", "next.csv", "-o", "s.csv", "--start", "history.csv")
+    status, _, err = run(*given, cwd=folder)
+    assert status == 2 and "time column" in err
+
+
+@pytest.mark.parametrize("command", ["simulate", "compensate"])
+def test_a_start_that_is_nothing_is_refused(folder, command):
+    status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "middle", cwd=folder)
+    assert status == 2 and "got 'middle', need top, bottom, relaxed, homed, or a file" in err
+    status, _, err = run(command, "model.json", "path.csv", "-o", "loops.csv", "--start", "loops.csv", cwd=folder)
+    assert status == 2 and "loops.csv: is also an input of this command" in err
+    status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "top", "--home", cwd=folder)
+    assert status == 2 and "--start: got it with --home" in err
+
+
+def test_a_wave_table_is_homed_unless_the_start_is_known(folder):
+    scan = ("--scan", "triangle", "--low", 3, "--high", 10, "--frequency", 5, "--cycle", "t.csv", "-o", "o.csv")
+    _, got = answer("compensate", "model.json", *scan, cwd=folder)
+    assert got["homing_samples"] > 0 and got["start"]["largest_difference_percent"] < 1e-3
+    _, got = answer("compensate", "model.json", *scan, "--no-home", cwd=folder)
+    assert got["homing_samples"] == 0 and got["start"]["largest_difference_percent"] > 5
+    _, got = answer("compensate", "model.json", *scan, "--start", "top", cwd=folder)
+    assert got["homing_samples"] == 0 and got["start"] == {"name": "top"}
+
+
+def test_an_export_begins_where_a_record_ends(folder):
+    given = ("export", "model.json", "firmware", "--start", "loops.csv", "--no-measure", "--json")
+    status, out, err = run(*given, cwd=folder)
+    assert status == 0, err
+    record = dehyst.read(folder / "loops.csv")
+    stroke = np.ptp(Actuator.load(folder / "model.json").reach)
+    assert abs(json.loads(out)["begins"]["displacement_m"] - record.displacement[-1]) < 0.02 * stroke
+
+
+def test_identify_reports_where_each_record_began(folder):
+    _, got = answer("identify", "loops.csv", "--norm", "l2", "--structure", "paper", cwd=folder)
+    (error,) = got["errors"]
+    assert len(error["starts"]) == 1
+    # What comes before the loops is left out.
+    first = dehyst.read(folder / "loops.csv").displacement[error["left_out"]] + error["datum_m"]
+    assert error["starts"][0]["displacement_m"] == pytest.approx(first, abs=1e-7)
+    assert len(error["starts"][0]["carts_m"]) == got["options"]["elements"]
+
+
+@pytest.mark.skipif(not places.DATA.is_dir(), reason="the measured data are not beside the repository")
+def test_measured_records_end_to_end(tmp_path):
+    given = ("--structure", "paper", "--elements", 10, "--norm", "l2", "-o", "model.json")
+    assert run("identify", places.DATA / "major.csv", *given, cwd=tmp_path)[0] in (0, 1)
+    low, high = Actuator.load(tmp_path / "model.json").reach
+    time = np.arange(500) * 0.01
+    wanted = 1e6 * (low + (high - low) * (0.5 - 0.3 * np.cos(2 * np.pi * time / 2.5)))
+    write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": wanted})
+    status, got = answer("compensate", "model.json", "path.csv", "-o", "v.csv", cwd=tmp_path)
+    assert status == 0 and got["certified"] and got["homing_samples"] > 0
+    status, got = answer("simulate", "model.json", "v.csv", "-o", "s.csv", cwd=tmp_path)
+    # Nothing is known before the homing, and all is after it.
+    assert got["start"]["first_difference_percent"] > 5 and got["start"]["settled_s"] < 1.5
+    _, got = answer(
+        "simulate", "model.json", "v.csv", "-o", "s.csv", "--start", places.DATA / "major.csv", cwd=tmp_path
+    )
+    assert got["start"] == {"name": "major.csv"}
+
+
+def test_a_long_homing_is_said(folder):
+    slow = dehyst.Creep([3.0, 100.0], [2e5, 4e5])
+    plain = Actuator.load(folder / "model.json")
+    dehyst.Actuator(plain.slip, plain.spring, limits=plain.limits, creep=slow).save(folder / "slow.json")
+    given = ("compensate", "slow.json", "path.csv", "-o", "v.csv")
+    _, _, err = run(*given, cwd=folder)
+    assert "% of the stroke open. If what was played last is on file, --start FILE needs no homing" in err
+    assert "needs no homing" not in run(*given, "--home", cwd=folder)[2]

@@ -1,0 +1,162 @@
+"""What an unknown start leaves open: the possible states bound every history, and a homing before a path closes it."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import structured_records
+from hypothesis import given
+from hypothesis import strategies as st
+from rest_states import PLANT, equilibrium
+
+from dehyst import Compensator, Creep, Dynamics, ModelError, RecordError, SmoothSlip
+from dehyst.control import PossibleStart, StartError, home_before, home_before_voltage, start_at
+from dehyst.control.start_error import model_error
+
+LIMITS = -40.0, 260.0
+STROKE = plain_records.STROKE
+PLAIN = replace(plain_records.plant(6), limits=LIMITS)
+CREEPING = replace(PLAIN, creep=Creep([2.0, 30.0, 200.0], [1e5, 2e5, 2e5]))
+GRADED = replace(structured_records.plant(structured_records.STRUCTURES["graded, transformer"]).actuator, limits=LIMITS)
+ACTUATORS = {
+    "plain": PLAIN,
+    "graded, transformer": GRADED,
+    "creep": CREEPING,
+    "inertia": replace(PLAIN, dynamics=Dynamics(600.0, 0.05)),
+}
+
+
+def history(actuator, rng, present):
+    """Return a state that voltages within the limits may have led to, the last one the present voltage."""
+    turns = np.append(rng.uniform(*LIMITS, 9), present)
+    turns[rng.integers(0, 9, 3)] = rng.choice(LIMITS, 3)
+    time = np.cumsum(rng.choice([0.5, 5.0, 1e4], turns.size)) if actuator.needs_time else None
+    still = replace(actuator, dynamics=None, state=None)
+    # The long first rest lets creep forget what no voltage led to.
+    state = still.simulate(turns, time=time, state=still.turned(0.5 * STROKE)).state
+    if actuator.dynamics is None:
+        return state
+    return type(state)(state.displacement, state.carts, state.creep, [state.displacement, 0.0])
+
+
+def way(rng, size, limits=LIMITS):
+    """Return a slow voltage through random turns, and its time."""
+    at = np.sort(rng.choice(np.arange(1, size - 1), 4, replace=False))
+    return np.interp(np.arange(size), [0, *at, size], rng.uniform(*limits, 6)), np.arange(size) * 0.1
+
+
+@given(st.integers(0, 10_000))
+def test_two_extreme_starts_bound_every_state_at_rest(seed):
+    rng = np.random.default_rng(seed)
+    voltage = np.concatenate([[70.0], rng.uniform(*LIMITS, 30)])
+    state = equilibrium(PLANT, 70.0, rng)
+    error = StartError.along(PLANT, PossibleStart.unknown(PLANT, 70.0).states, voltage)
+    y = PLANT.simulate(voltage, state=state, extrapolate=True).displacement
+    slack = 1e-12 * STROKE
+    assert np.all((error.lowest - slack <= y) & (y <= error.highest + slack))
+
+
+@pytest.mark.parametrize("name", ACTUATORS)
+def test_the_possible_states_bound_every_history(name):
+    actuator, rng = ACTUATORS[name], np.random.default_rng(3)
+    voltage, time = way(rng, 300)
+    states = PossibleStart.unknown(actuator, float(voltage[0])).states
+    error = StartError.along(actuator, states, voltage, time=time)
+    for _ in range(30):
+        state = history(actuator, rng, float(voltage[0]))
+        when = time if actuator.needs_time else None
+        y = actuator.simulate(voltage, time=when, state=state).displacement
+        # The order is that of the electrical side: a mass rings a little about it.
+        slack = (1e-9 if actuator.dynamics is None else 1e-6) * STROKE
+        assert np.all((error.lowest - slack <= y) & (y <= error.highest + slack))
+
+
+@pytest.mark.parametrize("name", ACTUATORS)
+@pytest.mark.parametrize("present", [None, 70.0])
+def test_after_the_homing_the_path_is_followed_from_any_history(name, present):
+    """Also by what the report says: the start then leaves less than the model's error."""
+    actuator, rng = ACTUATORS[name], np.random.default_rng(5)
+    time = np.arange(400) * 0.05
+    wanted = STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * time / 5))
+    homed = home_before(Compensator(actuator, slew_rate=500.0), wanted, time=time, present=present)
+    assert homed.certified and homed.followed and not homed.error.matters and not homed.clamped.any()
+    assert homed.voltage[0] == (0.0 if present is None else present)
+    first = homed.first
+    assert np.array_equal(homed.displacement[first:], wanted)
+    assert np.all(np.diff(homed.phase) >= 0) and np.count_nonzero(homed.phase == 2) == wanted.size
+    np.testing.assert_allclose(homed.time[first:], homed.seconds + time, atol=1e-9)
+    assert np.all(np.diff(homed.time) > 0)
+    assert np.abs(np.diff(homed.voltage) / np.diff(homed.time)).max() <= 500 * (1 + 1e-6)
+    assert homed.voltage.min() >= LIMITS[0] and homed.voltage.max() <= LIMITS[1]
+    for _ in range(10):
+        state = history(actuator, rng, float(homed.voltage[0]))
+        when = homed.time if actuator.needs_time else None
+        y = actuator.simulate(homed.voltage, time=when, state=state).displacement[first:]
+        assert np.abs(y - wanted).max() <= model_error(actuator)
+
+
+def test_without_a_homing_it_is_not():
+    """The law above would hold of any voltage if the start did not matter."""
+    time = np.arange(400) * 0.05
+    wanted = STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * time / 5))
+    start = start_at(PLAIN, float(wanted[0]))
+    command = Compensator(PLAIN).trajectory(wanted, state=start.state)
+    states = PossibleStart.unknown(PLAIN, float(command.voltage[0])).states
+    error = StartError.along(PLAIN, states, command.voltage, time=time)
+    assert error.matters and error.percent(error.largest) > 5
+    middle = np.maximum(error.highest - wanted, wanted - error.lowest).max()
+    assert middle < 0.75 * error.largest
+
+
+def test_the_order_without_proof_is_simulated_too():
+    actuator = replace(CREEPING, smooth=SmoothSlip([1e-6, 5e-6], [1.0, 0.5], [2e6, 1e6]))
+    assert len(PossibleStart.unknown(actuator, 20.0).states) > 10
+    homed = home_before(Compensator(actuator), np.linspace(3e-6, 9e-6, 100), time=np.arange(100.0))
+    assert homed.error.percent(homed.error.largest) < 1
+
+
+def test_the_difference_settles_once_the_voltage_has_homed():
+    voltage = np.concatenate([np.linspace(0, 260, 100), np.linspace(260, -40, 100), np.linspace(-40, 100, 50)])
+    error = StartError.along(PLAIN, PossibleStart.unknown(PLAIN, 0.0).states, voltage, time=np.arange(250) * 0.5)
+    assert 0 < error.settled < 200 and error.settled_seconds == 0.5 * error.settled
+    assert np.all(error.difference[error.settled :] <= error.model_error)
+    assert error.difference[error.settled - 1] > error.model_error
+    assert StartError.along(PLAIN, PossibleStart.unknown(PLAIN, 0.0).states, voltage[:20]).settled is None
+
+
+def test_a_history_of_voltages_closes_what_it_homes():
+    wide = PossibleStart.after(PLAIN, [0.0, 260.0, -40.0, 50.0])
+    narrow = PossibleStart.after(PLAIN, [0.0, 30.0, 10.0])
+    assert np.ptp([state.displacement for state in wide.states]) < 1e-9 * STROKE
+    assert np.ptp([state.displacement for state in narrow.states]) > 0.01 * STROKE
+    with pytest.raises(ModelError, match="got no samples"):
+        PossibleStart.after(PLAIN, [])
+
+
+def test_the_error_of_a_model_is_that_of_its_provenance():
+    assert model_error(PLAIN) == pytest.approx(1e-3 * np.ptp(PLAIN.reach))
+    assert model_error(PLAIN.with_provenance(largest_error_m=5e-8)) == 5e-8
+    assert model_error(PLAIN.with_provenance(largest_error_m="much")) == pytest.approx(1e-3 * np.ptp(PLAIN.reach))
+
+
+def test_a_voltage_is_homed_before_too():
+    voltage = np.linspace(30, 120, 50)
+    homed = home_before_voltage(Compensator(PLAIN), voltage)
+    assert homed.time is None and homed.seconds is None and homed.certified
+    assert np.array_equal(homed.voltage[homed.first :], voltage)
+    assert np.array_equal(homed.displacement, homed.expected)
+    steps = np.abs(np.diff(homed.voltage[: homed.first + 1]))
+    assert steps.max() < 0.05 * (LIMITS[1] - LIMITS[0])
+
+
+def test_wrong_requests_are_refused_in_sentences():
+    compensator = Compensator(PLAIN)
+    with pytest.raises(RecordError, match="present: got 900 V"):
+        home_before(compensator, [1e-6], present=900.0)
+    with pytest.raises(RecordError, match="path: got no samples"):
+        home_before(compensator, [])
+    with pytest.raises(ModelError, match="time"):
+        home_before(compensator, [1e-6, 2e-6], time=[0.0, 0.0])
+    with pytest.raises(ModelError, match="start: got 'middle', need one of top, bottom, relaxed, homed"):
+        PossibleStart.named(PLAIN, "middle")
