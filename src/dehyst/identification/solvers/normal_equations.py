@@ -192,6 +192,8 @@ class _UnitProgram:
             # The ridge leaves a little of the limits unmet: again for what is left, as an augmented Lagrangian does.
             for _ in range(_REFINEMENTS):
                 force = dpotrs(factor, self.lower[limits] - equations @ some, lower=1)[0]
+                if not np.all(np.isfinite(force)):
+                    return None
                 multipliers[limits] += force
                 some = some + response @ force
         x[columns] = some
