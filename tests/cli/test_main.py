@@ -256,7 +256,7 @@ def test_the_newcomers_trap_is_caught(folder):
     found = json.loads(out)
     assert status == 1
     assert found["directions"]["determined"] == 10
-    assert "k_1 + k_19 is known, k_1 - k_19 is not." in found["directions"]["sentences"]
+    assert "k_1 + k_19 is determined, k_1 - k_19 is not." in found["directions"]["sentences"]
     assert found["trajectory"]["open_m"] > 3 * found["trajectory"]["misfit_m"]
     assert found["advice"][0]["determined"] == 19
 
