@@ -100,6 +100,13 @@ class Intervals:
         """Lowest and highest tau at its knots (2, K) [V]; None without a transformer."""
         return self._of_part("transformer", "drive", -np.inf)
 
+    @property
+    def gains(self) -> Array | None:
+        """Lowest and highest slope of tau's segments, (2, K - 1) [V/V]; None without a transformer."""
+        if self.actuator.transformer is None:
+            return None
+        return self._basic(_gains)
+
     def _of_part(self, part: str, name: str, least: float) -> Array | None:
         if getattr(self.actuator, part) is None:
             return None
@@ -368,6 +375,11 @@ def _more(squares: Array, absolutes: Array, wide: bool) -> float:
         return float(np.sqrt(max(1.0, absolutes.mean() / squares.mean()))) if squares.any() else 1.0
     moved = squares > _MOVED * squares.max()
     return float(np.sqrt(max(1.0, np.mean(absolutes[moved] / squares[moved])))) if moved.any() else 1.0
+
+
+def _gains(actuator: Actuator) -> Array:
+    tau = actuator.transformer
+    return np.zeros(0) if tau is None else np.diff(tau.drive) / np.diff(tau.voltage)
 
 
 def _risen(actuator: Actuator) -> Array:
