@@ -227,6 +227,8 @@ def _print_band(found: Insight) -> None:
     for name, error in found.band.errors().items():
         if error or name != "clamped":
             echo(f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm")
+    if found.band.likely is not None:
+        echo(found.band.sentence(stroke))
 
 
 def print_paper(found: Paper, output: Path) -> None:

@@ -241,6 +241,7 @@ def _trajectory(found: Insight) -> str:
     drawn = panel(("Along the trajectory", ""), uncertainty_plots.band(found.band, stroke, name="band"), "")
     body = f'<div class="panel"><h3>Largest error to expect</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
     caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
+    caption = f"{caption} {found.band.sentence(stroke)}".strip()
     return figure("The trajectory", caption, [drawn, body])
 
 

@@ -22,6 +22,7 @@ from dehyst.uncertainty.insight_result import Insight
 from dehyst.uncertainty.known_numbers import plain_precision, structured_precision
 from dehyst.uncertainty.major_loop_width import MajorLoopWidth
 from dehyst.uncertainty.messages import misfit_of
+from dehyst.uncertainty.model_error import HeldOut
 from dehyst.uncertainty.part_identifiability import part_identifiability
 from dehyst.uncertainty.precision import PRECISION, Precision
 from dehyst.uncertainty.prediction_band import PredictionBand, rise_excitation, state_after_rise, state_at_top
@@ -118,7 +119,9 @@ def _judge_plain(
             start = state_at_top(actuator, limits)
             command = Compensator(actuator, limits).trajectory(wanted, state=start)
             free = feasible_set(evidence, command.displacement, start)
-            band = PredictionBand.of(wanted, command, intervals, free, misfit=misfit, limits=limits)
+            progress("identifying parts of the records")
+            held_out = HeldOut.of(evidence, intervals)
+            band = PredictionBand.of(wanted, command, intervals, free, misfit=misfit, limits=limits, held_out=held_out)
             judged |= {"feasible_set": free, "band": band}
     progress("ranking excitations")
     if limits is not None:
@@ -145,8 +148,17 @@ def _judge_structured(
         start = state_at_top(actuator, limits) if limits is None else state_after_rise(actuator, limits, played)
         command = Compensator(actuator, limits).trajectory(wanted, time=time, state=start)
         clock = time if actuator.needs_time else None
+        progress("identifying parts of the records")
         judged["band"] = PredictionBand.of(
-            wanted, command, intervals, None, misfit=misfit, limits=limits, time=clock, played=played
+            wanted,
+            command,
+            intervals,
+            None,
+            misfit=misfit,
+            limits=limits,
+            time=clock,
+            played=played,
+            held_out=HeldOut.of(evidence, intervals),
         )
     progress("judging each part")
     judged["parts"] = part_identifiability(evidence)

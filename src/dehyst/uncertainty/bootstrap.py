@@ -128,6 +128,11 @@ class Intervals:
         """Lowest and highest displacement (2, n) [m] that a voltage (n,) [V] causes, `state` of each model at first."""
         return self._basic(lambda a: a.simulate(voltage, time=time, state=state(a), extrapolate=True).displacement)
 
+    @property
+    def widening(self) -> float:
+        """By which standard deviations of the resampled models are widened."""
+        return self.spread * self.few
+
     def _basic(self, value: Callable[[Actuator], Array]) -> Array:
         centre = value(self.actuator)
         deviation = np.array([value(a) for a in self.actuators]) - centre
@@ -201,7 +206,7 @@ class _Again:
         rows = evidence.regression.rows
         self._most = _WIDE_ROWS if self.wide else _MOST_ROWS
         self._step = max(1, len(rows) // self._most)
-        self._held = None if self.wide else _open(evidence)
+        self._held = None if self.wide else open_combinations(evidence)
         cut = np.flatnonzero(np.diff(rows.epoch)) + 1
         self._starts = _legs(rows.voltage, cut)
 
@@ -333,7 +338,7 @@ def _few(worlds: list[_World], level: float) -> float:
     return float(stdtrit(max(sum(world.cycles for world in worlds) - 1, 1), upper) / ndtri(upper))
 
 
-def _open(evidence: Evidence) -> tuple[Array, Array] | None:
+def open_combinations(evidence: Evidence) -> tuple[Array, Array] | None:
     """Return combinations of the movable stiffnesses that the records leave open, and their values in the model [V]."""
     directions = evidence.identifiability
     combinations = directions.vectors[directions.determined :] * directions.breakaway[directions.movable]

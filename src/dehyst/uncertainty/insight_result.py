@@ -164,6 +164,7 @@ class Insight:
             "trajectory": None
             if self.band is None
             else {f"{name}_m": error for name, error in self.band.errors().items()},
+            "band": None if self.band is None else self.band.as_dict(self.evidence.stroke),
         }
 
     def _plain_dict(self) -> dict[str, Any]:
