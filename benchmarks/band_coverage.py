@@ -50,9 +50,11 @@ class Stage:
         self._now = 0.0
 
     def voltage(self, u: np.ndarray) -> np.ndarray:
+        """Return u as a voltage [V]."""
         return self.low + (self.high - self.low) * u
 
     def play(self, voltage: np.ndarray) -> np.ndarray:
+        """Return the displacement [m] that a voltage [V] causes, sample after sample of a period."""
         when = self._now + self._period / SAMPLES * np.arange(1, voltage.size + 1)
         self._now = float(when[-1])
         return self._play(when, voltage)

@@ -24,15 +24,17 @@ from dehyst.records.signals import turning_points
 from dehyst.uncertainty.bootstrap import Intervals, open_combinations
 from dehyst.uncertainty.evidence import Evidence
 
-# Parts of the records, one after another, that are left out in turn.
-_BLOCKS = 4
-# Legs whose ranges lie between two of these parts of the widest are left out together. Wider legs are never left out.
-_AMPLITUDES = (0.0, 0.3, 0.5, 0.7, 0.9)
+# Parts of the records that are left out in turn: so many in the order of time, and as many in that of the ranges.
+_PARTS = 8
+# Legs wider than this part of the widest are never left out: nothing else shows the ends of the range.
+_WIDEST = 0.9
 # What stays must cover the displacements of what is left out but for this part of the stroke, and have so many rows.
 _BEYOND, _LEAST_ROWS = 0.02, 0.2
 # Rows of each regression.
 _ROWS, _WIDE_ROWS = 20_000, 4_000
 _SHORTEST_LEG = 8
+# Models that agree on a short path may be wrong together: its error is at least this part of that on held-out parts.
+_LEAST_GROWTH = 0.5
 # Resampled models that are simulated along the records.
 _MODELS = 20
 # The structured model beside a plain one.
@@ -52,7 +54,8 @@ class ClassError:
     held_out : float
         Largest error of that share of the held-out samples [m], noise of the sensor removed.
     growth : float
-        Times as far as held-out parts the path is missed, because it turns where they do not.
+        Times as far as held-out parts the path is missed, for models that agree on the records part on it; it may be
+        less than 1.
     parts : int
         How many parts were held out.
     open : bool
@@ -143,13 +146,17 @@ class HeldOut:
         own = play(self.actuator)
         others = self.fits if self.beside is None else (self.beside,)
         apart = _apart([play(one) for one in others], own)
-        if self.beside is None:
-            total = self.error * max(1.0, apart / self.apart if self.apart else 1.0)
-        else:
-            total = float(np.sqrt(self.error**2 + self.score**2 * max(apart**2 - self.apart**2, 0.0)))
+        growth = max(self._growth(apart), _LEAST_GROWTH)
+        total = growth * self.error
         half = float(np.sqrt(max(total**2 - self.noise**2, 0.0)))
-        growth = total / self.error if self.error else 1.0
         return ClassError(half, self.error, growth, len(self.fits), self.open)
+
+    def _growth(self, apart: float) -> float:
+        """Return by how much a path is missed farther than held-out parts, where models are so far apart [m] on it."""
+        if self.beside is None:
+            return apart / self.apart if self.apart else 1.0
+        more = self.score**2 * (apart**2 - self.apart**2)
+        return float(np.sqrt(max(1 + more / self.error**2, 0.0))) if self.error else 1.0
 
 
 @dataclass(frozen=True)
@@ -185,16 +192,18 @@ def _parts(evidence: Evidence) -> Iterator[list[_Leg]]:
     """Yield legs to leave out: neighbours in time, then those of like ranges."""
     legs = [leg for number, item in enumerate(evidence.comparisons) for leg in _legs(number, item)]
     widest = max((leg.range for leg in legs), default=0.0)
-    inner = [leg for leg in legs if leg.range < _AMPLITUDES[-1] * widest]
-    ends = np.cumsum([leg.stop - leg.start for leg in inner])
-    block = np.minimum(_BLOCKS * (ends - 1) // ends[-1], _BLOCKS - 1) if inner else ends
-    groups = [[leg for leg, k in zip(inner, block, strict=True) if k == one] for one in range(_BLOCKS)]
-    groups += [
-        [leg for leg in inner if low * widest <= leg.range < high * widest] for low, high in pairwise(_AMPLITUDES)
-    ]
+    inner = [leg for leg in legs if leg.range < _WIDEST * widest]
+    groups = [*_split(inner), *_split(sorted(inner, key=lambda leg: leg.range))]
     for group in groups:
         if group and _covered(group, [leg for leg in legs if leg not in group], _BEYOND * evidence.stroke):
             yield group
+
+
+def _split(legs: list[_Leg]) -> list[list[_Leg]]:
+    """Return runs of legs of about as many samples."""
+    ends = np.cumsum([leg.stop - leg.start for leg in legs])
+    number = (_PARTS * (ends - 1) // ends[-1]).tolist() if legs else []
+    return [[leg for leg, k in zip(legs, number, strict=True) if k == part] for part in range(_PARTS)]
 
 
 def _covered(group: list[_Leg], rest: list[_Leg], slack: float) -> bool:
