@@ -25,7 +25,9 @@ import dehyst
 from dehyst.uncertainty.bootstrap import resample
 from dehyst.uncertainty.evidence import Evidence
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "tests" / "support"), str(Path(__file__).parent)]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+import band_coverage
 import plain_records
 
 OUTPUT = Path(__file__).with_suffix(".json")
@@ -122,8 +124,6 @@ def numbers() -> list[dict]:
 
 def bands() -> list[dict]:
     """Return the shares of samples of paths of truths that are no instances of the model."""
-    import band_coverage
-
     results = []
     print("share of a path's samples in the 90 % band by noise and model error together")
     names = [(name, REPEATS) for name in band_coverage.TRUTH_NAMES]
