@@ -1,6 +1,7 @@
 """The band by noise and model error together: what is held out, how it grows, and that it holds strangers' paths."""
 
 import json
+import subprocess
 import sys
 from dataclasses import replace
 from functools import cache
@@ -146,3 +147,15 @@ def test_the_band_holds_paths_of_truths_of_another_class(truth, kind):
     found = band_coverage().coverage(truth, kind, 10)
     assert 0.79 <= found["held"] <= 0.99
     assert found["held_by_noise"] < found["held"]
+
+
+def test_the_page_has_the_figures_of_the_benchmark_and_they_hold():
+    rows = json.loads((places.BENCHMARKS / "coverage.json").read_text())["bands"]
+    assert {(row["truth"], row["class"], row["repeats"]) for row in rows if not row["aside"]} == {
+        (truth, kind, 200) for truth in ("relays", "bouc-wen") for kind in ("plain", "wider")
+    }
+    for row in rows:
+        if not row["aside"]:
+            assert 0.85 <= row["held"] <= 0.95, row
+    check = [sys.executable, str(places.BENCHMARKS / "trust_page.py"), "--check"]
+    assert subprocess.run(check, check=False).returncode == 0, "run benchmarks/trust_page.py"
