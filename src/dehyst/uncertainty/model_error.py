@@ -9,7 +9,7 @@ of the parts. By how much more they differ on the path than on the records, the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -132,10 +132,10 @@ class HeldOut:
             evidence.actuator,
             fits,
             float(np.sqrt(max(error**2 - (score * sensor) ** 2, 0.0))),
-            score * intervals.widening * _scatter(evidence, intervals),
+            score * intervals.widening * _scatter(evidence, intervals, own),
             score,
             beside,
-            _apart([_along(evidence, one) for one in others], own),
+            _apart((_along(evidence, one) for one in others), own),
             evidence.identifiability.determined < evidence.identifiability.of,
         )
 
@@ -145,7 +145,7 @@ class HeldOut:
             return ClassError(misfit, misfit, 1.0, 0, self.open)
         own = play(self.actuator)
         others = self.fits if self.beside is None else (self.beside,)
-        apart = _apart([play(one) for one in others], own)
+        apart = _apart((play(one) for one in others), own)
         growth = max(self._growth(apart), _LEAST_GROWTH)
         total = growth * self.error
         half = float(np.sqrt(max(total**2 - self.noise**2, 0.0)))
@@ -267,15 +267,19 @@ def _along(evidence: Evidence, actuator: Actuator) -> Array:
     return np.concatenate([played[3] for item in evidence.comparisons for *_, played in item.played(actuator)])
 
 
-def _apart(paths: list[Array], own: Array) -> float:
-    """Return the RMS difference of paths from the model's [m]."""
-    return rms(np.concatenate([path - own for path in paths])) if paths else 0.0
+def _apart(paths: Iterable[Array], own: Array) -> float:
+    """Return the RMS difference of paths from the model's [m], one in memory at a time."""
+    squares = [rms(path - own) ** 2 for path in paths]
+    return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
 
-def _scatter(evidence: Evidence, intervals: Intervals) -> float:
+def _scatter(evidence: Evidence, intervals: Intervals, own: Array) -> float:
     """Return the standard deviation of resampled models along the records [m], its RMS value."""
-    paths = [_along(evidence, one) for one in intervals.actuators[:_MODELS]]
-    return rms(np.std(paths, axis=0))
+    total, squares, count = np.zeros_like(own), np.zeros_like(own), 0
+    for model in intervals.actuators[:_MODELS]:
+        off = _along(evidence, model) - own
+        total, squares, count = total + off, squares + off**2, count + 1
+    return float(np.sqrt(np.mean(np.maximum(squares / count - (total / count) ** 2, 0.0))))
 
 
 def _beside(evidence: Evidence) -> Actuator | None:
