@@ -14,7 +14,7 @@ from dehyst._io.json_files import finite
 from dehyst.model import Structure
 from dehyst.report.uncertainty_section import sections
 from dehyst.uncertainty import insight
-from dehyst.uncertainty.precision import PartPrecision, Precision, Verdict
+from dehyst.uncertainty.precision import PartPrecision, Precision, NumberVerdict
 
 NAMES = ("stiffness", "stiffnesses", "V/m")
 
@@ -28,18 +28,18 @@ def judged(estimate, low, high, *, determined=True, precision=0.2, compatible=No
 @pytest.mark.parametrize(
     ("part", "verdict", "words"),
     [
-        (judged(1e6, 0.9e6, 1.1e6), Verdict.KNOWN, "known, ± 10 %"),
-        (judged(1e6, 0.8e6, 1.2e6), Verdict.KNOWN, "known, ± 20 %"),
-        (judged(1e6, 0.7e6, 1.2e6), Verdict.WIDE, "± 25 %"),
-        (judged(1e6, 0.0, 1.1e6), Verdict.ZERO, "contains zero"),
-        (judged(1e6, -0.1e6, 1.1e6, precision=0.9), Verdict.ZERO, "contains zero"),
-        (judged(1e6, 0.9e6, 1.1e6, determined=False), Verdict.OPEN, "not determined"),
-        (judged(1e6, 0.9e6, 1.1e6, compatible=(0.0, 1.1e6)), Verdict.ZERO, "contains zero"),
-        (judged(1e6, 0.9e6, 1.1e6, compatible=(0.6e6, 1.1e6)), Verdict.WIDE, "± 25 %"),
-        (judged(1e6, 1.1e6, 1.2e6), Verdict.KNOWN, "known, ± 10 %; noise makes it too small"),
-        (judged(1e6, 0.4e6, 0.5e6), Verdict.WIDE, "± 30 %; noise makes it too large"),
+        (judged(1e6, 0.9e6, 1.1e6), NumberVerdict.KNOWN, "known, ± 10 %"),
+        (judged(1e6, 0.8e6, 1.2e6), NumberVerdict.KNOWN, "known, ± 20 %"),
+        (judged(1e6, 0.7e6, 1.2e6), NumberVerdict.WIDE, "± 25 %"),
+        (judged(1e6, 0.0, 1.1e6), NumberVerdict.ZERO, "contains zero"),
+        (judged(1e6, -0.1e6, 1.1e6, precision=0.9), NumberVerdict.ZERO, "contains zero"),
+        (judged(1e6, 0.9e6, 1.1e6, determined=False), NumberVerdict.OPEN, "not determined"),
+        (judged(1e6, 0.9e6, 1.1e6, compatible=(0.0, 1.1e6)), NumberVerdict.ZERO, "contains zero"),
+        (judged(1e6, 0.9e6, 1.1e6, compatible=(0.6e6, 1.1e6)), NumberVerdict.WIDE, "± 25 %"),
+        (judged(1e6, 1.1e6, 1.2e6), NumberVerdict.KNOWN, "known, ± 10 %; noise makes it too small"),
+        (judged(1e6, 0.4e6, 0.5e6), NumberVerdict.WIDE, "± 30 %; noise makes it too large"),
         # Without any number to compare it with, nothing is small.
-        (judged(0.0, 0.0, 1e-3), Verdict.ZERO, "contains zero"),
+        (judged(0.0, 0.0, 1e-3), NumberVerdict.ZERO, "contains zero"),
     ],
 )
 def test_the_rule(part, verdict, words):
@@ -48,12 +48,12 @@ def test_the_rule(part, verdict, words):
     assert part.interval[0, 0] <= part.estimate[0] <= part.interval[1, 0]
 
 
-@pytest.mark.parametrize(("high", "verdict"), [(0.9e5, Verdict.BELOW), (1.1e5, Verdict.ZERO)])
+@pytest.mark.parametrize(("high", "verdict"), [(0.9e5, NumberVerdict.BELOW), (1.1e5, NumberVerdict.ZERO)])
 def test_an_estimate_of_zero_is_known_to_be_small_or_not_at_all(high, verdict):
     noise = np.array([[0.95e6, 0.0], [1.05e6, high]])
     part = PartPrecision.of(NAMES, np.array([1e6, 0.0]), noise, np.ones(2, dtype=bool), 0.2)
-    assert part.verdicts == (Verdict.KNOWN, verdict)
-    assert (part.words(1) == "known to be below 0.09 V/um") == (verdict is Verdict.BELOW)
+    assert part.verdicts == (NumberVerdict.KNOWN, verdict)
+    assert (part.words(1) == "known to be below 0.09 V/um") == (verdict is NumberVerdict.BELOW)
 
 
 def test_the_sentences_count_by_the_rule():
@@ -89,7 +89,7 @@ def test_an_interval_that_contains_zero_is_not_known_and_all_outputs_agree():
         assert ((low <= part.estimate) & (part.estimate <= high)).all()
         assert other["known"] == part.known == sum(word.startswith("known") for word in other["words"])
         for i, verdict in enumerate(part.verdicts):
-            if verdict is Verdict.KNOWN:
+            if verdict is NumberVerdict.KNOWN:
                 assert not low[i] <= 0 <= high[i]
                 assert high[i] - low[i] <= 0.04 * abs(part.estimate[i])
     assert not precision.all_known
@@ -125,7 +125,7 @@ def test_open_stiffnesses_are_not_known_however_narrow_their_intervals():
     fit = dehyst.identify(record, breakaway=plant.slip.breakaway[:-1], delay=0.0, drift=False, knots=6)
     found = insight(fit.actuator, record, repeats=20)
     verdicts = found.precision.parts[0].verdicts
-    assert [verdict is Verdict.OPEN for verdict in verdicts] == (~found.identifiability.alone[:4]).tolist()
+    assert [verdict is NumberVerdict.OPEN for verdict in verdicts] == (~found.identifiability.alone[:4]).tolist()
     assert "excite" not in found.precision.next
 
 

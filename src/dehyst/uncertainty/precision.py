@@ -28,7 +28,7 @@ NOISE_BIAS = (
 _ROUNDING = 1e-9
 
 
-class Verdict(Enum):
+class NumberVerdict(Enum):
     """What an interval says of a number."""
 
     KNOWN = "known"
@@ -97,25 +97,25 @@ class PartPrecision:
         return np.asarray(0.5 * (self.interval[1] - self.interval[0]))
 
     @property
-    def verdicts(self) -> tuple[Verdict, ...]:
+    def verdicts(self) -> tuple[NumberVerdict, ...]:
         """Of each number."""
         mean = float(np.abs(self.estimate).mean()) if self.of_all else 0.0
         return tuple(self._verdict(i, mean) for i in range(self.of_all))
 
-    def _verdict(self, i: int, mean: float) -> Verdict:
+    def _verdict(self, i: int, mean: float) -> NumberVerdict:
         (low, high), estimate = self.interval[:, i], self.estimate[i]
         if not self.determined[i]:
-            return Verdict.OPEN
+            return NumberVerdict.OPEN
         if estimate == 0 and 0 < max(high, -low) <= self.precision * mean:
-            return Verdict.BELOW
+            return NumberVerdict.BELOW
         if low <= 0 <= high:
-            return Verdict.ZERO
-        return Verdict.KNOWN if self.half[i] <= self.precision * abs(estimate) else Verdict.WIDE
+            return NumberVerdict.ZERO
+        return NumberVerdict.KNOWN if self.half[i] <= self.precision * abs(estimate) else NumberVerdict.WIDE
 
     @property
     def known(self) -> int:
         """How many numbers are known, those known to be small included."""
-        return sum(verdict in (Verdict.KNOWN, Verdict.BELOW) for verdict in self.verdicts)
+        return sum(verdict in (NumberVerdict.KNOWN, NumberVerdict.BELOW) for verdict in self.verdicts)
 
     @property
     def of_all(self) -> int:
@@ -140,13 +140,13 @@ class PartPrecision:
     def words(self, i: int) -> str:
         """Describe number i: "known, ± 6 %"; with the reason if the interval by noise excludes the estimate."""
         verdict, reason = self.verdicts[i], self.reason(i)
-        if verdict is Verdict.BELOW:
+        if verdict is NumberVerdict.BELOW:
             text = f"known to be below {_shown(max(self.interval[1, i], -self.interval[0, i]), self.unit)}"
-        elif verdict in (Verdict.KNOWN, Verdict.WIDE):
+        elif verdict in (NumberVerdict.KNOWN, NumberVerdict.WIDE):
             share = f"± {100 * self.half[i] / abs(self.estimate[i]):.2g} %"
-            text = f"known, {share}" if verdict is Verdict.KNOWN else share
+            text = f"known, {share}" if verdict is NumberVerdict.KNOWN else share
         else:
-            text = "not determined" if verdict is Verdict.OPEN else "contains zero"
+            text = "not determined" if verdict is NumberVerdict.OPEN else "contains zero"
         return f"{text}; {reason}" if reason else text
 
     def reason(self, i: int) -> str:
@@ -217,9 +217,9 @@ class Precision:
         """Why the others are not known, counted; empty if all are."""
         verdicts = [verdict for part in self.parts for verdict in part.verdicts]
         reasons = {
-            Verdict.OPEN: "not determined by themselves",
-            Verdict.ZERO: "with an interval that contains zero",
-            Verdict.WIDE: "with a wider interval",
+            NumberVerdict.OPEN: "not determined by themselves",
+            NumberVerdict.ZERO: "with an interval that contains zero",
+            NumberVerdict.WIDE: "with a wider interval",
         }
         counts = [f"{verdicts.count(verdict)} {words}" for verdict, words in reasons.items() if verdict in verdicts]
         return f"Not known: {_listed(counts)}." if counts else ""
