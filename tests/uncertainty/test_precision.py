@@ -14,7 +14,7 @@ from dehyst._io.json_files import finite
 from dehyst.model import Structure
 from dehyst.report.uncertainty_section import sections
 from dehyst.uncertainty import insight
-from dehyst.uncertainty.precision import PartPrecision, Precision, NumberVerdict
+from dehyst.uncertainty.precision import NumberVerdict, PartPrecision, Precision
 
 NAMES = ("stiffness", "stiffnesses", "V/m")
 
