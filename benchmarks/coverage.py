@@ -8,7 +8,7 @@ numbers  stiffnesses, spring and a prediction of a plant that is an instance of 
 bands    the 90 % band by noise and model error together, on truths that are no instance of the model; see
          `band_coverage.py`. It should contain 85 to 95 % of the samples of the true path.
 
-    python benchmarks/coverage.py [PART ...]
+    python benchmarks/coverage.py [PART ...] [--truth NAME ...]
 
 Parts that were not run keep their figures.
 """
@@ -32,7 +32,7 @@ import plain_records
 
 OUTPUT = Path(__file__).with_suffix(".json")
 PARTS = ("numbers", "bands")
-REPEATS, REPEATS_ASIDE = 200, 100
+REPEATS, REPEATS_OTHERS = 200, 100
 LEVEL = 0.9
 # 2 nm on a stroke of 16 um, and four times that.
 NOISES = (1.25e-4, 5e-4)
@@ -122,28 +122,37 @@ def numbers() -> list[dict]:
     return results
 
 
-def bands() -> list[dict]:
-    """Return the shares of samples of paths of truths that are no instances of the model."""
-    results = []
+def bands(known: list[dict], only: list[str] | None) -> list[dict]:
+    """Return the shares of samples of paths of truths that are no instances of the model.
+
+    With names of truths, only these are run, and the others keep their figures.
+    """
+    rows = {(row["truth"], row["class"]): row for row in known}
     print("share of a path's samples in the 90 % band by noise and model error together")
-    names = [(name, REPEATS) for name in band_coverage.TRUTH_NAMES]
-    for name, repeats in [*names, *((name, REPEATS_ASIDE) for name in band_coverage.ASIDE)]:
+    for name, use in band_coverage.USES.items():
+        if only and name not in only:
+            continue
         for kind in band_coverage.CLASSES:
-            results.append(band_coverage.coverage(name, kind, repeats))
-            print(band_coverage.shown(results[-1]), flush=True)
-    return results
+            row = band_coverage.coverage(name, kind, REPEATS if use == "chosen on" else REPEATS_OTHERS)
+            rows[name, kind] = row
+            print(band_coverage.shown(row), flush=True)
+    return [rows[name, kind] for name in band_coverage.USES for kind in band_coverage.CLASSES if (name, kind) in rows]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Measure coverage; see the top of this file.")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"{' or '.join(PARTS)}; default: both")
+    parser.add_argument("--truth", action="append", choices=list(band_coverage.USES), help="of bands; may be repeated")
     given = parser.parse_args()
     for part in given.parts:
         if part not in PARTS:
             parser.error(f"no part '{part}'; try {' or '.join(PARTS)}")
     results = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else {}
-    for part in given.parts or PARTS:
-        results[part] = {"numbers": numbers, "bands": bands}[part]()
+    parts = given.parts or PARTS
+    if "numbers" in parts:
+        results["numbers"] = numbers()
+    if "bands" in parts:
+        results["bands"] = bands(results.get("bands", []), given.truth)
     OUTPUT.write_text(json.dumps(results, indent=1) + "\n")
 
 
