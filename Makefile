@@ -49,6 +49,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/readme.py
 	$(BIN)/python benchmarks/control_page.py
 	$(BIN)/python benchmarks/safety_page.py
+	$(BIN)/python benchmarks/trust_page.py
 	$(BIN)/python benchmarks/architecture.py
 
 $(BIN)/python:

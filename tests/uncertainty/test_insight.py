@@ -62,12 +62,12 @@ def test_the_major_loop_tells_half_of_the_directions(elements):
 
 def test_open_directions_are_said_in_words():
     assert told(MAJOR).sentences() == (
-        "k_1 + k_9 is known, k_1 - k_9 is not.",
-        "k_2 + k_8 is known, k_2 - k_8 is not.",
-        "k_3 + k_7 is known, k_3 - k_7 is not.",
-        "k_4 + k_6 is known, k_4 - k_6 is not.",
-        "k_10 is not known.",
-        "Known by themselves: k_5.",
+        "k_1 + k_9 is determined, k_1 - k_9 is not.",
+        "k_2 + k_8 is determined, k_2 - k_8 is not.",
+        "k_3 + k_7 is determined, k_3 - k_7 is not.",
+        "k_4 + k_6 is determined, k_4 - k_6 is not.",
+        "k_10 is not determined.",
+        "Determined by themselves: k_5.",
     )
 
 

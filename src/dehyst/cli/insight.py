@@ -34,6 +34,13 @@ from dehyst.cli.terminal import echo_json, progress_line
 @limits_option("the model's")
 @click.option("--seconds", type=float, help="Longest excitation to suggest.")
 @click.option("--level", type=float, default=0.9, show_default=True, help="Confidence level of the intervals.")
+@click.option(
+    "--precision",
+    type=float,
+    default=0.2,
+    show_default=True,
+    help="A number is known if half its interval is at most this part of it.",
+)
 @click.option("--repeats", type=int, default=100, show_default=True, help="Resampled records; 0: no intervals.")
 @click.option("-o", "--output", type=PATH, help="Write the trajectory with its band here (CSV).")
 @report_option
@@ -52,7 +59,7 @@ def insight(
 ) -> None:
     """Assess a MODEL: what the RECORDs that it was identified from determine, and what they leave open.
 
-    The status is 1 if there is a warning.
+    The status is 1 if there is a warning, also if a number of the model is not known to the precision.
     """
     from dehyst._errors import ModelError
     from dehyst.records import write_columns
@@ -69,7 +76,7 @@ def insight(
     if trajectory is not None and actuator.needs_time and not time:
         raise ModelError(f"{trajectory}: got no time column, need one: this model depends on time; add time_s")
     training = read_records(records, options)
-    asked = {name: options[name] for name in ("limits", "seconds", "level", "repeats")}
+    asked = {name: options[name] for name in ("limits", "seconds", "level", "precision", "repeats")}
     assessment = run(actuator, training, trajectory=path, time=time.get("time_s"), progress=progress, **asked)
     refuse_replacing(output, report)
     if output is not None and assessment.band is not None:

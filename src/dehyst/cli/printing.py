@@ -85,6 +85,8 @@ def print_insight(found: Insight, output: Path | None, report: Path | None) -> N
         echo()
     misfit = 100 * found.misfit / found.evidence.stroke
     echo(f"The largest error of the model on these records is {misfit:.3g} % of their range.")
+    if found.precision is not None:
+        echo(found.precision.sentence)
     if found.structured:
         _print_parts_known(found)
     else:
@@ -103,7 +105,10 @@ def print_insight(found: Insight, output: Path | None, report: Path | None) -> N
 
 def _print_directions(found: Insight) -> None:
     identifiability = found.identifiability
-    echo(f"Known of the stiffnesses: {identifiability.determined} of {identifiability.of} directions")
+    echo(
+        "Directions of the stiffnesses that the turning points determine, whatever the noise: "
+        f"{identifiability.determined} of {identifiability.of}"
+    )
     _echo_list(_first_few(identifiability.sentences()))
     values = " ".join(f"{value:.2g}" for value in identifiability.values)
     echo(f"  singular values, V for each volt of breakaway voltage: {values}")
@@ -117,7 +122,14 @@ def _print_directions(found: Insight) -> None:
             echo(f"      {excitation.command}")
     elif identifiability.determined == identifiability.of:
         echo()
-        echo("To record next: nothing; no loop determines more directions.")
+        echo(f"To record next: {_next(found)}")
+
+
+def _next(found: Insight) -> str:
+    """Return what to record where no loop determines more directions."""
+    if found.precision is None or found.precision.all_known:
+        return "nothing; no loop determines more directions."
+    return f"no loop determines more directions. {found.precision.next}"
 
 
 def _print_parts_known(found: Insight) -> None:
@@ -131,6 +143,10 @@ def _print_parts_known(found: Insight) -> None:
     )
     echo(f"Known of each part, with all other parts free, to {100 * SHARP:g} % of the voltages:")
     _echo_list(part.sentence for part in found.parts)
+    if found.precision is not None:
+        echo(f"Known within {100 * found.precision.precision:g} %, number by number:")
+        _echo_list(f"{part.counted}" for part in found.precision.parts)
+        echo(found.precision.rule)
     if found.intervals is not None:
         echo()
         echo(f"Uncertainty due to noise ({100 * found.intervals.level:.0f} % intervals):")
@@ -172,23 +188,28 @@ def _moment(seconds: float | None) -> str:
 
 
 def _print_stiffnesses(found: Insight) -> None:
-    if found.intervals is None or found.feasible_set is None:
+    if found.intervals is None or found.feasible_set is None or found.precision is None:
         return
-    slip, level = found.actuator.slip, 100 * found.intervals.level
+    from dehyst.uncertainty.precision import NOISE_BIAS
+
+    slip, level, judged = found.actuator.slip, 100 * found.intervals.level, found.precision.parts[0]
     echo()
-    echo(f"  i  breakaway  stiffness   {level:.0f} % by noise          compatible with the records")
-    echo("            um       V/um           V/um                 V/um")
+    echo(f"  i  breakaway  stiffness   {level:.0f} % by noise          compatible            verdict")
+    echo("            um       V/um           V/um            with the records, V/um")
     alone, movable = found.identifiability.alone, found.identifiability.movable
+    number = movable.cumsum() - 1
     for i, (rho, kappa) in enumerate(zip(slip.breakaway * 1e6, slip.stiffness * 1e-6, strict=True)):
         if not movable[i]:
             echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   never slides: part of the spring")
             continue
         noise = _ends(found.intervals.stiffness[:, i]) if alone[i] else "open"
         free = _ends(found.feasible_set.stiffness[:, i])
-        echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   {noise:<22}{free}")
-    echo("By noise: the bias due to noise is removed, so an interval may not contain the model's own value.")
+        echo(f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   {noise:<22}{free:<22}{judged.words(int(number[i]))}")
+    if any(judged.biased):
+        echo(NOISE_BIAS)
     if not alone[movable].all():
-        echo("Open: these records do not determine it by itself, whatever their noise; see the last column.")
+        echo("Open: these records do not determine it by itself, whatever their noise; see the next column.")
+    echo(found.precision.rule)
 
 
 def _ends(pair: Any) -> str:
@@ -206,6 +227,8 @@ def _print_band(found: Insight) -> None:
     for name, error in found.band.errors().items():
         if error or name != "clamped":
             echo(f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm")
+    if found.band.likely is not None:
+        echo(found.band.sentence(stroke))
 
 
 def print_paper(found: Paper, output: Path) -> None:

@@ -154,6 +154,8 @@ def band(found: PredictionBand, stroke: float, *, name: str) -> str:
         upper.plot(sample, found.wanted * factor, color=MEASURED, lw=1)
         upper.set_ylabel(f"displacement ({unit})")
         fill(lower, found.lowest, found.highest, "#E5E5E5", "all")
+        if found.likely is not None:
+            fill(lower, found.likely[0], found.likely[1], "#CFD8E6", f"{100 * found.level:g} %")
         if found.open is not None:
             fill(lower, found.open[0], found.open[1], "#AAAAAA", "compatible with the records")
         fill(lower, found.noise[0], found.noise[1], SIMULATED, "noise")
@@ -161,6 +163,6 @@ def band(found: PredictionBand, stroke: float, *, name: str) -> str:
         low, high = lower.get_ylim()
         lower.set_ylim(low, high + 0.35 * (high - low))
         lower.set(xlabel="sample", ylabel="error (% of stroke)")
-        lower.legend(loc="upper left", ncols=3)
+        lower.legend(loc="upper left", ncols=4)
 
     return inline(name, draw, rows=2, height=4.4)

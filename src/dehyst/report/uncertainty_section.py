@@ -12,6 +12,7 @@ from dehyst.report import uncertainty_plots
 from dehyst.report.html import Row, document, escape, figure, length, number, panel, reproduction, table
 from dehyst.uncertainty import Insight
 from dehyst.uncertainty.part_identifiability import SHARP
+from dehyst.uncertainty.precision import NOISE_BIAS
 from dehyst.uncertainty.prediction_band import ERRORS
 
 _MOST_SENTENCES = 24
@@ -38,6 +39,7 @@ def sections(found: Insight) -> list[str]:
     share = number(100 * found.misfit / found.evidence.stroke)
     if found.structured:
         good = f"The largest error of the model on these records is {share} % of their range, and there is no warning."
+        good = f"{good} {_known(found)}".strip()
         parts = (
             _verdict(found, "No warnings", good),
             _parts(found),
@@ -48,7 +50,7 @@ def sections(found: Insight) -> list[str]:
         )
     else:
         parts = (
-            _verdict(found, "Determined", "The records determine every direction of the stiffnesses that loops can."),
+            _verdict(found, *_good(found)),
             _directions(found),
             _intervals(found),
             _trajectory(found),
@@ -56,6 +58,18 @@ def sections(found: Insight) -> list[str]:
             _state(found),
         )
     return [part for part in parts if part]
+
+
+def _good(found: Insight) -> tuple[str, str]:
+    """Return the good verdict on a plain model, a word and a sentence."""
+    if found.precision is not None:
+        return "Known", _known(found)
+    determined = "The records determine every direction of the stiffnesses that loops can."
+    return "Determined", f"{determined} How precisely was not judged: there are no intervals."
+
+
+def _known(found: Insight) -> str:
+    return "" if found.precision is None else found.precision.sentence
 
 
 def _directions(found: Insight) -> str:
@@ -83,7 +97,7 @@ def _subscripts(sentence: str) -> str:
 
 
 def _intervals(found: Insight) -> str:
-    if found.intervals is None or found.feasible_set is None:
+    if found.intervals is None or found.feasible_set is None or found.precision is None:
         return ""
     stiffness = panel(("Stiffnesses", ""), uncertainty_plots.stiffness_intervals(found, name="stiffnesses"), "")
     spring = panel(("Parallel spring", ""), uncertainty_plots.spring_intervals(found, name="spring-interval"), "")
@@ -93,13 +107,13 @@ def _intervals(found: Insight) -> str:
         for i, (rho, kappa) in enumerate(zip(slip.breakaway, slip.stiffness, strict=True), 1)
     ]
     level = f"{100 * found.intervals.level:.0f} %"
-    head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "compatible")
+    head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "compatible", "verdict")
     caption = (
         f"By noise: {level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles "
-        "(bootstrap). Their bias is removed, so an interval may not contain the model's own value. An open stiffness "
+        f"(bootstrap). {_bias(found)}An open stiffness "
         "is not determined by itself, whatever the noise. Compatible: the least and the largest value among all models "
         "that agree with the records nearly as well as this one. A stiffness may be uncertain while a sum of "
-        "neighbours is accurate; what counts for a motion is the band along its trajectory."
+        f"neighbours is accurate; what counts for a motion is the band along its trajectory. {found.precision.rule}"
     )
     numbers = (
         f"<details>\n<summary>The intervals' numbers</summary>\n<div>{table(head, rows, texts=0)}</div>\n</details>"
@@ -107,14 +121,23 @@ def _intervals(found: Insight) -> str:
     return figure("How accurate the numbers are", caption, [stiffness, spring]) + "\n" + numbers
 
 
-def _ranges(found: Insight, i: int) -> tuple[str, str]:
-    """Return an element's interval by noise, and its range among compatible models."""
+def _bias(found: Insight) -> str:
+    """Return why intervals by noise exclude estimates, where some do."""
+    parts = () if found.precision is None else found.precision.parts
+    return f"{NOISE_BIAS} " if any(any(part.biased) for part in parts) else ""
+
+
+def _ranges(found: Insight, i: int) -> tuple[str, str, str]:
+    """Return an element's interval by noise, its range among compatible models, and the verdict."""
     assert found.intervals is not None
     assert found.feasible_set is not None
-    if not found.identifiability.movable[i]:
-        return "", "never slides"
+    assert found.precision is not None
+    movable = found.identifiability.movable
+    if not movable[i]:
+        return "", "never slides", "part of the spring"
+    verdict = found.precision.parts[0].words(int(movable[:i].sum())).replace("um", "µm")
     noise = _pair(found.intervals.stiffness[:, i] * 1e-6) if found.identifiability.alone[i] else "open"
-    return noise, _pair(found.feasible_set.stiffness[:, i] * 1e-6)
+    return noise, _pair(found.feasible_set.stiffness[:, i] * 1e-6), verdict
 
 
 def _pair(ends: Sequence[float] | np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
@@ -126,7 +149,10 @@ def _next(found: Insight) -> str:
         directions = found.identifiability
         if directions.determined < directions.of:
             return ""
-        return '<h2>What to record next</h2>\n<p class="muted">Nothing: no loop determines more directions.</p>'
+        sentence = "Nothing: no loop determines more directions."
+        if found.precision is not None and not found.precision.all_known:
+            sentence = f"No loop determines more directions. {found.precision.next}"
+        return f'<h2>What to record next</h2>\n<p class="muted">{escape(sentence)}</p>'
     rows: list[Row] = [
         (
             (advice.words, advice.command),
@@ -154,7 +180,19 @@ def _parts(found: Insight) -> str:
         "is the band along it."
     )
     title = "<h2>What the records determine of each part</h2>"
-    return f'{title}\n<p class="muted">{caption}</p>\n{table(head, rows, texts=1)}'
+    return f'{title}\n<p class="muted">{caption}</p>\n{table(head, rows, texts=1)}\n{_counts(found)}'
+
+
+def _counts(found: Insight) -> str:
+    """Return how many numbers of each part are known to the precision."""
+    if found.precision is None:
+        return ""
+    rows: list[Row] = [
+        (part.several.capitalize(), str(part.of_all), str(part.known), str(sum(map(abs, part.biased))))
+        for part in found.precision.parts
+    ]
+    head = ("Number by number", "Coefficients", "Known", "Biased by noise")
+    return f'{table(head, rows, texts=1)}\n<p class="muted">{escape(found.precision.rule)}</p>'
 
 
 def _spread(deviations: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[str, str]:
@@ -175,7 +213,7 @@ def _part_intervals(found: Insight) -> str:
     level = f"{100 * found.intervals.level:.0f} %"
     caption = (
         f"{level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles (bootstrap) with "
-        "the same structure. Their bias is removed, so an interval may not contain the model's own value. The largest "
+        f"the same structure. {_bias(found)}The largest "
         f"error on the records, {length(found.misfit)}, comes on top: this structure cannot follow it. Single "
         "stiffnesses and the spring compensate one another, and are accurate only together."
     )
@@ -203,6 +241,7 @@ def _trajectory(found: Insight) -> str:
     drawn = panel(("Along the trajectory", ""), uncertainty_plots.band(found.band, stroke, name="band"), "")
     body = f'<div class="panel"><h3>Largest error to expect</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
     caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
+    caption = f"{caption} {found.band.sentence(stroke)}".strip()
     return figure("The trajectory", caption, [drawn, body])
 
 

@@ -19,9 +19,12 @@ from dehyst.uncertainty.evidence import Evidence
 from dehyst.uncertainty.experiment_design import advise
 from dehyst.uncertainty.feasible_set import feasible_set
 from dehyst.uncertainty.insight_result import Insight
+from dehyst.uncertainty.known_numbers import plain_precision, structured_precision
 from dehyst.uncertainty.major_loop_width import MajorLoopWidth
 from dehyst.uncertainty.messages import misfit_of
+from dehyst.uncertainty.model_error import HeldOut
 from dehyst.uncertainty.part_identifiability import part_identifiability
+from dehyst.uncertainty.precision import PRECISION, Precision
 from dehyst.uncertainty.prediction_band import PredictionBand, rise_excitation, state_after_rise, state_at_top
 from dehyst.uncertainty.state_knowledge import StateKnowledge
 
@@ -35,6 +38,7 @@ def insight(
     limits: tuple[float, float] | None = None,
     seconds: float | None = None,
     level: float = 0.9,
+    precision: float = PRECISION,
     repeats: int = 100,
     seed: int = 0,
     progress: Progress = lambda _: None,
@@ -59,6 +63,9 @@ def insight(
         Longest excitation to be advised.
     level : float, optional
         Of the intervals.
+    precision : float, optional
+        A number counts as known if half the width of its interval is at most this part of the estimate and the
+        interval excludes zero; see `Insight.precision`.
     repeats : int, optional
         Sets of resampled cycles; 0 leaves out intervals and bands.
     seed : int, optional
@@ -72,7 +79,7 @@ def insight(
     ModelError
         If a trajectory is given without repeats, or is no path.
     """
-    _check(trajectory is not None, repeats, level)
+    _check(trajectory is not None, repeats, level, precision)
     progress("reading the records beside the model")
     allowed = actuator.limits if limits is None else interval(limits)
     wanted = None if trajectory is None else vector(trajectory, "trajectory")
@@ -85,6 +92,7 @@ def insight(
             judged["intervals"] = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
         judge = _judge_structured if actuator.wide else _judge_plain
         judged |= judge(evidence, judged.get("intervals"), wanted, clock, misfit, allowed, seconds, progress)
+        judged["precision"] = _precision(evidence, judged, precision)
         if allowed is not None:
             judged["homing"] = shortest_homing(actuator, limits=allowed, present=allowed[0], stiff_only=True)
         knowledge = tuple(StateKnowledge.of(actuator, item) for item in evidence.comparisons)
@@ -111,7 +119,9 @@ def _judge_plain(
             start = state_at_top(actuator, limits)
             command = Compensator(actuator, limits).trajectory(wanted, state=start)
             free = feasible_set(evidence, command.displacement, start)
-            band = PredictionBand.of(wanted, command, intervals, free, misfit=misfit, limits=limits)
+            progress("identifying parts of the records")
+            held_out = HeldOut.of(evidence, intervals)
+            band = PredictionBand.of(wanted, command, intervals, free, misfit=misfit, limits=limits, held_out=held_out)
             judged |= {"feasible_set": free, "band": band}
     progress("ranking excitations")
     if limits is not None:
@@ -138,19 +148,42 @@ def _judge_structured(
         start = state_at_top(actuator, limits) if limits is None else state_after_rise(actuator, limits, played)
         command = Compensator(actuator, limits).trajectory(wanted, time=time, state=start)
         clock = time if actuator.needs_time else None
+        progress("identifying parts of the records")
         judged["band"] = PredictionBand.of(
-            wanted, command, intervals, None, misfit=misfit, limits=limits, time=clock, played=played
+            wanted,
+            command,
+            intervals,
+            None,
+            misfit=misfit,
+            limits=limits,
+            time=clock,
+            played=played,
+            held_out=HeldOut.of(evidence, intervals),
         )
     progress("judging each part")
     judged["parts"] = part_identifiability(evidence)
     return judged
 
 
-def _check(trajectory: bool, repeats: int, level: float) -> None:
+def _precision(evidence: Evidence, judged: dict[str, Any], precision: float) -> Precision | None:
+    """Return what is known to a precision; None without intervals."""
+    intervals = judged.get("intervals")
+    if intervals is None:
+        return None
+    if evidence.actuator.wide:
+        return structured_precision(evidence, intervals, judged["parts"], precision)
+    return plain_precision(evidence, intervals, judged["feasible_set"], precision)
+
+
+def _check(trajectory: bool, repeats: int, level: float, precision: float) -> None:
     if repeats < 0 or 0 < repeats < LEAST_REPEATS:
         raise ModelError(f"repeats: got {repeats}, need {LEAST_REPEATS} at least, or 0 to leave out the intervals")
     if not 0 < level < 1:
         raise ModelError(f"level: got {level}, need a number between 0 and 1, e.g. 0.9")
+    if not 0 < precision < 1:
+        raise ModelError(
+            f"precision: got {precision}, need a number between 0 and 1, e.g. 0.2 for 20 % of the estimate"
+        )
     if trajectory and not repeats:
         raise ModelError(
             f"repeats: got 0 and a trajectory, need {LEAST_REPEATS} at least to estimate how wrong it may come out"

@@ -100,6 +100,13 @@ class Intervals:
         """Lowest and highest tau at its knots (2, K) [V]; None without a transformer."""
         return self._of_part("transformer", "drive", -np.inf)
 
+    @property
+    def gains(self) -> Array | None:
+        """Lowest and highest slope of tau's segments, (2, K - 1) [V/V]; None without a transformer."""
+        if self.actuator.transformer is None:
+            return None
+        return self._basic(_gains)
+
     def _of_part(self, part: str, name: str, least: float) -> Array | None:
         if getattr(self.actuator, part) is None:
             return None
@@ -120,6 +127,11 @@ class Intervals:
     ) -> Array:
         """Lowest and highest displacement (2, n) [m] that a voltage (n,) [V] causes, `state` of each model at first."""
         return self._basic(lambda a: a.simulate(voltage, time=time, state=state(a), extrapolate=True).displacement)
+
+    @property
+    def widening(self) -> float:
+        """By which standard deviations of the resampled models are widened."""
+        return self.spread * self.few
 
     def _basic(self, value: Callable[[Actuator], Array]) -> Array:
         centre = value(self.actuator)
@@ -194,7 +206,7 @@ class _Again:
         rows = evidence.regression.rows
         self._most = _WIDE_ROWS if self.wide else _MOST_ROWS
         self._step = max(1, len(rows) // self._most)
-        self._held = None if self.wide else _open(evidence)
+        self._held = None if self.wide else open_combinations(evidence)
         cut = np.flatnonzero(np.diff(rows.epoch)) + 1
         self._starts = _legs(rows.voltage, cut)
 
@@ -326,7 +338,7 @@ def _few(worlds: list[_World], level: float) -> float:
     return float(stdtrit(max(sum(world.cycles for world in worlds) - 1, 1), upper) / ndtri(upper))
 
 
-def _open(evidence: Evidence) -> tuple[Array, Array] | None:
+def open_combinations(evidence: Evidence) -> tuple[Array, Array] | None:
     """Return combinations of the movable stiffnesses that the records leave open, and their values in the model [V]."""
     directions = evidence.identifiability
     combinations = directions.vectors[directions.determined :] * directions.breakaway[directions.movable]
@@ -368,6 +380,11 @@ def _more(squares: Array, absolutes: Array, wide: bool) -> float:
         return float(np.sqrt(max(1.0, absolutes.mean() / squares.mean()))) if squares.any() else 1.0
     moved = squares > _MOVED * squares.max()
     return float(np.sqrt(max(1.0, np.mean(absolutes[moved] / squares[moved])))) if moved.any() else 1.0
+
+
+def _gains(actuator: Actuator) -> Array:
+    tau = actuator.transformer
+    return np.zeros(0) if tau is None else np.diff(tau.drive) / np.diff(tau.voltage)
 
 
 def _risen(actuator: Actuator) -> Array:

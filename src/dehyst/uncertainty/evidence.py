@@ -73,7 +73,7 @@ class Evidence:
         if not actuator.wide:
             grid = replace(grid, sliding=2 * actuator.slip.breakaway < stroke * (1 - 1e-9))
         regression = Regression(
-            rows=_rows(actuator, grid, compared, stroke, [item.measured for item in compared]),
+            rows=_rows(actuator, grid, compared, stroke, [item.measured for item in compared], wide=actuator.wide),
             grid=grid,
             floor=floor,
             datum=np.array([item.datum for item in compared]),
@@ -117,8 +117,18 @@ class Evidence:
 
     def with_pieces(self, pieces: list[list[Record]]) -> Regression:
         """Return the same regression on other measured displacements, piece for piece."""
-        rows = _rows(self.actuator, self.regression.grid, self.comparisons, self.stroke, pieces)
+        grid, wide = self.regression.grid, self.actuator.wide
+        rows = _rows(self.actuator, grid, self.comparisons, self.stroke, pieces, wide=wide)
         return replace(self.regression, rows=rows)
+
+    def with_structure(self, structure: Structure) -> Regression:
+        """Return the regression of the same records for a structure that does not move in time."""
+        knots, volts = self.regression.knots, self.regression.rows.voltage
+        # Times are those of creep branches only.
+        ends = (float(knots[0]), float(knots[-1])), (float(volts.min()), float(volts.max())), (1.0, 2.0)
+        grid, pieces = structure.grid(*ends), [item.measured for item in self.comparisons]
+        rows = _rows(self.actuator, grid, self.comparisons, self.stroke, pieces, wide=True)
+        return replace(self.regression, rows=rows, grid=grid, smoothing=structure.smoothing)
 
     def actuator_of(self, found: Coefficients) -> Actuator:
         """Return the actuator of other coefficients on the same axes; parts without stiffness stay."""
@@ -141,14 +151,20 @@ class Evidence:
 
 
 def _rows(
-    actuator: Actuator, grid: Grid, compared: Sequence[RecordComparison], stroke: float, pieces: list[list[Record]]
+    actuator: Actuator,
+    grid: Grid,
+    compared: Sequence[RecordComparison],
+    stroke: float,
+    pieces: list[list[Record]],
+    *,
+    wide: bool,
 ) -> Rows:
     """Rows of measured pieces, prepared as an identification prepares them."""
     stacked, noise = [], []
     for q, (item, measured) in enumerate(zip(compared, pieces, strict=True)):
         for (_, _, curve), piece in zip(item.pieces, measured, strict=True):
             path = piece
-            if actuator.wide:
+            if wide:
                 path = remove_jitter(remove_dynamics(piece, actuator.dynamics), item.record.noise, stroke)
             stacked.append((q, path, curve))
             noise.append(item.record.noise)
@@ -157,7 +173,7 @@ def _rows(
         return InternalStates(grid, piece, compared[number].record.lead)
 
     source = RowSource.of(stacked, grid.breakaway, noise, moved=internal)
-    return source.thinned(_FEWER_ROWS if actuator.wide else MOST_ROWS)
+    return source.thinned(_FEWER_ROWS if wide else MOST_ROWS)
 
 
 def _smoothing(options: Mapping[str, Any]) -> float:

@@ -48,6 +48,8 @@ class FeasibleSet:
         Lowest and highest kappa_i [V/m].
     spring : (2, M) array
         Lowest and highest voltage of the spring at its knots less that of the first [V].
+    slopes : (2, M - 1) array
+        Lowest and highest slope of the spring's segments [V/m].
     actuators : tuple of Actuator
         Two a place of the trajectory: least and largest voltage there.
     tolerance : float
@@ -57,6 +59,7 @@ class FeasibleSet:
     actuator: Actuator
     stiffness: Array
     spring: Array
+    slopes: Array
     actuators: tuple[Actuator, ...]
     tolerance: float
 
@@ -97,22 +100,25 @@ def feasible_set(evidence: Evidence, displacement: Array | None = None, state: S
     ranges = _ranges(numbers, extremes[: len(numbers)], _vector(evidence, evidence.model))
     stiffness = np.tile(actuator.slip.stiffness, (2, 1))
     stiffness[:, regression.movable] = ranges[:, :count]
-    spring = np.hstack([np.zeros((2, 1)), ranges[:, count:]])
+    spring, slopes = np.split(ranges[:, count:], 2, axis=1)
     found = [
         evidence.actuator_of(_coefficients(evidence, x))
         for pair in extremes[len(numbers) :]
         for x in pair
         if x is not None
     ]
-    return FeasibleSet(actuator, stiffness, spring, tuple(found), float(polytope.tolerance.mean()))
+    risen = np.hstack([np.zeros((2, 1)), spring])
+    return FeasibleSet(actuator, stiffness, risen, slopes, tuple(found), float(polytope.tolerance.mean()))
 
 
 def _numbers(regression: Regression, unknowns: int) -> Array:
-    """Costs that pick each stiffness, and the spring's voltage at each knot but the first less that of the first."""
+    """Costs that pick each stiffness, the spring's voltage at each knot less that of the first, and each slope."""
     count, segments = int(np.count_nonzero(regression.movable)), regression.knots.size - 1
-    costs = np.zeros((count + segments, unknowns))
+    costs = np.zeros((count + 2 * segments, unknowns))
     costs[:count, :count] = np.eye(count)
-    costs[count:, count : count + segments] = np.tril(np.tile(np.diff(regression.knots), (segments, 1)))
+    spring = slice(count, count + segments)
+    costs[spring, spring] = np.tril(np.tile(np.diff(regression.knots), (segments, 1)))
+    costs[count + segments :, spring] = np.eye(segments)
     return costs
 
 

@@ -18,6 +18,7 @@ from dehyst.uncertainty.feasible_set import FeasibleSet
 from dehyst.uncertainty.major_loop_width import MajorLoopWidth
 from dehyst.uncertainty.messages import beyond, not_homed, of_another
 from dehyst.uncertainty.part_identifiability import SHARP, PartIdentifiability
+from dehyst.uncertainty.precision import Precision
 from dehyst.uncertainty.prediction_band import PredictionBand
 from dehyst.uncertainty.state_knowledge import StateKnowledge
 
@@ -58,6 +59,8 @@ class Insight:
         What the records determine of each part of a structured model; empty for a plain one.
     loop : MajorLoopWidth or None
         The major loop of a structured model, with the intervals.
+    precision : Precision or None
+        Which numbers are known to the precision that was asked for; None without intervals.
     """
 
     actuator: Actuator
@@ -73,6 +76,7 @@ class Insight:
     advice: tuple[Suggestion, ...] = ()
     parts: tuple[PartIdentifiability, ...] = ()
     loop: MajorLoopWidth | None = None
+    precision: Precision | None = None
 
     @property
     def structured(self) -> bool:
@@ -102,6 +106,7 @@ class Insight:
         remarks = [
             of_another(self.actuator, self.misfit, self.evidence.stroke),
             self._open(),
+            self._imprecise(),
             beyond(self.actuator, self.limits),
         ]
         if self.band is not None:
@@ -126,6 +131,14 @@ class Insight:
             f"descend{top}."
         )
 
+    def _imprecise(self) -> str | None:
+        """Return what is not known to the precision that was asked for, and what to record next."""
+        if self.precision is None or self.precision.all_known:
+            return None
+        # The warning of open directions says what to add.
+        next_ = self.precision.next if self.trustworthy else ""
+        return " ".join(words for words in (self.precision.sentence, self.precision.others, next_) if words)
+
     def _open_on(self, band: PredictionBand) -> str | None:
         """Return what open directions make of a trajectory, where that is more than the rest."""
         parts = {name: 100 * error / self.evidence.stroke for name, error in band.errors().items()}
@@ -145,11 +158,13 @@ class Insight:
             "misfit_m": self.misfit,
             **(self._structured_dict() if self.structured else self._plain_dict()),
             "level": None if self.intervals is None else self.intervals.level,
+            "known": None if self.precision is None else self.precision.as_dict(),
             "state": [item.as_dict() for item in self.knowledge],
             "homing": self._homing_dict(),
             "trajectory": None
             if self.band is None
             else {f"{name}_m": error for name, error in self.band.errors().items()},
+            "band": None if self.band is None else self.band.as_dict(self.evidence.stroke),
         }
 
     def _plain_dict(self) -> dict[str, Any]:

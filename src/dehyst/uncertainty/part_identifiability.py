@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers.least_squares import triangle_of
 from dehyst.records import Record
@@ -26,6 +26,8 @@ from dehyst.uncertainty.evidence import Evidence
 SHARP = 0.01
 # Less than this [V/V] is rounding.
 _ROUNDING = 1e-7
+# A coefficient with less than this in every direction that is not seen is determined by itself.
+_SMALL = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +42,14 @@ class PartIdentifiability:
         told.
     allowed : float
         That up to which a combination counts as known [V].
+    alone : (m,) bool array
+        Whether the records determine a coefficient by itself, whatever their noise.
     """
 
     part: str
     deviations: Array
     allowed: float
+    alone: Mask
 
     @property
     def of(self) -> int:
@@ -85,11 +90,12 @@ def part_identifiability(evidence: Evidence) -> tuple[PartIdentifiability, ...]:
         # What no sample sees would make the factorisation divide by nothing.
         rest = rest[:, np.abs(rest).max(axis=0) > _ROUNDING]
         triangle = triangle_of(np.hstack([rest, columns[:, own]]))
-        values = np.linalg.svd(triangle[rest.shape[1] :, rest.shape[1] :], compute_uv=False)
+        _, values, vectors = np.linalg.svd(triangle[rest.shape[1] :, rest.shape[1] :])
         seen = np.zeros(own.stop - own.start)
         seen[: values.size] = values / np.sqrt(len(columns))
         deviations = np.divide(scatter, seen, out=np.full(seen.size, np.inf), where=seen > _ROUNDING)
-        found.append(PartIdentifiability(part, deviations, allowed))
+        alone = np.linalg.norm(vectors[seen <= _ROUNDING], axis=0) <= _SMALL
+        found.append(PartIdentifiability(part, deviations, allowed, alone))
     return tuple(found)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from dehyst.model import Actuator, State
 from dehyst.records.metrics import largest
 from dehyst.uncertainty.bootstrap import Intervals
 from dehyst.uncertainty.feasible_set import FeasibleSet
+from dehyst.uncertainty.model_error import ClassError, HeldOut
 from dehyst.waveforms import Excitation
 
 # What each of `PredictionBand.errors` comes from.
@@ -42,6 +44,10 @@ class PredictionBand:
         The largest error of the model on these records [m]: what no model of its class may be able to follow.
     warnings : tuple of str
         What was clamped or extrapolated.
+    level : float
+        Of `likely`.
+    class_error : ClassError or None
+        The error of the model class on this path; None where it was not judged.
     """
 
     wanted: Array
@@ -51,6 +57,8 @@ class PredictionBand:
     open: Array | None
     misfit: float
     warnings: tuple[str, ...]
+    level: float = 0.9
+    class_error: ClassError | None = None
 
     @classmethod
     def of(
@@ -64,10 +72,12 @@ class PredictionBand:
         limits: tuple[float, float] | None,
         time: Array | None = None,
         played: Excitation | None = None,
+        held_out: HeldOut | None = None,
     ) -> PredictionBand:
         """Play a command on every model that might be the true one, each homed by a rise through the limits.
 
-        With `played`, the rise in time, and the command's `time` [s], where time matters.
+        With `played`, the rise in time, and the command's `time` [s], where time matters. With `held_out`, models of
+        parts of the records, the error of the model class is judged as well.
         """
 
         def state(model: Actuator) -> State:
@@ -79,7 +89,23 @@ class PredictionBand:
 
         noise = intervals.prediction(command.voltage, state, time)
         free_ = None if free is None else free.prediction(command.voltage, state)
-        return cls(wanted, command.voltage, command.displacement, noise, free_, misfit, command.warnings)
+
+        def play(model: Actuator) -> Array:
+            clock = time if model.needs_time else None
+            motion = model.simulate(command.voltage, time=clock, state=state(model), extrapolate=True)
+            return np.asarray(motion.displacement)
+
+        return cls(
+            wanted,
+            command.voltage,
+            command.displacement,
+            noise,
+            free_,
+            misfit,
+            command.warnings,
+            intervals.level,
+            None if held_out is None else held_out.on(play, misfit),
+        )
 
     @property
     def lowest(self) -> Array:
@@ -94,19 +120,62 @@ class PredictionBand:
         return np.asarray(np.maximum(self.noise[1], free[1]) + self.misfit)
 
     @property
+    def likely(self) -> Array | None:
+        """(2, n) lowest and highest displacement [m] of the band of `level`, by noise and model error together.
+
+        Both add as independent errors do. Where the records leave directions open, it holds all of `open`.
+        """
+        if self.class_error is None:
+            return None
+        below, above = self.displacement - self.noise[0], self.noise[1] - self.displacement
+        low, high = (np.hypot(np.maximum(off, 0.0), self.class_error.half) for off in (below, above))
+        band = np.array([self.displacement - low, self.displacement + high])
+        if self.class_error.open and self.open is not None:
+            band = np.array([np.minimum(band[0], self.open[0]), np.maximum(band[1], self.open[1])])
+        return band
+
+    @property
     def error(self) -> float:
         """The largest distance from the wanted path to be expected [m]."""
         return max(largest(self.highest - self.wanted), largest(self.wanted - self.lowest))
 
     def columns(self) -> dict[str, Array]:
         """Columns for a file, in volts and micrometres."""
+        likely = (
+            {} if self.likely is None else {"likely_lowest_um": self.likely[0], "likely_highest_um": self.likely[1]}
+        )
         return {
             "wanted_um": self.wanted * 1e6,
             "voltage_V": self.voltage,
             "expected_um": self.displacement * 1e6,
             "lowest_um": self.lowest * 1e6,
             "highest_um": self.highest * 1e6,
+            **{name: end * 1e6 for name, end in likely.items()},
         }
+
+    def as_dict(self, stroke: float) -> dict[str, Any] | None:
+        """Return the band of `level` as JSON values; None where it was not judged."""
+        if self.likely is None or self.class_error is None:
+            return None
+        return {
+            "level": self.level,
+            "half_width_m": float(0.5 * (self.likely[1] - self.likely[0]).mean()),
+            "model_error_m": self.class_error.half,
+            "held_out_m": self.class_error.held_out,
+            "growth": self.class_error.growth,
+            "parts_held_out": self.class_error.parts,
+            "sentence": self.sentence(stroke),
+        }
+
+    def sentence(self, stroke: float) -> str:
+        """Return the band of `level` in words, lengths as parts of a stroke [m]; empty where it was not judged."""
+        if self.likely is None or self.class_error is None:
+            return ""
+        half = 0.5 * (self.likely[1] - self.likely[0])
+        return (
+            f"{100 * self.level:g} % of the path are expected within {100 * float(half.mean()) / stroke:.3g} % of the "
+            f"range on average, by noise and model error together. {self.class_error.sentence}"
+        )
 
     def errors(self) -> dict[str, float]:
         """Largest errors [m] that noise, open directions, the misfit and clamping may cause, and all together."""

@@ -121,7 +121,7 @@ def test_only_a_first_rise_from_a_relaxed_state_tells_all_ten():
     assert len(unseen(FIRST_RISE, relaxed=True)) == 0
     # The same record, not known to be relaxed.
     assert told_of(FIRST_RISE).determined == 5
-    assert found.sentences() == ("All 10 stiffnesses of elements that slide are known.",)
+    assert found.sentences() == ("The turning points determine all 10 stiffnesses of elements that slide.",)
 
 
 @pytest.mark.parametrize("elements", [1, 2, 3, 4, 5, 7, 10, 15, 20, 30])
@@ -229,32 +229,32 @@ def test_the_sentences_are_true(turns):
 
     single = set()
     for sentence in told_of(turns).sentences():
-        if sentence.startswith("Known by themselves: "):
+        if sentence.startswith("Determined by themselves: "):
             single = {int(number) for number in re.findall(r"k_(\d+)", sentence)}
             continue
         for clause in sentence.rstrip(".").split(", "):
-            words, verdict = re.fullmatch(r"(.*) is (known|not|not known)", clause).groups()
-            assert is_known(combination(words)) == (verdict == "known"), sentence
+            words, verdict = re.fullmatch(r"(.*) is (determined|not|not determined)", clause).groups()
+            assert is_known(combination(words)) == (verdict == "determined"), sentence
     assert single == {i + 1 for i, one in enumerate(np.eye(10)) if is_known(one)}
 
 
 def test_the_words_for_a_major_loop():
     assert told_of(MAJOR).sentences() == (
-        "k_1 + k_9 is known, k_1 - k_9 is not.",
-        "k_2 + k_8 is known, k_2 - k_8 is not.",
-        "k_3 + k_7 is known, k_3 - k_7 is not.",
-        "k_4 + k_6 is known, k_4 - k_6 is not.",
-        "k_10 is not known.",
-        "Known by themselves: k_5.",
+        "k_1 + k_9 is determined, k_1 - k_9 is not.",
+        "k_2 + k_8 is determined, k_2 - k_8 is not.",
+        "k_3 + k_7 is determined, k_3 - k_7 is not.",
+        "k_4 + k_6 is determined, k_4 - k_6 is not.",
+        "k_10 is not determined.",
+        "Determined by themselves: k_5.",
     )
 
 
 def test_the_words_for_few_elements():
-    assert told_of(MAJOR, 1).sentences() == ("k_1 is not known.",)
-    assert told_of(MAJOR, 2).sentences() == ("k_2 is not known.", "Known by themselves: k_1.")
-    assert told_of(MAJOR, 3).sentences() == ("k_1 + k_2 is known, k_1 - k_2 is not.", "k_3 is not known.")
+    assert told_of(MAJOR, 1).sentences() == ("k_1 is not determined.",)
+    assert told_of(MAJOR, 2).sentences() == ("k_2 is not determined.", "Determined by themselves: k_1.")
+    assert told_of(MAJOR, 3).sentences() == ("k_1 + k_2 is determined, k_1 - k_2 is not.", "k_3 is not determined.")
     one = told_of(MAJOR, 2, movable=np.array([True, False]))
-    assert one.sentences() == ("The stiffness of the one element that slides is known.",)
+    assert one.sentences() == ("The turning points determine the stiffness of the one element that slides.",)
 
 
 def test_elements_that_do_not_move_are_left_out():
@@ -274,7 +274,7 @@ def test_records_without_loops_tell_nothing():
     found = told([plain_records.loops(PLANT, (1, 0))])
     assert (found.determined, found.of, found.known) == (0, 10, ())
     assert np.array(found.open) == pytest.approx(np.eye(10))
-    assert found.sentences() == tuple(f"k_{i} is not known." for i in range(1, 11))
+    assert found.sentences() == tuple(f"k_{i} is not determined." for i in range(1, 11))
     # Beside a record with loops they do no harm.
     both = told([plain_records.loops(PLANT, (1, 0)), plain_records.loops(PLANT, MAJOR)])
     assert both.determined == 5

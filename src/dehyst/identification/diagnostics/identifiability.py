@@ -81,21 +81,23 @@ class Identifiability:
         return self.movable & ~touched
 
     def sentences(self) -> tuple[str, ...]:
-        """Return sentences about what is known and what is not: ``k_3 + k_7 is known, k_3 - k_7 is not``."""
+        """Return sentences about what is determined and what is not: ``k_3 + k_7 is determined, k_3 - k_7 is not``."""
         if not self.of:
             return ("No element slides in these records: they determine no stiffness.",)
         if self.determined == self.of:
-            every = f"All {self.of} stiffnesses of elements that slide are known."
-            return (every if self.of > 1 else "The stiffness of the one element that slides is known.",)
+            every = f"The turning points determine all {self.of} stiffnesses of elements that slide."
+            return (
+                every if self.of > 1 else "The turning points determine the stiffness of the one element that slides.",
+            )
         known = [_signature(c) for c in self.known]
         sentences = []
         for change in self.open:
             total = _signature(np.abs(change))
             pair = np.count_nonzero(np.abs(change) > _SMALL) > 1 and total in known
-            partner = f"{_words(np.abs(change))} is known, " if pair else ""
-            sentences.append(f"{partner}{_words(change)} is not{'' if partner else ' known'}.")
+            partner = f"{_words(np.abs(change))} is determined, " if pair else ""
+            sentences.append(f"{partner}{_words(change)} is not{'' if partner else ' determined'}.")
         single = [f"k_{signature[0][0]}" for signature in known if len(signature) == 1]
-        return (*sentences, f"Known by themselves: {', '.join(single)}.") if single else tuple(sentences)
+        return (*sentences, f"Determined by themselves: {', '.join(single)}.") if single else tuple(sentences)
 
     def _sparse(self, basis: Array, *, friction: bool) -> tuple[Array, ...]:
         """Return a basis of the same space, few elements in each vector, by linear programs (least L1); maximum 1."""
