@@ -23,8 +23,8 @@ from dehyst.records.metrics import rms
 _ROWS = 4000
 # Fewer rows say nothing.
 _FEWEST = 20
-# Cycles of this part of the largest one are as large.
-_LARGEST = 0.9
+# Sizes that are told apart; cycles of this part of the largest one are as large.
+_SIZES, _LARGEST = 20, 0.9
 # Structures whose held-out error is within this ratio of the least explain the records; so many are compared.
 _ABOUT, _COMPARED = 1.3, 4
 # Random turning points of the path, and its samples from one to the next.
@@ -36,18 +36,18 @@ _FAILED = 0.2
 def size_error(regression: Regression) -> float:
     """Return the RMS error [m] on cycles of sizes that were not trained on: the larger of two groups.
 
-    Cycles that are not among the largest are sorted by their size; the smallest third is held out, then the next one.
+    Of the sizes there are below the largest, in twentieths of it, the smallest third is held out, then the next one.
     0 if there are too few.
     """
     few = regression.thinned(_ROWS)
     cycle = blocks(few.rows.voltage, few.rows.epoch)
     sizes = np.array([np.ptp(few.axis[cycle == k]) for k in np.unique(cycle)])
-    third = np.full(sizes.size, 2)
-    smaller = np.flatnonzero(sizes < _LARGEST * sizes.max())
-    third[smaller[np.argsort(sizes[smaller], kind="stable")]] = 3 * np.arange(smaller.size) // max(smaller.size, 1)
-    fold = third[np.unique(cycle, return_inverse=True)[1]]
+    step = (_SIZES * sizes / max(float(sizes.max(initial=0.0)), 1e-300)).astype(int)
+    smaller = np.unique(step[step < _LARGEST * _SIZES])
+    third = 3 * np.searchsorted(smaller, step) // max(smaller.size, 1)
+    fold = np.minimum(third, 2)[np.unique(cycle, return_inverse=True)[1]]
     sums = FoldSums(few, first_weights(few), folds=3, given=fold)
-    errors = [sums.errors_of(k) for k in (0, 1) if np.count_nonzero(fold == k) >= _FEWEST]
+    errors = [sums.errors_of(k) for k in (0, 1) if smaller.size and np.count_nonzero(fold == k) >= _FEWEST]
     return max((rms(left) for left in errors if left is not None), default=0.0)
 
 

@@ -79,7 +79,7 @@ def expectation(
         ]
         names = ("parts of the records held out in turn", "loops of sizes held out")
         for part, name in zip(parts, names, strict=True):
-            rms, basis, measured = (part, name, held_out.in_time) if part > rms else (rms, basis, measured)
+            rms, basis = (part, name) if part > rms else (rms, basis)
         rms = (rms**2 + held_out.disagreement**2) ** 0.5
     rms = (rms**2 + (_KNOWN * noise) ** 2) ** 0.5
     largest = max(max(one.largest for one in judged) - peak, _PEAK * rms)
