@@ -15,7 +15,7 @@ from dehyst._version import __version__
 from dehyst.identification.deadline import Deadline
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.assumptions import assumption_checks
-from dehyst.identification.diagnostics.expectation import HeldOut, expectation
+from dehyst.identification.diagnostics.expectation import Unseen, expectation
 from dehyst.identification.diagnostics.remaining_error import remaining_error
 from dehyst.identification.diagnostics.residuals import residual_checks
 from dehyst.identification.dynamics_search import SensedDynamics
@@ -31,13 +31,14 @@ from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.settings import Settings
 from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure_selection import StructureTrial
-from dehyst.identification.training_data import TrainingData
+from dehyst.identification.training_data import COARSE, TrainingData
 from dehyst.identification.validation import MOST_ROWS, Protocol, errors_of
 from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure, Trace
 from dehyst.model.readiness import USELESS
 from dehyst.model.structure import Grid
 from dehyst.records import Record
 from dehyst.records.metrics import rms
+from dehyst.records.signals import resolution
 
 _T = TypeVar("_T")
 # Thresholds in half strokes that records whose loops grow are also tried with, and how far they must lower the error.
@@ -67,7 +68,7 @@ class Run:
     structure: Structure | None = None
     trials: tuple[StructureTrial, ...] = ()
     steady: bool | None = None
-    unseen: HeldOut = field(default_factory=HeldOut)
+    unseen: Unseen = field(default_factory=Unseen)
     searched: Structure | None = None
 
     def __post_init__(self) -> None:
@@ -246,7 +247,7 @@ class Run:
 
     def look_beyond(self, frame: TrainingData, regression: Regression, actuator: Actuator) -> None:
         """Find how far the actuator misses what it was not trained on."""
-        self.unseen = HeldOut(
+        self.unseen = Unseen(
             block_error(frame, regression),
             size_error(regression),
             disagreement(frame, actuator, self.limits(), self.trials),
@@ -255,15 +256,18 @@ class Run:
 
     def doubts(self, actuator: Actuator) -> list[str]:
         """Return what the records cannot tell, if a path depends on it by more than what is known of the model."""
+        known = max(self.unseen.in_time, self.unseen.by_size)
+        step = max(resolution(item.record.voltage)[1] for item in self.training)
+        doubts = [f"the voltage is recorded in steps of {100 * step:.2g} % of its range"] if step > COARSE else []
         lag = actuator.delay + actuator.lag
         if self.settings.sensor_lag is not None or self.settings.delay is not None or not lag:
-            return []
+            return doubts
         items = [item.reduced.record for item in self.training]
         moved = lag * max(rms(np.diff(one.displacement)) / one.sample_time for one in items)
-        if moved <= max(self.unseen.in_time, self.unseen.by_size):
-            return []
+        if moved <= known:
+            return doubts
         self.remarks.append(messages.of_lag(lag, moved, self.stroke))
-        return [f"the sensor or the actuator lags by {1e3 * lag:.3g} ms, the records cannot tell which"]
+        return [*doubts, f"the sensor or the actuator lags by {1e3 * lag:.3g} ms, the records cannot tell which"]
 
     def best_words(self, actuator: Actuator) -> str:
         """Describe the structure of the result and, if it was tried, its held-out error."""

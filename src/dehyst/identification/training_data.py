@@ -42,8 +42,8 @@ _MOST_ROWS = 30_000
 # does, too.
 _SPEEDS = 3.0
 _HELD = 0.005
-# Steps of a voltage, as a part of its range, that are too coarse for a hold to be one.
-_COARSE = 0.002
+# Steps of a voltage, as a part of its range, that are too coarse for a hold to be one, and for a model to be ready.
+COARSE = 0.002
 # The structure that shows how records drift, and by how much a straight line must lower the RMS residual.
 _DRIFTING = Structure(elements=20, grades=4)
 _WORTH_OF_LINE = 0.97
@@ -308,7 +308,7 @@ def _holds(item: Prepared) -> bool:
     """Whether the voltage stands still for as long as a cycle lasts somewhere, or for a tenth of the record."""
     v, record = item.record.voltage, item.record
     # A coarse voltage stands still wherever it moves by less than one of its steps.
-    if resolution(v)[1] > _COARSE:
+    if resolution(v)[1] > COARSE:
         return False
     still = np.abs(np.diff(v)) < 1e-3 * _HELD * np.ptp(v)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))

@@ -15,7 +15,7 @@ _KNOWN = 0.1
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class Unseen:
     """Errors on what was not trained on; 0 where it was not tried.
 
     Attributes
@@ -40,7 +40,7 @@ def expectation(
     outcome: Outcome,
     errors: Sequence[RecordErrors],
     checks: Sequence[Check],
-    held_out: HeldOut,
+    held_out: Unseen,
     remaining: Sequence[RemainingError],
     noise: float,
     goal: float,
@@ -53,7 +53,7 @@ def expectation(
     outcome : Outcome
     errors, checks
         Those of a `Fit`.
-    held_out : HeldOut
+    held_out : Unseen
     remaining : sequence of RemainingError
         One for each of the errors.
     noise : float

@@ -1,4 +1,4 @@
-"""A lag that may be the sensor's or the actuator's."""
+"""What a record cannot tell, and is said beside the verdict."""
 
 import itertools
 
@@ -52,6 +52,16 @@ def test_a_lag_is_called_the_sensor_s_or_the_actuator_s_and_an_option_tells():
     assert abs(known.actuator.delay) < 0.1 * LAG
     assert known.options["sensor_lag"] == known.actuator.provenance["sensor_lag"] == LAG
     assert any("before the sensor's lag of 80 ms" in repair for repair in known.repairs)
+
+
+def test_a_coarse_voltage_keeps_a_model_from_being_ready():
+    seen, y = records()
+    exact = Record(seen.time, seen.voltage, y)
+    coarse = Record(seen.time, np.round(seen.voltage / 0.3) * 0.3, y)
+    assert "in steps of" not in identify(exact, structure="paper").expectation.sentence
+    verdict = identify(coarse, structure="paper").expectation
+    assert "the voltage is recorded in steps of 0.37 % of its range" in verdict.sentence.lower()
+    assert verdict.readiness is not Readiness.READY
 
 
 @pytest.mark.parametrize("lag", [-1.0, np.nan, "soon"])
