@@ -64,7 +64,7 @@ def test_a_coarse_voltage_keeps_a_model_from_being_ready():
     assert verdict.readiness is not Readiness.READY
 
 
-@pytest.mark.parametrize("lag", [-1.0, np.nan, "soon"])
+@pytest.mark.parametrize("lag", [-1.0, np.nan, "soon", 1e9])
 def test_what_is_no_lag_is_refused(lag):
     with pytest.raises(IdentifyError, match="sensor_lag"):
         identify(records()[0], sensor_lag=lag)

@@ -79,9 +79,11 @@ class Prepared:
         """Return the record with the displacements before its sensor's low-pass of first order: y + lag y'."""
         if not lag:
             return self
-
+        cycle = cleaning.cycle_time(self.record)
+        if lag > 0.25 * cycle:
+            raise IdentifyError(f"sensor_lag: got {lag:g} s, need less than a quarter of a cycle of {cycle:.4g} s")
         # Few samples a cycle leave no room for a long window.
-        window = 9 if cleaning.cycle_time(self.record) > _MANY * self.record.sample_time else 5
+        window = 9 if cycle > _MANY * self.record.sample_time else 5
 
         def before(one: Record) -> Record:
             rate = local_polynomial(one.displacement, window, 4, 1, one.sample_time)
