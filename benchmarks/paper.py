@@ -1,4 +1,4 @@
-"""The paper's experiment on a virtual actuator, beside the paper's numbers. Writes `run.json`."""
+"""The paper's experiment on a virtual actuator, beside the paper's numbers. Writes `paper.json`."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ from dehyst.studies.paper import run
 
 def main() -> None:
     found = run.run(print).as_dict()
-    target = Path(__file__).with_name("run.json")
+    target = Path(__file__).with_name("paper.json")
     target.write_text(json.dumps(found, indent=1) + "\n")
     print(target.name)
 
