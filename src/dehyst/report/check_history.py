@@ -11,7 +11,6 @@ from dehyst._errors import IdentifyError
 from dehyst._io.drafts import write_atomically
 from dehyst.identification import CheckHistory
 from dehyst.identification.checking.history import ControlChart
-from dehyst.model.readiness import USELESS
 from dehyst.report.plots import INK, MEASURED, SIMULATED, svg_file
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ def _errors(ax: Axes, history: CheckHistory) -> None:
     ax.plot(numbers, history.average_error(), color=SIMULATED, lw=1)
     ax.plot(numbers, errors, color=MEASURED, ls="none", marker="o", ms=3)
     ax.set_ylabel("error\n(% of stroke)")
-    ax.set_ylim(0, min(1.15 * max(*errors, *goals), max(USELESS, 1.15 * max(goals), 1.15 * max(errors))))
+    ax.set_ylim(0, 1.15 * max(*errors, *goals))
 
 
 def _chart(ax: Axes, chart: ControlChart) -> None:
@@ -80,12 +79,13 @@ def _chart(ax: Axes, chart: ControlChart) -> None:
     ax.plot(numbers, chart.scores, color=MEASURED, ls="none", marker="o", ms=3)
     alarms = chart.alarms
     ax.plot(numbers[alarms], chart.scores[alarms], color=SIMULATED, ls="none", marker="o", ms=6.5, mfc="none")
+    ax.margins(y=0.12)
     ax.set_ylabel(f"{chart.name}\n(deviations)")
 
 
 def _dates(ax: Axes, history: CheckHistory) -> None:
     """Write the dates of some checks below."""
     count = len(history.checks)
-    shown = np.unique(np.linspace(0, count - 1, min(count, _LABELS)).round().astype(int))
+    shown = np.arange(0, count, -(-count // _LABELS))
     ax.set_xticks(shown + 1, [f"{k + 1}\n{history.checks[k].checked:%m-%d}" for k in shown])
     ax.set_xlabel(f"check and day, {history.checks[0].checked:%Y-%m-%d} to {history.checks[-1].checked:%Y-%m-%d}")

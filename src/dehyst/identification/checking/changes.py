@@ -5,7 +5,7 @@ With s the simulated displacement, m(v) its mean line (the average of rising and
     y - s = gain (s - m(0 V)) + width h - delay s' + creep log10(t) + offset,
 
 whose coefficients are what has changed. Standard errors are those of a jackknife over blocks of time, or over sections
-of the loop if these give more: an error that repeats in each cycle is no evidence of a change.
+of the loop if these give more, and with the model's own error: what repeats in each cycle is no evidence of a change.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Change:
     ----------
     name : str
         "gain" (of the whole displacement, about that at 0 V), "width" (of the loop, beside the gain), "offset" (of the
-        displacement at 0 V), "delay", "creep" (by a logarithm of time) or "drift" (in proportion to time).
+        displacement at 0 V, as the record began), "delay", "creep" (by a logarithm of time) or "drift" (in proportion to time).
     value, error : float
         The change and its standard error: parts of 1 for gain and width, [m] for the offset, [s] for the delay,
         [m a decade of time] for creep, [m over the record] for a drift.
@@ -118,14 +118,25 @@ class Slow:
 
 
 @dataclass(frozen=True)
-class Zero:
-    """The zero of a record: its `datum` [m] to the model's axis, and the `doubt` [m] that the record leaves of it."""
+class Known:
+    """What is known of a record and its model before the regression.
+
+    Attributes
+    ----------
+    datum : float
+        Shift to the model's axis [m].
+    doubt : float
+        What the record leaves open of it [m].
+    own : float
+        Error of the model itself, as a standard deviation [m]: it differs from one kind of loop to another.
+    """
 
     datum: float
     doubt: float
+    own: float
 
 
-def find_changes(trace: Trace, slow: Sequence[Slow], zero: Zero, least: float) -> tuple[Change, ...]:
+def find_changes(trace: Trace, slow: Sequence[Slow], known: Known, least: float) -> tuple[Change, ...]:
     """Regress measured less simulated displacement on what may have changed.
 
     Parameters
@@ -134,7 +145,7 @@ def find_changes(trace: Trace, slow: Sequence[Slow], zero: Zero, least: float) -
         Played without an offset and without a drift.
     slow : sequence of Slow
         Curves of time, of which the one that explains more is taken; may be empty.
-    zero : Zero
+    known : Known
     least : float
         Effect [m] from which a change counts.
     """
@@ -143,8 +154,10 @@ def find_changes(trace: Trace, slow: Sequence[Slow], zero: Zero, least: float) -
     found = []
     for name, value, error, most in min(fits, key=lambda fit: fit.squares).parts():
         offset = name == "offset"
-        size, doubt = (value - zero.datum, zero.doubt) if offset else (value, 0.0)
-        found.append(Change(name, size, float(np.hypot(error, doubt)), size * most, least))
+        size, doubt = (value - known.datum, known.doubt) if offset else (value, 0.0)
+        # A column of nothing but zeros determines nothing.
+        own = known.own / most if most else np.inf
+        found.append(Change(name, size, float(np.linalg.norm([error, doubt, own])), size * most, least))
     return tuple(found)
 
 

@@ -13,8 +13,8 @@ from dehyst import _validation
 from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.identification.checking.changes import Slow, Zero, find_changes
-from dehyst.identification.checking.recheck import Recheck
+from dehyst.identification.checking.changes import Known, Slow, find_changes
+from dehyst.identification.checking.recheck import PEAK, Recheck
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared, prepare
 from dehyst.identification.validation import Protocol, compare, errors_of
@@ -27,6 +27,8 @@ _GOAL = 1.0
 _PART = 0.25
 # Steps of the search for the sensor's zero, and the part of the stroke that ends it.
 _STEPS, _CLOSE = 4, 1e-4
+# Part of a cycle from which on the time of creep is counted.
+_EARLY = 0.1
 # Parts of the range of voltages: beyond the limits by more, the record says little of the model; less than so much of
 # them, it says nothing of the longest elements.
 _BEYOND, _LITTLE = 1e-3, 0.5
@@ -73,7 +75,9 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
     drifts = bool(actuator.provenance.get("drift", True)) and prepared.can_drift
     slow = _slow(prepared, trace) if drifts else ()
     error, drift = _steadied(trace, slow if actuator.creep is None else ())
-    found = find_changes(trace, slow, Zero(errors.datum, _doubt(actuator, record)), _PART * goal / 100 * stroke)
+    before = _number_of(actuator, "largest_error_m")
+    known = Known(errors.datum, _doubt(actuator, record), (before or 0.0) / PEAK)
+    found = find_changes(trace, slow, known, _PART * goal / 100 * stroke)
     return Recheck(
         record.name,
         actuator.name,
@@ -84,7 +88,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         largest(error),
         rms(error),
         prepared.noise,
-        _number_of(actuator, "largest_error_m"),
+        before,
         stroke,
         goal,
         drift,
@@ -120,11 +124,10 @@ def _zero(actuator: Actuator, record: Prepared, protocol: Protocol) -> float:
 
 
 def _slow(record: Prepared, trace: Trace) -> tuple[Slow, ...]:
-    """Return the curves of creep, by decade of time, and of a drift, over the record."""
-    curve = cleaning.drift_curve(record.record, record.start)
-    creep = np.interp(trace.time, record.record.time, curve)
-    drift = (trace.time - trace.time[0]) / float(np.ptp(trace.time))
-    return Slow("creep", creep - creep.mean()), Slow("drift", drift - drift.mean())
+    """Return the curves of creep, by decade of time, and of a drift, over the record; both 0 as the record began."""
+    time = trace.time - record.start
+    creep = np.log10(1 + time / (_EARLY * cleaning.cycle_time(record.record)))
+    return Slow("creep", creep), Slow("drift", time / float(time[-1]))
 
 
 def _steadied(trace: Trace, slow: tuple[Slow, ...]) -> tuple[Array, float]:
@@ -132,10 +135,11 @@ def _steadied(trace: Trace, slow: tuple[Slow, ...]) -> tuple[Array, float]:
     residual = trace.residual - trace.residual.mean()
     error, drift = residual, 0.0
     for one in slow:
-        share = float(one.curve @ residual) / float(one.curve @ one.curve)
-        left = residual - share * one.curve
+        curve = one.curve - one.curve.mean()
+        share = float(curve @ residual) / float(curve @ curve)
+        left = residual - share * curve
         if left @ left < error @ error:
-            error, drift = left, share * float(np.ptp(one.curve))
+            error, drift = left, share * float(np.ptp(curve))
     return error, drift
 
 

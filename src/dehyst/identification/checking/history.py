@@ -198,7 +198,7 @@ class CheckHistory:
     def sentences(self) -> tuple[str, ...]:
         """Return a sentence for each kind of change whose chart is outside of its limits now."""
         return tuple(
-            f"{chart.name.capitalize()}: average and cumulative sum of the checks have been outside of their limits "
+            f"{chart.name.capitalize()}: average or cumulative sum of the checks has been outside of its limits "
             f"since check {chart.since + 1} ({self.checks[chart.since].checked:%Y-%m-%d}): a lasting change, now "
             f"{chart.effects[-1]:+.2g} % of the stroke."
             for chart in self.charts()

@@ -11,10 +11,10 @@ import numpy as np
 from dehyst.identification.checking.changes import Change
 from dehyst.model import Trace
 
+# Peaks of noise reach so many standard deviations.
+PEAK = 4.0
 # An error this many times that of the identification is another one.
 _WORSE = 1.5
-# Peaks of white noise reach so many standard deviations.
-_PEAK = 4.0
 
 
 class Standing(Enum):
@@ -23,7 +23,7 @@ class Standing(Enum):
     STILL_TRUE = "still true"
     RECALIBRATE = "recalibrate"
     NEVER_MET = "no worse than at its identification, but above the goal"
-    DRIFTS = "still true but for a drift"
+    DRIFTS = "still true, but the record drifts"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class Recheck:
     @property
     def without_noise(self) -> float:
         """Largest error less the peaks of the sensor's noise [m]: what is compared with the goal."""
-        return max(self.largest - _PEAK * self.noise, 0.0)
+        return max(self.largest - PEAK * self.noise, 0.0)
 
     @property
     def ratio(self) -> float | None:
@@ -104,8 +104,8 @@ class Recheck:
 
     @property
     def good(self) -> bool:
-        """Whether the model may be used as before."""
-        return self.standing is Standing.STILL_TRUE
+        """Whether the model itself may be used as before."""
+        return self.standing in (Standing.STILL_TRUE, Standing.DRIFTS)
 
     @property
     def sentence(self) -> str:
@@ -125,7 +125,7 @@ class Recheck:
             return "The same records again would give the same error: record more loops, or allow a wider structure."
         if self.standing is Standing.DRIFTS:
             moved = self._percent(abs(self.drift))
-            return f"The record drifts by {moved} of the stroke, which a path will show; a new model may not help."
+            return f"No new model is needed; the drift is {moved} of the stroke, which a path will show: let the actuator warm up and rest."
         return "No new model is needed."
 
     def _percent(self, length: float) -> str:
