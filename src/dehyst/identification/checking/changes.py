@@ -43,7 +43,8 @@ class Change:
     ----------
     name : str
         "gain" (of the whole displacement, about that at 0 V), "width" (of the loop, beside the gain), "offset" (of the
-        displacement at 0 V, as the record began), "delay", "creep" (by a logarithm of time) or "drift" (in proportion to time).
+        displacement at 0 V, as the record began), "delay", "creep" (by a logarithm of time) or "drift" (in proportion
+        to time).
     value, error : float
         The change and its standard error: parts of 1 for gain and width, [m] for the offset, [s] for the delay,
         [m a decade of time] for creep, [m over the record] for a drift.
@@ -79,7 +80,7 @@ class Change:
         return f"{direction.format(self.amount(stroke))}: up to {effect}. {_REMEDIES[self.name]}"
 
     def amount(self, stroke: float) -> str:
-        """Return the size with its standard error, in the unit in which it is shown."""
+        """Return the size with its standard error, as shown; creep and drift as parts of `stroke` [m]."""
         factor, unit = _SHOWN.get(self.name, (1e9, "nm"))
         if self.name in ("creep", "drift"):
             factor, unit = _PERCENT / stroke, "% of the stroke" + (" a decade" if self.name == "creep" else "")
@@ -149,7 +150,7 @@ def find_changes(trace: Trace, slow: Sequence[Slow], known: Known, least: float)
     least : float
         Effect [m] from which a change counts.
     """
-    loop, step = _Loop.of(trace), max(1, trace.time.size // _MOST)
+    loop, step = _SimulatedLoop.of(trace), max(1, trace.time.size // _MOST)
     fits = [_fitted(loop, curve, step) for curve in slow] or [_fitted(loop, None, step)]
     found = []
     for name, value, error, most in min(fits, key=lambda fit: fit.squares).parts():
@@ -162,7 +163,7 @@ def find_changes(trace: Trace, slow: Sequence[Slow], known: Known, least: float)
 
 
 @dataclass(frozen=True, eq=False)
-class _Loop:
+class _SimulatedLoop:
     """A simulated loop: time, voltage, measured and simulated displacement, mean line, and that at 0 V."""
 
     time: Array
@@ -174,7 +175,7 @@ class _Loop:
     stroke: float
 
     @classmethod
-    def of(cls, trace: Trace) -> _Loop:
+    def of(cls, trace: Trace) -> _SimulatedLoop:
         """Find the mean line of a trace."""
         knots = np.linspace(trace.voltage.min(), trace.voltage.max(), _KNOTS)
         levels = _mean_line(trace.voltage, trace.simulated, knots)
@@ -183,7 +184,7 @@ class _Loop:
         stroke = float(np.ptp(trace.simulated))
         return cls(trace.time, trace.voltage, trace.measured, trace.simulated, mean, rest, stroke)
 
-    def later(self, delay: float) -> _Loop:
+    def later(self, delay: float) -> _SimulatedLoop:
         """Return the loop as a sensor sees it that is late by `delay` [s]."""
         late = self.time - delay
         moved = (np.interp(late, self.time, values) for values in (self.voltage, self.simulated, self.mean))
@@ -192,7 +193,7 @@ class _Loop:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fitted:
+class _ChangeFit:
     """Coefficients (k,) of named columns, their standard errors, their largest values, and the sum of squares left."""
 
     names: list[str]
@@ -223,7 +224,7 @@ def _mean_line(voltage: Array, displacement: Array, knots: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, target))
 
 
-def _fitted(loop: _Loop, slow: Slow | None, step: int) -> _Fitted:
+def _fitted(loop: _SimulatedLoop, slow: Slow | None, step: int) -> _ChangeFit:
     """Fit all columns; the simulated displacement is delayed until no delay is left."""
     delay, late = 0.0, loop
     for _ in range(_STEPS):
@@ -238,7 +239,7 @@ def _fitted(loop: _Loop, slow: Slow | None, step: int) -> _Fitted:
     return fit
 
 
-def _regression(loop: _Loop, slow: Slow | None, step: int) -> _Fitted:
+def _regression(loop: _SimulatedLoop, slow: Slow | None, step: int) -> _ChangeFit:
     rate = _rate(loop.time, loop.simulated)
     width = loop.simulated - loop.mean
     columns = {"gain": loop.simulated - loop.rest, "delay": -rate, "offset": np.ones(rate.size)}
@@ -257,7 +258,7 @@ def _regression(loop: _Loop, slow: Slow | None, step: int) -> _Fitted:
     values, errors = fits[0][0], np.max([own for _, own in fits], axis=0)
     left = target - x / scale @ values
     most = np.where([name in _RANGING for name in names], np.ptp(x, axis=0), scale)
-    return _Fitted(names, values / scale, errors / scale, most, float(left @ left))
+    return _ChangeFit(names, values / scale, errors / scale, most, float(left @ left))
 
 
 def _rate(time: Array, values: Array) -> Array:

@@ -125,7 +125,10 @@ class Recheck:
             return "The same records again would give the same error: record more loops, or allow a wider structure."
         if self.standing is Standing.DRIFTS:
             moved = self._percent(abs(self.drift))
-            return f"No new model is needed; the drift is {moved} of the stroke, which a path will show: let the actuator warm up and rest."
+            return (
+                f"No new model is needed; the drift is {moved} of the stroke, which a path will show: let the actuator "
+                "warm up and rest."
+            )
         return "No new model is needed."
 
     def _percent(self, length: float) -> str:
