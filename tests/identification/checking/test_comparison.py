@@ -118,6 +118,14 @@ def test_every_kind_of_model_is_still_true_of_its_own_record(name):
     assert abs(found.value - 0.02) < 3 * found.error
 
 
+@pytest.mark.parametrize("zero", [-1e-4, 1e-3, 1.0])
+def test_a_sensor_may_have_its_zero_far_away(zero):
+    recheck = dehyst.check(loops.model(), loops.later(offset=zero))
+    assert recheck.standing is Standing.STILL_TRUE
+    assert [change.name for change in recheck.changed] == ["offset"]
+    assert abs(of(recheck, "offset").value - zero) < 3 * of(recheck, "offset").error
+
+
 def test_a_narrow_record_leaves_the_offset_open():
     narrow = loops.later(offset=loops.OFFSET, tops=[60.0, 40.0])
     recheck = dehyst.check(loops.model(), narrow)

@@ -153,12 +153,11 @@ def find_changes(trace: Trace, slow: Sequence[Slow], known: Known, least: float)
     loop, step = _SimulatedLoop.of(trace), max(1, trace.time.size // _MOST)
     fits = [_fitted(loop, curve, step) for curve in slow] or [_fitted(loop, None, step)]
     found = []
-    for name, value, error, most in min(fits, key=lambda fit: fit.squares).parts():
+    for name, value, spread, most in min(fits, key=lambda fit: fit.squares).parts():
         offset = name == "offset"
         size, doubt = (value - known.datum, known.doubt) if offset else (value, 0.0)
-        # A column of nothing but zeros determines nothing.
-        own = known.own / most if most else np.inf
-        found.append(Change(name, size, float(np.linalg.norm([error, doubt, own])), size * most, least))
+        error = float(np.linalg.norm([spread, doubt, known.own / most]))
+        found.append(Change(name, size, error, size * most, least))
     return tuple(found)
 
 

@@ -26,7 +26,7 @@ _GOAL = 1.0
 # A change counts if its effect exceeds this part of the goal.
 _PART = 0.25
 # Steps of the search for the sensor's zero, and the part of the stroke that ends it.
-_STEPS, _CLOSE = 4, 1e-4
+_STEPS, _CLOSE = 8, 1e-5
 # Part of a cycle from which on the time of creep is counted.
 _EARLY = 0.1
 # Parts of the range of voltages: beyond the limits by more, the record says little of the model; less than so much of
@@ -112,8 +112,10 @@ def _model_id(actuator: Actuator) -> str:
 
 def _zero(actuator: Actuator, record: Prepared, protocol: Protocol) -> float:
     """Return the shift [m] to the model's axis with which the voltages need no offset."""
-    low, high = actuator.voltage_range
-    datum = 0.0
+    (low, high), measured = actuator.voltage_range, record.record.displacement_range
+    expected = actuator.major_loop(record.record.voltage_range)
+    # The middle of the loop first: a sensor may have its zero far away.
+    datum = 0.5 * (sum(expected) - sum(measured))
     for _ in range(_STEPS):
         offset = compare(actuator, record, replace(protocol, datum=datum)).last_offsets()[-1]
         step = offset * protocol.stroke / (high - low)
