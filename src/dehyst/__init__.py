@@ -30,7 +30,7 @@ from dehyst.control import (
     shortest_homing,
     wave_table,
 )
-from dehyst.identification import identify
+from dehyst.identification import check, identify
 from dehyst.model import (
     Actuator,
     Creep,
@@ -89,6 +89,7 @@ __all__ = [
     "VoltageLimits",
     "__version__",
     "calibrate",
+    "check",
     "compare",
     "export",
     "export_fmu",

@@ -159,7 +159,7 @@ def commands(group=dehyst.cli.registry.main, names=()):
 
 
 READ = {"records", "validate", "model", "voltage_file", "trajectory", "protocol"}
-FOLDERS = {"demo", "paper", "calibrate", "export"}
+FOLDERS = {"demo", "paper", "calibrate", "export", "check"}
 
 
 def writing():
@@ -205,6 +205,7 @@ def test_all_outputs_are_looked_at():
         "paper output",
         "calibrate output",
         "export directory",
+        "check history",
         "excite staircase output",
         "excite homing output",
     }

@@ -9,7 +9,7 @@ ROOT = places.ROOT
 PACKAGE = ROOT / "src" / "dehyst"
 NAME = re.compile(r"(?<!`)`([A-Za-z_][\w.]*)(?:\(.*?\))?`(?!`)")
 # Names of other programs: of pipython, and files that FMI prescribes or an export is given.
-FOREIGN = {"ReadGCSCommand", "GcsCommandset", "modelDescription.xml", "NAME.h"}
+FOREIGN = {"ReadGCSCommand", "GcsCommandset", "modelDescription.xml", "NAME.h", "check.c"}
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 

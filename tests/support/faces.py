@@ -7,7 +7,7 @@ FACES = {
             Actuator ClampWarning Command Compensator Creep DehystError Dynamics FileFormatError Fit GradedSlip
             IdentifyError MaxwellSlip MissingExtraError ModelError Motion Outcome Physical Record RecordError
             RecordErrors RigError SmoothSlip Snapshot Spring State Structure Trace Transformer VoltageLimits __version__
-            calibrate compare export export_fmu identify insight read shortest_homing wave_table write_record
+            calibrate check compare export export_fmu identify insight read shortest_homing wave_table write_record
         """,
         "baselines": """
             BASELINES BoucWen Duhem GeneralizedPrandtlIshlinskii GoldfarbCelanovic KrasnoselskiiPokrovskii Linear
@@ -24,7 +24,7 @@ FACES = {
             Exported Footprint SourceOnlyWarning export export_fmu sizes worst_case
         """,
         "identification": """
-            Deadline Method Norm identify state_after
+            Change CheckHistory Deadline Method Norm Recheck Standing check identify state_after
         """,
         "instruments": """
             HIGHEST_RATE AbstractRig DeviceError LinkError Listener Reading RigError Samples SensorError host_timed
@@ -41,7 +41,7 @@ FACES = {
             Record Recording read read_table write_columns write_hdf5 write_record
         """,
         "report": """
-            render write_calibration write_comparison write_insight write_report
+            render write_calibration write_check_history write_comparison write_insight write_report
         """,
         "studies.paper": """
             Paper

@@ -73,8 +73,10 @@ def demand_replaceable(path: PathLike, *, force: bool = False) -> None:
     )
 
 
-def demand_own_folder(folder: PathLike, marker: str, kind: str) -> None:
+def demand_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "-o") -> None:
     """Refuse a folder that is neither new, nor empty, nor one whose `marker` is JSON of the format `kind`.
+
+    `option` is that of the command by which the folder is given.
 
     Raises
     ------
@@ -85,25 +87,27 @@ def demand_own_folder(folder: PathLike, marker: str, kind: str) -> None:
     except FileNotFoundError:
         return
     except NotADirectoryError as error:
-        raise FileFormatError(f"{folder}: cannot be made a folder (it is a file); give another one with -o") from error
+        raise FileFormatError(
+            f"{folder}: cannot be made a folder (it is a file); give another one with {option}"
+        ) from error
     except OSError as error:
         raise unwritten(folder, error) from error
     if names and format_of(Path(folder) / marker) != kind:
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
         raise FileFormatError(
             f"{folder}: holds other files ({', '.join(names[:3])}{more}); give the name of a new or an empty folder "
-            "with -o"
+            f"with {option}"
         )
 
 
-def make_own_folder(folder: PathLike, marker: str, kind: str) -> Path:
+def make_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "-o") -> Path:
     """Return a folder that may be written to, created if necessary; raise as `demand_own_folder` does."""
-    demand_own_folder(folder, marker, kind)
+    demand_own_folder(folder, marker, kind, option=option)
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileFormatError(
-            f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
+            f"{folder}: cannot be made a folder ({error.strerror}); give another one with {option}"
         ) from error
     return Path(folder)
 

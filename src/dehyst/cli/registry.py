@@ -6,6 +6,7 @@ import click
 
 from dehyst._version import __version__
 from dehyst.cli.calibrate import calibrate
+from dehyst.cli.check import check
 from dehyst.cli.common import Commands, leave_cleanly
 from dehyst.cli.compare import compare
 from dehyst.cli.compensate import compensate
@@ -26,5 +27,5 @@ def main(context: click.Context) -> None:
     leave_cleanly(context)
 
 
-for command in (calibrate, compare, compensate, excite, export, rig, identify, simulate, demo, insight, paper):
+for command in (calibrate, check, compare, compensate, excite, export, rig, identify, simulate, demo, insight, paper):
     main.add_command(command)

@@ -284,7 +284,7 @@ class Run:
         records = (*self.training, *self.held_out)
         errors, traces = self.simulated(actuator, regression, records)
         missed = max(error.largest for error in errors[: len(self.training)])
-        actuator = replace(actuator, provenance={**actuator.provenance, "largest_error_m": missed})
+        actuator = actuator.with_provenance(largest_error_m=missed, goal_percent=self.goal)
         imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
         floor = regression.floor if self.settings.method == "record" or imposed else None
         if actuator.wide:

@@ -292,13 +292,18 @@ def _thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
 
 def inline(name: str, draw: Callable[..., None], *, rows: int = 1, height: float = 3.3) -> str:
     """Draw on `rows` axes, one above the other, and return SVG text for a page."""
+    return _inline(svg_file(name, draw, rows=rows, height=height))
+
+
+def svg_file(name: str, draw: Callable[..., None], *, rows: int = 1, height: float = 3.3) -> str:
+    """Draw on `rows` axes, one above the other, and return the text of an SVG file."""
     text = io.StringIO()
     with _figure(name, (_INCHES, height)) as figure:
         axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         draw(*axes)
         figure.align_ylabels()
         figure.savefig(text, format="svg", dpi=_DPI, metadata=dict.fromkeys(_NO_METADATA))
-    return _inline(text.getvalue())
+    return text.getvalue()
 
 
 @contextmanager

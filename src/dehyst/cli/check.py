@@ -1,0 +1,124 @@
+"""`dehyst check`: whether a model is still true of its actuator, by a new record."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dehyst._text import escaped
+from dehyst.cli.common import PATH, columns_options, echo_files, json_option, read_model, read_records
+from dehyst.cli.terminal import echo, echo_json, note, worded
+
+if TYPE_CHECKING:
+    from dehyst.identification import CheckHistory, Recheck
+    from dehyst.identification.checking.history import ControlChart
+
+# The picture in a history's folder; checks of a history that are printed.
+_PICTURE, _SHOWN = "history.svg", 10
+
+
+@click.command()
+@click.argument("model", type=PATH)
+@click.argument("records", nargs=1, metavar="RECORD", type=PATH)
+@click.option(
+    "--goal",
+    type=float,
+    metavar="PERCENT",
+    help="Largest error, in % of the stroke, with which the model is still true.  [default: the model's, or 1]",
+)
+@click.option(
+    "--history",
+    type=PATH,
+    metavar="FOLDER",
+    help="Keep the check here, print the earlier ones of this model, and draw them (history.svg).",
+)
+@columns_options
+@json_option
+def check(model: Path, records: Path, goal: float | None, history: Path | None, as_json: bool, **columns: Any) -> None:
+    """Check whether a MODEL is still true of its actuator, by a new RECORD: the error now, and what has changed.
+
+    The status is 0 if the model is still true, 1 if not.
+    """
+    from dehyst.identification import CheckHistory
+    from dehyst.identification import check as run
+    from dehyst.identification.checking.history import demand_folder
+
+    if history is not None:
+        demand_folder(history)
+    actuator = read_model(model)
+    (record,) = read_records((records,), columns)
+    recheck = run(actuator, record, goal=goal)
+    recheck = replace(recheck, remarks=worded(recheck.remarks))
+    past = None if history is None else CheckHistory.keep(history, recheck)
+    picture = None if past is None else _drawn(past)
+    if as_json:
+        echo_json(recheck.as_dict() if past is None else {**recheck.as_dict(), "history": past.as_dict()})
+    else:
+        print_check(recheck)
+        if past is not None:
+            print_history(past)
+        echo_files(Picture=picture)
+    sys.exit(0 if recheck.good else 1)
+
+
+def _drawn(history: CheckHistory) -> Path | None:
+    """Draw a history into its folder, if that is possible: a check does not depend on its picture."""
+    from dehyst._errors import MissingExtraError
+    from dehyst.report import write_check_history
+
+    try:
+        write_check_history(history.folder / _PICTURE, history)
+    except MissingExtraError as error:
+        note(error)
+        return None
+    return history.folder / _PICTURE
+
+
+def print_check(recheck: Recheck) -> None:
+    """Print the judgement, what may have changed, and the remarks."""
+    echo(recheck.sentence)
+    for sentence in recheck.change_sentences():
+        echo(sentence)
+    echo()
+    echo(f"{'change':<8}{'now less then':>38}{'effect, % of the stroke':>26}")
+    for change in recheck.changes:
+        sign = "-" if change.value < 0 else "+"
+        effect = f"{100 * change.effect / recheck.stroke:+.3f}"
+        counts = "  counts" if change.counts else ""
+        echo(f"{change.name:<8}{sign + change.amount(recheck.stroke):>38}{effect:>26}{counts}")
+    echo("  (A change counts if it exceeds three standard errors, and its effect a quarter of the goal.)")
+    if recheck.remarks:
+        echo()
+        for remark in recheck.remarks:
+            echo(f"  - {remark}")
+
+
+def print_history(history: CheckHistory) -> None:
+    """Print the last checks with the averages of the scores, then what has left its limits."""
+    charts, count = history.charts(), len(history.checks)
+    width = max(6, *(len(escaped(one.record)) for one in history.checks[-_SHOWN:]))
+    echo()
+    echo(f"Checks of this model in {history.folder}: {count}; moving averages (EWMA) and cumulative sums (CUSUM) of")
+    echo("changes in standard deviations, of which three count:")
+    echo(f"{'day':<11}{'record':<{width}}{'error, %':>10}" + "".join(f"{chart.name:>17}" for chart in charts))
+    averages = {chart.name: dict(zip(chart.places.tolist(), _cells(chart), strict=True)) for chart in charts}
+    for k, one in list(enumerate(history.checks))[-_SHOWN:]:
+        cells = "".join(f"{averages[chart.name].get(k, '-'):>17}" for chart in charts)
+        echo(f"{one.checked:%Y-%m-%d} {escaped(one.record):<{width}}{one.error:>10.3f}{cells}")
+    for sentence in history.sentences():
+        echo(sentence)
+    if history.others:
+        echo(f"The folder also holds {history.others} of other models, which are not compared.")
+
+
+def _cells(chart: ControlChart) -> list[str]:
+    """Return average and larger sum of each check, an exclamation mark where one is outside of its limits."""
+    columns = (chart.average, chart.above, chart.below, chart.alarms)
+    return [
+        f"{average:+.2f} {max(up, down):6.2f}{'!' if alarm else ' '}"
+        for average, up, down, alarm in zip(*(column.tolist() for column in columns), strict=True)
+    ]

@@ -1,0 +1,1 @@
+"""Whether a model is still true of its actuator, by a new record."""

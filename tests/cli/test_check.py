@@ -1,0 +1,77 @@
+"""`dehyst check` as a process: what it prints, what it keeps, its exit status."""
+
+import json
+import re
+
+import checked_loops as loops
+import pytest
+from command_line import run
+
+from dehyst.records import write_record
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    target = tmp_path_factory.mktemp("check")
+    loops.model().save(target / "model.json")
+    write_record(target / "same.csv", loops.later(1))
+    write_record(target / "other.csv", loops.later(2))
+    write_record(target / "gain.csv", loops.later(3, gain=loops.GAIN))
+    write_record(target / "short.csv", loops.later(4)[:100])
+    return target
+
+
+def test_a_model_that_is_still_true(folder):
+    status, out, err = run("check", "model.json", "same.csv", cwd=folder)
+    assert (status, err) == (0, "")
+    assert out.startswith("Still true: the largest error is 0.0")
+    assert re.search(r"^width +[+-][\d.e-]+ ± [\d.]+ % +[+-]0\.\d{3}$", out, re.M), out
+    assert "counts\n" not in out.split("(A change counts")[0]
+
+
+def test_a_model_that_is_not(folder):
+    status, out, err = run("check", "model.json", "gain.csv", cwd=folder)
+    assert (status, err) == (1, "")
+    assert out.startswith("Recalibrate: ")
+    assert "The gain has risen by 2" in out
+    assert re.search(r"^gain .*  counts$", out, re.M), out
+    assert run("check", "model.json", "gain.csv", "--goal", "5", cwd=folder)[0] == 0
+
+
+def test_json(folder):
+    status, out, _ = run("check", "model.json", "gain.csv", "--json", cwd=folder)
+    found = json.loads(out)
+    assert (status, found["standing"], found["changed"]) == (1, "RECALIBRATE", ["gain"])
+    assert "history" not in found
+
+
+def test_a_history_is_kept_printed_and_drawn(folder):
+    for count, name in enumerate(("same", "other", "gain", "gain"), 1):
+        status, out, err = run("check", "model.json", f"{name}.csv", "--history", "checks", cwd=folder)
+        assert (status, err) == (int(name == "gain"), "")
+        assert f"Checks of this model in checks: {min(count, 3)};" in out
+    assert "Gain: average or cumulative sum of the checks has been outside" in out
+    assert re.search(r"^\d{4}-\d\d-\d\d gain +1\.\d{3} +\+\d+\.\d\d +\d+\.\d\d!", out, re.M), out
+    assert "Picture: checks" in out
+    assert (folder / "checks" / "history.svg").read_text().startswith("<?xml")
+    _, out, _ = run("check", "model.json", "same.csv", "--history", "checks", "--json", cwd=folder)
+    assert json.loads(out)["history"]["checks"] == 3
+    data = json.loads(next((folder / "checks").glob("check-*.json")).read_text())
+    assert (data["format"], data["version"]) == ("dehyst-check", 1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["model.json", "short.csv"], "full cycle"),
+        (["model.json", "same.csv", "--goal", "0"], "--goal: got 0.0, need"),
+        (["model.json", "same.csv", "--history", "."], "holds other files"),
+        (["model.json", "same.csv", "--history", "same.csv"], "cannot be made a folder"),
+        (["same.csv", "model.json"], "same.csv"),
+        (["model.json", "absent.csv"], "no such file"),
+    ],
+)
+def test_wrong_input_is_named(folder, arguments, words):
+    status, out, err = run("check", *arguments, cwd=folder)
+    assert (status, out) == (2, "")
+    assert words in err

@@ -1,0 +1,171 @@
+"""A model beside later records of its virtual actuator: each change is found and named, and nothing else is."""
+
+from dataclasses import replace
+
+import checked_loops as loops
+import numpy as np
+import plain_records
+import pytest
+import structured_records as wide
+
+import dehyst
+from dehyst import IdentifyError, Record, RecordError
+from dehyst.identification import Standing
+
+STROKE = 16.152e-6
+SECONDS = 1200.0
+
+
+def of(recheck, name):
+    return next(change for change in recheck.changes if change.name == name)
+
+
+def creeping(rate):
+    """A logarithm of the time since a tenth of the first cycle, `rate` [m] a decade."""
+    return lambda time: rate * np.log10(1 + (time - time[0]) / (0.1 * 100.0))
+
+
+CHANGED = {
+    "gain": ({"gain": loops.GAIN}, loops.GAIN),
+    "narrower gain": ({"gain": -loops.GAIN}, -loops.GAIN),
+    "width": ({"width": loops.WIDTH}, loops.WIDTH),
+    "offset": ({"offset": loops.OFFSET}, loops.OFFSET),
+    "delay": ({"delay": loops.DELAY}, loops.DELAY),
+    "creep": ({"slow": creeping(0.02 * STROKE)}, 0.02 * STROKE),
+}
+
+
+@pytest.mark.parametrize("case", CHANGED)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_each_change_is_found_and_named_and_nothing_else_is(case, seed):
+    changes, size = CHANGED[case]
+    recheck = dehyst.check(loops.model(), loops.later(seed, **changes))
+    name = case.split()[-1]
+    assert [change.name for change in recheck.changed] == [name]
+    found = of(recheck, name)
+    assert abs(found.value - size) < 3 * found.error
+    assert found.error < 0.1 * abs(size)
+    assert len(recheck.change_sentences()) == 1
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_an_unchanged_actuator_is_still_true(seed):
+    recheck = dehyst.check(loops.model(), loops.later(100 + seed))
+    assert recheck.standing is Standing.STILL_TRUE
+    assert recheck.good
+    assert recheck.changed == ()
+    assert recheck.without_noise < 1e-3 * STROKE
+    assert 0.5 < recheck.ratio < 1.5
+
+
+def test_two_changes_are_told_apart():
+    recheck = dehyst.check(loops.model(), loops.later(gain=loops.GAIN, offset=-loops.OFFSET, width=-loops.WIDTH))
+    assert {change.name for change in recheck.changed} == {"gain", "offset", "width"}
+    for name, size in (("gain", loops.GAIN), ("offset", -loops.OFFSET), ("width", -loops.WIDTH)):
+        assert abs(of(recheck, name).value - size) < 3 * of(recheck, name).error
+    effects = [abs(change.effect) for change in recheck.changed]
+    assert effects == sorted(effects, reverse=True)
+
+
+def test_a_sensor_that_drifts_in_proportion_to_time_drifts():
+    moved = 0.02 * STROKE
+    recheck = dehyst.check(loops.model(), loops.later(slow=lambda time: moved * time / time[-1]))
+    assert [change.name for change in recheck.changed] == ["drift"]
+    found = of(recheck, "drift")
+    assert abs(found.value - moved) < 3 * found.error
+    assert recheck.standing is Standing.DRIFTS
+    assert recheck.good
+
+
+def test_the_judgement_is_by_the_goal():
+    record = loops.later(gain=loops.GAIN)
+    strict, loose = (dehyst.check(loops.model(), record, goal=goal) for goal in (1.0, 5.0))
+    assert strict.standing is Standing.RECALIBRATE
+    assert not strict.good
+    assert loose.standing is Standing.STILL_TRUE
+    assert of(loose, "gain").counts
+    assert not of(dehyst.check(loops.model(), record, goal=10.0), "gain").counts
+
+
+def test_a_model_that_never_met_the_goal_is_not_blamed_for_it():
+    recheck = dehyst.check(loops.model(), loops.later(), goal=1e-3)
+    assert recheck.standing is Standing.NEVER_MET
+    assert not recheck.good
+    unknown = replace(loops.model(), provenance={})
+    recheck = dehyst.check(unknown, loops.later(), goal=1e-3)
+    assert recheck.standing is Standing.RECALIBRATE
+    assert (recheck.before, recheck.ratio) == (None, None)
+
+
+def test_the_goal_is_that_of_the_identification():
+    model = loops.model()
+    assert model.provenance["goal_percent"] == 1.0
+    assert dehyst.check(model, loops.later()).goal == 1.0
+    assert dehyst.check(model.with_provenance(goal_percent=2.5), loops.later()).goal == 2.5
+    assert dehyst.check(model.with_provenance(goal_percent="much"), loops.later()).goal == 1.0
+
+
+@pytest.mark.parametrize("name", ["plain", "graded", "transformer", "creep", "smooth", "all"])
+def test_every_kind_of_model_is_still_true_of_its_own_record(name):
+    plant = wide.plant(wide.STRUCTURES[name])
+    recheck = dehyst.check(plant.actuator, plant.record(noise=1e-3 * plain_records.STROKE))
+    assert recheck.standing is Standing.STILL_TRUE
+    assert recheck.changed == ()
+    record = plant.record(noise=1e-3 * plain_records.STROKE)
+    record = replace(record, displacement=1.02 * record.displacement)
+    found = of(dehyst.check(plant.actuator, record), "gain")
+    assert found.counts
+    assert abs(found.value - 0.02) < 3 * found.error
+
+
+@pytest.mark.parametrize("zero", [-1e-4, 1e-3, 1.0])
+def test_a_sensor_may_have_its_zero_far_away(zero):
+    recheck = dehyst.check(loops.model(), loops.later(offset=zero))
+    assert recheck.standing is Standing.STILL_TRUE
+    assert [change.name for change in recheck.changed] == ["offset"]
+    assert abs(of(recheck, "offset").value - zero) < 3 * of(recheck, "offset").error
+
+
+def test_a_narrow_record_leaves_the_offset_open():
+    narrow = loops.later(offset=loops.OFFSET, tops=[60.0, 40.0])
+    recheck = dehyst.check(loops.model(), narrow)
+    assert of(recheck, "offset").error > 3 * of(dehyst.check(loops.model(), loops.later()), "offset").error
+    assert any("covers 30 % of the model's voltages" in remark for remark in recheck.remarks)
+
+
+def test_voltages_outside_of_the_models_are_reported():
+    model = replace(loops.model(), limits=(0.0, 150.0))
+    remarks = dehyst.check(model, loops.later()).remarks
+    assert any("0 to 200 V, leave the model's limits, 0 to 150 V, at" in remark for remark in remarks)
+    assert not any("limits" in remark for remark in dehyst.check(loops.model(), loops.later()).remarks)
+
+
+def test_a_record_that_shows_nothing_is_refused():
+    record, model = loops.later(), loops.model()
+    for part, words in ((record[:10], "10 samples, 20 are needed"), (record[:150], "full cycle")):
+        with pytest.raises(RecordError, match=words):
+            dehyst.check(model, part)
+    still = Record(record.time, record.voltage, np.zeros(len(record)))
+    with pytest.raises(RecordError, match="constant"):
+        dehyst.check(model, still)
+    with pytest.raises(IdentifyError, match="got str, need a record"):
+        dehyst.check(model, "record.csv")
+    with pytest.raises(IdentifyError, match="goal: got 0"):
+        dehyst.check(model, record, goal=0)
+
+
+def test_a_check_as_json_has_no_trace_and_all_numbers():
+    data = dehyst.check(loops.model(), loops.later(gain=loops.GAIN)).as_dict()
+    assert data["standing"] == "RECALIBRATE"
+    assert data["changed"] == ["gain"]
+    assert data["changes"][0]["name"] == "gain"
+    assert data["changes"][0]["effect_percent"] == pytest.approx(2.0, abs=0.1)
+    assert "trace" not in data
+
+
+def test_ids_are_those_of_the_numbers():
+    model, record = loops.model(), loops.later()
+    one, other = dehyst.check(model, record), dehyst.check(replace(model, name="other"), record.with_name("again"))
+    assert (one.model_id, one.record_id) == (other.model_id, other.record_id)
+    assert dehyst.check(model, loops.later(2)).record_id != one.record_id
+    assert dehyst.check(replace(model, delay=0.1), record).model_id != one.model_id
