@@ -11,7 +11,6 @@ import click
 from dehyst._text import counted
 from dehyst.cli.common import (
     PATH,
-    columns_options,
     conclude,
     force_option,
     json_option,
@@ -20,9 +19,9 @@ from dehyst.cli.common import (
     refuse_overwriting,
     refuse_replacing,
     slew_option,
-    time_of_table,
 )
 from dehyst.cli.path_voltages import PathVoltages
+from dehyst.cli.record_files import COLUMNS, column_of, columns_options, table_of, time_of_table
 from dehyst.cli.scans import NAMES, errors_in_options, named_scan, scan_options
 from dehyst.cli.start import Request, error_line, given_start, home_option, start_dict, start_option
 from dehyst.cli.terminal import progress_line
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from dehyst.waveforms import Scan
 
 _OF_SCANS = ("axis", "cycles", "cycle", *NAMES)
+_OF_FILES = tuple(name for name in COLUMNS if name not in ("sample_rate", "max_bytes"))
 _OF_TABLES = ("approach", "start_up", "tolerance")
 _HOME = (
     "Put the shortest homing before the path; the output then has a column phase: 0 homing, 1 the way to the first "
@@ -132,7 +132,7 @@ def _refuse_unused(scan: str | None, options: dict[str, Any]) -> None:
         if (unused := first((*_OF_SCANS, *_OF_TABLES))) is not None:
             raise ModelError(f"{unused}: got it with a TRAJECTORY, need --scan for it; leave one out")
         return
-    if (unused := first(("displacement", "voltage", "time"))) is not None:
+    if (unused := first(_OF_FILES)) is not None:
         raise ModelError(f"{unused}: got it with --scan, which has no columns; leave it out")
     if options["cycle"] is None and (unused := first(_OF_TABLES)) is not None:
         raise ModelError(f"{unused}: got it without --cycle; give --cycle TABLE.csv, the file for the steady cycle")
@@ -140,10 +140,8 @@ def _refuse_unused(scan: str | None, options: dict[str, Any]) -> None:
 
 def _of_file(trajectory: Path | None, options: dict[str, Any]) -> tuple[Any, dict[str, Any], dict[str, Any]]:
     """Return the wanted displacement [m], its time column if there is one, and no derivatives."""
-    from dehyst.records import read_table
-
-    table = read_table(trajectory or "", max_bytes=options["max_bytes"])
-    wanted = table.column("displacement", options["displacement"])
+    table = table_of(trajectory or Path(), options)
+    wanted = column_of(table, "displacement", options)
     return wanted, time_of_table(table, wanted.size, options), {}
 
 

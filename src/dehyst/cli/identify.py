@@ -10,19 +10,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst.cli.common import (
-    COLUMNS,
     PATH,
     ManyToValidate,
-    columns_options,
     command_line,
     force_option,
     json_option,
-    read_records,
     refuse_overwriting,
     refuse_replacing,
 )
 from dehyst.cli.keeping import BestSoFar
 from dehyst.cli.printing import print_fit
+from dehyst.cli.record_files import COLUMNS, columns_options, read_records
 from dehyst.cli.terminal import echo_json, note, progress_line, worded
 
 if TYPE_CHECKING:

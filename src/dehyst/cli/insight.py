@@ -10,19 +10,17 @@ import click
 
 from dehyst.cli.common import (
     PATH,
-    columns_options,
     command_line,
     force_option,
     json_option,
     limits_option,
-    path_of,
     read_model,
-    read_records,
     refuse_overwriting,
     refuse_replacing,
     report_option,
 )
 from dehyst.cli.printing import print_insight
+from dehyst.cli.record_files import columns_options, path_of, read_records
 from dehyst.cli.terminal import echo_json, progress_line
 
 
