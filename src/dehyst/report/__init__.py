@@ -1,7 +1,8 @@
 """Reports: HTML pages and plots; the only room that uses matplotlib."""
 
 from dehyst.report.comparison_section import write_comparison
+from dehyst.report.record_page import write_record_page
 from dehyst.report.report import render, write_calibration, write_report
 from dehyst.report.uncertainty_section import write_insight
 
-__all__ = ["render", "write_calibration", "write_comparison", "write_insight", "write_report"]
+__all__ = ["render", "write_calibration", "write_comparison", "write_insight", "write_record_page", "write_report"]
