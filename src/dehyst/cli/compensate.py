@@ -26,6 +26,7 @@ from dehyst.cli.scans import NAMES, errors_in_options, named_scan, scan_options
 from dehyst.cli.start import Request, error_line, given_start, home_option, start_dict, start_option
 from dehyst.cli.terminal import progress_line
 from dehyst.cli.wave_table import refuse_cycles, tabulate
+from dehyst.cli.zero import outside_reach, refuse_astray, scan_from_zero, zero_of_path, zero_option
 
 if TYPE_CHECKING:
     from dehyst.model import Actuator
@@ -56,6 +57,7 @@ _HOME = (
     help="Write the scan's steady cycle here (CSV); the output then has a column "
     "phase: 0 homing, 1 start-up, 2 steady cycles. Status 1 if clipped, not settled, or the homing is not certified.",
 )
+@zero_option("From where the path is counted: bottom or mean of the reachable range, first: where the actuator starts.")
 @home_option(_HOME)
 @click.option("--present", type=float, metavar="V", help="Voltage before the homing.  [default: 0]")
 @click.option(
@@ -94,14 +96,23 @@ def compensate(
     table = options.pop("cycle")
     inputs = [path for path in (model, trajectory, options["start"]) if isinstance(path, Path)]
     refuse_overwriting(inputs, output, table)
+    zero = options.pop("zero")
     request, remarks = _request(read_model(model), options)
+    place = zero_of_path(request, zero)
+    if zero is not None:
+        remarks.append(f"the path is counted from {place * 1e6:.6g} um of the sensor, and written in um of the sensor")
     if scan is None:
-        _follow(request, _of_file(trajectory, options), output, tuple(remarks))
+        wanted, time, derivatives = _of_file(trajectory, options)
+        _follow(request, (wanted + place, time, derivatives), output, zero, tuple(remarks))
+    options = scan_from_zero(options, place)
     axis, cycles = options["axis"] or "x", 1 if options["cycles"] is None else options["cycles"]
     with errors_in_options():
         path = named_scan(scan or "", options["sample_rate"], options)
         if table is None:
-            _follow(request, _of_scan(path, axis, cycles), output, (*remarks, *path.warnings))
+            _follow(request, _of_scan(path, axis, cycles), output, zero, (*remarks, *path.warnings))
+        wanted = path.path(axis).displacement
+        refuse_astray(request.actuator, wanted, request.limits, zero)
+        remarks += outside_reach(request.actuator, wanted, request.limits, zero)
         tabulate(request, path, axis, cycles, (output, table), options, remarks)
 
 
@@ -155,14 +166,19 @@ def _of_scan(scan: Scan, axis: str, cycles: int) -> tuple[Any, dict[str, Any], d
 
 
 def _follow(
-    request: Request, path: tuple[Any, dict[str, Any], dict[str, Any]], output: Path, warnings: tuple[str, ...] = ()
+    request: Request,
+    path: tuple[Any, dict[str, Any], dict[str, Any]],
+    output: Path,
+    zero: str | float | None,
+    warnings: tuple[str, ...] = (),
 ) -> None:
     """Write the voltage of a path, and exit."""
     from dehyst.control import Compensator
     from dehyst.records import write_columns
 
     wanted, _, _ = path
-    _refuse_astray(request.actuator, wanted, request.limits)
+    refuse_astray(request.actuator, wanted, request.limits, zero)
+    warnings = (*warnings, *outside_reach(request.actuator, wanted, request.limits, zero))
     answer = PathVoltages.of(request, Compensator(request.actuator, request.limits, request.slew), path)
     homed, voltage = answer.homed, answer.columns["voltage_V"]
     progress = progress_line()
@@ -187,18 +203,3 @@ def _follow(
         lines.append(error_line(answer.start.name, answer.error, homed=homed is not None))
     conclude(request.as_json, result, lines, remarks)
     sys.exit(0 if answer.followed and not (request.home and homed and not homed.certified) else 1)
-
-
-def _refuse_astray(actuator: Actuator, wanted: Any, limits: tuple[float, float] | None) -> None:
-    """Refuse a path more than one stroke outside the reachable range: its unit or its model is another one."""
-    from dehyst._errors import ModelError
-    from dehyst.control import Compensator
-
-    compensator = Compensator(actuator, limits)
-    if compensator.strays(wanted):
-        low, high = compensator.reach
-        raise ModelError(
-            f"displacement: got {1e6 * wanted.min():.6g} to {1e6 * wanted.max():.6g} um, the model reaches "
-            f"{1e6 * low:.4g} to {1e6 * high:.4g} um, from the sensor's zero in its records; check the numbers and "
-            "their unit"
-        )

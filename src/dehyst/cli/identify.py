@@ -22,6 +22,7 @@ from dehyst.cli.keeping import BestSoFar
 from dehyst.cli.printing import print_fit
 from dehyst.cli.record_files import COLUMNS, columns_options, read_records
 from dehyst.cli.terminal import echo_json, note, progress_line, worded
+from dehyst.cli.zero import zero_option, zeroed
 
 if TYPE_CHECKING:
     from dehyst.model import Check
@@ -88,6 +89,7 @@ if TYPE_CHECKING:
     help="End the search for a structure then, and complete the best model so far.",
 )
 @click.option("--no-drift", is_flag=True, help="Do not estimate and remove the drift of a record.")
+@zero_option("Displacement that becomes 0: bottom, first sample or mean of the first RECORD.")
 @force_option
 @columns_options
 @json_option
@@ -98,6 +100,7 @@ def identify(
     report: Path | None,
     time_limit: float | None,
     no_drift: bool,
+    zero: str | float | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -114,7 +117,7 @@ def identify(
     deadline = Deadline(time_limit)
     best, progress = BestSoFar(deadline, output), progress_line(lines=True)
     progress("reading")
-    training, held_out = read_records(records, options), read_records(validate, options)
+    training, held_out = zeroed(read_records(records, options), read_records(validate, options), zero)
     settings = {name: value for name, value in options.items() if name not in COLUMNS}
     with best.ended_by_interrupt():
         fit = run(

@@ -29,7 +29,11 @@ def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *,
         f"<h1>{escape(record.name)}</h1>",
         table(("quantity", "column", "range"), columns, 3),
         bullets("Notes", [escape(sentence) for sentence in record.problems()]),
-        figure("Against time", "Is the voltage the actuator's?", [panel(title, _in_time(record), "time")]),
+        figure(
+            "Against time",
+            "Check that the voltage is that of the actuator, not of a monitor.",
+            [panel(title, _in_time(record), "time")],
+        ),
         figure("Loop", "A piezo actuator's loop runs counterclockwise.", [panel(title, _loop(record), "loop")]),
         reproduction(command),
     ]

@@ -173,8 +173,9 @@ class Table:
             advice += f"Select another column with {_option(quantity, 'NAME')}, or correct the unit in the file"
         else:
             guess = "UNIT" if unit else plausible_unit(quantity, column.data) or example.rsplit("_")[-1]
-            hint = f", give {_option(quantity, name + ':' + guess)}"
-            advice += f"Name it like '{example}' or '{example.replace('_', ' [')}]'{hint.replace(',', ', or', 1)}"
+            named = _option(quantity, name + ":" + guess)
+            hint = f", try {named}"
+            advice += f"Name it like '{example}' or '{example.replace('_', ' [')}]', or give {named}"
         usable = None if unit and not sensor else column
         return ColumnError(self.source, quantity, f"column '{name}' has {stated}", advice, usable, hint)
 
