@@ -20,7 +20,6 @@ from dehyst.cli.common import (
 )
 from dehyst.cli.record_files import columns_options, read_records, table_of
 from dehyst.cli.terminal import echo, echo_json, worded
-from dehyst.cli.text_plot import text_plot
 
 if TYPE_CHECKING:
     from dehyst.records import Record
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
 
 # Columns of a file that are listed.
 _MOST = 40
+# Characters of the drawing.
+_WIDTH, _HEIGHT = 60, 16
 
 
 @click.command()
@@ -65,7 +66,7 @@ def show(file: Path, report: Path | None, as_json: bool, **options: Any) -> None
     for sentence in problems:
         echo(f"  - {sentence}")
     echo()
-    for line in text_plot(record.voltage, record.displacement * 1e6, "voltage (V)", "displacement (um)"):
+    for line in _plot(record.voltage, record.displacement * 1e6, "voltage (V)", "displacement (um)"):
         echo(line)
     echo_files(Report=report)
 
@@ -120,3 +121,28 @@ def _numbers(record: Record, table: Table) -> dict[str, Any]:
         "cycles": len(record.cycles()),
         "problems": list(worded(record.problems())),
     }
+
+
+def _plot(x: Any, y: Any, x_label: str, y_label: str) -> list[str]:
+    """Return the lines of a plot of finite arrays (n,), with the ends of both ranges at its axes."""
+    import numpy as np
+
+    cells = np.full((_HEIGHT, _WIDTH), " ")
+    cells[_HEIGHT - 1 - _places(y, _HEIGHT), _places(x, _WIDTH)] = "*"
+    ends = [f"{value:.4g}" for value in (float(np.max(y)), float(np.min(y)))]
+    margin = max(map(len, ends))
+    marks = {0: ends[0], _HEIGHT - 1: ends[1]}
+    rows = [f"{marks.get(k, ''):>{margin}} |{''.join(row)}".rstrip() for k, row in enumerate(cells)]
+    low, high = f"{float(np.min(x)):.4g}", f"{float(np.max(x)):.4g}"
+    below = f"{low}{x_label:^{_WIDTH - len(low) - len(high)}}{high}"
+    return [f"{'':>{margin}}  {y_label}", *rows, f"{'':>{margin}} +{'-' * _WIDTH}", f"{'':>{margin}}  {below}"]
+
+
+def _places(values: Any, count: int) -> Any:
+    """Return the cell of each value, 0 to count - 1."""
+    import numpy as np
+
+    low, span = float(np.min(values)), float(np.ptp(values))
+    if span == 0:
+        return np.zeros(len(values), dtype=np.intp)
+    return np.minimum(((np.asarray(values) - low) / span * count).astype(np.intp), count - 1)

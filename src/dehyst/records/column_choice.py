@@ -127,7 +127,7 @@ def _unlikeliness(column: Column, quantity: str) -> int:
 
 
 def _rises(column: Column) -> bool:
-    return bool(column.data.size > 1 and np.all(np.diff(column.data) > 0))
+    return bool(column.data.size > 1 and np.all(column.data[1:] > column.data[:-1]))
 
 
 def _option(quantity: str, column: Column, scale: str | None) -> dict[str, str]:

@@ -22,7 +22,8 @@ _MOST = 20_000
 def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *, command: str | None = None) -> None:
     """Write a record to one HTML file that loads nothing from outside.
 
-    `columns`: quantity, column and range, in words. `path`, `command` and errors are as in `write_report`.
+    `record`: the record. `columns`: quantity, column and range, in words. `path`, `command` and errors are as in
+    `write_report`.
     """
     title = (record.name, "")
     parts = [

@@ -39,7 +39,7 @@ _MORE_WORDS = {
 EXAMPLES = {"time": "time_s", "voltage": "voltage_V", "displacement": "displacement_um"}
 TEXT = (".csv", ".tsv", ".txt", ".dat")
 # A quantity and its unit: "Time / s", "Weg in µm".
-_WRITTEN_OUT = re.compile(r"(.{1,200}?)\s+(?:/|in)\s+(\S{1,20})")
+_WRITTEN_OUT = re.compile(r"(.+?)\s+(?:/|in)\s+(\S+)")
 # Characters of a name that a message shows.
 _SHOWN = 60
 
@@ -94,7 +94,7 @@ class Column:
     def parts(self) -> tuple[str, str]:
         """Quantity and unit in the column's name: ('drive', 'V') for 'drive_V' or 'drive [V]'."""
         text = self.leaf.strip()
-        if (written := _WRITTEN_OUT.fullmatch(text)) and symbol_of(written[2]):
+        if len(text) <= _SHOWN and (written := _WRITTEN_OUT.fullmatch(text)) and symbol_of(written[2]):
             return written[1].strip(), symbol_of(written[2])
         start = min((at for at in (text.find("["), text.find("(")) if at >= 0), default=-1)
         if 0 <= start < len(text) - 1 and text[-1] in "])":

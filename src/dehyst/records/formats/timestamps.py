@@ -12,6 +12,8 @@ from dehyst._types import Array
 _DATES = r"(\d{4})-(\d\d?)-(\d\d?)[T ]+|(\d\d?)\.(\d\d?)\.(\d{4})[T, ]+|(\d\d?)/(\d\d?)/(\d{4})[T, ]+"
 _STAMP = re.compile(rf"(?:{_DATES})?(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*([AaPp][Mm])?\s*(?:Z|([+-]\d\d):?(\d\d))?")
 _DAY = 86_400
+# Characters of a timestamp; the search for one takes their number squared.
+_LONGEST = 64
 
 
 def moment(cell: str) -> tuple[int, float]:
@@ -19,7 +21,7 @@ def moment(cell: str) -> tuple[int, float]:
 
     ISO 8601, day.month.year, month/day/year, or the time of day alone. Raise ValueError for any other text.
     """
-    match = _STAMP.fullmatch(cell.strip())
+    match = _STAMP.fullmatch(cell.strip()) if len(cell) <= _LONGEST else None
     if match is None or not cell.isascii():
         raise ValueError(cell)
     year, month, day = match[1], match[2], match[3]
