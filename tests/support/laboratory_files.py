@@ -47,6 +47,15 @@ def tektronix(path: Path) -> None:
     path.write_text(head + rows(T, V / 100, UM / 10))
 
 
+def tektronix_channels(path: Path) -> None:
+    """One file for each channel, with the header beside the first rows."""
+    for file, source, values in ((path, "CH1", V / 100), (path.with_name("F0001CH2.CSV"), "CH2", UM / 10)):
+        head = f"Record Length,1.2e+03,|Sample Interval,2e-03,|Trigger Point,0,||,,|,,|Source,{source},|"
+        head += "Vertical Units,V,|Vertical Scale,2.0e-01,|Vertical Offset,0.0,|Horizontal Units,s,|Horizontal Scale,2.4e-01,|"
+        cells = [*head.replace("||", "|").split("|"), *[",,"] * N]
+        file.write_text("".join(f"{c or ',,'},{t:.6f},{v:.8f},\n" for c, t, v in zip(cells, T, values, strict=False)))
+
+
 def keysight(path: Path) -> None:
     path.write_text("x-axis,1,2\nsecond,Volt,Volt\n" + rows(T, V / 100, UM / 10, number="%+.9E"))
 
@@ -165,6 +174,10 @@ def many_channels(path: Path) -> None:
 # For each file its writer and the options that a user knows before the first try.
 FILES: dict[str, tuple[Callable[[Path], None], str]] = {
     "tek.csv": (tektronix, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
+    "F0000CH1.CSV": (
+        tektronix_channels,
+        "--join F0001CH2.CSV --voltage-scale '100 V/V' --displacement-scale '10 um/V'",
+    ),
     "keysight.csv": (keysight, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
     "rigol.csv": (rigol, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
     "pico.csv": (picoscope, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),

@@ -59,7 +59,7 @@ def layout_of(data: bytes, start: int, encoding: str) -> Layout | None:
         above = [row for row in signs if len(row) == width]
     elif place == 1 and 1 < len(above[0]) != width and not any(_is_number(cell, delimiter) for cell in above[0]):
         return None
-    names, units = _heading(above, rows[place:], numeric, delimiter)
+    names, units = _beside(rows) or _heading(above, rows[place:], numeric, delimiter)
     if place and not names and _heading(above[:1], rows[place:], numeric, delimiter)[0]:
         return None
     if any(_is_row(row, width, numeric, delimiter) for row in rows[: max(place - bool(names) - bool(units), 0)]):
@@ -145,6 +145,19 @@ def _heading(
     if any(not last[k] or _is_number(last[k], delimiter) for k in numeric):
         return (), ()
     return tuple(last), ()
+
+
+def _beside(rows: list[list[str]]) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+    """Return names and units if the header stands beside the rows: three cells of it, then time and value.
+
+    Oscilloscopes of Tektronix's older series write one channel to a file in this way.
+    """
+    width = len(rows[0])
+    if rows[0][0].lower() != "record length" or width < 5:
+        return None
+    header = {row[0].lower(): row[1] for row in rows if len(row) == width}
+    names = ("", "", "", "TIME", header.get("source") or "CH", *[""] * (width - 5))
+    return names, ("", "", "", header.get("horizontal units", ""), header.get("vertical units", ""), *names[5:])
 
 
 def _padded(row: list[str], width: int, empty_end: bool) -> list[str] | None:

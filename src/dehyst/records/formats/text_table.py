@@ -46,7 +46,10 @@ def read_text(data: bytes, allowance: Allowance) -> list[Column]:
     layout = layout_of(text.data, len(codecs.BOM_UTF8) * text.data.startswith(codecs.BOM_UTF8), text.encoding)
     if layout is None:
         return columns_below(text, _layout_of_first_line(text, allowance), allowance)
-    return with_clock_of_counts(columns_below(text, layout, allowance), layout)
+    columns = columns_below(text, layout, allowance)
+    if layout.names and not any(layout.names[:3]):
+        return [column for column in columns if column.name]
+    return with_clock_of_counts(columns, layout)
 
 
 def columns_below(text: Text, layout: Layout, allowance: Allowance) -> list[Column]:
