@@ -1,8 +1,10 @@
 """Files on the command line: what a message prints works, `dehyst show`, scales in the model, the zero of a path."""
 
 import json
+import os
 import re
 import shlex
+import threading
 
 import laboratory_files
 import numpy as np
@@ -74,6 +76,25 @@ def test_show_lists_the_columns_of_a_file_that_is_no_record(monitor):
     assert "holds 'on', which is no number" in done.stdout
     assert "no voltage column; no displacement column" in done.stderr
     assert "try:" not in done.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
+def test_show_reads_a_pipe_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    laboratory_files.semicolons(tmp_path / "zeit.csv")
+    os.mkfifo("pipe.csv")
+    writer = threading.Thread(target=lambda: (tmp_path / "pipe.csv").write_bytes((tmp_path / "zeit.csv").read_bytes()))
+    writer.start()
+    done = run("show", "pipe.csv")
+    writer.join()
+    assert done.exit_code == 0, done.stderr
+
+
+def test_a_joined_file_is_not_replaced(monitor):
+    laboratory_files.two_files(monitor / "drive.csv")
+    done = run("identify", "drive.csv", "--join", "sensor.csv", "-o", "sensor.csv", "--force")
+    assert done.exit_code == 2
+    assert "sensor.csv: is also an input of this command" in done.stderr
 
 
 def test_a_monitor_and_a_sensor_in_four_commands(monitor):

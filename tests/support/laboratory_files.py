@@ -51,7 +51,8 @@ def tektronix_channels(path: Path) -> None:
     """One file for each channel, with the header beside the first rows."""
     for file, source, values in ((path, "CH1", V / 100), (path.with_name("F0001CH2.CSV"), "CH2", UM / 10)):
         head = f"Record Length,1.2e+03,|Sample Interval,2e-03,|Trigger Point,0,||,,|,,|Source,{source},|"
-        head += "Vertical Units,V,|Vertical Scale,2.0e-01,|Vertical Offset,0.0,|Horizontal Units,s,|Horizontal Scale,2.4e-01,|"
+        head += "Vertical Units,V,|Vertical Scale,2.0e-01,|Vertical Offset,0.0,|"
+        head += "Horizontal Units,s,|Horizontal Scale,2.4e-01,|"
         cells = [*head.replace("||", "|").split("|"), *[",,"] * N]
         file.write_text("".join(f"{c or ',,'},{t:.6f},{v:.8f},\n" for c, t, v in zip(cells, T, values, strict=False)))
 

@@ -165,6 +165,8 @@ def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
     from dehyst._errors import FileFormatError
 
     named = [output for output in outputs if output is not None]
+    joined = click.get_current_context().params.get("join")
+    inputs = inputs if joined is None else [*inputs, joined]
     if len({os.path.realpath(output) for output in named}) < len(named):
         raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own name")
     for output in named:

@@ -71,6 +71,15 @@ def table_of(path: Path, options: dict[str, Any]) -> Table:
     return named_and_joined(table, names, other, options["time"], options["sample_rate"], largest)
 
 
+def record_in(table: Table, name: str, options: dict[str, Any]) -> Record:
+    """Return the record in a table, with the options that select and scale its columns."""
+    from dehyst.records.column_choice import Choice
+    from dehyst.records.files import record_of
+
+    choice = Choice(**{quantity: options[quantity] for quantity in Choice._fields})
+    return record_of(table, choice, options["sample_rate"], name)
+
+
 def column_of(table: Table, quantity: str, options: dict[str, Any]) -> Any:
     """Return the voltage or the displacement of a table, with the options that select and scale it."""
     from dehyst.records.column_choice import Choice, chosen

@@ -18,7 +18,7 @@ from dehyst.cli.common import (
     refuse_replacing,
     report_option,
 )
-from dehyst.cli.record_files import columns_options, read_records, table_of
+from dehyst.cli.record_files import columns_options, record_in, table_of
 from dehyst.cli.terminal import echo, echo_json, worded
 
 if TYPE_CHECKING:
@@ -42,11 +42,11 @@ def show(file: Path, report: Path | None, as_json: bool, **options: Any) -> None
 
     The status is 2 if it is no record; the message holds the options that may make it one.
     """
-    refuse_overwriting([file, *([options["join"]] if options["join"] else [])], report)
+    refuse_overwriting([file], report)
     table = table_of(file, options)
     if not as_json:
         _print_columns(table)
-    record = read_records((file,), options)[0]
+    record = record_in(table, file.stem, options)
     rows = _understood(record, options)
     if report is not None:
         from dehyst.report import write_record_page

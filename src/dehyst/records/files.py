@@ -84,16 +84,21 @@ def read(
     table, stored = _load(Path(path), max_bytes, with_meta=True)
     table = named_and_joined(table, columns, join, time, sample_rate, max_bytes)
     choice = Choice(time, voltage, displacement, voltage_scale, displacement_scale)
+    record = record_of(table, choice, sample_rate, name or (stored.name if stored else Path(path).stem))
+    if stored:
+        kept = {key: record.meta[key] for key in ("scales",) if key in record.meta}
+        return replace(record, meta={**stored.meta, **kept})
+    return record
+
+
+def record_of(table: Table, choice: Choice, sample_rate: float | None, name: str) -> Record:
+    """Return the record in a table, see `read`."""
     timed = ("time",) if sample_rate is None else ()
     found = chosen(table, choice, (*timed, "voltage", "displacement"))
     if sample_rate is not None:
-        found["time"] = time_of(table, len(found["voltage"]), time, sample_rate)
-    columns_found = found["time"], found["voltage"], found["displacement"]
-    record = Record(*columns_found, name or (stored.name if stored else Path(path).stem))
+        found["time"] = time_of(table, len(found["voltage"]), choice.time, sample_rate)
     meta = _meta(table, choice, sample_rate)
-    if stored:
-        meta = {**stored.meta, **{key: meta[key] for key in ("scales",) if key in meta}}
-    return replace(record, meta=meta)
+    return Record(found["time"], found["voltage"], found["displacement"], name, meta)
 
 
 def named_and_joined(

@@ -32,16 +32,13 @@ def joined(table: Table, other: Table, time: str | None, sample_rate: float | No
     stem = other.source.rsplit(".", 1)[0]
     added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if second is None or c.name != second[0]]
     samples, more = (max((c.data.size for c in one.columns), default=0) for one in (table, other))
-    alike = first is None or second is None or _alike(first[1], second[1])
-    if alike:
+    if first is None or second is None or _alike(first[1], second[1]):
         if samples != more:
             raise FileFormatError(
                 f"join: got {samples} samples in {table.source} and {more} in {other.source}, need as many, or a time "
                 "column in both; cut one of them, or save it with its time"
             )
         return replace(table, columns=(*table.columns, *added))
-    assert first is not None
-    assert second is not None
     _refuse_unordered(table, first[1])
     _refuse_unordered(other, second[1])
     inside = (first[1] >= second[1][0]) & (first[1] <= second[1][-1])

@@ -35,7 +35,8 @@ def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
     """
     text = text_of(data, allowance)
     end = _END.search(text.data)
-    assert end is not None
+    if end is None:
+        raise FileFormatError(f"{allowance.path}: got no line # END_HEADER, need one before the rows; record again")
     lines = text.data[: end.start()].decode(text.encoding).split("\n")
     header = {match[1]: match[2].strip() for line in lines if (match := _ENTRY.fullmatch(line.strip()))}
     separator = {"9": "\t", "32": None, "44": ",", "59": ";"}.get(header.get("SEPARATOR", "32"), "")
