@@ -126,7 +126,7 @@ def test_impossible_limits_are_refused(folder, limit):
 
 
 def test_a_finished_model_stays_until_the_new_one_is_finished(folder):
-    from dehyst.cli.keeping import BestSoFar
+    from dehyst.cli.identify import BestSoFar
     from dehyst.identification import Deadline, identify
     from dehyst.records import read
 

@@ -158,7 +158,7 @@ def commands(group=dehyst.cli.registry.main, names=()):
             yield (*names, name), one
 
 
-READ = {"records", "validate", "model", "voltage_file", "trajectory", "protocol"}
+READ = {"records", "validate", "model", "voltage_file", "trajectory", "protocol", "file", "join"}
 FOLDERS = {"demo", "paper", "calibrate", "export", "check"}
 
 

@@ -40,7 +40,26 @@ def _texts() -> dict[str, bytes]:
         "latin.csv": _table(names=brackets).encode("latin-1"),
         "tabs.tsv": _table("\t").encode("utf-8-sig"),
         "comma.txt": _table(";").replace(".", ",").encode(),
+        **_instruments(),
         "spaces.dat": _table(" ", "%.6e").replace("\n", "\r\n").encode(),
+    }
+
+
+def _instruments() -> dict[str, bytes]:
+    """Text of instruments, cut to the size of the other specimens."""
+    rows = _table().split("\n", 1)[1]
+    gcs = "# SEPARATOR = 44\n# DIM = 3\n# SAMPLE_TIME = 0.001\n# NAME0 = clock\n# NAME1 = voltage_V\n# NAME2 = y_um\n"
+    lvm = "LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\n\nY_Unit_Label\tVolts\tMicrometers\nX0\t0\t0\n"
+    clock = "".join(
+        f"2024-05-01T12:00:00.{k:03d},{row.split(',', 1)[1]}\n" for k, row in enumerate(rows.split("\n")[:-1])
+    )
+    return {
+        "recorder.dat": f"{gcs}# END_HEADER\n{rows}".encode(),
+        "one.lvm": f"{lvm}***End_of_Header***\nX_Value\tVoltage\tPosition\tComment\n".encode()
+        + rows.replace(",", "\t").encode(),
+        "scope.csv": f"Model,X\nInterval,0.001\n\nTime,Drive,Position\n(s),(V),(um)\n{rows}".encode(),
+        "rigol.csv": b"X,Drive,Pos,Start,Increment,\nSequence,V,um,0,1e-3\n" + rows.replace("\n", ",,\n").encode(),
+        "clock.csv": f"timestamp,voltage_V,displacement_um\n{clock}".encode(),
     }
 
 
@@ -63,6 +82,7 @@ def _mat(path: Path) -> None:
     beside = {"note": "text", "image": np.eye(3), "cell": np.array(["a", 1], dtype=object), "run": {"time_s": T}}
     scipy.io.savemat(path / "plain.mat", {**COLUMNS, **beside})
     scipy.io.savemat(path / "packed.mat", {**COLUMNS, **beside}, do_compression=True)
+    scipy.io.savemat(path / "struct.mat", {"data": {"run": COLUMNS, "gain": 3.0}})
     scipy.io.savemat(path / "old.mat", COLUMNS, format="4")
     with h5py.File(path / "new.mat", "w", userblock_size=512) as file:
         for name, values in COLUMNS.items():

@@ -204,7 +204,10 @@ BROKEN = {
         "time_s,voltage_MV,y_um\n0,1,2\n1,2,3\n",
         r"the unit 'MV', unknown for voltage; known are V, mV, kV",
     ),
-    "wrong unit": ("time_s,voltage_um,y_um\n0,1,2\n1,2,3\n", "unit 'um', unknown for voltage.*\"voltage_um:V\""),
+    "wrong unit": (
+        "time_s,voltage_um,y_um\n0,1,2\n1,2,3\n",
+        "unit 'um', unknown for voltage; known are V, mV, kV. Select another column with voltage=\"NAME\"",
+    ),
     "two fit": (
         "time_s,voltage_V,drive_V,y_um\n0,1,2,3\n1,2,3,4\n",
         r"2 columns fit: 'voltage_V', 'drive_V' as voltage column;.*voltage=\"NAME\"\.",
@@ -292,8 +295,10 @@ def test_paths_that_are_no_measurement(tmp_path):
     (tmp_path / "folder.csv").mkdir()
     with pytest.raises(FileFormatError, match=r"folder\.csv: this is a folder"):
         read(tmp_path / "folder.csv")
-    with pytest.raises(FileFormatError, match=r"unknown kind of file '\.xlsx'; dehyst reads \.csv .*\.npz"):
-        read(text(tmp_path, "a", "a.xlsx"))
+    with pytest.raises(
+        FileFormatError, match=r"unknown kind of file '\.xls'; dehyst reads \.csv .*\.npz; save it as CSV"
+    ):
+        read(text(tmp_path, "a", "a.xls"))
     with pytest.raises(FileFormatError, match="unknown kind of file ''"):
         read(text(tmp_path, "a", "plain"))
 

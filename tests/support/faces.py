@@ -41,7 +41,7 @@ FACES = {
             Record Recording read read_table write_columns write_hdf5 write_record
         """,
         "report": """
-            render write_calibration write_check_history write_comparison write_insight write_report
+            render write_calibration write_check_history write_comparison write_insight write_record_page write_report
         """,
         "studies.paper": """
             Paper

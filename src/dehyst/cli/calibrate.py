@@ -19,8 +19,8 @@ from dehyst.cli.common import (
     json_option,
     limits_option,
     refuse_replacing,
-    size_option,
 )
+from dehyst.cli.record_files import size_option
 from dehyst.cli.terminal import echo, echo_json, note
 
 if TYPE_CHECKING:

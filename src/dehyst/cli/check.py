@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst._text import escaped
-from dehyst.cli.common import PATH, columns_options, echo_files, json_option, read_model, read_records
+from dehyst.cli.common import PATH, echo_files, json_option, read_model
+from dehyst.cli.record_files import columns_options, read_records
 from dehyst.cli.terminal import echo, echo_json, note, worded
 
 if TYPE_CHECKING:

@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.option_words import in_words_of
+from dehyst.cli.option_words import in_words_of, options_of
 from dehyst.cli.terminal import echo, echo_json, guarded_streams, note, worded
-from dehyst.records.formats.file_content import MOST
 
 if TYPE_CHECKING:
+    from dehyst._errors import DehystError
     from dehyst.model import Actuator
-    from dehyst.records import Record
-    from dehyst.records.formats.columns import Table
 
 PATH = click.Path(path_type=Path)
 
@@ -41,6 +39,7 @@ class Commands(click.Group):
         **extra: Any,
     ) -> Any:
         """Run as a program, even with closed or full standard streams."""
+        self._words = list(sys.argv[1:] if args is None else args)
         if not standalone_mode:
             return super().main(args, prog_name, complete_var, standalone_mode=False, **extra)
         with guarded_streams():
@@ -63,7 +62,7 @@ class Commands(click.Group):
             return super().invoke(ctx)
         except DehystError as error:
             command = self.get_command(ctx, ctx.invoked_subcommand or "") or self
-            note(*in_words_of(command, [str(error)]))
+            self._report(command, error)
             sys.exit(2)
         except MemoryError:
             note("not enough memory; resample the record or cut it")
@@ -71,6 +70,30 @@ class Commands(click.Group):
         except KeyboardInterrupt:
             note("stopped by Ctrl-C")
             sys.exit(_INTERRUPTED)
+
+    def _report(self, command: Any, error: DehystError) -> None:
+        """Print an error and, if options would mend it, the command with them."""
+        from dehyst.records.column_choice import ColumnsError
+
+        if not isinstance(error, ColumnsError) or not error.options.keys() <= options_of(command).keys():
+            note(*in_words_of(command, [str(error)]))
+            return
+        note(*in_words_of(command, [error.reason]))
+        if error.options:
+            given = {options_of(command)[name].flag: value for name, value in error.options.items()}
+            echo("Check units and scales, then try:", err=True)
+            echo(f"  {shlex.join(['dehyst', *_with_options(self._words, given)])}", err=True)
+
+
+def _with_options(words: list[str], given: dict[str, str]) -> list[str]:
+    """Return a command with options in the place of those of the same name."""
+    kept: list[str] = []
+    skip = False
+    for word in words:
+        if not skip and word.split("=")[0] not in given:
+            kept.append(word)
+        skip = word in given
+    return [*kept, *(part for option in given.items() for part in option)]
 
 
 def leave_cleanly(context: click.Context) -> None:
@@ -107,46 +130,11 @@ def limits_option(default: str = "those of the records", words: str = "Voltages 
 
 slew_option = click.option("--slew", type=float, metavar="V/S", help="Largest slew rate.")
 report_option = click.option("--report", type=PATH, help="Write a self-contained HTML page here.")
-# The arguments that `columns_options` adds.
-COLUMNS = ("displacement", "voltage", "time", "sample_rate", "max_bytes")
-
-
-def columns_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options that name the columns of a file."""
-    for name, text in (
-        ("--displacement", "Column of the displacement, e.g. displacement_um."),
-        ("--voltage", "Column of the voltage, e.g. drive_V."),
-        ("--time", "Column of the time, e.g. time_s."),
-    ):
-        command = click.option(name, metavar="NAME", help=f"{text} [default: found by its name]")(command)
-    command = size_option(command)
-    return click.option("--sample-rate", type=float, metavar="HZ", help="Instead of a time column.")(command)
-
-
-def size_option(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the option that admits large files; its value is in bytes."""
-    return click.option(
-        "--max-size",
-        "max_bytes",
-        type=float,
-        metavar="MB",
-        default=MOST / 1e6,
-        show_default=f"{MOST / 1e6:g}",
-        callback=lambda _context, _option, size: size * 1e6,
-        help="Largest file to read, and most memory for its numbers.",
-    )(command)
 
 
 def json_option(command: Callable[..., None]) -> Callable[..., None]:
     """Add the switch to JSON."""
     return click.option("--json", "as_json", is_flag=True, help="Print JSON for a program.")(command)
-
-
-def read_records(paths: tuple[Path, ...], options: dict[str, Any]) -> list[Record]:
-    """Read records from files, with the options of their columns."""
-    from dehyst.records import read
-
-    return [read(path, **{name: options[name] for name in COLUMNS}) for path in paths]
 
 
 def command_line() -> str:
@@ -177,6 +165,8 @@ def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
     from dehyst._errors import FileFormatError
 
     named = [output for output in outputs if output is not None]
+    joined = click.get_current_context().params.get("join")
+    inputs = inputs if joined is None else [*inputs, joined]
     if len({os.path.realpath(output) for output in named}) < len(named):
         raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own name")
     for output in named:
@@ -207,29 +197,6 @@ def _same(first: Path, second: Path) -> bool:
         return first.samefile(second)
     except OSError:
         return os.path.realpath(first) == os.path.realpath(second)
-
-
-def time_of_table(table: Table, size: int, columns: dict[str, Any]) -> dict[str, Any]:
-    """Return the time column, if the file has one or a rate was given."""
-    from dehyst.records.files import time_of
-
-    if columns["time"] is None and columns["sample_rate"] is None and not table.has("time"):
-        return {}
-    return {"time_s": time_of(table, size, columns["time"], columns["sample_rate"])}
-
-
-def path_of(trajectory: Path, wanted: str | None, max_bytes: float = MOST) -> tuple[Any, dict[str, Any]]:
-    """Return the displacement of a trajectory file and, if it has one, its time column."""
-    from dehyst._errors import FileFormatError
-    from dehyst.records import read_table
-
-    table = read_table(trajectory, max_bytes=max_bytes)
-    try:
-        path = table.column("displacement", wanted)
-    except FileFormatError as error:
-        # --displacement names the column of the records here.
-        raise FileFormatError(str(error).replace("displacement=", "wanted=")) from error
-    return path, time_of_table(table, path.size, {"time": None, "sample_rate": None})
 
 
 def read_model(path: Path) -> Actuator:

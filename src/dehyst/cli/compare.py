@@ -12,16 +12,15 @@ from dehyst._io.json_files import finite
 from dehyst.cli.common import (
     PATH,
     ManyToValidate,
-    columns_options,
     command_line,
     echo_files,
     force_option,
     json_option,
-    read_records,
     refuse_overwriting,
     refuse_replacing,
     report_option,
 )
+from dehyst.cli.record_files import columns_options, read_records
 from dehyst.cli.terminal import echo, echo_json, progress_line
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ import click
 from dehyst._text import counted
 from dehyst.cli.common import (
     PATH,
-    columns_options,
     conclude,
     force_option,
     json_option,
@@ -20,19 +19,21 @@ from dehyst.cli.common import (
     refuse_overwriting,
     refuse_replacing,
     slew_option,
-    time_of_table,
 )
 from dehyst.cli.path_voltages import PathVoltages
+from dehyst.cli.record_files import COLUMNS, column_of, columns_options, table_of, time_of_table
 from dehyst.cli.scans import NAMES, errors_in_options, named_scan, scan_options
 from dehyst.cli.start import Request, error_line, given_start, home_option, start_dict, start_option
 from dehyst.cli.terminal import progress_line
 from dehyst.cli.wave_table import refuse_cycles, tabulate
+from dehyst.cli.zero import outside_reach, refuse_astray, scan_from_zero, zero_of_path, zero_option
 
 if TYPE_CHECKING:
     from dehyst.model import Actuator
     from dehyst.waveforms import Scan
 
 _OF_SCANS = ("axis", "cycles", "cycle", *NAMES)
+_OF_FILES = tuple(name for name in COLUMNS if name not in ("sample_rate", "max_bytes"))
 _OF_TABLES = ("approach", "start_up", "tolerance")
 _HOME = (
     "Put the shortest homing before the path; the output then has a column phase: 0 homing, 1 the way to the first "
@@ -56,6 +57,7 @@ _HOME = (
     help="Write the scan's steady cycle here (CSV); the output then has a column "
     "phase: 0 homing, 1 start-up, 2 steady cycles. Status 1 if clipped, not settled, or the homing is not certified.",
 )
+@zero_option("From where the path is counted: bottom or mean of the reachable range, first: where the actuator starts.")
 @home_option(_HOME)
 @click.option("--present", type=float, metavar="V", help="Voltage before the homing.  [default: 0]")
 @click.option(
@@ -94,14 +96,23 @@ def compensate(
     table = options.pop("cycle")
     inputs = [path for path in (model, trajectory, options["start"]) if isinstance(path, Path)]
     refuse_overwriting(inputs, output, table)
+    zero = options.pop("zero")
     request, remarks = _request(read_model(model), options)
+    place = zero_of_path(request, zero)
+    if zero is not None:
+        remarks.append(f"the path is counted from {place * 1e6:.6g} um of the sensor, and written in um of the sensor")
     if scan is None:
-        _follow(request, _of_file(trajectory, options), output, tuple(remarks))
+        wanted, time, derivatives = _of_file(trajectory, options)
+        _follow(request, (wanted + place, time, derivatives), output, zero, tuple(remarks))
+    options = scan_from_zero(options, place)
     axis, cycles = options["axis"] or "x", 1 if options["cycles"] is None else options["cycles"]
     with errors_in_options():
         path = named_scan(scan or "", options["sample_rate"], options)
         if table is None:
-            _follow(request, _of_scan(path, axis, cycles), output, (*remarks, *path.warnings))
+            _follow(request, _of_scan(path, axis, cycles), output, zero, (*remarks, *path.warnings))
+        wanted = path.path(axis).displacement
+        refuse_astray(request.actuator, wanted, request.limits, zero)
+        remarks += outside_reach(request.actuator, wanted, request.limits, zero)
         tabulate(request, path, axis, cycles, (output, table), options, remarks)
 
 
@@ -132,7 +143,7 @@ def _refuse_unused(scan: str | None, options: dict[str, Any]) -> None:
         if (unused := first((*_OF_SCANS, *_OF_TABLES))) is not None:
             raise ModelError(f"{unused}: got it with a TRAJECTORY, need --scan for it; leave one out")
         return
-    if (unused := first(("displacement", "voltage", "time"))) is not None:
+    if (unused := first(_OF_FILES)) is not None:
         raise ModelError(f"{unused}: got it with --scan, which has no columns; leave it out")
     if options["cycle"] is None and (unused := first(_OF_TABLES)) is not None:
         raise ModelError(f"{unused}: got it without --cycle; give --cycle TABLE.csv, the file for the steady cycle")
@@ -140,10 +151,8 @@ def _refuse_unused(scan: str | None, options: dict[str, Any]) -> None:
 
 def _of_file(trajectory: Path | None, options: dict[str, Any]) -> tuple[Any, dict[str, Any], dict[str, Any]]:
     """Return the wanted displacement [m], its time column if there is one, and no derivatives."""
-    from dehyst.records import read_table
-
-    table = read_table(trajectory or "", max_bytes=options["max_bytes"])
-    wanted = table.column("displacement", options["displacement"])
+    table = table_of(trajectory or Path(), options)
+    wanted = column_of(table, "displacement", options)
     return wanted, time_of_table(table, wanted.size, options), {}
 
 
@@ -157,14 +166,19 @@ def _of_scan(scan: Scan, axis: str, cycles: int) -> tuple[Any, dict[str, Any], d
 
 
 def _follow(
-    request: Request, path: tuple[Any, dict[str, Any], dict[str, Any]], output: Path, warnings: tuple[str, ...] = ()
+    request: Request,
+    path: tuple[Any, dict[str, Any], dict[str, Any]],
+    output: Path,
+    zero: str | float | None,
+    warnings: tuple[str, ...] = (),
 ) -> None:
     """Write the voltage of a path, and exit."""
     from dehyst.control import Compensator
     from dehyst.records import write_columns
 
     wanted, _, _ = path
-    _refuse_astray(request.actuator, wanted, request.limits)
+    refuse_astray(request.actuator, wanted, request.limits, zero)
+    warnings = (*warnings, *outside_reach(request.actuator, wanted, request.limits, zero))
     answer = PathVoltages.of(request, Compensator(request.actuator, request.limits, request.slew), path)
     homed, voltage = answer.homed, answer.columns["voltage_V"]
     progress = progress_line()
@@ -189,18 +203,3 @@ def _follow(
         lines.append(error_line(answer.start.name, answer.error, homed=homed is not None))
     conclude(request.as_json, result, lines, remarks)
     sys.exit(0 if answer.followed and not (request.home and homed and not homed.certified) else 1)
-
-
-def _refuse_astray(actuator: Actuator, wanted: Any, limits: tuple[float, float] | None) -> None:
-    """Refuse a path more than one stroke outside the reachable range: its unit or its model is another one."""
-    from dehyst._errors import ModelError
-    from dehyst.control import Compensator
-
-    compensator = Compensator(actuator, limits)
-    if compensator.strays(wanted):
-        low, high = compensator.reach
-        raise ModelError(
-            f"displacement: got {1e6 * wanted.min():.6g} to {1e6 * wanted.max():.6g} um, the model reaches "
-            f"{1e6 * low:.4g} to {1e6 * high:.4g} um, from the sensor's zero in its records; check the numbers and "
-            "their unit"
-        )

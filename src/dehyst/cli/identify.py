@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,23 +15,24 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst.cli.common import (
-    COLUMNS,
     PATH,
     ManyToValidate,
-    columns_options,
     command_line,
     force_option,
     json_option,
-    read_records,
     refuse_overwriting,
     refuse_replacing,
 )
-from dehyst.cli.keeping import BestSoFar
 from dehyst.cli.printing import print_fit
+from dehyst.cli.record_files import COLUMNS, columns_options, read_records
 from dehyst.cli.terminal import echo_json, note, progress_line, worded
+from dehyst.cli.zero import zero_option, zeroed
 
 if TYPE_CHECKING:
-    from dehyst.model import Check
+    from dehyst.identification import Deadline
+    from dehyst.model import Actuator, Check
+
+_WORDS = "dehyst: Ctrl-C: completing the best model so far; press it again to stop at once\n"
 
 
 @click.command(cls=ManyToValidate)
@@ -90,6 +96,7 @@ if TYPE_CHECKING:
     help="End the search for a structure then, and complete the best model so far.",
 )
 @click.option("--no-drift", is_flag=True, help="Do not estimate and remove the drift of a record.")
+@zero_option("Displacement that becomes 0: bottom, first sample or mean of the first RECORD.")
 @force_option
 @columns_options
 @json_option
@@ -100,6 +107,7 @@ def identify(
     report: Path | None,
     time_limit: float | None,
     no_drift: bool,
+    zero: str | float | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -116,7 +124,7 @@ def identify(
     deadline = Deadline(time_limit)
     best, progress = BestSoFar(deadline, output), progress_line(lines=True)
     progress("reading")
-    training, held_out = read_records(records, options), read_records(validate, options)
+    training, held_out = zeroed(read_records(records, options), read_records(validate, options), zero)
     settings = {name: value for name, value in options.items() if name not in COLUMNS}
     with best.ended_by_interrupt():
         fit = run(
@@ -156,3 +164,70 @@ def identify(
 def _worded_checks(checks: tuple[Check, ...]) -> tuple[Check, ...]:
     sentences = worded(check.sentence for check in checks)
     return tuple(replace(check, sentence=sentence) for check, sentence in zip(checks, sentences, strict=True))
+
+
+class BestSoFar:
+    """The best model so far of one identification.
+
+    Parameters
+    ----------
+    deadline : Deadline
+        Of the identification; the first Ctrl-C after the first model ends it.
+    output : Path, optional
+        Where the model will be written. A finished model that is there already stays until the new one is finished.
+    """
+
+    def __init__(self, deadline: Deadline, output: Path | None) -> None:
+        self._deadline = deadline
+        self._output = output
+        self._usable = self._written = False
+
+    def keep(self, actuator: Actuator) -> None:
+        """Write the first model."""
+        output = self._output
+        if output is not None and (not os.path.lexists(output) or _is_provisional(output)):
+            refuse_replacing(output)
+            actuator.save(output)
+            self._written = True
+        self._usable = True
+
+    def remove(self) -> None:
+        """Remove the first model, because there will be no final one."""
+        if self._written and self._output is not None:
+            self._output.unlink(missing_ok=True)
+
+    @contextmanager
+    def ended_by_interrupt(self) -> Iterator[None]:
+        """Let the first Ctrl-C end the search once there is a model; if an error does, remove the model."""
+        before = signal.getsignal(signal.SIGINT)
+        # A program in the background ignores Ctrl-C.
+        handles = threading.current_thread() is threading.main_thread() and before is signal.default_int_handler
+        if handles:
+            signal.signal(signal.SIGINT, self._end)
+        try:
+            yield
+        except Exception:
+            self.remove()
+            raise
+        finally:
+            if handles:
+                signal.signal(signal.SIGINT, before)
+
+    def _end(self, *_: Any) -> None:
+        if not self._usable:
+            raise KeyboardInterrupt
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        # Not through the stream, which may be in the middle of a line.
+        with suppress(OSError):
+            os.write(2, ("\r\033[K" if sys.stderr.isatty() else "").encode() + _WORDS.encode())
+        self._deadline.end("Ctrl-C", leave_step=True)
+
+
+def _is_provisional(path: Path) -> bool:
+    """Whether a file is the first model of an identification that did not end."""
+    from dehyst._errors import DehystError
+    from dehyst.model import Actuator
+
+    with suppress(DehystError):
+        return Actuator.load(path).provenance.get("provisional") is True
+    return False

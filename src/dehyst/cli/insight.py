@@ -10,20 +10,20 @@ import click
 
 from dehyst.cli.common import (
     PATH,
-    columns_options,
     command_line,
     force_option,
     json_option,
     limits_option,
-    path_of,
     read_model,
-    read_records,
     refuse_overwriting,
     refuse_replacing,
     report_option,
 )
 from dehyst.cli.printing import print_insight
-from dehyst.cli.terminal import echo_json, progress_line
+from dehyst.cli.record_files import columns_options, path_of, read_records
+from dehyst.cli.start import Request
+from dehyst.cli.terminal import echo_json, note, progress_line
+from dehyst.cli.zero import outside_reach, zero_of_path, zero_option
 
 
 @click.command()
@@ -31,6 +31,7 @@ from dehyst.cli.terminal import echo_json, progress_line
 @click.argument("records", nargs=-1, required=True, metavar="RECORD...", type=PATH)
 @click.option("--trajectory", type=PATH, help="Predict the error along this path: a file with a displacement.")
 @click.option("--wanted", metavar="NAME", help="Column of the trajectory's displacement.  [default: found by its name]")
+@zero_option("From where the trajectory is counted, as in compensate.")
 @limits_option("the model's")
 @click.option("--seconds", type=float, help="Longest excitation to suggest.")
 @click.option("--level", type=float, default=0.9, show_default=True, help="Confidence level of the intervals.")
@@ -52,6 +53,7 @@ def insight(
     records: tuple[Path, ...],
     trajectory: Path | None,
     wanted: str | None,
+    zero: str | float | None,
     output: Path | None,
     report: Path | None,
     as_json: bool,
@@ -67,6 +69,8 @@ def insight(
 
     if output is not None and trajectory is None:
         raise ModelError("-o: got no trajectory, need one to write its prediction band; give --trajectory")
+    if zero is not None and trajectory is None:
+        raise ModelError(f"--zero: got {zero} and no trajectory; give --trajectory, the path that it is for")
     if wanted is not None and trajectory is None:
         raise ModelError(f"--wanted: got '{wanted}' and no trajectory; give --trajectory, the file with this column")
     refuse_overwriting([model, *records, *([trajectory] if trajectory else [])], output, report)
@@ -75,6 +79,11 @@ def insight(
     path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted, options["max_bytes"])
     if trajectory is not None and actuator.needs_time and not time:
         raise ModelError(f"{trajectory}: got no time column, need one: this model depends on time; add time_s")
+    if path is not None:
+        request = Request(actuator, options["limits"], None, None, None, None, as_json)
+        path = path + zero_of_path(request, zero)
+        for warning in outside_reach(actuator, path, options["limits"], zero):
+            note(warning)
     training = read_records(records, options)
     asked = {name: options[name] for name in ("limits", "seconds", "level", "precision", "repeats")}
     assessment = run(actuator, training, trajectory=path, time=time.get("time_s"), progress=progress, **asked)

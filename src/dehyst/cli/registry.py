@@ -15,6 +15,7 @@ from dehyst.cli.export import export
 from dehyst.cli.identify import identify
 from dehyst.cli.insight import insight
 from dehyst.cli.rig import rig
+from dehyst.cli.show import show
 from dehyst.cli.simulate import simulate
 from dehyst.cli.studies import demo, paper
 
@@ -27,5 +28,19 @@ def main(context: click.Context) -> None:
     leave_cleanly(context)
 
 
-for command in (calibrate, check, compare, compensate, excite, export, rig, identify, simulate, demo, insight, paper):
+for command in (
+    calibrate,
+    check,
+    compare,
+    compensate,
+    excite,
+    export,
+    rig,
+    identify,
+    show,
+    simulate,
+    demo,
+    insight,
+    paper,
+):
     main.add_command(command)

@@ -12,15 +12,14 @@ import click
 from dehyst._text import counted
 from dehyst.cli.common import (
     PATH,
-    columns_options,
     conclude,
     force_option,
     json_option,
     read_model,
     refuse_overwriting,
     refuse_replacing,
-    time_of_table,
 )
+from dehyst.cli.record_files import column_of, columns_options, table_of, time_of_table
 from dehyst.cli.start import (
     error_line,
     given_start,
@@ -65,14 +64,14 @@ def simulate(
     limits by more than a tenth of their range, or if --home leaves more than the model's error.
     """
     from dehyst._errors import ModelError
-    from dehyst.records import read_table, write_columns
+    from dehyst.records import write_columns
 
     if home and start is not None:
         raise ModelError("--start: got it with --home, which determines the state; leave one out")
     refuse_overwriting([model, voltage_file, *([start] if isinstance(start, Path) else [])], output)
     actuator = read_model(model)
-    table = read_table(voltage_file, max_bytes=columns["max_bytes"])
-    voltage = table.column("voltage", columns["voltage"])
+    table = table_of(voltage_file, columns)
+    voltage = column_of(table, "voltage", columns)
     time = time_of_table(table, voltage.size, columns)
     given, remarks = (None, []) if start is None else given_start(actuator, start, None, columns["max_bytes"])
     run = _homed(actuator, voltage, time) if home else _run(actuator, voltage, time, given)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,18 @@ from dehyst._io.marks import marked
 from dehyst._io.reading import reading_errors
 from dehyst._types import Array
 from dehyst.records import hdf5
+from dehyst.records.column_choice import Choice, chosen
+from dehyst.records.column_names import renamed
 from dehyst.records.formats.columns import TEXT, UNITS, Table, listed
 from dehyst.records.formats.file_content import MOST, bytes_allowed, content_of
 from dehyst.records.formats.loaders import LOADERS
 from dehyst.records.formats.reader_process import load
+from dehyst.records.formats.units import scale_of
+from dehyst.records.joined_tables import joined
 from dehyst.records.record import Record
+
+_ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju"), "; save it as CSV or .xlsx")
+_MEASURED = ("voltage", "displacement")
 
 
 def read(
@@ -31,6 +39,10 @@ def read(
     voltage: str | None = None,
     displacement: str | None = None,
     sample_rate: float | None = None,
+    voltage_scale: str | None = None,
+    displacement_scale: str | None = None,
+    columns: str | None = None,
+    join: PathLike | None = None,
     name: str | None = None,
     max_bytes: float = MOST,
 ) -> Record:
@@ -39,12 +51,21 @@ def read(
     Parameters
     ----------
     path : path
-        .csv .tsv .txt .dat .mat .h5 .hdf5 .parquet .tdms or .npz. A named pipe is read once; without a suffix its first
-        bytes determine the format.
+        .csv .tsv .txt .dat .asc .lvm .xlsx .mat .h5 .hdf5 .parquet .tdms or .npz. A named pipe is read once; without a
+        suffix its first bytes determine the format.
     time, voltage, displacement : str, optional
         Columns, see `Table.column`.
     sample_rate : float, optional
         Samples a second [Hz], for a file without a time column.
+    voltage_scale : str, optional
+        What one volt of the voltage's column means, as "100 V/V" for an amplifier's monitor.
+    displacement_scale : str, optional
+        What one volt of the displacement's column means, as "10 um/V" for a sensor.
+    columns : str, optional
+        Names and units of all columns in their order, as "time:s,voltage:V,displacement:um"; "-" leaves one out.
+    join : path, optional
+        A second file of the same measurement. Its columns are aligned on time, or on the sample if one of the files
+        has no time.
     name : str, optional
         The record's name; by default the one that `write_hdf5` wrote, else the file's, without suffix.
     max_bytes : float
@@ -61,15 +82,48 @@ def read(
         The library for this kind of file is not installed.
     """
     table, stored = _load(Path(path), max_bytes, with_meta=True)
-    v, y = table.column("voltage", voltage), table.column("displacement", displacement)
-    meta: dict[str, Any] = {"source": table.source, "sha256": table.sha256}
-    meta["columns"] = {"voltage": table.find("voltage", voltage)[0].name}
-    meta["columns"]["displacement"] = table.find("displacement", displacement)[0].name
-    meta["columns"]["time"] = (
-        table.find("time", time)[0].name if sample_rate is None else f"index / {sample_rate:.9g} Hz"
-    )
-    stored_name = stored.name if stored else Path(path).stem
-    return Record(time_of(table, len(v), time, sample_rate), v, y, name or stored_name, stored.meta if stored else meta)
+    table = named_and_joined(table, columns, join, time, sample_rate, max_bytes)
+    choice = Choice(time, voltage, displacement, voltage_scale, displacement_scale)
+    record = record_of(table, choice, sample_rate, name or (stored.name if stored else Path(path).stem))
+    if stored:
+        kept = {key: record.meta[key] for key in ("scales",) if key in record.meta}
+        return replace(record, meta={**stored.meta, **kept})
+    return record
+
+
+def record_of(table: Table, choice: Choice, sample_rate: float | None, name: str) -> Record:
+    """Return the record in a table, see `read`."""
+    timed = ("time",) if sample_rate is None else ()
+    found = chosen(table, choice, (*timed, "voltage", "displacement"))
+    if sample_rate is not None:
+        found["time"] = time_of(table, len(found["voltage"]), choice.time, sample_rate)
+    meta = _meta(table, choice, sample_rate)
+    return Record(found["time"], found["voltage"], found["displacement"], name, meta)
+
+
+def named_and_joined(
+    table: Table,
+    columns: str | None,
+    join: PathLike | None,
+    time: str | None,
+    sample_rate: float | None,
+    max_bytes: float = MOST,
+) -> Table:
+    """Return a table with the names in `columns`, and joined to the file `join`, see `read`."""
+    if columns is not None:
+        table = renamed(table, columns)
+    return table if join is None else joined(table, read_table(join, max_bytes=max_bytes), time, sample_rate)
+
+
+def _meta(table: Table, choice: Choice, sample_rate: float | None) -> dict[str, Any]:
+    """Return the origin of a record: file, hash, columns, and the scales if there are any."""
+    names = {quantity: table.find(quantity, getattr(choice, quantity))[0].name for quantity in _MEASURED}
+    clock = table.find("time", choice.time)[0].name if sample_rate is None else f"index / {sample_rate:.9g} Hz"
+    scales = {q: scale_of(q, text).words for q in _MEASURED if (text := choice.scale(q)) is not None}
+    words = "".join(f", {quantity} {scale}" for quantity, scale in scales.items())
+    meta: dict[str, Any] = {"source": f"{table.source}{words}", "sha256": table.sha256}
+    meta["columns"] = {**names, "time": clock}
+    return {**meta, "scales": scales} if scales else meta
 
 
 def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> Array:
@@ -97,7 +151,10 @@ def _load(path: Path, max_bytes: float, with_meta: bool) -> tuple[Table, hdf5.St
     most = bytes_allowed(max_bytes)
     with reading_errors(path, path.suffix):
         if path.suffix.lower() not in LOADERS and not path.is_fifo() and not path.is_dir():
-            raise FileFormatError(f"{path}: unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}")
+            raise FileFormatError(
+                f"{path}: unknown kind of file '{path.suffix}'; dehyst reads "
+                f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
+            )
         content = content_of(path, most)
     columns, stored = load(content, most, with_meta)
     if not columns:

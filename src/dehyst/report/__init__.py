@@ -2,6 +2,7 @@
 
 from dehyst.report.check_history import write_check_history
 from dehyst.report.comparison_section import write_comparison
+from dehyst.report.record_page import write_record_page
 from dehyst.report.report import render, write_calibration, write_report
 from dehyst.report.uncertainty_section import write_insight
 
@@ -11,5 +12,6 @@ __all__ = [
     "write_check_history",
     "write_comparison",
     "write_insight",
+    "write_record_page",
     "write_report",
 ]

@@ -105,7 +105,7 @@ def transient(record: Record) -> int:
     outside = (y[early] < low[bins[early]] - margin) | (y[early] > high[bins[early]] + margin)
     ends = np.concatenate([[-1], np.flatnonzero(outside), [begin + begin]])
     calm = np.flatnonzero(np.diff(ends) > max(5, begin // 20))
-    return int(ends[calm[0]]) + 1
+    return int(ends[calm[0]]) + 1 if calm.size else 0
 
 
 def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> tuple[list[Record], list[str]]:

@@ -2,27 +2,61 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._types import Array
+from dehyst.records.formats.units import UNITS, plausible_unit, quantity_of, scale_of, symbol_of
 
-UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60},
-    "voltage": {"V": 1, "mV": 1e-3, "kV": 1e3},
-    "displacement": {"m": 1, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12},
-}
+__all__ = ["EXAMPLES", "TEXT", "UNITS", "Column", "ColumnError", "Table", "listed", "shortened"]
+
 _WORDS = {
     "time": ("time", "t"),
     "voltage": ("voltage", "v", "drive"),
     "displacement": ("displacement", "position", "y", "pos"),
 }
-_EXAMPLES = {"time": "time_s", "voltage": "voltage_V", "displacement": "displacement_um"}
+# Words that name a quantity only if its unit is stated too.
+_MORE_WORDS = {
+    "time": [
+        "timestamp",
+        "datetime",
+        "date",
+        "x_value",
+        "x-axis",
+        "second",
+        "seconds",
+        "sec",
+        "zeit",
+        "temps",
+        "tiempo",
+    ],
+    "voltage": ["spannung", "tension", "piezo voltage", "drive voltage", "output voltage", "control voltage"],
+    "displacement": ["disp", "deflection", "elongation", "extension", "weg", "auslenkung", "verschiebung"],
+}
+EXAMPLES = {"time": "time_s", "voltage": "voltage_V", "displacement": "displacement_um"}
 TEXT = (".csv", ".tsv", ".txt", ".dat")
+# A quantity and its unit: "Time / s", "Weg in µm".
+_WRITTEN_OUT = re.compile(r"(.+?)\s+(?:/|in)\s+(\S+)")
 # Characters of a name that a message shows.
 _SHOWN = 60
+
+
+class ColumnError(FileFormatError):
+    """A quantity that cannot be read from its column.
+
+    `problem`: what is wrong, without the name of the file. `advice`: what to try. `quantity`: the one it concerns.
+    `column`: the one it concerns if there is one. `hint`: a short advice.
+    """
+
+    def __init__(
+        self, source: str, quantity: str, problem: str, advice: str, column: Column | None = None, hint: str = ""
+    ) -> None:
+        super().__init__(f"{source}: {problem}{advice}")
+        self.quantity, self.problem, self.advice = quantity, problem, advice
+        self.column, self.hint = column, hint
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -38,7 +72,10 @@ class Column:
     fault : str
         The reason why it cannot be used, and what to try; empty if it can.
     foreign : bool
-        Whether its samples lie in another file, or are computed: it is ignored if another column fits.
+        Whether its samples lie in another file, are computed, or lie in a structure beside plain arrays: it is
+        ignored if another column fits.
+    unnamed : str
+        If the file has no names, so that the name is a number: the reason, and what to try.
     """
 
     name: str
@@ -46,23 +83,27 @@ class Column:
     unit: str = ""
     fault: str = ""
     foreign: bool = False
+    unnamed: str = ""
 
     @property
     def leaf(self) -> str:
-        """The name without its groups."""
-        return self.name.rsplit("/", 1)[-1]
+        """The name without its groups; "Time / s" has none."""
+        return self.name if " / " in self.name else self.name.rsplit("/", 1)[-1]
 
     @property
     def parts(self) -> tuple[str, str]:
         """Quantity and unit in the column's name: ('drive', 'V') for 'drive_V' or 'drive [V]'."""
         text = self.leaf.strip()
+        if len(text) <= _SHOWN and (written := _WRITTEN_OUT.fullmatch(text)) and symbol_of(written[2]):
+            return written[1].strip(), symbol_of(written[2])
         start = min((at for at in (text.find("["), text.find("(")) if at >= 0), default=-1)
         if 0 <= start < len(text) - 1 and text[-1] in "])":
             word, unit = _trim(text[:start]), text[start + 1 : -1]
         else:
             word, _, unit = self.leaf.rpartition("_") if "_" in self.leaf else (self.leaf, "", "")
-        known = any(self.unit in units for units in UNITS.values())
-        return word.strip(), self.unit if known or not unit else unit.strip()
+        if any(self.unit in known for known in UNITS.values()):
+            return word.strip(), self.unit
+        return word.strip(), symbol_of(unit) or symbol_of(self.unit) or unit.strip() or self.unit
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -82,10 +123,11 @@ class Table:
         """Return whether exactly one column is the `quantity` by its name and unit."""
         return len(self._candidates(quantity)) == 1
 
-    def column(self, quantity: str, wanted: str | None = None) -> Array:
+    def column(self, quantity: str, wanted: str | None = None, scale: str | None = None) -> Array:
         """Return the column of a `quantity` ("time", "voltage" or "displacement") in SI units.
 
         `wanted`: name, unique last part of the name, or "name:unit"; by default the one column named like the quantity.
+        `scale`: that of an amplifier's monitor or of a sensor, as "100 V/V" or "10 um/V".
 
         Returns
         -------
@@ -95,53 +137,98 @@ class Table:
         Raises
         ------
         FileFormatError
-            No such column, several of them, an unknown unit, or cells that are no numbers.
+            No such column, several of them, an unknown unit, a scale that does not fit, or cells that are no numbers.
         """
         column, unit = self.find(quantity, wanted)
         if column.fault:
-            raise FileFormatError(f"{self.source}: column '{shortened(column.name)}': {column.fault}")
-        factor = UNITS[quantity].get(unit)
+            raise ColumnError(self.source, quantity, f"column '{shortened(column.name)}': {column.fault}", "")
+        factor = self._scaled(quantity, column, unit, scale) if scale is not None else UNITS[quantity].get(unit)
         if factor is None:
-            stated = f"the unit '{shortened(unit)}', unknown for {quantity}" if unit else "no unit"
-            name = shortened(column.name)
-            raise FileFormatError(
-                f"{self.source}: column '{name}' has {stated}; known are {', '.join(UNITS[quantity])}. Name it "
-                f"like '{_EXAMPLES[quantity]}' or '{_EXAMPLES[quantity].replace('_', ' [')}]', or give "
-                f"{_option(quantity, name + ':' + _EXAMPLES[quantity].rsplit('_')[-1])}"
-            )
+            raise self._unknown_unit(quantity, column, unit)
         # The record refuses overflow and NaN, with the row.
         with np.errstate(all="ignore"):
             # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
-            return column.data * factor if factor >= 1 else column.data / round(1 / factor)
+            return column.data * factor if scale or factor >= 1 else column.data / round(1 / factor)
+
+    def _scaled(self, quantity: str, column: Column, unit: str, text: str) -> float:
+        scale = scale_of(quantity, text)
+        if refusal := scale.refusal(unit or scale.per):
+            raise ColumnError(
+                self.source,
+                quantity,
+                f"column '{shortened(column.name)}' has the unit '{shortened(unit)}', but {refusal}",
+                "; give a scale for that unit, or leave it out",
+            )
+        return scale.apply(unit or scale.per)
+
+    def _unknown_unit(self, quantity: str, column: Column, unit: str) -> ColumnError:
+        name, example = shortened(column.name), EXAMPLES[quantity]
+        stated = f"the unit '{shortened(unit)}', unknown for {quantity}" if unit else "no unit"
+        advice, hint = f"; known are {', '.join(UNITS[quantity])}. ", ""
+        sensor = quantity_of(unit) == "voltage" and quantity == "displacement"
+        if sensor:
+            hint = f", give its scale, {_option('displacement_scale', '10 um/' + unit)} for instance"
+            advice += f"If it is a sensor's voltage{hint}; or select another column with {_option(quantity, 'NAME')}"
+        elif quantity_of(unit):
+            advice += f"Select another column with {_option(quantity, 'NAME')}, or correct the unit in the file"
+        else:
+            guess = "UNIT" if unit else plausible_unit(quantity, column.data) or example.rsplit("_")[-1]
+            named = _option(quantity, name + ":" + guess)
+            hint = f", try {named}"
+            advice += f"Name it like '{example}' or '{example.replace('_', ' [')}]', or give {named}"
+        usable = None if unit and not sensor else column
+        return ColumnError(self.source, quantity, f"column '{name}' has {stated}", advice, usable, hint)
 
     def find(self, quantity: str, wanted: str | None = None) -> tuple[Column, str]:
         """Return the column that `column` uses, and its unit."""
         unit = ""
+        if wanted is None and self.columns and self.columns[0].unnamed:
+            raise ColumnError(self.source, quantity, self.columns[0].unnamed, "")
         fits = self._candidates(quantity) if wanted is None else self._named(wanted)
         if wanted is not None and not fits and ":" in wanted:
             name, unit = (part.strip() for part in wanted.rsplit(":", 1))
             fits = self._named(name)
         if len(fits) == 1:
-            return fits[0], unit or fits[0].parts[1]
+            stated = fits[0].parts[1]
+            self._refuse_relabelled(quantity, fits[0], stated, symbol_of(unit) or unit)
+            return fits[0], symbol_of(unit) or unit or stated
         request = f"column '{wanted}' for {quantity}" if wanted is not None else f"{quantity} column"
         count = f"{len(fits)} columns fit: {listed(tuple(c.name for c in fits))}" if fits else f"no {request}"
-        hint = f" A name like '{_EXAMPLES[quantity]}' is found by itself." if wanted is None else ""
+        hint = f" A name like '{EXAMPLES[quantity]}' is found by itself." if wanted is None else ""
         rate = " Without one, give sample_rate= in Hz." if quantity == "time" else ""
-        raise FileFormatError(
-            f"{self.source}: {count}{f' as {request}' if fits else ''}; the file holds {listed(self.names)}. "
-            f"Select one with {_option(quantity, 'NAME')}.{hint}{rate}"
+        raise ColumnError(
+            self.source,
+            quantity,
+            f"{count}{f' as {request}' if fits else ''}",
+            f"; the file holds {listed(self.names)}. Select one with {_option(quantity, 'NAME')}.{hint}{rate}",
         )
+
+    def _refuse_relabelled(self, quantity: str, column: Column, stated: str, given: str) -> None:
+        """Refuse to take volts for micrometres because a user gives another unit than the file."""
+        if given and quantity_of(stated) and quantity_of(given) == quantity and quantity_of(stated) != quantity:
+            raise ColumnError(
+                self.source,
+                quantity,
+                f"column '{shortened(column.name)}' has the unit '{stated}' in the file, got '{given}'",
+                f"; give the scale from one to the other, {_option(f'{quantity}_scale', f'10 {given}/{stated}')} for "
+                "instance"
+                if quantity != "time"
+                else "; select another column",
+            )
 
     def _candidates(self, quantity: str) -> list[Column]:
         fits = [c for c in self.columns if {c.leaf.lower(), c.parts[0].lower()} & set(_WORDS[quantity])]
         fits = [c for c in fits if not c.foreign] or fits
-        return [c for c in fits if c.parts[1] in UNITS[quantity]] or fits
+        fits = [c for c in fits if c.parts[1] in UNITS[quantity]] or fits
+        more = (c for c in self.columns if {c.leaf.lower(), c.parts[0].lower()} & set(_MORE_WORDS[quantity]))
+        return fits or [c for c in more if c.parts[1] in UNITS[quantity]]
 
     def _named(self, name: str) -> list[Column]:
         name = name.strip().strip("/")
         exact = [c for c in self.columns if c.name == name]
         leaf = [c for c in self.columns if c.leaf == name]
-        return exact or leaf or [c for c in self.columns if c.parts[0] == name]
+        dotted = [c for c in self.columns if c.name.replace("/", ".") == name]
+        return exact or leaf or dotted or [c for c in self.columns if c.parts[0] == name]
 
 
 def _option(quantity: str, value: str) -> str:

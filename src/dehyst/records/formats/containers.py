@@ -1,13 +1,10 @@
-"""Binary files: NPZ, MAT, HDF5, Parquet and TDMS to columns; declared sizes are checked before the data are read."""
+"""Binary files: NPZ, HDF5, Parquet and TDMS to columns; declared sizes are checked before the data are read."""
 
 from __future__ import annotations
 
 import importlib
 import io
-import struct
 import zipfile
-import zlib
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,13 +15,8 @@ from dehyst.records.formats import hdf5_nodes
 from dehyst.records.formats.columns import Column, shortened
 from dehyst.records.formats.file_content import Allowance
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 # Longest text of a unit [bytes].
 _LONGEST_UNIT = 256
-# Sizes of the header and of a tag of MAT files of version 5 [bytes], and the type of a compressed variable.
-_MAT_HEAD, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15
-_MAT_NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
-_CHUNK = 1 << 20
 
 
 def library(module: str, purpose: str, extra: str = "files") -> Any:
@@ -63,7 +55,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowa
                 f"{allowance.path}: not a readable .npz file: {what} holds Python objects, which are not opened; save "
                 "arrays of numbers"
             )
-        count = _product(shape)
+        count = product(shape)
         if dtype.kind not in "fiu" or not shape or count < 2 or count != max(shape):
             return []
         allowance.take(count, what)
@@ -76,7 +68,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowa
         return vectors(name, np.lib.format.read_array(stream, allow_pickle=False))
 
 
-def _product(shape: tuple[int, ...]) -> int:
+def product(shape: tuple[int, ...]) -> int:
     """Return the number of elements, however large; negative if a size is."""
     count = 1
     for size in shape:
@@ -91,51 +83,6 @@ def vectors(name: str, array: Any, unit: str = "") -> list[Column]:
         return []
     with np.errstate(all="ignore"):
         return [Column(name, array.ravel().astype(np.float64, copy=False), unit)]
-
-
-def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read variables of a MAT file of any version; structures, cells and text are ignored."""
-    if is_hdf5(data):
-        return read_hdf5(data, allowance)
-    scipy_io = library("scipy.io", "Reading .mat files")
-    _refuse_inflated(data, allowance)
-    wanted = []
-    for name, shape, kind in scipy_io.whosmat(io.BytesIO(data)):
-        count = _product(shape)
-        if kind in _MAT_NUMBERS and shape and count > 1 and count == max(shape) and not name.startswith("__"):
-            allowance.take(count, f"variable '{shortened(name)}'")
-            wanted.append(name)
-    if not wanted:
-        return []
-    variables = scipy_io.loadmat(io.BytesIO(data), variable_names=wanted)
-    return [column for name in wanted for column in vectors(name, variables[name])]
-
-
-def is_hdf5(data: bytes) -> bool:
-    """Return whether a MAT file has version 7.3."""
-    return data.startswith((b"MATLAB 7.3", _HDF5)) or data[512:520] == _HDF5
-
-
-def _refuse_inflated(data: bytes, allowance: Allowance) -> None:
-    """Unpack the compressed variables piece by piece, and check their size."""
-    place, size = _MAT_HEAD, 0
-    order = ">" if data[126:128] == b"MI" else "<"
-    while place + _MAT_TAG <= len(data):
-        kind, length = struct.unpack_from(f"{order}II", data, place)
-        place += _MAT_TAG
-        if kind == _MAT_COMPRESSED:
-            for piece in _inflate(data[place : place + length]):
-                size += piece
-                allowance.check(size, "its compressed variables")
-        place += length
-
-
-def _inflate(packed: bytes) -> Iterator[int]:
-    """Yield the number of bytes of each unpacked piece."""
-    inflate = zlib.decompressobj()
-    while packed and not inflate.eof:
-        yield len(inflate.decompress(packed, _CHUNK))
-        packed = inflate.unconsumed_tail
 
 
 def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:

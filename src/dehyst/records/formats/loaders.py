@@ -6,8 +6,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from dehyst.records.formats.columns import TEXT, Column
-from dehyst.records.formats.containers import is_hdf5, read_hdf5, read_mat, read_npz, read_parquet, read_tdms
+from dehyst.records.formats.containers import read_hdf5, read_npz, read_parquet, read_tdms
 from dehyst.records.formats.file_content import Allowance, Content
+from dehyst.records.formats.gcs_file import is_gcs, read_gcs
+from dehyst.records.formats.labview_file import is_labview, read_labview
+from dehyst.records.formats.mat_file import is_hdf5, read_mat
+from dehyst.records.formats.spreadsheet import read_xlsx
 from dehyst.records.formats.text_table import read_text
 
 _NAMES = {".parquet": "Parquet", ".tdms": "TDMS"}
@@ -26,8 +30,16 @@ class Format(NamedTuple):
     isolated: bool = False
 
 
+def _read_text(data: bytes, allowance: Allowance) -> list[Column]:
+    """Read a text file of any kind; what it begins with tells which."""
+    if is_labview(data):
+        return read_labview(data, allowance)
+    return read_gcs(data, allowance) if is_gcs(data) else read_text(data, allowance)
+
+
 LOADERS: dict[str, Format] = {
-    **dict.fromkeys(TEXT, Format(read_text)),
+    **dict.fromkeys((*TEXT, ".lvm", ".asc"), Format(_read_text)),
+    ".xlsx": Format(read_xlsx, "openpyxl", isolated=True),
     ".mat": Format(read_mat, "scipy.io", isolated=True),
     ".h5": Format(read_hdf5, "h5py", isolated=True),
     ".hdf5": Format(read_hdf5, "h5py", isolated=True),

@@ -150,12 +150,12 @@ def _exchange(process: subprocess.Popen[bytes], request: list[Any], data: bytes)
         error: DehystError = getattr(_errors, answer["error"])(answer["message"])
         return error
     columns = []
-    for name, size, unit, fault, foreign in answer["columns"]:
+    for name, size, unit, fault, foreign, unnamed in answer["columns"]:
         values = np.empty(size)
         raw = values.view(np.uint8)
         if raw.size and answers.readinto(raw) < raw.size:  # type: ignore[attr-defined]
             return None
-        columns.append(Column(name, values, unit, fault, foreign))
+        columns.append(Column(name, values, unit, fault, foreign, unnamed))
     return Loaded(columns, Stored(*answer["stored"]) if answer["stored"] else None)
 
 
@@ -255,7 +255,7 @@ def _answer(content: Content, most: int, with_meta: bool, answers: BinaryIO) -> 
     except DehystError as error:
         answers.write(json.dumps({"error": type(error).__name__, "message": str(error)}).encode() + b"\n")
     else:
-        heads = [[column.name, column.data.size, column.unit, column.fault, column.foreign] for column in columns]
+        heads = [[c.name, c.data.size, c.unit, c.fault, c.foreign, c.unnamed] for c in columns]
         answers.write(json.dumps({"columns": heads, "stored": stored and list(stored)}).encode() + b"\n")
         for column in columns:
             answers.write(np.ascontiguousarray(column.data, dtype=np.float64).data)

@@ -1,14 +1,14 @@
-"""Text tables: rows of numbers under one header line; separator and decimal sign follow from the file."""
+"""Text tables: rows of numbers below any number of header lines; separator and decimal sign follow from the file."""
 
 from __future__ import annotations
 
 import codecs
-import csv
 import io
 import re
 import warnings
 from array import array
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +16,15 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst.records.formats.columns import Column, shortened
 from dehyst.records.formats.file_content import Allowance
+from dehyst.records.formats.table_layout import Layout, cells_of, layout_of, number_in
+from dehyst.records.formats.timestamps import elapsed, is_moment, moment
 
 # Longest line [bytes] and most columns of a measurement.
 _LONGEST, _WIDEST = 1_000_000, 10_000
 _CHUNK = 1 << 20
 
 
-class _Text(NamedTuple):
+class Text(NamedTuple):
     """A text file: bytes with uniform line ends, encoding, byte and line at which the rows start, header line."""
 
     data: bytes
@@ -33,28 +35,78 @@ class _Text(NamedTuple):
 
 
 def read_text(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read the columns of a text file; those with words have a fault.
+    """Read the columns of a text file; those with words have a fault, those without a name say so.
 
     Raises
     ------
     FileFormatError
-        No text, no header, no rows, rows that differ in length from the header, or more than allowed.
+        No text, no rows, rows that differ in length from the header, or more than allowed.
     """
-    path = allowance.path
-    text = _text(data, allowance)
+    text = text_of(data, allowance)
+    layout = layout_of(text.data, len(codecs.BOM_UTF8) * text.data.startswith(codecs.BOM_UTF8), text.encoding)
+    if layout is None:
+        return columns_below(text, _layout_of_first_line(text, allowance), allowance)
+    columns = columns_below(text, layout, allowance)
+    if layout.names and not any(layout.names[:3]):
+        return [column for column in columns if column.name]
+    return with_clock_of_counts(columns, layout)
+
+
+def columns_below(text: Text, layout: Layout, allowance: Allowance) -> list[Column]:
+    """Read the columns of a table whose place is known."""
+    text, names, unnamed = text._replace(start=layout.start, first=layout.first), list(layout.names), ""
+    if not names:
+        names, unnamed = [str(k + 1) for k in range(len(cells_of(layout.row, layout.delimiter)))], _unnamed(layout)
+    if len(names) > 1 and not names[-1]:
+        names.pop()
+    _refuse_wide(names, allowance)
+    text = _with_points(text, layout.delimiter)
+    allowance.take((text.data.count(b"\n", text.start) + 1) * len(names), "the number of its lines")
+    columns = _at_once(text, names, layout.delimiter) or _by_rows(text, names, layout.delimiter, allowance)
+    units = [*layout.units, *[""] * len(names)]
+    return [
+        replace(column, unit=column.unit or unit, unnamed=unnamed) for column, unit in zip(columns, units, strict=False)
+    ]
+
+
+def _unnamed(layout: Layout) -> str:
+    return (
+        f"line {layout.first + 1} is '{layout.row[:60]}', but a header line with names and units is needed first, "
+        "not behind a # or %; try time_s,voltage_V,displacement_um"
+    )
+
+
+def with_clock_of_counts(columns: list[Column], layout: Layout) -> list[Column]:
+    """Return columns with the time that a header gives as a start and an increment, instead of counts.
+
+    Oscilloscopes of Rigol write them below the names Start and Increment, into the row of units.
+    """
+    place = {name.lower(): k for k, name in enumerate(layout.names)}
+    if not {"start", "increment"} <= place.keys() or len(layout.units) != len(layout.names) or not columns:
+        return columns
+    try:
+        start, increment = (number_in(layout.units[place[name]]) for name in ("start", "increment"))
+    except ValueError:
+        return columns
+    with np.errstate(all="ignore"):
+        clock = Column("time", start + increment * columns[0].data, "s")
+    return [
+        clock,
+        *(column for k, column in enumerate(columns[1:], 1) if k not in (place["start"], place["increment"])),
+    ]
+
+
+def _layout_of_first_line(text: Text, allowance: Allowance) -> Layout:
+    """Return the layout of a table whose header is the first line."""
     delimiter = next((d for d in ";\t," if d in re.sub(r'"[^"]*"', "", text.header)), None)
     names = _names(text, delimiter, allowance)
     if all(_is_number(name.replace(",", ".") if delimiter != "," else name) for name in names):
-        raise FileFormatError(
-            f"{path}: line {text.first} is '{text.header.strip()[:60]}', but a header line with names and units is "
-            "needed first, not behind a # or %; try time_s,voltage_V,displacement_um"
-        )
-    text = _with_points(text, delimiter)
-    allowance.take((text.data.count(b"\n", text.start) + 1) * len(names), "the number of its lines")
-    return _at_once(text, names, delimiter) or _by_rows(text, names, delimiter, allowance)
+        row = text.header.strip()
+        raise FileFormatError(f"{allowance.path}: {_unnamed(Layout(0, text.first - 1, delimiter, (), (), row))}")
+    return Layout(text.start, text.first, delimiter, tuple(names), (), "")
 
 
-def _text(data: bytes, allowance: Allowance) -> _Text:
+def text_of(data: bytes, allowance: Allowance) -> Text:
     """Find the header; refuse a file that is no text, or has longer lines than a table."""
     path = allowance.path
     if b"\0" in data:
@@ -71,7 +123,7 @@ def _text(data: bytes, allowance: Allowance) -> _Text:
         end, begin, number = (len(data) if end < 0 else end), start, number + 1
         start, line = end + 1, data[begin:end].decode(encoding)
         if line.strip() and line.lstrip()[0] not in "#%":
-            return _Text(data, encoding, start, number, line)
+            return Text(data, encoding, start, number, line)
     raise FileFormatError(f"{path}: nothing but blank and comment lines; a header line and rows are needed")
 
 
@@ -100,20 +152,24 @@ def _refuse_long_lines(data: bytes, allowance: Allowance) -> None:
         start = end + 1
 
 
-def _names(text: _Text, delimiter: str | None, allowance: Allowance) -> list[str]:
+def _names(text: Text, delimiter: str | None, allowance: Allowance) -> list[str]:
     header = text.header
-    names = _cells(re.sub(r"(?<!\s)\s+(?=[\[(])", "", header) if delimiter is None else header, delimiter)
+    names = cells_of(re.sub(r"(?<!\s)\s+(?=[\[(])", "", header) if delimiter is None else header, delimiter)
     if len(names) > 1 and not names[-1]:
         names.pop()
+    _refuse_wide(names, allowance)
+    return names
+
+
+def _refuse_wide(names: list[str], allowance: Allowance) -> None:
     if len(names) > _WIDEST:
         raise FileFormatError(
             f"{allowance.path}: the header has {len(names)} columns, at most {_WIDEST} are read; check the separator, "
             "or keep time, voltage and displacement only"
         )
-    return names
 
 
-def _with_points(text: _Text, delimiter: str | None) -> _Text:
+def _with_points(text: Text, delimiter: str | None) -> Text:
     """Replace decimal commas by points, and % by # as the sign of a comment; in the rows only."""
     comma = delimiter in (";", "\t") and text.data.find(b",", text.start) >= 0
     percent = text.data.find(b"%", text.start) >= 0
@@ -125,7 +181,7 @@ def _with_points(text: _Text, delimiter: str | None) -> _Text:
     return text._replace(data=re.sub(rb"(?m)^[ \t\v\f]*%", b"#", body) if percent else body, start=0)
 
 
-def _at_once(text: _Text, names: list[str], delimiter: str | None) -> list[Column]:
+def _at_once(text: Text, names: list[str], delimiter: str | None) -> list[Column]:
     """Read all columns at once if all cells of all rows are numbers; else return none."""
     first = next((cells for _, cells in _rows(text, delimiter)), [])
     if len(first) != len(names):
@@ -143,7 +199,7 @@ def _at_once(text: _Text, names: list[str], delimiter: str | None) -> list[Colum
     return [Column(name, column.copy()) for name, column in zip(names, data.T, strict=True)]
 
 
-def _rows(text: _Text, delimiter: str | None) -> Iterator[tuple[int, list[str]]]:
+def _rows(text: Text, delimiter: str | None) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and cells of each row, without blank lines and comments."""
     start, number, data = text.start, text.first, text.data
     while start < len(data):
@@ -151,35 +207,21 @@ def _rows(text: _Text, delimiter: str | None) -> Iterator[tuple[int, list[str]]]
         end = len(data) if end < 0 else end
         line, start, number = data[start:end].decode(text.encoding), end + 1, number + 1
         if line.strip(f"{delimiter or ''} \t") and line.lstrip()[:1] not in ("#", "%"):
-            yield number, _cells(line, delimiter)
-
-
-def _cells(line: str, delimiter: str | None) -> list[str]:
-    if '"' not in line:
-        return [cell.strip() for cell in line.split(delimiter)]
-    return [
-        cell.strip() for cell in next(csv.reader([line.strip(" ")], delimiter=delimiter or " ", skipinitialspace=True))
-    ]
-
-
-def _number(cell: str) -> float:
-    """Return a cell's number, NaN if empty; raise ValueError for numbers of Python only: 1_000, other digits."""
-    if "_" in cell or not cell.isascii():
-        raise ValueError(cell)
-    return float(cell or "nan")
+            yield number, cells_of(line, delimiter)
 
 
 def _is_number(cell: str) -> bool:
     try:
-        _number(cell)
+        number_in(cell)
     except ValueError:
         return False
     return True
 
 
-def _by_rows(text: _Text, names: list[str], delimiter: str | None, allowance: Allowance) -> list[Column]:
-    """Read row by row: slow, but it finds the line of an error and allows text columns."""
+def _by_rows(text: Text, names: list[str], delimiter: str | None, allowance: Allowance) -> list[Column]:
+    """Read row by row: slow, but it finds the line of an error and allows text columns and timestamps."""
     columns = [array("d") for _ in names]
+    clocks: dict[int, list[tuple[int, float]]] = {}
     faults: dict[int, str] = {}
     empty = True
     for number, cells in _rows(text, delimiter):
@@ -190,18 +232,28 @@ def _by_rows(text: _Text, names: list[str], delimiter: str | None, allowance: Al
                 f"{allowance.path}: line {number} has {len(cells)} cells where the header has {len(names)}: "
                 f"'{(delimiter or ' ').join(cells)[:60]}'; correct or remove that line"
             )
+        if empty:
+            clocks = {place: [] for place, cell in enumerate(cells) if is_moment(cell)}
         empty = False
         for place, cell in enumerate(cells):
             if place not in faults:
                 try:
-                    columns[place].append(_number(cell))
+                    if place in clocks:
+                        clocks[place].append(moment(cell))
+                    else:
+                        columns[place].append(number_in(cell))
                 except ValueError:
-                    faults[place] = f"line {number} holds '{shortened(cell)}', which is no number"
+                    kind = "timestamp" if place in clocks else "number"
+                    faults[place] = f"line {number} holds '{shortened(cell)}', which is no {kind}"
                     columns[place] = array("d")
     if empty:
         raise FileFormatError(f"{allowance.path}: a header but no rows; export the measurement again")
     advice = "; correct or remove that row"
     return [
-        Column(name, np.array(columns[place]), fault=faults[place] + advice if place in faults else "")
+        Column(name, np.empty(0), fault=faults[place] + advice)
+        if place in faults
+        else Column(name, elapsed(clocks[place]), "s")
+        if place in clocks
+        else Column(name, np.array(columns[place]))
         for place, name in enumerate(names)
     ]

@@ -1,0 +1,38 @@
+"""Names that a user gives to the columns of a file, in their order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from dehyst._errors import FileFormatError
+from dehyst.records.formats.columns import Table, listed
+from dehyst.records.formats.units import symbol_of
+
+
+def renamed(table: Table, columns: str) -> Table:
+    """Return a table with the names and units of a text as "time:s,voltage:V,-,displacement:um".
+
+    An entry without a unit keeps that of the file; "-" and an empty entry leave a column out.
+
+    Raises
+    ------
+    FileFormatError
+        There are more entries than columns, fewer, an unknown unit, or a name twice.
+    """
+    entries = [entry.strip() for entry in columns.split(",")]
+    if len(entries) != len(table.columns):
+        raise FileFormatError(
+            f"{table.source}: columns: got {len(entries)} names, but the file holds {len(table.columns)} columns: "
+            f"{listed(table.names)}; give a name for each, and - for one that is to be left out"
+        )
+    named = []
+    for entry, column in zip(entries, table.columns, strict=True):
+        name, _, unit = (part.strip() for part in entry.partition(":"))
+        if unit and not symbol_of(unit):
+            raise FileFormatError(f"{table.source}: columns: got the unit '{unit}', which is unknown; try s, V or um")
+        if name not in ("", "-"):
+            named.append(replace(column, name=name, unit=symbol_of(unit) or column.parts[1], unnamed=""))
+    names = [column.name for column in named]
+    if len(set(names)) < len(names):
+        raise FileFormatError(f"{table.source}: columns: got {listed(tuple(names))}; give each name once")
+    return replace(table, columns=tuple(named))

@@ -1,0 +1,217 @@
+"""Files on the command line: what a message prints works, `dehyst show`, scales in the model, the zero of a path."""
+
+import json
+import os
+import re
+import shlex
+import threading
+
+import laboratory_files
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from laboratory_files import FILES, N
+
+from dehyst import Actuator
+from dehyst.cli import main
+from dehyst.records import Record, read, read_table, write_record
+
+
+def run(*words):
+    return CliRunner().invoke(main, list(words))
+
+
+def printed_command(message):
+    """The words of the command that a message printed, without the program's name."""
+    (line,) = re.findall(r"^  (dehyst .*)$", message, re.MULTILINE)
+    return shlex.split(line)[1:]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_printed_command_works(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write, words = FILES[name]
+    write(tmp_path / name)
+    done = run("show", name, *shlex.split(words), "--json")
+    if done.exit_code:
+        assert done.exit_code == 2
+        done = run(*printed_command(done.stderr))
+    assert done.exit_code == 0, done.stderr
+    seen = json.loads(done.stdout)
+    assert seen["samples"] == N
+    assert seen["cycles"] == 4
+    assert seen["voltage_V"] == pytest.approx([0, 100], abs=0.01)
+    assert seen["displacement_um"] == pytest.approx([0, 11.616], abs=0.01)
+
+
+@pytest.fixture
+def monitor(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    laboratory_files.monitor(tmp_path / "monitor.csv")
+    laboratory_files.headerless(tmp_path / "bare.csv")
+    rows = "".join(f"{k * 0.01:.2f},{5 - 4 * np.cos(k / 32):.6f}\n" for k in range(400))
+    (tmp_path / "path.csv").write_text(f"time_s,displacement_um\n{rows}")
+    return tmp_path
+
+
+def test_show_prints_and_draws(monitor):
+    scales = ["--voltage-scale", "100 V/V", "--displacement-scale", "10 um/V"]
+    names = ["--voltage", "Monitor [mV]", "--displacement", "Sensor [V]"]
+    done = run("show", "monitor.csv", *names, *scales, "--report", "page.html")
+    assert done.exit_code == 0, done.stderr
+    for line in ("1200 samples of 3 columns", "  Monitor [mV]  mV      0 to 1000", "0 to 2.398 s, 500 Hz"):
+        assert line in done.stdout
+    assert "'Monitor [mV]', 100 V/V  0 to 100 V, 4 cycles" in done.stdout
+    assert sum("*" in line for line in done.stdout.split("\n")) == 16
+    page = (monitor / "page.html").read_text()
+    assert page.count("<svg") == 2
+    assert "100 V/V" in page
+
+
+def test_show_lists_the_columns_of_a_file_that_is_no_record(monitor):
+    (monitor / "other.csv").write_text("time_s,state,load_N\n0,on,1\n1,off,2\n")
+    done = run("show", "other.csv")
+    assert done.exit_code == 2
+    assert "  load_N  N       1 to 2" in done.stdout
+    assert "holds 'on', which is no number" in done.stdout
+    assert "no voltage column; no displacement column" in done.stderr
+    assert "try:" not in done.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
+def test_show_reads_a_pipe_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    laboratory_files.semicolons(tmp_path / "zeit.csv")
+    os.mkfifo("pipe.csv")
+    writer = threading.Thread(target=lambda: (tmp_path / "pipe.csv").write_bytes((tmp_path / "zeit.csv").read_bytes()))
+    writer.start()
+    done = run("show", "pipe.csv")
+    writer.join()
+    assert done.exit_code == 0, done.stderr
+
+
+def test_a_joined_file_is_not_replaced(monitor):
+    laboratory_files.two_files(monitor / "drive.csv")
+    done = run("identify", "drive.csv", "--join", "sensor.csv", "-o", "sensor.csv", "--force")
+    assert done.exit_code == 2
+    assert "sensor.csv: is also an input of this command" in done.stderr
+
+
+def test_a_monitor_and_a_sensor_in_four_commands(monitor):
+    """Semicolons, millivolts of a monitor of 1:100, and a sensor of 10 um/V."""
+    identify = ["identify", "monitor.csv", "-o", "model.json", "--structure", "paper"]
+    first = run(*identify)
+    assert first.exit_code == 2
+    second = run(*printed_command(first.stderr))
+    assert second.exit_code == 0, second.stderr
+    actuator = Actuator.load("model.json")
+    assert actuator.limits == pytest.approx((0, 100), abs=0.01)
+    assert "monitor.csv, voltage 100 V/V, displacement 10 um/V" in (monitor / "model.json").read_text()
+    third = run("compensate", "model.json", "path.csv", "-o", "voltage.csv")
+    assert third.exit_code == 0, third.stderr
+    table = read_table("voltage.csv")
+    played = actuator.simulate(table.column("voltage")).displacement
+    path = table.columns[table.names.index("phase")].data == 2
+    assert np.abs(played - table.column("displacement"))[path].max() < 1e-12
+
+
+def test_scales_for_commands_that_read_one_column(monitor):
+    laboratory_files.lecroy(monitor / "known.csv")
+    run("identify", "known.csv", "-o", "model.json", "--structure", "paper", "--time", "Time:s", "--voltage", "Ampl:V")
+    (monitor / "small.csv").write_text("time_s,monitor_mV\n0,100\n0.1,500\n0.2,200\n")
+    done = run(
+        "simulate", "model.json", "small.csv", "-o", "out.csv", "--voltage", "monitor_mV", "--voltage-scale", "0.1 V/mV"
+    )
+    assert done.exit_code == 0, done.stderr
+    assert read_table("out.csv").column("voltage") == pytest.approx([10, 50, 20])
+    done = run("simulate", "model.json", "bare.csv", "-o", "out2.csv", "--columns", "time:s,voltage:V,-")
+    assert done.exit_code == 0, done.stderr
+    assert read_table("out2.csv").column("voltage").max() == pytest.approx(100)
+
+
+# The zero
+
+
+@pytest.fixture
+def far(monitor):
+    """A model whose sensor has its zero far away: it reaches about -120 to -108 um."""
+    record = Record(laboratory_files.T, laboratory_files.V, laboratory_files.Y - 120e-6, "far")
+    write_record(monitor / "far.csv", record)
+    done = run("identify", "far.csv", "-o", "far.json", "--structure", "paper")
+    assert done.exit_code == 0, done.stderr
+    return monitor
+
+
+def test_an_unreachable_path_names_the_range_and_the_option(far):
+    done = run("compensate", "far.json", "path.csv", "-o", "voltage.csv")
+    assert done.exit_code == 2
+    assert "the model reaches -119.6 to -108.4 um" in done.stderr
+    assert "--zero bottom counts the path from the bottom of this range" in done.stderr
+    done = run("compensate", "far.json", "path.csv", "-o", "voltage.csv", "--zero", "bottom")
+    assert done.exit_code == 0, done.stderr
+    assert "the path is counted from -119.6" in done.stderr
+    low = Actuator.load("far.json").major_loop((0, 100))[0]
+    table = read_table("voltage.csv")
+    path = table.columns[table.names.index("phase")].data == 2
+    wanted = read_table("path.csv").column("displacement")
+    assert table.column("displacement")[path] == pytest.approx(wanted + low, abs=1e-12)
+
+
+def test_a_path_that_is_somewhat_outside_names_the_range_too(far):
+    rows = "".join(f"{k * 0.01:.2f},{-110 + 4 * np.sin(k / 32):.6f}\n" for k in range(400))
+    (far / "high.csv").write_text(f"time_s,displacement_um\n{rows}")
+    done = run("compensate", "far.json", "high.csv", "-o", "voltage.csv")
+    assert done.exit_code == 1
+    assert "the path covers -114 to -106 um, the model reaches -119.6 to -108.4 um with 0 to 100 V" in done.stderr
+    (value,) = re.findall(r"--zero (\S+) puts the path into the middle", done.stderr)
+    assert run("compensate", "far.json", "high.csv", "-o", "voltage.csv", "--zero", value).exit_code == 0
+
+
+@pytest.mark.parametrize("more", [(), ("--cycle", "table.csv")])
+def test_a_scan_is_counted_from_the_zero(far, more):
+    scan = ["compensate", "far.json", "--scan", "triangle", "--low", "2", "--high", "8", "--frequency", "1", *more]
+    done = run(*scan, "-o", "out.csv")
+    assert done.exit_code == 2
+    assert "--zero bottom" in done.stderr
+    done = run(*scan, "-o", "out.csv", "--zero", "bottom")
+    assert done.exit_code == 0, done.stderr
+    low = Actuator.load("far.json").major_loop((0, 100))[0]
+    assert read_table("out.csv").column("displacement")[-1] == pytest.approx(low + 2e-6, abs=0.2e-6)
+
+
+def test_the_middle_and_the_start_as_zero(far):
+    (far / "around.csv").write_text("time_s,displacement_um\n" + "".join(f"{k},{np.sin(k):.6f}\n" for k in range(9)))
+    done = run("compensate", "far.json", "around.csv", "-o", "out.csv")
+    assert "--zero mean counts the path from the middle" in done.stderr
+    done = run("compensate", "far.json", "around.csv", "-o", "out.csv", "--zero", "mean", "--no-home")
+    low, high = Actuator.load("far.json").major_loop((0, 100))
+    assert read_table("out.csv").column("displacement")[0] == pytest.approx((low + high) / 2)
+    done = run("compensate", "far.json", "path.csv", "-o", "out2.csv", "--zero", "first", "--start", "bottom")
+    assert done.exit_code == 0, done.stderr
+    first, wanted = read_table("out2.csv").column("displacement"), read_table("path.csv").column("displacement")
+    assert first - wanted == pytest.approx(low, abs=1e-9)
+    done = run("compensate", "far.json", "around.csv", "-o", "out.csv", "--zero", "top")
+    assert done.exit_code == 2
+    assert "got 'top', need bottom, first, mean, or a displacement in um" in done.stderr
+
+
+def test_the_trajectory_of_an_assessment_names_the_range(far):
+    asked = ["insight", "far.json", "far.csv", "--trajectory", "path.csv", "--repeats", "20"]
+    assert "--zero bottom counts the path" in run(*asked).stderr
+    done = run(*asked, "--zero", "bottom", "-o", "band.csv")
+    assert "--zero" not in done.stderr
+    assert read_table("band.csv").column("time").size == 400
+
+
+@pytest.mark.parametrize("zero", ["bottom", "first", "mean", "-120"])
+def test_identify_places_the_zero(far, zero):
+    known = read("far.csv")
+    place = {"bottom": known.displacement.min(), "first": known.displacement[0], "mean": known.displacement.mean()}
+    done = run("identify", "far.csv", "-o", "moved.json", "--structure", "paper", "--zero", zero)
+    assert done.exit_code == 0, done.stderr
+    before, after = (Actuator.load(name) for name in ("far.json", "moved.json"))
+    shift = place.get(zero, -120e-6)
+    assert np.array(after.major_loop((0, 100))) == pytest.approx(
+        np.array(before.major_loop((0, 100))) - shift, abs=1e-10
+    )
+    assert f"zero at {shift * 1e6:.6g} um" in (far / "moved.json").read_text()

@@ -1,0 +1,253 @@
+"""Files as laboratories have them: read at the first try, or with the options that the first message names."""
+
+import shlex
+import sys
+
+import laboratory_files
+import numpy as np
+import pytest
+from laboratory_files import FILES, RATE, UM, N, T, V, Y
+
+from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst.records import read, read_table
+from dehyst.records.column_choice import ColumnsError
+from dehyst.records.formats.timestamps import elapsed, is_moment, moment
+
+
+def options_of(words):
+    given = shlex.split(words)
+    pairs = zip(given[::2], given[1::2], strict=True)
+    return {k.removeprefix("--").replace("-", "_"): float(v) if k == "--sample-rate" else v for k, v in pairs}
+
+
+def tried(path, options):
+    """The record of the first try, or of the second with the options that the first one's message holds."""
+    try:
+        return read(path, **options)
+    except ColumnsError as error:
+        assert error.options
+        assert all(f'{name}="{value}"' in str(error) for name, value in error.options.items())
+        return read(path, **options | error.options)
+
+
+def assert_measured(record):
+    assert record.time - record.time[0] == pytest.approx(T, abs=1e-9)
+    assert record.voltage == pytest.approx(V, abs=1e-4)
+    assert record.displacement == pytest.approx(Y, abs=1e-11)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_read_at_the_first_or_second_try(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write, words = FILES[name]
+    write(tmp_path / name)
+    assert_measured(tried(name, options_of(words)))
+
+
+def test_a_workbook(tmp_path):
+    rows = [["Run", 7.0], ["Time (s)", "Drive (V)", "Position (um)"], *np.c_[T, V, UM].tolist()]
+    laboratory_files.write_xlsx(tmp_path / "a.xlsx", rows)
+    pytest.importorskip("openpyxl")
+    assert_measured(read(tmp_path / "a.xlsx"))
+
+
+def test_without_openpyxl_a_workbook_names_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    laboratory_files.write_xlsx(tmp_path / "a.xlsx", [["a"], [1.0]])
+    with pytest.raises(MissingExtraError, match=r"Reading .xlsx files needs openpyxl.*dehyst\[files\]"):
+        read(tmp_path / "a.xlsx")
+
+
+# Names and units
+
+
+def text(tmp_path, content, name="a.csv"):
+    (tmp_path / name).write_text(content)
+    return tmp_path / name
+
+
+def test_all_unknown_names_are_reported_at_once(tmp_path):
+    path = text(tmp_path, "Zeit;Ansteuerung;Auslenkung\n" + laboratory_files.rows(T, V, UM, sign=";"))
+    with pytest.raises(ColumnsError) as caught:
+        read(path)
+    message = str(caught.value)
+    for part in ("no time column", "no voltage column", "no displacement column"):
+        assert part in message
+    assert "the file holds 'Zeit', 'Ansteuerung', 'Auslenkung'" in message
+    assert caught.value.options == {"time": "Zeit:s", "voltage": "Ansteuerung:V", "displacement": "Auslenkung:um"}
+
+
+@pytest.mark.parametrize(("values", "unit"), [(UM, "um"), (UM * 1e3, "nm"), (Y * 1e3, "mm"), (Y, "m")])
+def test_a_hint_names_a_plausible_unit(tmp_path, values, unit):
+    path = text(tmp_path, "time_s,voltage_V,y\n" + laboratory_files.rows(T, V, values))
+    with pytest.raises(ColumnsError, match=f'give displacement="y:{unit}"$') as caught:
+        read(path)
+    assert read(path, **caught.value.options).stroke == pytest.approx(np.ptp(Y), rel=1e-6)
+
+
+def test_no_hint_where_no_unit_is_plausible(tmp_path):
+    path = text(tmp_path, "time_s,voltage_V,y\n" + laboratory_files.rows(T, V, UM * 1e9))
+    with pytest.raises(ColumnsError) as caught:
+        read(path)
+    assert caught.value.options == {}
+
+
+def test_a_sensor_in_volts_is_never_taken_for_micrometres(tmp_path):
+    path = text(tmp_path, "time_s,voltage_V,sensor_V\n" + laboratory_files.rows(T, V, UM / 10))
+    with pytest.raises(ColumnsError, match="has the unit 'V', unknown for displacement") as caught:
+        read(path, displacement="sensor_V")
+    assert "sensor_V:um" not in str(caught.value)
+    assert caught.value.options == {"displacement": "sensor_V", "displacement_scale": "10 um/V"}
+    with pytest.raises(FileFormatError, match="has the unit 'V' in the file, got 'um'; give the scale"):
+        read(path, displacement="sensor_V:um")
+    assert_measured(read(path, **caught.value.options))
+
+
+def test_a_monitor_is_asked_for_its_scale(tmp_path):
+    path = text(tmp_path, "time_s,monitor_mV,y_um\n" + laboratory_files.rows(T, V * 10, UM))
+    assert any("monitor_mV" in sentence for sentence in read(path, voltage="monitor_mV").problems())
+    record = read(path, voltage="monitor_mV", voltage_scale="100 V/V")
+    assert not any("monitor_mV" in sentence for sentence in record.problems())
+    assert_measured(record)
+
+
+@pytest.mark.parametrize(
+    ("scale", "factor"), [("100 V/V", 100), ("100V/V", 100), ("0.1 kV/V", 100), ("1e2 V / V", 100), ("0.1 V/mV", 100)]
+)
+def test_scales(tmp_path, scale, factor):
+    path = text(tmp_path, "time_s,voltage_V,y_um\n0,1,2\n1,3,4\n")
+    record = read(path, voltage_scale=scale)
+    assert record.voltage == pytest.approx([factor, 3 * factor])
+    assert record.meta["source"].startswith("a.csv, voltage ")
+    assert record.meta["scales"]["voltage"].replace(" ", "") == scale.replace(" ", "")
+
+
+@pytest.mark.parametrize("scale", ["100", "100 V", "um/V", "0 um/V", "1e999 um/V", "10 V/V", "10 um/bar", "1.2.3 um/V"])
+def test_scales_that_are_none(tmp_path, scale):
+    path = text(tmp_path, "time_s,voltage_V,y_V\n0,1,2\n1,3,4\n")
+    with pytest.raises(
+        FileFormatError, match=r"displacement_scale: got .* need a number with two units, as in '10 um/V'"
+    ):
+        read(path, displacement_scale=scale)
+
+
+def test_a_scale_for_another_unit_is_refused(tmp_path):
+    path = text(tmp_path, "time_s,voltage_V,y_um\n0,1,2\n1,3,4\n")
+    with pytest.raises(FileFormatError, match=r"has the unit 'um', but the scale 10 um/V is for V"):
+        read(path, displacement_scale="10 um/V")
+
+
+def test_implausible_ranges_are_reported(tmp_path):
+    path = text(tmp_path, "time_s,voltage_V,y_um\n" + laboratory_files.rows(T, V, UM))
+    record = read(path, voltage_scale="100 V/V", displacement="y_um")
+    assert any("The voltage reaches 1e+04 V, unusual" in sentence for sentence in record.problems())
+
+
+def test_names_for_all_columns(tmp_path):
+    path = text(tmp_path, laboratory_files.rows(0 * T, T, UM, V))
+    record = read(path, columns="-,time:s,displacement:um,voltage:V")
+    assert_measured(record)
+    with pytest.raises(FileFormatError, match="got 2 names, but the file holds 4 columns: '1', '2', '3', '4'"):
+        read(path, columns="time:s,voltage:V")
+    with pytest.raises(FileFormatError, match="got the unit 'bar', which is unknown"):
+        read(path, columns="-,time:s,displacement:bar,voltage:V")
+    with pytest.raises(FileFormatError, match="give each name once"):
+        read(path, columns="a,a,b,c")
+
+
+# Rows
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "time_s,voltage_V,y_um\nOVER,OVER,1\n" + laboratory_files.rows(T, V, UM),
+        "time_s,voltage_V,y_um\n0,1,x\n" + laboratory_files.rows(T, V, UM),
+        "time_s,voltage_V,y_um\n1,2\n" + laboratory_files.rows(T, V, UM),
+        "time_s,voltage_V,y_um\n" + laboratory_files.rows(T[:5], V[:5]) + laboratory_files.rows(T, V, UM),
+    ],
+)
+def test_no_row_with_a_fault_is_taken_for_a_header(tmp_path, content):
+    with pytest.raises(FileFormatError, match="line 2 "):
+        read(text(tmp_path, content))
+
+
+def test_a_fault_in_a_row_names_its_line(tmp_path):
+    laboratory_files.tektronix(tmp_path / "a.csv")
+    lines = (tmp_path / "a.csv").read_text().split("\n")
+    lines[20] = "1,2"
+    with pytest.raises(FileFormatError, match="line 21 has 2 cells where the header has 3"):
+        read(text(tmp_path, "\n".join(lines)))
+
+
+def test_timestamps():
+    cells = [
+        "2024-12-31 23:59:59.9999999",
+        "2025-01-01T00:00:00.5Z",
+        "31.12.2024 23:59:59,25",
+        "12/31/2024 11:59:59 PM",
+    ]
+    assert all(map(is_moment, cells))
+    assert elapsed([moment(cell) for cell in cells]) == pytest.approx([0, 0.5000001, -0.7499999, -0.9999999])
+    assert elapsed([moment("23:59:59.5"), moment("00:00:00.5")]).tolist() == [0, 1]
+    assert elapsed([moment("12:00:00+02:00"), moment("10:00:01Z")]).tolist() == [0, 1]
+    assert not any(map(is_moment, ["", "1.5", "12:00", "2024-01-01", "a12:00:00"]))
+
+
+# Two files
+
+
+def test_joined_by_time(tmp_path):
+    drive = text(tmp_path, "time_s,voltage_V\n" + laboratory_files.rows(T, V))
+    late = np.linspace(0.01, T[-1] - 0.01, 3000)
+    text(tmp_path, "t_ms,y_um\n" + laboratory_files.rows(late * 1e3, 3 * late, number="%.15g"), "b.csv")
+    record = read(drive, join=tmp_path / "b.csv")
+    inside = (late[0] <= T) & (late[-1] >= T)
+    assert record.time == pytest.approx(T[inside])
+    assert record.voltage == pytest.approx(V[inside], abs=1e-6)
+    assert record.displacement == pytest.approx(3e-6 * T[inside], rel=1e-9)
+    assert record.meta["columns"]["displacement"] == "b/y_um"
+
+
+def test_joined_by_sample(tmp_path):
+    drive = text(tmp_path, "voltage_V\n" + laboratory_files.rows(V))
+    sensor = text(tmp_path, "displacement_um\n" + laboratory_files.rows(UM), "b.csv")
+    assert_measured(read(drive, join=sensor, sample_rate=RATE))
+    short = text(tmp_path, "displacement_um\n1\n2\n", "c.csv")
+    with pytest.raises(FileFormatError, match=f"join: got {N} samples in a.csv and 2 in c.csv, need as many"):
+        read(drive, join=short, sample_rate=RATE)
+    apart = text(tmp_path, "time_s,y_um\n100,1\n101,2\n", "d.csv")
+    with pytest.raises(FileFormatError, match="need times in common"):
+        read(text(tmp_path, "time_s,voltage_V\n0,1\n1,2\n2,3\n"), join=apart)
+
+
+# Instruments
+
+
+def test_a_gcs_array_has_its_names_and_its_clock(tmp_path):
+    laboratory_files.gcs(tmp_path / "a.dat")
+    table = read_table(tmp_path / "a.dat")
+    assert table.names == ("time", "Current Position of axis 1", "Control Voltage of output chan 1")
+    content = (tmp_path / "a.dat").read_text()
+    for old, new, message in (
+        ("SAMPLE_TIME = 0.00200", "SAMPLE_TIME = 0", "got SAMPLE_TIME = 0, need a time above 0 s"),
+        ("SEPARATOR = 32", "SEPARATOR = 33", "got SEPARATOR = 33, need 32"),
+    ):
+        with pytest.raises(FileFormatError, match=message):
+            read(text(tmp_path, content.replace(old, new), "b.dat"))
+
+
+def test_segments_of_labview_are_not_mixed(tmp_path):
+    laboratory_files.labview(tmp_path / "a.lvm")
+    content = (tmp_path / "a.lvm").read_text()
+    with pytest.raises(FileFormatError, match="got 2 segments of a LabVIEW measurement, need 1"):
+        read(text(tmp_path, content + "Channels\t2\n***End_of_Header***\n" + "X_Value\tVoltage\n1\t2\n", "b.lvm"))
+
+
+def test_the_fields_of_a_structure_are_second_to_plain_arrays(tmp_path):
+    import scipy.io
+
+    plain = {"time_s": T, "voltage_V": V, "displacement_um": UM}
+    scipy.io.savemat(tmp_path / "a.mat", {**plain, "old": {"time_s": T + 1, "voltage_V": V}})
+    assert_measured(read(tmp_path / "a.mat"))
+    assert read(tmp_path / "a.mat", voltage="old.voltage_V").voltage == pytest.approx(V)

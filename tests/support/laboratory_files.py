@@ -1,0 +1,236 @@
+"""Files of one measurement as laboratories have them: what instruments, programs and people write."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import nptdms
+import numpy as np
+import scipy.io
+
+RATE = 500.0
+N = 1200
+T = np.arange(N) / RATE
+# Two cycles to 100 V, and two to 60 V.
+V = np.where(T[N // 2] > T, 50.0, 30.0) * (1 - np.cos(2 * np.pi * T / 0.6))
+
+
+def _loop() -> np.ndarray:
+    """The displacement [m] of a play operator and a spring; 12 um of stroke."""
+    play, now = np.empty(N), 0.0
+    for k, v in enumerate(V):
+        now = min(max(now, v - 8.0), v + 8.0)
+        play[k] = now
+    return 1.2e-5 * (0.6 * V + 0.4 * play) / 100
+
+
+Y = _loop()
+UM = Y * 1e6
+
+
+def rows(*columns: np.ndarray, sign: str = ",", number: str = "%.9g") -> str:
+    return "".join(sign.join(number % cell for cell in row) + "\n" for row in zip(*columns, strict=True))
+
+
+def german(text: str) -> str:
+    return text.replace(".", ",")
+
+
+def tektronix(path: Path) -> None:
+    head = (
+        "Model,MSO44\nFirmware Version,1.28.5\n\nWaveform Type,ANALOG,,\nPoint Format,Y,,\nHorizontal Units,s,,\n"
+        "Horizontal Scale,0.24,,\nSample Interval,0.002,,\nRecord Length,1200,,\nProbe Attenuation,1,1,\n"
+        "Vertical Units,V,V,\n\nLabel,drive,sensor,\nTIME,CH1,CH2\n"
+    )
+    path.write_text(head + rows(T, V / 100, UM / 10))
+
+
+def tektronix_channels(path: Path) -> None:
+    """One file for each channel, with the header beside the first rows."""
+    for file, source, values in ((path, "CH1", V / 100), (path.with_name("F0001CH2.CSV"), "CH2", UM / 10)):
+        head = f"Record Length,1.2e+03,|Sample Interval,2e-03,|Trigger Point,0,||,,|,,|Source,{source},|"
+        head += "Vertical Units,V,|Vertical Scale,2.0e-01,|Vertical Offset,0.0,|"
+        head += "Horizontal Units,s,|Horizontal Scale,2.4e-01,|"
+        cells = [*head.replace("||", "|").split("|"), *[",,"] * N]
+        file.write_text("".join(f"{c or ',,'},{t:.6f},{v:.8f},\n" for c, t, v in zip(cells, T, values, strict=False)))
+
+
+def keysight(path: Path) -> None:
+    path.write_text("x-axis,1,2\nsecond,Volt,Volt\n" + rows(T, V / 100, UM / 10, number="%+.9E"))
+
+
+def rigol(path: Path) -> None:
+    body = "".join(f"{k},{v:.6e},{y:.6e},,\n" for k, (v, y) in enumerate(zip(V / 100, UM / 10, strict=True)))
+    path.write_text("X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,0.000000e+00,2.000000e-03\n" + body)
+
+
+def picoscope(path: Path) -> None:
+    path.write_text("Time,Channel A,Channel B\n(ms),(V),(mV)\n\n" + rows(T * 1e3, V / 100, UM * 100, number="%.8f"))
+
+
+def lecroy(path: Path) -> None:
+    head = "LECROYHDO4024,12345,Waveform\nSegments,1,SegmentSize,1200\nSegment,TrigTime,TimeSinceSegment1\n"
+    path.write_text(head + "#1,17-Apr-2015 12:03:02,0\nTime,Ampl,Pos_um\n" + rows(T, V, UM))
+
+
+def gcs(path: Path) -> None:
+    head = {"TYPE": 1, "SEPARATOR": 32, "DIM": 2, "SAMPLE_TIME": "0.00200", "NDATA": N}
+    head |= {"NAME0": "Current Position of axis 1", "NAME1": "Control Voltage of output chan 1"}
+    lines = ["# REM created by PIMikroMove", "# VERSION = 1", "#", *(f"# {k} = {v}" for k, v in head.items()), "#"]
+    path.write_text("\n".join([*lines, "# END_HEADER", rows(UM, V, sign=" ", number="%.6f")]))
+
+
+def labview(path: Path, x_column: bool = True) -> None:
+    head = (
+        "LabVIEW Measurement\t\nWriter_Version\t2\nReader_Version\t2\nSeparator\tTab\nDecimal_Separator\t.\n"
+        f"Multi_Headings\tNo\nX_Columns\t{'One' if x_column else 'No'}\nTime_Pref\tRelative\nOperator\tx\n"
+        "Date\t2024/05/01\nTime\t12:00:00.1234\n***End_of_Header***\t\n\t\nChannels\t2\t\t\nSamples\t1200\t1200\t\n"
+        "Date\t2024/05/01\t2024/05/01\t\nTime\t12:00:00.1\t12:00:00.1\t\nY_Unit_Label\tVolts\tMicrometers\t\n"
+        "X_Dimension\tTime\tTime\t\nX0\t0.0E+0\t0.0E+0\t\nDelta_X\t0.002\t0.002\t\n***End_of_Header***\t\t\t\n"
+        "X_Value\tVoltage\tPosition\tComment\n"
+    )
+    body = (
+        rows(T, V, UM, sign="\t").split("\n")
+        if x_column
+        else [f"\t{row}" for row in rows(V, UM, sign="\t").split("\n")]
+    )
+    path.write_text(head + "\n".join(line for line in body if line.strip()).replace("\n", "\tstart\n", 1) + "\n")
+
+
+def semicolons(path: Path) -> None:
+    path.write_bytes(("Zeit [s];Spannung [V];Weg [µm]\r\n" + german(rows(T, V, UM, sign=";"))).encode("cp1252"))
+
+
+def german_words(path: Path) -> None:
+    text = "Messung 12\nDatum;01.05.2024\n\nZeit in s;Ansteuerung in V;Kapazitiver Sensor in µm\n"
+    path.write_bytes((text + german(rows(T, V, UM, sign=";"))).encode("utf-8-sig"))
+
+
+def headerless(path: Path) -> None:
+    path.write_text(rows(T, V, UM))
+
+
+def savetxt(path: Path) -> None:
+    np.savetxt(path, np.c_[T, V, UM], header="time_s voltage_V displacement_um")
+
+
+def iso(path: Path) -> None:
+    stamps = [f"2024-05-01T23:59:59.{k:03d}" for k in range(0, 1000, 2)]
+    stamps += [f"2024-05-02T00:00:{k // 500:02d}.{2 * (k % 500):03d}" for k in range(N - 500)]
+    lines = [f"{stamp},{v:.9g},{y:.9g}" for stamp, v, y in zip(stamps, V, UM, strict=True)]
+    path.write_text("timestamp,voltage (V),position (um)\n" + "\n".join(lines))
+
+
+def letters(path: Path) -> None:
+    scipy.io.savemat(path, {"t": T, "u": V, "y": UM})
+
+
+def struct(path: Path) -> None:
+    scipy.io.savemat(path, {"data": {"t": T, "u": V, "y": UM, "info": {"who": "me", "gain": 3.0}}})
+
+
+def packed_struct(path: Path) -> None:
+    run = {"time_s": T.reshape(-1, 1), "voltage_V": V, "displacement_um": UM}
+    scipy.io.savemat(path, {"run": {"first": run}, "image": np.eye(4)}, do_compression=True)
+
+
+def tdms(path: Path) -> None:
+    step = {"wf_increment": 1 / RATE}
+    channels = [
+        nptdms.ChannelObject("Untitled", "Voltage_0", V, step | {"unit_string": "Volts"}),
+        nptdms.ChannelObject("Untitled", "Position_0", Y, step | {"unit_string": "Meters"}),
+    ]
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment(channels)
+
+
+def units_below(path: Path) -> None:
+    path.write_text("Time\tDrive\tDisplacement\ns\tV\tnm\n" + rows(T, V, Y * 1e9, sign="\t"))
+
+
+def slashes(path: Path) -> None:
+    path.write_text("Time / ms,Voltage / V,Position / um\n" + rows(T * 1e3, V, UM))
+
+
+def monitor(path: Path) -> None:
+    text = "Zeit [ms];Monitor [mV];Sensor [V]\n"
+    path.write_bytes((text + german(rows(T * 1e3, V * 10, UM / 10, sign=";"))).encode("cp1252"))
+
+
+def two_files(path: Path) -> None:
+    path.write_text("time_s,voltage_V\n" + rows(T, V))
+    path.with_name("sensor.csv").write_text("time_s,displacement_um\n" + rows(T, UM))
+
+
+def no_time(path: Path) -> None:
+    path.write_text("voltage_V,displacement_um\n" + rows(V, UM))
+
+
+def many_channels(path: Path) -> None:
+    path.write_text("t_s,CH1 (V),CH2 (V),gauge x (um),gauge y (um),T (C)\n" + rows(T, V, 0 * V, UM, 0 * V, 0 * V + 21))
+
+
+# For each file its writer and the options that a user knows before the first try.
+FILES: dict[str, tuple[Callable[[Path], None], str]] = {
+    "tek.csv": (tektronix, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
+    "F0000CH1.CSV": (
+        tektronix_channels,
+        "--join F0001CH2.CSV --voltage-scale '100 V/V' --displacement-scale '10 um/V'",
+    ),
+    "keysight.csv": (keysight, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
+    "rigol.csv": (rigol, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
+    "pico.csv": (picoscope, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
+    "lecroy.csv": (lecroy, ""),
+    "recorder.dat": (gcs, ""),
+    "one.lvm": (labview, ""),
+    "none.lvm": (lambda path: labview(path, x_column=False), ""),
+    "zeit.csv": (semicolons, ""),
+    "messung.csv": (german_words, ""),
+    "bare.csv": (headerless, ""),
+    "savetxt.txt": (savetxt, ""),
+    "iso.csv": (iso, ""),
+    "letters.mat": (letters, ""),
+    "struct.mat": (struct, ""),
+    "packed.mat": (packed_struct, ""),
+    "daq.tdms": (tdms, ""),
+    "units.txt": (units_below, ""),
+    "slashes.csv": (slashes, ""),
+    "monitor.csv": (monitor, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
+    "drive.csv": (two_files, "--join sensor.csv"),
+    "untimed.csv": (no_time, "--sample-rate 500"),
+    "channels.csv": (many_channels, "--voltage 'CH1 (V)' --displacement 'gauge x (um)'"),
+}
+
+
+def write_xlsx(path: Path, table: Iterable[Iterable[object]]) -> None:
+    """Write a workbook of one sheet, as small as Excel accepts."""
+
+    def cell(value: object) -> str:
+        if isinstance(value, str):
+            return f'<c t="inlineStr"><is><t>{value}</t></is></c>'
+        return f"<c><v>{value!r}</v></c>"
+
+    sheet = "".join(f"<row>{''.join(map(cell, row))}</row>" for row in table)
+    main, office = "http://schemas.openxmlformats.org/spreadsheetml/2006/main", "http://schemas.openxmlformats.org"
+    kind, ties = (
+        "application/vnd.openxmlformats-officedocument.spreadsheetml",
+        f"{office}/officeDocument/2006/relationships",
+    )
+    parts = {
+        "[Content_Types].xml": f'<Types xmlns="{office}/package/2006/content-types">'
+        '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+        f'<Override PartName="/xl/workbook.xml" ContentType="{kind}.sheet.main+xml"/>'
+        f'<Override PartName="/xl/worksheets/sheet1.xml" ContentType="{kind}.worksheet+xml"/></Types>',
+        "_rels/.rels": f'<Relationships xmlns="{office}/package/2006/relationships"><Relationship Id="a" '
+        f'Type="{ties}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
+        "xl/workbook.xml": f'<workbook xmlns="{main}" xmlns:r="{ties}"><sheets>'
+        '<sheet name="run" sheetId="1" r:id="a"/></sheets></workbook>',
+        "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{office}/package/2006/relationships">'
+        f'<Relationship Id="a" Type="{ties}/worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
+        "xl/worksheets/sheet1.xml": f'<worksheet xmlns="{main}"><sheetData>{sheet}</sheetData></worksheet>',
+    }
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in parts.items():
+            archive.writestr(name, f'<?xml version="1.0" encoding="UTF-8"?>{text}')
