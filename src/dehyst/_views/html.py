@@ -52,3 +52,9 @@ def folded(title: str, sentences: Sequence[object]) -> str:
         return ""
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
     return f"<details><summary>{escape(title)} ({len(sentences)})</summary><ul>{items}</ul></details>"
+
+
+def preformatted(title: str, lines: Iterable[str]) -> str:
+    """Set lines in columns that open with a click."""
+    text = "\n".join(map(escape, lines))
+    return f'<details><summary>{escape(title)}</summary><pre style="overflow-x:auto">{text}</pre></details>'

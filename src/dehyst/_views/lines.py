@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from math import floor, inf, log10
 
 import numpy as np
 
@@ -25,11 +26,21 @@ def _shown(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else escaped(repr(value))
 
 
+def ends(low: float, high: float, unit: str) -> str:
+    """Write an interval with the decimals that show a thousandth of its width: "-0.003 to 16.154 um"."""
+    width = abs(high - low)
+    decimals = min(12, max(0, 3 - floor(log10(width)))) if 0 < width < inf else 6
+    written = [f"{end:.{decimals}f}" if abs(end) < 1e15 else f"{end:.6g}" for end in (low, high)]
+    # Without zeros at the end, and without a minus before nothing.
+    low_, high_ = (str(float(text)).removesuffix(".0") if "e" not in text else text for text in written)
+    return f"{low_.removeprefix('-') if float(low_) == 0 else low_} to {high_} {unit}"
+
+
 def span_of(values: Array, unit: str, factor: float = 1.0) -> str:
     """Write the range of numbers: "0 to 200 V"; "none" if there are no numbers."""
     if not values.size:
         return "none"
-    return f"{values.min() * factor:.4g} to {values.max() * factor:.6g} {unit}"
+    return ends(float(values.min()) * factor, float(values.max()) * factor, unit)
 
 
 def length(metres: float) -> str:

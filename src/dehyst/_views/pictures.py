@@ -12,6 +12,6 @@ if TYPE_CHECKING:
 _ROOM = "dehyst.report.object_plots"
 
 
-def plotted(function: str, thing: object, kind: str, ax: Axes | None) -> Axes:
+def plotted(function: str, thing: object, kind: str | None, ax: Axes | None) -> Axes:
     """Draw an object by a function of the room that draws; return the axes."""
     return cast("Axes", getattr(import_module(_ROOM), function)(thing, kind, ax))

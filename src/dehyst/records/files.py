@@ -16,6 +16,7 @@ from dehyst._io.drafts import PathLike, write_atomically
 from dehyst._io.marks import marked
 from dehyst._io.reading import reading_errors
 from dehyst._types import Array
+from dehyst._units import per_metre
 from dehyst.records import hdf5
 from dehyst.records.formats.columns import TEXT, UNITS, Table, listed
 from dehyst.records.formats.file_content import MOST, bytes_allowed, content_of
@@ -32,6 +33,7 @@ def read(
     displacement: str | None = None,
     sample_rate: float | None = None,
     name: str | None = None,
+    units: str | None = None,
     max_bytes: float = MOST,
 ) -> Record:
     """Read a record from a file whose kind follows from its suffix.
@@ -47,6 +49,8 @@ def read(
         Samples a second [Hz], for a file without a time column.
     name : str, optional
         The record's name; by default the one that `write_hdf5` wrote, else the file's, without suffix.
+    units : str, optional
+        Unit of the displacement where the file states none: "m", "mm", "um", "nm" or "pm". The record is in metres.
     max_bytes : float
         Largest size of the file, and of its numbers in memory; a header that declares more is refused before the data
         are read.
@@ -54,13 +58,15 @@ def read(
     Raises
     ------
     FileFormatError
-        The file or a column cannot be read, or both a time column and a sample rate are given.
+        The file or a column cannot be read, both a time column and a sample rate are given, or the file states another
+        unit than `units`.
     RecordError
         The columns make no record.
     MissingExtraError
         The library for this kind of file is not installed.
     """
     table, stored = _load(Path(path), max_bytes, with_meta=True)
+    displacement = displacement if units is None else _in_units(table, displacement, units)
     v, y = table.column("voltage", voltage), table.column("displacement", displacement)
     meta: dict[str, Any] = {"source": table.source, "sha256": table.sha256}
     meta["columns"] = {"voltage": table.find("voltage", voltage)[0].name}
@@ -70,6 +76,18 @@ def read(
     )
     stored_name = stored.name if stored else Path(path).stem
     return Record(time_of(table, len(v), time, sample_rate), v, y, name or stored_name, stored.meta if stored else meta)
+
+
+def _in_units(table: Table, wanted: str | None, units: str) -> str:
+    """Return "NAME:UNIT" for the column of the displacement; raise if the file states another unit."""
+    per_metre(units, error=FileFormatError)
+    column, stated = table.find("displacement", wanted)
+    known = UNITS["displacement"]
+    if stated in known and known[stated] != known[units]:
+        raise FileFormatError(
+            f"{table.source}: got units='{units}', but the column '{column.name}' is in {stated}; leave units= out"
+        )
+    return f"{column.name}:{units}"
 
 
 def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> Array:

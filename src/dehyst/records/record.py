@@ -170,8 +170,8 @@ class Record:
         """
         found = Table("DataFrame", "", tuple(Column(*column) for column in tables.columns_of(frame)))
         chosen = {"time": time, "voltage": voltage, "displacement": displacement}
-        numbers = (found.column(quantity, wanted) for quantity, wanted in chosen.items())
-        return cls(*numbers, name or str(frame.attrs.get("name", "record")))
+        numbers = {quantity: found.column(quantity, wanted) for quantity, wanted in chosen.items()}
+        return cls(name=name or str(frame.attrs.get("name", "record")), **numbers)  # type: ignore[arg-type]
 
     @classmethod
     def from_xarray(cls, dataset: Dataset, *, name: str | None = None) -> Record:
@@ -182,8 +182,8 @@ class Record:
 
         Raise `RecordError` if a variable is missing, has another unit, or they make no record.
         """
-        columns = (tables.variable(dataset, column) for column in _COLUMNS)
-        return cls(*columns, name or str(dataset.attrs.get("name", "record")))
+        numbers = {column: tables.variable(dataset, column) for column in _COLUMNS}
+        return cls(**numbers, name=name or str(dataset.attrs.get("name", "record")))
 
     def to_dataframe(self) -> DataFrame:
         """Return the columns time_s, voltage_V and displacement_um as a pandas DataFrame.
