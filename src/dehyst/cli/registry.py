@@ -20,11 +20,11 @@ from dehyst.cli.terminal import echo
 
 # What to do first, for `dehyst` alone.
 _FIRST_STEPS = """\
-dehyst demo                                          the whole way on a virtual actuator, in a minute
-dehyst identify loops.csv -o model.json              fit a model to your loops (time_s,voltage_V,displacement_um)
-dehyst insight model.json loops.csv                  how far to trust it, and what to record next
-dehyst compensate model.json path.csv -o out.csv     the voltages that follow a path
-dehyst --help                                        all commands; dehyst COMMAND --help: its options"""
+dehyst demo                                     see it work on a virtual actuator
+dehyst identify loops.csv -o model.json         fit a model to your loops
+dehyst insight model.json loops.csv             how far to trust it
+dehyst compensate model.json path.csv -o v.csv  the voltages for a path
+dehyst --help                                   all commands, in the order of work"""
 _JOURNEY = {
     "Try it": {
         "demo": "The whole way on a virtual actuator",

@@ -57,8 +57,10 @@ def actuator(found: Actuator, kind: str | None, ax: Axes | None) -> Axes:
         "elements": _elements,
         "spring": _spring,
         "slopes": lambda ax, found: draw_slopes(ax, found.slip, found.spring),
-        "creep": _creep,
+        "creep": draw_creep,
     }
+    if kind == "creep" and not found.creep:
+        raise ModelError(f"kind: got 'creep' of an actuator without creep, '{found.name}'; try kind='loop'")
     return _drawn(found, kinds, kind, ax, found.name, ModelError)
 
 
@@ -182,12 +184,6 @@ def _spring(ax: Axes, found: Actuator) -> None:
     ax.set(xlabel=f"displacement ({unit})", ylabel="spring voltage (V)")
 
 
-def _creep(ax: Axes, found: Actuator) -> None:
-    if found.creep is None or not len(found.creep):
-        raise ModelError(f"kind: got 'creep' of an actuator without creep, '{found.name}'; try kind=\"loop\"")
-    draw_creep(ax, found)
-
-
 def _loops(ax: Axes, found: Fit) -> None:
     factor, unit = _length_unit(found)
     for k, trace in enumerate(found.traces):
@@ -208,8 +204,9 @@ def _hysteresis(ax: Axes, found: Fit) -> None:
         curves = (off(trace, y) * factor for y in (trace.measured, trace.simulated))
         draw_both(ax, trace, *curves, labels=not k)
     ax.axhline(0, color=INK, lw=0.6)
-    ax.set(xlabel="voltage (V)", ylabel=f"displacement less {slope * 1e6:.3g} µm/V × voltage ({unit})")
-    ax.legend(loc="upper left")
+    ax.set(xlabel="voltage (V)", ylabel=f"off a line of {slope * 1e6:.3g} µm/V ({unit})")
+    _room_above(ax)
+    ax.legend(loc="upper left", ncols=2)
 
 
 def _residuals(ax: Axes, found: Fit) -> None:
@@ -235,12 +232,17 @@ def _residuals_in_time(ax: Axes, found: Fit) -> None:
 
 def _legend_of_points(ax: Axes) -> None:
     """Set a legend above the points, with marks that can be seen."""
-    low, high = ax.get_ylim()
-    ax.set_ylim(low, high + 0.15 * (high - low))
+    _room_above(ax)
     legend = ax.legend(loc="upper left", ncols=3, handlelength=0.8)
     for handle in legend.legend_handles:
         if handle is not None:
             handle.set(alpha=1.0, markersize=6)
+
+
+def _room_above(ax: Axes) -> None:
+    """Leave room for a legend above what is drawn."""
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.15 * (high - low))
 
 
 def _length_unit(found: Fit) -> tuple[float, str]:
