@@ -1,4 +1,4 @@
-"""How results show themselves: one line each, HTML that is escaped, tables, and summaries as the commands print them."""
+"""How results show themselves: one line each, escaped HTML, tables, and summaries as the commands print them."""
 
 import re
 from dataclasses import replace

@@ -29,7 +29,9 @@ class Labelled:
 class Collection(dict):
     """What an xarray Dataset offers here."""
 
-    attrs = {"name": "from a dataset"}
+    @property
+    def attrs(self):
+        return {"name": "from a dataset"}
 
     @property
     def variables(self):

@@ -128,7 +128,7 @@ def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):
         things["actuator"].plot("creep")
     with pytest.raises(ModelError, match="kind: got 'loop', need one of directions, stiffnesses, band"):
         things["insight"].plot("loop")
-    with pytest.raises(ModelError, match="fit without traces.*Not identified"):
+    with pytest.raises(ModelError, match=r"fit without traces.*Not identified"):
         Fit(None, Outcome.FAILED).plot()
     assert pyplot.get_fignums() == figures
 
