@@ -140,7 +140,7 @@ def test_a_file_without_a_unit_is_read_in_the_one_given(tmp_path):
     assert same(dehyst.read(stated, units="um"), RECORD)
     assert same(dehyst.read(stated, units="µm"), RECORD)
     with pytest.raises(
-        FileFormatError, match="got units='nm', but the column 'displacement_um' is in um; leave units="
+        FileFormatError, match="got the unit 'nm', but the column 'displacement_um' is in um; leave units out"
     ):
         dehyst.read(stated, units="nm")
     with pytest.raises(FileFormatError, match="units: got 'V', need a unit of length"):

@@ -94,6 +94,7 @@ class Compensator:
             raise ModelError("no voltage limits: the actuator has none and none were given; give limits=(low, high)")
         self._actuator, self._preview = actuator, bool(preview)
         self._units, self._per_metre = units, per_metre(units)
+        self._scaled = self._per_metre != 1
         self._limits = VoltageLimits(*interval(low_high), slew_rate)
         self._period = None if period is None else _positive(period)
         if preview and period is None:
@@ -158,7 +159,7 @@ class Compensator:
             Once for limits and once for the slew rate. If the warning is made an error, the memory is unchanged.
         """
         try:
-            return self._loop.step(displacement if self._per_metre == 1 else self._metres(displacement))
+            return self._offers.step(displacement)
         except TypeError:
             return self._loop.step(self._metres(displacement))
         except CoreError as error:
@@ -167,7 +168,7 @@ class Compensator:
     def offer(self, displacement: float) -> float:
         """Return the voltage [V] for a `displacement` [m, or `units`], not committed. Raises and warns as `step`."""
         try:
-            return self._loop.offer(displacement if self._per_metre == 1 else self._metres(displacement))
+            return self._offers.offer(displacement)
         except TypeError:
             return self._loop.offer(self._metres(displacement))
         except CoreError as error:
@@ -271,7 +272,7 @@ class Compensator:
             acceleration=self._derivative(acceleration, "acceleration", "/s**2"),
             start=state if state is not None else self.state if self._running else self._given,
         )
-        return command if self._per_metre == 1 else command.in_units(self.units)
+        return command.in_units(self.units) if self._scaled else command
 
     def strays(self, displacement: Array, load: ArrayLike | None = None) -> str:
         """Return why a `displacement` (n,) [m, or `units`] is implausible, with `load` as in `simulate`; else ""."""
@@ -316,6 +317,7 @@ class Compensator:
         if state is not None:
             self._start, self._given = state_within_limits(self.actuator, state, self.limits), state
         self.__dict__.pop("_loop", None)
+        self.__dict__.pop("_offers", None)
 
     def snapshot(self) -> Snapshot:
         """Return the loop's whole memory, to be saved; `restore` continues from it bit for bit."""
@@ -371,7 +373,7 @@ class Compensator:
 
     def _straying(self, displacement: Array, load: ArrayLike | None) -> str:
         sentence = stray_sentence(self.actuator, self._limits, displacement, load)
-        if not sentence or self._per_metre == 1:
+        if not sentence or not self._scaled:
             return sentence
         return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
 
@@ -380,10 +382,10 @@ class Compensator:
 
     def _path(self, displacement: ArrayLike) -> Array:
         values = vector(displacement, "displacement", self._units)
-        return values if self._per_metre == 1 else values / self._per_metre
+        return values / self._per_metre if self._scaled else values
 
     def _derivative(self, values: ArrayLike | None, what: str, per: str) -> ArrayLike | None:
-        if values is None or self._per_metre == 1:
+        if values is None or not self._scaled:
             return values
         return np.asarray(vector(values, what, f"{self._units}{per}") / self._per_metre)
 
@@ -404,8 +406,28 @@ class Compensator:
         """The loop in C, made when it is first needed: a trajectory needs none."""
         return self._new_loop()
 
+    @cached_property
+    def _offers(self) -> Loop | _LoopInUnits:
+        """The loop as it takes displacements: in metres the one in C itself, which costs nothing."""
+        return _LoopInUnits(self._loop, self._metres) if self._scaled else self._loop
+
     def _new_loop(self) -> Loop:
         return make_loop(self.actuator, self._limits, self.period, self._lookahead.taps, self.start())
+
+
+class _LoopInUnits:
+    """A loop that takes displacements in another unit than metres; `metres` converts one."""
+
+    def __init__(self, loop: Loop, metres: Callable[[object], float]) -> None:
+        self._loop, self._metres = loop, metres
+
+    def step(self, displacement: float) -> float:
+        """Step as the loop does."""
+        return self._loop.step(self._metres(displacement))
+
+    def offer(self, displacement: float) -> float:
+        """Offer as the loop does."""
+        return self._loop.offer(self._metres(displacement))
 
 
 def _rebuilt(options: tuple[Any, ...], memory: Snapshot | None) -> Compensator:

@@ -85,7 +85,7 @@ def _in_units(table: Table, wanted: str | None, units: str) -> str:
     known = UNITS["displacement"]
     if stated in known and known[stated] != known[units]:
         raise FileFormatError(
-            f"{table.source}: got units='{units}', but the column '{column.name}' is in {stated}; leave units= out"
+            f"{table.source}: got the unit '{units}', but the column '{column.name}' is in {stated}; leave units out"
         )
     return f"{column.name}:{units}"
 
