@@ -9,6 +9,7 @@ Measured loops in, a physical model and the cancelling voltage out::
 
 from __future__ import annotations
 
+from sys import modules
 from typing import TYPE_CHECKING, Any
 
 from dehyst._errors import (
@@ -113,7 +114,8 @@ _LATE = {
 
 def __getattr__(name: str) -> Any:
     if name not in _LATE:
-        raise AttributeError(f"module 'dehyst' has no attribute '{name}'")
+        # With both, Python suggests the nearest name.
+        raise AttributeError(f"module 'dehyst' has no attribute '{name}'", name=name, obj=modules[__name__])
     from importlib import import_module
 
     return getattr(import_module(_LATE[name]), name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from inspect import isroutine
 from typing import Any
 
@@ -33,6 +34,12 @@ UNITS = {
     "acceleration": "m/s**2",
     "slew_rate": "V/s",
     "sample_rate": "Hz",
+}
+# Units that need no library, by the unit that they convert to: how many of each make one of it.
+COUNTS = {
+    "m": {"m": 1.0, "mm": 1e3, "um": 1e6, "µm": 1e6, "μm": 1e6, "nm": 1e9, "pm": 1e12},
+    "s": {"s": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "ns": 1e9},
+    "V": {"V": 1.0, "mV": 1e3, "kV": 1e-3},
 }
 _PLAIN = frozenset({float, int, bool, str, bytes, type(None), np.float64, np.float32, np.int64, np.int32, np.bool_})
 
@@ -90,6 +97,20 @@ def _unit_of(values: Any) -> str:
     return next((str(unit) for unit in attributes if unit is not None and not isroutine(unit)), "")
 
 
+def per_metre(units: str, *, error: type[DehystError] = ModelError) -> float:
+    """Return how many of a unit of length make one metre: 1e6 for "um"; raise `error` for another word."""
+    if not isinstance(units, str) or units not in COUNTS["m"]:
+        known = ", ".join(f"'{name}'" for name in COUNTS["m"] if name.isascii())
+        raise error(f"units: got {units!r}, need a unit of length: one of {known}")
+    return COUNTS["m"][units]
+
+
+def _counts(got: str, unit: str) -> float | None:
+    """Return how many of a unit make one of another, if both are words of `COUNTS`; None if not."""
+    known = next((counts for counts in COUNTS.values() if got in counts and unit in counts), None)
+    return None if known is None else known[got] / known[unit]
+
+
 def _converted(quantity: Any, what: str, unit: str | None, error: type[DehystError]) -> Any:
     got = _unit_of(quantity)
     if unit is None:
@@ -99,6 +120,10 @@ def _converted(quantity: Any, what: str, unit: str | None, error: type[DehystErr
     if convert is None and got == unit:
         return plain(np.asarray(getattr(quantity, "values", quantity)), what, unit, error=error)
     refusal = f"{what}: got a quantity in {got}, need one that can be converted to {unit}, or plain numbers in {unit}"
+    counts = _counts(got, unit)
+    if convert is None and counts and isinstance(getattr(quantity, "attrs", None), Mapping):
+        # An array of xarray, whose unit is a word among its attributes.
+        return plain(np.asarray(quantity.values) / counts, what, unit, error=error)
     if convert is None:
         raise error(refusal)
     try:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
+from difflib import get_close_matches
 from math import inf, nan
 from numbers import Integral, Real
 from typing import Any
@@ -163,6 +164,8 @@ def duration(value: object, name: str) -> float:
 def choice(value: object, name: str, among: Collection[str], *, error: type[DehystError] = IdentifyError) -> None:
     """Raise `error` unless `value` is one of the words."""
     words = " or ".join(map(repr, among)) if len(among) < 3 else f"one of {', '.join(among)}"
+    near = get_close_matches(value, among, 1) if isinstance(value, str) else []
+    words += f"; did you mean {near[0]!r}?" if near else ""
     demand(value in among, name, value, words, error=error)
 
 

@@ -288,14 +288,14 @@ def test_branches_and_holds():
 
 def test_a_line_is_broken_where_samples_are_missing():
     t = np.array([0.0, 1, 2, 3, 50, 51, 52])
-    x, y = plots._thinned(t, t, 2 * t)
+    x, y = plots.thinned(t, t, 2 * t)
     assert np.flatnonzero(np.isnan(x)).tolist() == [4] == np.flatnonzero(np.isnan(y)).tolist()
     assert x[~np.isnan(x)].tolist() == t.tolist()
 
 
 def test_thinning_keeps_the_shape():
     t = np.linspace(0, 1, 200_001)
-    x, y = plots._thinned(t, t, t**2)
+    x, y = plots.thinned(t, t, t**2)
     assert 2 < x.size <= 4002 and (x[0], x[-1]) == (0, 1)
     assert np.abs(np.interp(t, x, y) - t**2).max() < 1e-3
 

@@ -8,8 +8,10 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -28,7 +30,43 @@ _INTERRUPTED = 130
 
 
 class Commands(click.Group):
-    """Commands that report errors as sentences on standard error, with status 2 and without a traceback."""
+    """Commands that report errors as sentences on standard error, with status 2 and without a traceback.
+
+    Help lists them under headings: `journey` maps each heading to names of commands; others come last.
+    """
+
+    journey: Mapping[str, Sequence[str]] = MappingProxyType({})
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands in the order of the journey."""
+        known = [name for names in self.journey.values() for name in names if name in self.commands]
+        return known + sorted(set(self.commands) - set(known))
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands under their headings, each with the first sentence of its help."""
+        names = self.list_commands(ctx)
+        width = max(map(len, names), default=0)
+        headings = {heading: [name for name in given if name in names] for heading, given in self.journey.items()}
+        rest = [name for name in names if not any(name in given for given in headings.values())]
+        headings["Commands" if not headings else "More"] = rest
+        for heading, given in headings.items():
+            short = formatter.width - 6 - width
+            rows = [(name.ljust(width), self.commands[name].get_short_help_str(short)) for name in given]
+            if rows:
+                with formatter.section(heading):
+                    formatter.write_dl(rows)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; suggest the nearest name if there is none."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            near = get_close_matches(args[0], self.list_commands(ctx), 3)
+            if not near or "Did you mean" in error.format_message():
+                raise
+            raise click.UsageError(f"{error.message} Did you mean {' or '.join(map(repr, near))}?", ctx) from error
 
     def main(
         self,

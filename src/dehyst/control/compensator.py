@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._native import CoreError, CoreState, Loop
 from dehyst._types import Array
+from dehyst._units import per_metre
 from dehyst._validation import interval, number, vector
 from dehyst.control.clamping import Clamps, ClampWarning, stray_sentence, warn_of_run
 from dehyst.control.core_loop import make_loop, resume
@@ -38,6 +39,8 @@ class Compensator:
         for wanted in path:
             dac.write(compensator.step(wanted))
 
+    With ``units="um"``, displacements are in micrometres wherever it takes or returns them.
+
     If writing may fail or change the voltage, use `offer` and `commit` instead of `step`.
 
     Parameters
@@ -52,13 +55,16 @@ class Compensator:
     state : State, optional
         State of the actuator, e.g. after a homing; default the actuator's own. If its voltage lies outside the limits,
         the actuator is assumed to have moved to the nearest limit.
+    units : str, optional
+        Unit of all displacements that this compensator takes and returns: "m" (default), "mm", "um", "nm" or "pm".
+        Velocities and accelerations follow. A `state` is in SI units always.
     preview : bool, optional
         Compensate the actuator's delay and inertia too. The displacement given to a step is then the one wanted
         `samples_ahead` samples later. By default it is the one wanted now, and delay and inertia are not compensated.
 
     Attributes
     ----------
-    actuator, slew_rate, period, preview
+    actuator, slew_rate, period, preview, units
         As given.
     limits : (float, float)
         [V].
@@ -67,7 +73,7 @@ class Compensator:
     ------
     ModelError
         If there are no limits, or they are not an interval, a number is not positive, the state does not fit the
-        actuator, or a period is missing or too long for a resonance.
+        actuator, a period is missing or too long for a resonance, or the unit is no length.
     """
 
     def __init__(
@@ -79,6 +85,7 @@ class Compensator:
         period: float | None = None,
         state: State | None = None,
         preview: bool = False,
+        units: str = "m",
     ) -> None:
         if not isinstance(actuator, Actuator):
             raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
@@ -86,6 +93,8 @@ class Compensator:
         if low_high is None:
             raise ModelError("no voltage limits: the actuator has none and none were given; give limits=(low, high)")
         self._actuator, self._preview = actuator, bool(preview)
+        self._units, self._per_metre = units, per_metre(units)
+        self._scaled = self._per_metre != 1
         self._limits = VoltageLimits(*interval(low_high), slew_rate)
         self._period = None if period is None else _positive(period)
         if preview and period is None:
@@ -103,7 +112,7 @@ class Compensator:
 
     def __reduce__(self) -> tuple[Callable[..., Compensator], tuple[object, ...]]:
         """Return how to copy and unpickle the compensator, with its memory."""
-        options = self._actuator, self.limits, self.slew_rate, self._period, self._given, self._preview
+        options = self._actuator, self.limits, self.slew_rate, self._period, self._given, self._preview, self._units
         return _rebuilt, (options, self.snapshot() if self._running else None)
 
     @property
@@ -122,6 +131,11 @@ class Compensator:
         return self._preview
 
     @property
+    def units(self) -> str:
+        """Unit of the displacements."""
+        return self._units
+
+    @property
     def limits(self) -> tuple[float, float]:
         """Lowest and highest voltage [V]."""
         return self._limits.low, self._limits.high
@@ -132,7 +146,7 @@ class Compensator:
         return self._limits.slew_rate
 
     def step(self, displacement: float) -> float:
-        """Return the voltage [V] to send for a `displacement` [m], and commit it.
+        """Return the voltage [V] to send for a `displacement` [m, or `units`], and commit it.
 
         Raises
         ------
@@ -145,18 +159,18 @@ class Compensator:
             Once for limits and once for the slew rate. If the warning is made an error, the memory is unchanged.
         """
         try:
-            return self._loop.step(displacement)
+            return self._offers.step(displacement)
         except TypeError:
-            return self._loop.step(number(displacement, "displacement"))
+            return self._loop.step(self._metres(displacement))
         except CoreError as error:
             raise _refusal(displacement) from error
 
     def offer(self, displacement: float) -> float:
-        """Return the voltage [V] for a `displacement` [m] without committing it. Raises and warns as `step`."""
+        """Return the voltage [V] for a `displacement` [m, or `units`], not committed. Raises and warns as `step`."""
         try:
-            return self._loop.offer(displacement)
+            return self._offers.offer(displacement)
         except TypeError:
-            return self._loop.offer(number(displacement, "displacement"))
+            return self._loop.offer(self._metres(displacement))
         except CoreError as error:
             raise _refusal(displacement) from error
 
@@ -181,7 +195,7 @@ class Compensator:
     def run(self, displacement: ArrayLike) -> Array:
         """Return the voltages (n,) [V] of n steps, the same bits as by `step`, and commit them.
 
-        `displacement` (n,) [m].
+        `displacement` (n,) [m, or `units`].
 
         Raises
         ------
@@ -193,7 +207,7 @@ class Compensator:
         ClampWarning
             As `step`.
         """
-        wanted, before = vector(displacement, "displacement"), self.snapshot()
+        wanted, before = self._path(displacement), self.snapshot()
         voltage = self._loop.run(wanted)
         limited, slewed, refused = (int(n) for n in np.subtract(self._loop.counts(), before.counts))
         try:
@@ -224,12 +238,12 @@ class Compensator:
         Parameters
         ----------
         displacement : (n,) array_like
-            Wanted displacement [m].
+            Wanted displacement [m, or `units`].
         time : (n,) array_like, optional
             [s], strictly increasing; needed with a slew rate, and by an actuator with creep, dynamics or a lag.
             Default: a sample every `period`, if the compensator has one.
         load, velocity, acceleration : (n,) array_like, optional
-            As in `Actuator.compensate`.
+            As in `Actuator.compensate`; the last two in `units` a second, and a second squared.
         state : State, optional
             State of the actuator; default: `self.state`, before any step as it was given. The first sample is not slew
             limited.
@@ -243,25 +257,26 @@ class Compensator:
             If the arrays do not fit, the path lies more than one stroke outside, or a time is needed and neither `time`
             nor `period` is given.
         """
-        wanted = vector(displacement, "displacement")
-        sentence = "" if extrapolate else self.strays(wanted, load)
+        wanted = self._path(displacement)
+        sentence = "" if extrapolate else self._straying(wanted, load)
         if sentence:
             raise ModelError(f"{sentence}; {ANYWAY}")
-        return follow(
+        command = follow(
             self.actuator,
             self._limits,
             wanted,
             time=time,
             period=self.period,
             load=load,
-            velocity=velocity,
-            acceleration=acceleration,
+            velocity=self._derivative(velocity, "velocity", "/s"),
+            acceleration=self._derivative(acceleration, "acceleration", "/s**2"),
             start=state if state is not None else self.state if self._running else self._given,
         )
+        return command.in_units(self.units) if self._scaled else command
 
     def strays(self, displacement: Array, load: ArrayLike | None = None) -> str:
-        """Return why a `displacement` (n,) [m] is implausible, with `load` as in `simulate`; "" if it is not."""
-        return stray_sentence(self.actuator, self._limits, displacement, load)
+        """Return why a `displacement` (n,) [m, or `units`] is implausible, with `load` as in `simulate`; else ""."""
+        return self._straying(self._path(displacement), load)
 
     @property
     def voltage(self) -> float:
@@ -290,8 +305,9 @@ class Compensator:
 
     @cached_property
     def reach(self) -> tuple[float, float]:
-        """Displacements [m] at the lower and the upper limit, after both have been visited and with creep at rest."""
-        return self.actuator.major_loop(self.limits)
+        """Displacements [m, or `units`] at both limits, after both have been visited and with creep at rest."""
+        low, high = self.actuator.major_loop(self.limits)
+        return low * self._per_metre, high * self._per_metre
 
     def reset(self, state: State | None = None) -> None:
         """Start again in a `state`, by default that of the construction; counts restart at 0.
@@ -301,6 +317,7 @@ class Compensator:
         if state is not None:
             self._start, self._given = state_within_limits(self.actuator, state, self.limits), state
         self.__dict__.pop("_loop", None)
+        self.__dict__.pop("_offers", None)
 
     def snapshot(self) -> Snapshot:
         """Return the loop's whole memory, to be saved; `restore` continues from it bit for bit."""
@@ -316,6 +333,7 @@ class Compensator:
     def to_control(self, *, name: str = "compensator") -> NonlinearIOSystem:
         """Return a python-control block: displacement wanted [m] in, voltage [V] out, from the present memory on.
 
+        The displacement is in metres, whatever `units` is.
         It equals this compensator bit for bit and does not change it. All memory is in the block's state; its `start`
         is the present memory, to be given as initial state. The voltage of a sample depends on the displacement of the
         same sample (direct feedthrough). Clamping gives one warning of each kind and is not counted.
@@ -333,10 +351,16 @@ class Compensator:
         loop.go_on(now.rest, *now.counts)
         return compensator_block(loop, labels(self.actuator.model, self._lookahead.taps.size), self.period, name)
 
-    def afresh(self) -> Compensator:
-        """Return another compensator like this one, as it was when made or last reset."""
+    def afresh(self, units: str | None = None) -> Compensator:
+        """Return another compensator like this one, as it was when made or last reset, perhaps with other `units`."""
         return Compensator(
-            self.actuator, self.limits, self.slew_rate, period=self.period, state=self._given, preview=self.preview
+            self.actuator,
+            self.limits,
+            self.slew_rate,
+            period=self.period,
+            state=self._given,
+            preview=self.preview,
+            units=self.units if units is None else units,
         )
 
     def tables(self) -> dict[str, Array]:
@@ -346,6 +370,24 @@ class Compensator:
     def start(self) -> CoreState:
         """Return the state of the construction or the last reset, in the core's numbers."""
         return self.actuator.model.core_state(self._start)
+
+    def _straying(self, displacement: Array, load: ArrayLike | None) -> str:
+        sentence = stray_sentence(self.actuator, self._limits, displacement, load)
+        if not sentence or not self._scaled:
+            return sentence
+        return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
+
+    def _metres(self, displacement: object) -> float:
+        return number(displacement, "displacement", self._units) / self._per_metre
+
+    def _path(self, displacement: ArrayLike) -> Array:
+        values = vector(displacement, "displacement", self._units)
+        return values / self._per_metre if self._scaled else values
+
+    def _derivative(self, values: ArrayLike | None, what: str, per: str) -> ArrayLike | None:
+        if values is None or not self._scaled:
+            return values
+        return np.asarray(vector(values, what, f"{self._units}{per}") / self._per_metre)
 
     @property
     def _running(self) -> bool:
@@ -364,13 +406,33 @@ class Compensator:
         """The loop in C, made when it is first needed: a trajectory needs none."""
         return self._new_loop()
 
+    @cached_property
+    def _offers(self) -> Loop | _LoopInUnits:
+        """The loop as it takes displacements: in metres the one in C itself, which costs nothing."""
+        return _LoopInUnits(self._loop, self._metres) if self._scaled else self._loop
+
     def _new_loop(self) -> Loop:
         return make_loop(self.actuator, self._limits, self.period, self._lookahead.taps, self.start())
 
 
+class _LoopInUnits:
+    """A loop that takes displacements in another unit than metres; `metres` converts one."""
+
+    def __init__(self, loop: Loop, metres: Callable[[object], float]) -> None:
+        self._loop, self._metres = loop, metres
+
+    def step(self, displacement: float) -> float:
+        """Step as the loop does."""
+        return self._loop.step(self._metres(displacement))
+
+    def offer(self, displacement: float) -> float:
+        """Offer as the loop does."""
+        return self._loop.offer(self._metres(displacement))
+
+
 def _rebuilt(options: tuple[Any, ...], memory: Snapshot | None) -> Compensator:
-    actuator, limits, slew_rate, period, state, preview = options
-    compensator = Compensator(actuator, limits, slew_rate, period=period, state=state, preview=preview)
+    actuator, limits, slew_rate, period, state, preview, units = options
+    compensator = Compensator(actuator, limits, slew_rate, period=period, state=state, preview=preview, units=units)
     if memory is not None:
         compensator.restore(memory)
     return compensator

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._native import CoreState
+from dehyst._text import counted
 from dehyst._types import Array, Mask
+from dehyst._units import per_metre
 from dehyst._validation import vector
+from dehyst._views import html, tables
+from dehyst._views.lines import length, span_of
 from dehyst.control.limits import TIME_NEEDED, VoltageLimits
 from dehyst.model import Actuator, Motion, State
 from dehyst.model.evaluator import PathData
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 _CHUNK = 64
 _ANY = float(np.finfo(np.float64).max)
@@ -46,6 +53,8 @@ class Command:
         What was clamped, and whether the path is missed for another reason, in sentences; empty if neither.
     missed : float
         Largest distance [m] of `displacement` from the wanted path.
+    units : str
+        Of `displacement` and `missed`: those of the compensator, "m" by default.
     followed : bool
         Whether nothing was clamped, and the path is missed by no more than a thousandth of the range of the spring.
     """
@@ -57,6 +66,44 @@ class Command:
     warnings: tuple[str, ...]
     missed: float
     followed: bool
+    units: str = "m"
+
+    def in_units(self, units: str) -> Command:
+        """Return the command with its displacements, now in metres, in `units`, such as "um"."""
+        counts = per_metre(units)
+        return replace(self, displacement=self.displacement * counts, missed=self.missed * counts, units=units)
+
+    def __repr__(self) -> str:
+        voltage, displacement = span_of(self.voltage, "V"), span_of(self.displacement, "um", self._um)
+        return f"<Command: {counted(self.voltage.size, 'sample')}, {voltage}, {displacement}, {self._clamps()}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("samples", self.voltage.size),
+            ("voltage", span_of(self.voltage, "V")),
+            ("displacement", span_of(self.displacement, "µm", self._um)),
+            ("clamped", self._clamps()),
+        ]
+        colour = "green" if self.followed else "amber"
+        return html.block("Command", html.facts(rows), html.folded("Warnings", self.warnings), colour=colour)
+
+    @property
+    def _um(self) -> float:
+        """How many micrometres make one of `units`."""
+        return 1e6 / per_metre(self.units)
+
+    def _clamps(self) -> str:
+        count = int(np.count_nonzero(self.clamped))
+        missed = "" if self.followed else f", path missed by up to {length(self.missed / per_metre(self.units))}"
+        return f"{f'{count} clamped' if count else 'nothing clamped'}{missed}"
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the columns voltage_V, displacement_um and clamped as a pandas DataFrame.
+
+        Raise `MissingExtraError` if pandas is not installed.
+        """
+        columns = {"voltage_V": self.voltage, "displacement_um": self.displacement * self._um, "clamped": self.clamped}
+        return tables.frame(columns)
 
 
 def follow(

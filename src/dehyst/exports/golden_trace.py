@@ -82,6 +82,7 @@ def golden_trace(compensator: Compensator) -> GoldenTrace:
     offers that are dropped, committed, or committed with another voltage; periods in which nothing is sent; and at the
     end voltages on the actuator alone.
     """
+    compensator = compensator.afresh("m")
     low, high = compensator.limits
     bottom, top = compensator.reach
     with warnings.catch_warnings():

@@ -67,12 +67,6 @@ class StructureTrial:
         }
 
 
-def label(structure: Structure, trials: Sequence[StructureTrial]) -> str:
-    """Describe a structure in words, with its smoothing if only that differs from another trial."""
-    smoothings = {trial.structure.smoothing for trial in trials if trial.structure.words == structure.words}
-    return structure.words if len(smoothings) < 2 else f"{structure.words}; smoothing {structure.smoothing:g}"
-
-
 def select(
     build: Build,
     start: Structure,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,7 @@ from dehyst._io.json_files import read_json, write_json
 from dehyst._native import Core
 from dehyst._types import Array
 from dehyst._validation import interval, keep, number, spanned, vector
+from dehyst._views.pictures import plotted
 from dehyst.model import part_checks, physical, plausibility, serialization, start_states
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.creep import Creep
@@ -30,6 +31,7 @@ from dehyst.model.smooth_slip import SmoothSlip
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +104,53 @@ class Actuator(AbstractModel):
         if self.limits is not None:
             keep(self, limits=interval(self.limits))
         keep(self, delay=part_checks.checked_delay(self.delay))
+
+    def __repr__(self) -> str:
+        from dehyst.model.actuator_summary import one_line
+
+        return one_line(self)
+
+    def _repr_html_(self) -> str:
+        from dehyst.model.actuator_summary import as_html
+
+        return as_html(self)
+
+    def summary(self) -> str:
+        """Return the parts of the actuator in sentences, a line each, with their numbers."""
+        from dehyst.model.actuator_summary import lines
+
+        return "\n".join(lines(self))
+
+    def plot(
+        self,
+        kind: Literal["loop", "elements", "spring", "slopes", "creep"] = "loop",
+        *,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Draw the actuator.
+
+        Parameters
+        ----------
+        kind : str
+            "loop": displacement over voltage, a major loop and inner loops with descending tops, played slowly.
+            "elements": stiffness of each slip element over its breakaway elongation. "spring": voltage of the parallel
+            spring over displacement. "slopes": slope of the voltage just after a turn, rising and falling. "creep":
+            displacement after a sudden rise through all voltages.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; default: the axes of a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ModelError
+            If there is no such kind, or the actuator has no creep.
+        MissingExtraError
+            If matplotlib is not installed.
+        """
+        return plotted("actuator", self, kind, ax)
 
     @property
     def wide(self) -> bool:

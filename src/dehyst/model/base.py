@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
+from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._validation import keep, number, vector
+from dehyst._views import html, tables
+from dehyst._views.lines import span_of
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +58,12 @@ class State:
         if self.motion.size not in (0, 2):
             raise ModelError(f"state: got a motion of {self.motion.size} numbers, need displacement and velocity")
 
+    def __repr__(self) -> str:
+        more = {"creep strains": self.creep, "smooth elongations": self.smooth}
+        parts = "".join(f", {values.size} {name}" for name, values in more.items() if values.size)
+        speed = f", {self.motion[1]:.4g} m/s" if self.motion.size else ""
+        return f"<State: at {self.displacement * 1e6:.6g} um{speed}, {counted(self.carts.size, 'cart')}{parts}>"
+
     def shifted(self, by: float) -> State:
         """Return the same state on a displacement axis moved by `by` [m]."""
         motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
@@ -74,6 +86,25 @@ class Motion:
     voltage: Array
     displacement: Array
     state: Any
+
+    def __repr__(self) -> str:
+        voltage, displacement = span_of(self.voltage, "V"), span_of(self.displacement, "um", 1e6)
+        return f"<Motion: {counted(self.voltage.size, 'sample')}, {voltage}, {displacement}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("samples", self.voltage.size),
+            ("voltage", span_of(self.voltage, "V")),
+            ("displacement", span_of(self.displacement, "µm", 1e6)),
+        ]
+        return html.block("Motion", html.facts(rows))
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the columns voltage_V and displacement_um as a pandas DataFrame.
+
+        Raise `MissingExtraError` if pandas is not installed.
+        """
+        return tables.frame({"voltage_V": self.voltage, "displacement_um": self.displacement * 1e6})
 
 
 class AbstractModel(ABC):

@@ -12,6 +12,7 @@ from dehyst._errors import ModelError
 from dehyst._native import steps, strains
 from dehyst._types import Array
 from dehyst._validation import keep, untimely, vector
+from dehyst._views.lines import brief
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,8 @@ class Creep:
 
     time_constants: Array
     stiffness: Array
+
+    __repr__ = brief
 
     def __init__(self, time_constants: ArrayLike, stiffness: ArrayLike) -> None:
         tau, c = vector(time_constants, "creep time constants"), vector(stiffness, "creep stiffnesses")

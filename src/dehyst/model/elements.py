@@ -11,6 +11,7 @@ from dehyst._computable import demand_curve, demand_divisors, demand_magnitudes
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import keep, matrix, vector
+from dehyst._views.lines import brief
 
 
 def checked_breakaway(breakaway: ArrayLike) -> Array:
@@ -49,6 +50,8 @@ class MaxwellSlip:
 
     breakaway: Array
     stiffness: Array
+
+    __repr__ = brief
 
     def __init__(self, breakaway: ArrayLike, stiffness: ArrayLike) -> None:
         rho, kappa = checked_breakaway(breakaway), vector(stiffness, "stiffnesses")
@@ -99,6 +102,8 @@ class GradedSlip:
     breakaway: Array
     knots: Array
     stiffness: Array
+
+    __repr__ = brief
 
     def __init__(self, breakaway: ArrayLike, knots: ArrayLike, stiffness: ArrayLike) -> None:
         rho, ends = checked_breakaway(breakaway), vector(knots, "grade knots")
@@ -156,6 +161,8 @@ class Spring:
     displacement: Array
     voltage: Array
 
+    __repr__ = brief
+
     def __init__(self, displacement: ArrayLike, voltage: ArrayLike) -> None:
         y, v = vector(displacement, "spring knots"), vector(voltage, "spring voltages")
         if y.size != v.size or y.size < 2:
@@ -203,6 +210,8 @@ class Transformer:
 
     voltage: Array
     drive: Array
+
+    __repr__ = brief
 
     def __init__(self, voltage: ArrayLike, drive: ArrayLike) -> None:
         v, tau = vector(voltage, "transformer knots"), vector(drive, "transformer drives")

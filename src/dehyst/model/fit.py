@@ -6,13 +6,22 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import Enum
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from dehyst._text import counted, escaped
 from dehyst._types import Array
+from dehyst._views import tables
+from dehyst._views.lines import length
+from dehyst._views.pictures import plotted
+from dehyst.model import fit_summary
 from dehyst.model.base import State
 from dehyst.model.readiness import Expectation, Readiness
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 # Largest creep [% of the range a decade]; least part of a decade from which a rate is reported.
 MOST_CREEP, FEWEST_DECADES = 20.0, 0.5
@@ -98,6 +107,10 @@ class RecordErrors:
     steady: bool = False
     starts: tuple[State, ...] = field(default=(), compare=False)
 
+    def __repr__(self) -> str:
+        errors = f"largest {self.largest_percent:.3g} %, RMS {self.rms_percent:.3g} %"
+        return f"<RecordErrors '{escaped(self.record)}' ({self.role}): {errors}, {counted(self.samples, 'sample')}>"
+
     @property
     def drifted_percent(self) -> float:
         """Displacement by drift over the used samples, in % of the stroke."""
@@ -163,10 +176,24 @@ class Trace:
     measured: Array
     simulated: Array
 
+    def __repr__(self) -> str:
+        largest = float(np.abs(self.residual).max(initial=0.0))
+        size = counted(self.time.size, "sample")
+        return f"<Trace '{escaped(self.record)}' ({self.role}): {size}, largest residual {length(largest)}>"
+
     @property
     def residual(self) -> Array:
         """Measured minus simulated displacement (n,) [m]."""
         return self.measured - self.simulated
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the columns time_s, voltage_V, measured_um and simulated_um as a pandas DataFrame.
+
+        Raise `MissingExtraError` if pandas is not installed.
+        """
+        lengths = {"measured_um": self.measured * 1e6, "simulated_um": self.simulated * 1e6}
+        columns = {"time_s": self.time, "voltage_V": self.voltage, **lengths}
+        return tables.frame(columns, record=self.record, role=self.role)
 
 
 @dataclass(frozen=True)
@@ -311,6 +338,63 @@ class Fit:
     trials: tuple[Any, ...] = ()
     expectation: Expectation | None = None
     remaining: tuple[RemainingError, ...] = ()
+
+    def __repr__(self) -> str:
+        records = ", ".join(f"'{escaped(error.record)}'" for error in self.errors[:3])
+        more = f" and {len(self.errors) - 3} more" if len(self.errors) > 3 else ""
+        verdict = "" if self.expectation is None else f"{self.expectation.words}; "
+        return f"<Fit of {records or 'no record'}{more}: {verdict}{self.outcome.name}>"
+
+    def __str__(self) -> str:
+        return escaped(fit_summary.one_line(self))
+
+    def _repr_html_(self) -> str:
+        return fit_summary.as_html(self)
+
+    def summary(self) -> str:
+        """Return what `dehyst identify` prints: verdict, errors, structures, parts, repairs and remarks, in lines."""
+        return "\n".join(escaped(line) for line in fit_summary.lines(self))
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the errors as a pandas DataFrame, a row a record: in % of the stroke and in nm.
+
+        Raise `MissingExtraError` if pandas is not installed.
+        """
+        names = "record", "role", "samples", "left_out", "largest_percent", "rms_percent"
+        columns = {name: [getattr(error, name) for error in self.errors] for name in names}
+        lengths = {f"{name}_nm": [getattr(error, name) * 1e9 for error in self.errors] for name in ("largest", "rms")}
+        drift = [error.drifted_percent for error in self.errors]
+        return tables.frame({**columns, **lengths, "drifted_percent": drift})
+
+    def plot(
+        self,
+        kind: Literal["loops", "hysteresis", "residuals", "residuals in time"] = "loops",
+        *,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Draw the fit: all records, measured and simulated.
+
+        Parameters
+        ----------
+        kind : str
+            "loops": displacement over voltage. "hysteresis": the same less the straight line through the measured
+            loops, which shows hysteresis and misfit enlarged. "residuals": measured minus simulated over displacement,
+            rising and falling branches apart. "residuals in time".
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; default: the axes of a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ModelError
+            If there is no such kind, or nothing to draw: an identification that failed.
+        MissingExtraError
+            If matplotlib is not installed.
+        """
+        return plotted("fit", self, kind, ax)
 
     @property
     def good(self) -> bool:

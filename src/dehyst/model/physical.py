@@ -10,6 +10,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number
+from dehyst._views.lines import brief
 from dehyst.model.elements import MaxwellSlip
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ class Physical:
     deformation: Array
     nonlinear: Array
     parallel: Array
+
+    __repr__ = brief
 
     @property
     def equivalent_stiffness(self) -> float:

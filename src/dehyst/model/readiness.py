@@ -56,6 +56,18 @@ class Expectation:
     basis: str
     reasons: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<Expectation: {self.words}; goal {self.goal:g} %>"
+
+    def __str__(self) -> str:
+        return self.sentence
+
+    @property
+    def words(self) -> str:
+        """The verdict with its two numbers, in a few words."""
+        rms, largest = (_percent(error, self.stroke) for error in (self.rms, self.largest))
+        return f"{self.readiness.value}; expect {rms} RMS and {largest} at most of {self.stroke * 1e6:.4g} um"
+
     @property
     def largest_percent(self) -> float:
         """Expected largest error [% of the stroke]."""

@@ -12,6 +12,7 @@ from dehyst._errors import ModelError
 from dehyst._native import smooth_elongations
 from dehyst._types import Array
 from dehyst._validation import keep, vector
+from dehyst._views.lines import brief
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +43,8 @@ class SmoothSlip:
     length: Array
     closing: Array
     stiffness: Array
+
+    __repr__ = brief
 
     def __init__(self, length: ArrayLike, closing: ArrayLike, stiffness: ArrayLike) -> None:
         given = {"length": length, "closing": closing, "stiffness": stiffness}

@@ -17,6 +17,7 @@ from dehyst._io.drafts import PathLike, write_atomically
 from dehyst._io.marks import marked
 from dehyst._io.reading import reading_errors
 from dehyst._types import Array
+from dehyst._units import per_metre
 from dehyst.records import hdf5
 from dehyst.records.column_choice import Choice, chosen
 from dehyst.records.column_names import renamed
@@ -44,6 +45,7 @@ def read(
     columns: str | None = None,
     join: PathLike | None = None,
     name: str | None = None,
+    units: str | None = None,
     max_bytes: float = MOST,
 ) -> Record:
     """Read a record from a file whose kind follows from its suffix.
@@ -68,6 +70,8 @@ def read(
         has no time.
     name : str, optional
         The record's name; by default the one that `write_hdf5` wrote, else the file's, without suffix.
+    units : str, optional
+        Unit of the displacement where the file states none: "m", "mm", "um", "nm" or "pm". The record is in metres.
     max_bytes : float
         Largest size of the file, and of its numbers in memory; a header that declares more is refused before the data
         are read.
@@ -75,7 +79,8 @@ def read(
     Raises
     ------
     FileFormatError
-        The file or a column cannot be read, or both a time column and a sample rate are given.
+        The file or a column cannot be read, both a time column and a sample rate are given, or the file states another
+        unit than `units`.
     RecordError
         The columns make no record.
     MissingExtraError
@@ -83,6 +88,7 @@ def read(
     """
     table, stored = _load(Path(path), max_bytes, with_meta=True)
     table = named_and_joined(table, columns, join, time, sample_rate, max_bytes)
+    displacement = displacement if units is None else _in_units(table, displacement, units)
     choice = Choice(time, voltage, displacement, voltage_scale, displacement_scale)
     record = record_of(table, choice, sample_rate, name or (stored.name if stored else Path(path).stem))
     if stored:
@@ -124,6 +130,18 @@ def _meta(table: Table, choice: Choice, sample_rate: float | None) -> dict[str, 
     meta: dict[str, Any] = {"source": f"{table.source}{words}", "sha256": table.sha256}
     meta["columns"] = {**names, "time": clock}
     return {**meta, "scales": scales} if scales else meta
+
+
+def _in_units(table: Table, wanted: str | None, units: str) -> str:
+    """Return "NAME:UNIT" for the column of the displacement; raise if the file states another unit."""
+    per_metre(units, error=FileFormatError)
+    column, stated = table.find("displacement", wanted)
+    known = UNITS["displacement"]
+    if stated in known and known[stated] != known[units]:
+        raise FileFormatError(
+            f"{table.source}: got the unit '{units}', but the column '{column.name}' is in {stated}; leave units out"
+        )
+    return f"{column.name}:{units}"
 
 
 def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> Array:

@@ -6,17 +6,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import isfinite
-from typing import Any, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import ModelError, RecordError
-from dehyst._text import counted
+from dehyst._text import counted, escaped
 from dehyst._types import Array
-from dehyst._units import plain
+from dehyst._units import per_metre, plain
+from dehyst._views import html, tables
+from dehyst._views.pictures import plotted
+from dehyst.records.formats.columns import Column, Table
 from dehyst.records.quality import problems, refuse_implausible, refuse_not_finite, refuse_not_rising, refuse_unusable
 from dehyst.records.signals import interpolate, noise_span, outer_extreme, turning_points, white_noise
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import ArrayLike
+    from pandas import DataFrame
+    from xarray import Dataset
 
 __all__ = ["Array", "Record", "Span", "white_noise"]
 
@@ -75,9 +84,19 @@ class Record:
     def __repr__(self) -> str:
         (v0, v1), (y0, y1) = self.voltage_range, self.displacement_range
         return (
-            f"<Record '{self.name}': {len(self)} samples, {self.time[-1] - self.time[0]:.6g} s, "
+            f"<Record '{escaped(self.name)}': {len(self)} samples, {self.time[-1] - self.time[0]:.6g} s, "
             f"{v0:.4g} to {v1:.4g} V, {y0 * 1e6:.6g} to {y1 * 1e6:.6g} um>"
         )
+
+    def _repr_html_(self) -> str:
+        (v0, v1), (y0, y1) = self.voltage_range, self.displacement_range
+        rows = [
+            ("samples", len(self)),
+            ("time", f"{self.time[-1] - self.time[0]:.6g} s, every {self.sample_time:.4g} s"),
+            ("voltage", f"{v0:.4g} to {v1:.4g} V"),
+            ("displacement", f"{y0 * 1e6:.6g} to {y1 * 1e6:.6g} µm"),
+        ]
+        return html.block(f"Record '{self.name}'", html.facts(rows), html.folded("Problems", self.problems()))
 
     def __getitem__(self, span: Span) -> Record:
         if not isinstance(span, slice) or span.step not in (None, 1):
@@ -85,6 +104,111 @@ class Record:
                 f"record '{self.name}': got [{span!r}]; a record takes slices of step 1, try record[10:200]"
             )
         return self.slice(span.start, span.stop)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        time: ArrayLike,
+        voltage: ArrayLike,
+        displacement: ArrayLike,
+        *,
+        units: str = "um",
+        name: str = "record",
+    ) -> Record:
+        """Make a record from arrays whose displacement is in `units`, by default micrometres.
+
+        Parameters
+        ----------
+        time, voltage : (n,) array_like
+            [s] and [V].
+        displacement : (n,) array_like
+            In `units`; quantities with units of their own are converted.
+        units : str
+            "m", "mm", "um", "nm" or "pm".
+        name : str
+
+        Raises
+        ------
+        RecordError
+            If the unit is not known, or the arrays make no record.
+        """
+        counts = per_metre(units, error=RecordError)
+        try:
+            lengths = np.asarray(plain(displacement, "displacement", units, error=RecordError), dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise RecordError(f"record '{name}': displacement is no array of numbers ({error})") from error
+        return cls(time, voltage, lengths / counts, name)  # type: ignore[arg-type]
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        frame: DataFrame,
+        *,
+        time: str | None = None,
+        voltage: str | None = None,
+        displacement: str | None = None,
+        name: str | None = None,
+    ) -> Record:
+        """Make a record from a pandas DataFrame, whose columns are found as those of a file are.
+
+        Parameters
+        ----------
+        frame : pandas.DataFrame
+            With units in the names of its columns, such as those of `to_dataframe`; an index with a name counts as a
+            column. Dates and durations are seconds.
+        time, voltage, displacement : str, optional
+            Columns, as in `dehyst.read`: "NAME" or "NAME:UNIT".
+        name : str, optional
+            The record's name; default: that of `DataFrame.attrs`, else "record".
+
+        Raises
+        ------
+        FileFormatError
+            If a column is missing or has no unit.
+        RecordError
+            If it is no DataFrame, or the columns make no record.
+        """
+        found = Table("DataFrame", "", tuple(Column(*column) for column in tables.columns_of(frame)))
+        chosen = {"time": time, "voltage": voltage, "displacement": displacement}
+        numbers = {quantity: found.column(quantity, wanted) for quantity, wanted in chosen.items()}
+        return cls(name=name or str(frame.attrs.get("name", "record")), **numbers)  # type: ignore[arg-type]
+
+    @classmethod
+    def from_xarray(cls, dataset: Dataset, *, name: str | None = None) -> Record:
+        """Make a record from an xarray `dataset` with the variables time, voltage and displacement.
+
+        Attributes `units` are converted: "um", "ms", "kV" and the like. Without one, values are in s, V and m. `name`:
+        the record's; default: that of the attributes, else "record".
+
+        Raise `RecordError` if a variable is missing, has another unit, or they make no record.
+        """
+        numbers = {column: tables.variable(dataset, column) for column in _COLUMNS}
+        return cls(**numbers, name=name or str(dataset.attrs.get("name", "record")))
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the columns time_s, voltage_V and displacement_um as a pandas DataFrame.
+
+        Raise `MissingExtraError` if pandas is not installed.
+        """
+        columns = {"time_s": self.time, "voltage_V": self.voltage, "displacement_um": self.displacement * 1e6}
+        return tables.frame(columns, name=self.name)
+
+    def to_xarray(self, units: str = "um") -> Dataset:
+        """Return voltage [V] and displacement over time [s] as an xarray Dataset, with their units as attributes.
+
+        `units`: of the displacement. Raise `MissingExtraError` if xarray is not installed.
+        """
+        lengths = self.displacement * per_metre(units, error=RecordError)
+        variables = {"voltage": (self.voltage, "V"), "displacement": (lengths, units)}
+        return tables.dataset(self.time, variables, name=self.name)
+
+    def plot(self, kind: Literal["loop", "time"] = "loop", *, ax: Axes | None = None) -> Axes:
+        """Draw the record: displacement over voltage ("loop"), or both over time ("time").
+
+        `kind`: which picture. `ax`: where to draw; default: the axes of a new figure. Return the axes. Raise
+        `MissingExtraError` if matplotlib is not installed.
+        """
+        return plotted("record", self, kind, ax)
 
     @property
     def sample_time(self) -> float:

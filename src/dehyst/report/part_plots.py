@@ -31,20 +31,21 @@ def transformer(tau: Transformer, *, name: str) -> str:
 
 def creep(actuator: Actuator, *, name: str) -> str:
     """Draw the displacement after a sudden rise through all voltages, with the time constants marked."""
+    return inline(name, lambda ax: draw_creep(ax, actuator))
+
+
+def draw_creep(ax: Axes, actuator: Actuator) -> None:
+    """Draw what `creep` shows on axes."""
     time, share = step_response(actuator)
     branches = actuator.creep
-
-    def draw(ax: Axes) -> None:
-        ax.plot(time, 100 * share, color=MEASURED, lw=1.2)
-        ax.set(xscale="log", xlabel="time since the rise (s)", ylabel="further displacement (% of the rise)")
-        ax.set_ylim(bottom=0, top=max(1.25 * 100 * float(share.max()), 1e-9))
-        if branches is not None:
-            for k, constant in enumerate(branches.time_constants[branches.stiffness > 0]):
-                ax.axvline(constant, color=SIMULATED, lw=0.6, ls=":", label=None if k else "time constants")
-        ax.set_xlim(time[0], time[-1])
-        ax.legend(loc="upper left")
-
-    return inline(name, draw)
+    ax.plot(time, 100 * share, color=MEASURED, lw=1.2)
+    ax.set(xscale="log", xlabel="time since the rise (s)", ylabel="further displacement (% of the rise)")
+    ax.set_ylim(bottom=0, top=max(1.25 * 100 * float(share.max()), 1e-9))
+    if branches is not None:
+        for k, constant in enumerate(branches.time_constants[branches.stiffness > 0]):
+            ax.axvline(constant, color=SIMULATED, lw=0.6, ls=":", label=None if k else "time constants")
+    ax.set_xlim(time[0], time[-1])
+    ax.legend(loc="upper left")
 
 
 def graded(slip: GradedSlip, *, name: str) -> str:
@@ -66,21 +67,24 @@ def graded(slip: GradedSlip, *, name: str) -> str:
 
 def slopes(slip: GradedSlip | MaxwellSlip, spring: Spring, *, name: str) -> str:
     """Draw the slope of slow motion: just after a turn, and when every element slides."""
+    return inline(name, lambda ax: draw_slopes(ax, slip, spring), height=3.6)
+
+
+def draw_slopes(ax: Axes, slip: GradedSlip | MaxwellSlip, spring: Spring) -> None:
+    """Draw what `slopes` shows on axes."""
     steepness = Slopes.of(slip, spring)
     factor, unit = length_unit(float(np.ptp(steepness.displacement)))
-
-    def draw(ax: Axes) -> None:
-        for values, colour, label in (
-            (steepness.turned, INK, "just after a turn"),
-            (steepness.rising, RISING, "rising"),
-            (steepness.falling, FALLING, "falling"),
-        ):
-            ax.plot(steepness.displacement * factor, values * 1e-6, color=colour, lw=1, label=label)
-        ax.set(xlabel=f"displacement ({unit})", ylabel="slope of the voltage (V/µm)")
-        ax.set_ylim(0, 1.3 * float(steepness.turned.max()) * 1e-6)
-        ax.legend(loc="upper left", ncols=3)
-
-    return inline(name, draw, height=3.6)
+    # Those of plain elements are equal.
+    dashes = "--" if np.array_equal(steepness.rising, steepness.falling) else "-"
+    for values, colour, label, style in (
+        (steepness.turned, INK, "just after a turn", "-"),
+        (steepness.rising, RISING, "rising", "-"),
+        (steepness.falling, FALLING, "falling", dashes),
+    ):
+        ax.plot(steepness.displacement * factor, values * 1e-6, color=colour, lw=1, ls=style, label=label)
+    ax.set(xlabel=f"displacement ({unit})", ylabel="slope of the voltage (V/µm)")
+    ax.set_ylim(0, 1.3 * float(steepness.turned.max()) * 1e-6)
+    ax.legend(loc="upper left", ncols=3)
 
 
 def smooth(elements: SmoothSlip, *, name: str) -> str:

@@ -133,7 +133,7 @@ def drawing(
 
 def line(ax: Axes, x: Array, y: Array, **style: Any) -> None:
     """Draw a line through many samples with only the vertices that print can show."""
-    ax.plot(*_thinned(np.arange(x.size, dtype=np.float64), x, y), **style)
+    ax.plot(*thinned(np.arange(x.size, dtype=np.float64), x, y), **style)
 
 
 def loop(trace: Trace, *, name: str) -> str:
@@ -144,17 +144,22 @@ def loop(trace: Trace, *, name: str) -> str:
     factor, unit = length_unit(float(np.ptp(trace.measured)))
 
     def draw(ax: Axes) -> None:
-        for y, colour, width, alpha, label in (
-            (trace.measured, MEASURED, 2.4, 0.45, "measured"),
-            (trace.simulated, SIMULATED, 0.8, 1.0, "simulated"),
-        ):
-            v, scaled = _thinned(trace.time, trace.voltage, y * factor)
-            big = v.size > _VECTOR_VERTICES
-            ax.plot(v, scaled, color=colour, lw=width, alpha=alpha, label=label, rasterized=big)
+        draw_both(ax, trace, trace.measured * factor, trace.simulated * factor)
         ax.set(xlabel="voltage (V)", ylabel=f"displacement ({unit})")
         ax.legend(loc="upper left")
 
     return inline(name, draw)
+
+
+def draw_both(ax: Axes, trace: Trace, measured: Array, simulated: Array, *, labels: bool = True) -> None:
+    """Draw what was measured and what was simulated over the voltage of a trace, broken where samples are missing."""
+    for y, colour, width, alpha, label in (
+        (measured, MEASURED, 2.4, 0.45, "measured"),
+        (simulated, SIMULATED, 0.8, 1.0, "simulated"),
+    ):
+        v, shown = thinned(trace.time, trace.voltage, y)
+        big = v.size > _VECTOR_VERTICES
+        ax.plot(v, shown, color=colour, lw=width, alpha=alpha, label=label if labels else None, rasterized=big)
 
 
 def residual_in_time(trace: Trace, stroke: float, limit: float, *, name: str) -> str:
@@ -162,7 +167,7 @@ def residual_in_time(trace: Trace, stroke: float, limit: float, *, name: str) ->
 
     def draw(ax: Axes) -> None:
         percent = 100 * trace.residual / stroke
-        _points(ax, trace.time, percent, INK, of=percent.size)
+        points(ax, trace.time, percent, INK, of=percent.size)
         _mark_largest(ax, trace.time, percent)
         _residual_axes(ax, stroke, limit)
         ax.set_xlabel("time (s)")
@@ -176,9 +181,9 @@ def residual_in_displacement(trace: Trace, stroke: float, limit: float, *, name:
 
     def draw(ax: Axes) -> None:
         y, percent, up = trace.measured * factor, 100 * trace.residual / stroke, rising(trace)
-        some = _sample(percent.size)
+        some = some_samples(percent.size)
         for branch, colour, label in ((some & up, RISING, "rising"), (some & ~up, FALLING, "falling")):
-            _points(ax, y[branch], percent[branch], colour, of=int(some.sum()), label=label)
+            points(ax, y[branch], percent[branch], colour, of=int(some.sum()), label=label)
         _mark_largest(ax, y, percent)
         _residual_axes(ax, stroke, limit)
         ax.set_xlabel(f"displacement ({unit})")
@@ -195,8 +200,8 @@ def slip_elements(slip: MaxwellSlip, *, name: str) -> str:
     factor, unit = length_unit(float(slip.breakaway[-1]))
 
     def draw(upper: Axes, lower: Axes) -> None:
-        _stems(upper, slip.breakaway * factor, slip.stiffness * 1e-6, "stiffness (V/µm)")
-        _stems(lower, slip.breakaway * factor, slip.friction, "breakaway voltage (V)")
+        stems(upper, slip.breakaway * factor, slip.stiffness * 1e-6, "stiffness (V/µm)")
+        stems(lower, slip.breakaway * factor, slip.friction, "breakaway voltage (V)")
         lower.set_xlabel(f"breakaway elongation ({unit})")
         lower.set_xlim(0, 1.05 * float(slip.breakaway[-1]) * factor)
 
@@ -236,13 +241,14 @@ def rising(trace: Trace) -> np.ndarray[Any, np.dtype[np.bool_]]:
     return up
 
 
-def _points(ax: Axes, x: Array, y: Array, colour: str, *, of: int, label: str | None = None) -> None:
+def points(ax: Axes, x: Array, y: Array, colour: str, *, of: int, label: str | None = None) -> None:
+    """Draw points, the paler the more there are `of`; many become one image."""
     alpha = min(0.8, max(0.06, 35 / np.sqrt(max(of, 1))))
     style: dict[str, Any] = {"ls": "none", "marker": ".", "ms": 2.4, "mew": 0, "color": colour, "alpha": alpha}
     ax.plot(x, y, label=label, rasterized=of > _VECTOR_POINTS, **style)
 
 
-def _sample(size: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def some_samples(size: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Pick samples at random but reproducibly: every k-th sample could be in step with the cycles."""
     some = np.ones(size, bool)
     if size > MOST_BRANCH_POINTS:
@@ -267,7 +273,8 @@ def _residual_axes(ax: Axes, stroke: float, limit: float) -> None:
     right.spines["right"].set_visible(True)
 
 
-def _stems(ax: Axes, x: Array, height: Array, label: str) -> None:
+def stems(ax: Axes, x: Array, height: Array, label: str) -> None:
+    """Draw heights as stems, hollow where they are zero."""
     zero = height <= 0
     ax.vlines(x[~zero], 0, height[~zero], color=MEASURED, lw=1.2)
     ax.plot(x[~zero], height[~zero], ls="none", marker="o", ms=3.4, color=MEASURED)
@@ -277,7 +284,7 @@ def _stems(ax: Axes, x: Array, height: Array, label: str) -> None:
     ax.set_ylim(0, 1.12 * float(height.max()) if height.any() else 1.0)
 
 
-def _thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
+def thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
     """Return the vertices of a line through samples, fewer where they are dense, broken where samples are missing."""
     steps = np.diff(time)
     cuts = np.flatnonzero(steps > 3 * np.median(steps)) + 1 if steps.size else np.empty(0, np.intp)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst.baselines import ModelComparison
 from dehyst.control import TrackedPath
-from dehyst.identification.structure_selection import label
 from dehyst.model import Actuator, Fit, Readiness, RecordErrors, Structure
+from dehyst.model.fit_summary import label
 from dehyst.report.comparison_section import comparison_sections
 from dehyst.report.fit_section import loops, numbers, residuals, slip_and_spring
 from dehyst.report.html import Row, bullets, document, escape, length, number, table

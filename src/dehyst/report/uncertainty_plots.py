@@ -27,42 +27,45 @@ def _by_noise(noise: Intervals) -> str:
 
 def singular_values(identifiability: Identifiability, *, name: str) -> str:
     """Draw the singular value of each direction, filled if the records determine it, hollow if not."""
+    return inline(name, lambda ax: draw_singular_values(ax, identifiability))
+
+
+def draw_singular_values(ax: Axes, identifiability: Identifiability) -> None:
+    """Draw what `singular_values` shows on axes."""
     values = identifiability.values
-
-    def draw(ax: Axes) -> None:
-        number, known = np.arange(1, values.size + 1), np.arange(values.size) < identifiability.determined
-        shown = np.maximum(values, _FOOT)
-        for some, face, label in ((known, MEASURED, "known"), (~known, "white", "open")):
-            if some.any():
-                style: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.5, "mfc": face, "mec": MEASURED}
-                ax.plot(number[some], shown[some], label=label, clip_on=False, **style)
-        ax.set(yscale="log", xlabel="direction", ylabel="singular value (V/V)")
-        ax.set_ylim(bottom=min(_FOOT, float(shown.min())))
-        ax.set_xlim(0.5, values.size + 0.5)
-        ax.legend(loc="lower left")
-
-    return inline(name, draw)
+    number, known = np.arange(1, values.size + 1), np.arange(values.size) < identifiability.determined
+    shown = np.maximum(values, _FOOT)
+    for some, face, label in ((known, MEASURED, "determined"), (~known, "white", "open")):
+        if some.any():
+            style: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.5, "mfc": face, "mec": MEASURED}
+            ax.plot(number[some], shown[some], label=label, clip_on=False, **style)
+    ax.set(yscale="log", xlabel="direction", ylabel="singular value (V/V)")
+    ax.set_ylim(bottom=min(_FOOT, float(shown.min())))
+    ax.set_xlim(0.5, values.size + 0.5)
+    ax.locator_params(axis="x", integer=True)
+    ax.legend(loc="lower left")
 
 
 def stiffness_intervals(found: Insight, *, name: str) -> str:
     """Draw each stiffness with its interval by noise, and behind it its range among compatible models."""
+    return inline(name, lambda ax: draw_stiffness_intervals(ax, found))
+
+
+def draw_stiffness_intervals(ax: Axes, found: Insight) -> None:
+    """Draw what `stiffness_intervals` shows on axes."""
     slip, noise, free, alone = found.actuator.slip, found.intervals, found.feasible_set, found.identifiability.alone
     factor, unit = length_unit(float(slip.breakaway[-1]))
-
-    def draw(ax: Axes) -> None:
-        rho = slip.breakaway * factor
-        if free is not None:
-            ax.vlines(rho, *free.stiffness * 1e-6, color=_FREE, lw=5, label="compatible")
-        if noise is not None and alone.any():
-            low, high = noise.stiffness[:, alone] * 1e-6
-            ax.vlines(rho[alone], low, high, color=SIMULATED, lw=1.6, label=_by_noise(noise))
-        ax.plot(rho, slip.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model", clip_on=False)
-        ax.set(xlabel=f"breakaway elongation ({unit})", ylabel="stiffness (V/µm)")
-        ax.set_xlim(0, 1.05 * float(rho[-1]))
-        ax.set_ylim(bottom=0)
-        ax.legend(loc="upper right")
-
-    return inline(name, draw)
+    rho = slip.breakaway * factor
+    if free is not None:
+        ax.vlines(rho, *free.stiffness * 1e-6, color=_FREE, lw=5, label="compatible")
+    if noise is not None and alone.any():
+        low, high = noise.stiffness[:, alone] * 1e-6
+        ax.vlines(rho[alone], low, high, color=SIMULATED, lw=1.6, label=_by_noise(noise))
+    ax.plot(rho, slip.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model", clip_on=False)
+    ax.set(xlabel=f"breakaway elongation ({unit})", ylabel="stiffness (V/µm)")
+    ax.set_xlim(0, 1.05 * float(rho[-1]))
+    ax.set_ylim(bottom=0)
+    ax.legend(loc="upper right")
 
 
 def spring_intervals(found: Insight, *, name: str) -> str:
@@ -87,22 +90,23 @@ def spring_intervals(found: Insight, *, name: str) -> str:
 
 def loop_interval(found: Insight, *, name: str) -> str:
     """Draw the uncertainty of the displacement by noise on the rise and the fall through the limits."""
+    return inline(name, lambda ax: draw_loop_interval(ax, found))
+
+
+def draw_loop_interval(ax: Axes, found: Insight) -> None:
+    """Draw what `loop_interval` shows on axes."""
     loop = found.loop
-
-    def draw(ax: Axes) -> None:
-        if loop is None:
-            return
-        low, high = (loop.noise - loop.displacement) * 1e9
-        top = int(np.argmax(loop.voltage))
-        for branch, colour, label in ((slice(0, top + 1), RISING, "rising"), (slice(top, None), FALLING, "falling")):
-            ax.fill_between(loop.voltage[branch], low[branch], high[branch], color=colour, alpha=0.5, lw=0, label=label)
-        ax.axhline(0, color=INK, lw=0.8)
-        ax.set(xlabel="voltage (V)", ylabel="displacement, off the model's (nm)")
-        bottom, upper = ax.get_ylim()
-        ax.set_ylim(bottom, upper + 0.25 * (upper - bottom))
-        ax.legend(loc="upper left", ncols=2)
-
-    return inline(name, draw)
+    if loop is None:
+        return
+    low, high = (loop.noise - loop.displacement) * 1e9
+    top = int(np.argmax(loop.voltage))
+    for branch, colour, label in ((slice(0, top + 1), RISING, "rising"), (slice(top, None), FALLING, "falling")):
+        ax.fill_between(loop.voltage[branch], low[branch], high[branch], color=colour, alpha=0.5, lw=0, label=label)
+    ax.axhline(0, color=INK, lw=0.8)
+    ax.set(xlabel="voltage (V)", ylabel="displacement, off the model's (nm)")
+    bottom, upper = ax.get_ylim()
+    ax.set_ylim(bottom, upper + 0.25 * (upper - bottom))
+    ax.legend(loc="upper left", ncols=2)
 
 
 def drive_interval(found: Insight, *, name: str) -> str:
@@ -144,25 +148,31 @@ def creep_intervals(found: Insight, *, name: str) -> str:
 def band(found: PredictionBand, stroke: float, *, name: str) -> str:
     """Draw the error to expect along a trajectory, part by part, and the trajectory above."""
     factor, unit = length_unit(float(np.ptp(found.displacement)))
+
+    def draw(upper: Axes, lower: Axes) -> None:
+        upper.plot(np.arange(found.displacement.size), found.wanted * factor, color=MEASURED, lw=1)
+        upper.set_ylabel(f"displacement ({unit})")
+        draw_band(lower, found, stroke)
+
+    return inline(name, draw, rows=2, height=4.4)
+
+
+def draw_band(ax: Axes, found: PredictionBand, stroke: float) -> None:
+    """Draw the error to expect along a trajectory, part by part [% of a stroke in m], on axes."""
     sample = np.arange(found.displacement.size)
 
-    def fill(ax: Axes, low: Array, high: Array, colour: str, label: str) -> None:
+    def fill(low: Array, high: Array, colour: str, label: str) -> None:
         low, high = (100 * (edge - found.wanted) / stroke for edge in (low, high))
         ax.fill_between(sample, low, high, color=colour, lw=0, label=label)
 
-    def draw(upper: Axes, lower: Axes) -> None:
-        upper.plot(sample, found.wanted * factor, color=MEASURED, lw=1)
-        upper.set_ylabel(f"displacement ({unit})")
-        fill(lower, found.lowest, found.highest, "#E5E5E5", "all")
-        if found.likely is not None:
-            fill(lower, found.likely[0], found.likely[1], "#CFD8E6", f"{100 * found.level:g} %")
-        if found.open is not None:
-            fill(lower, found.open[0], found.open[1], "#AAAAAA", "compatible with the records")
-        fill(lower, found.noise[0], found.noise[1], SIMULATED, "noise")
-        lower.axhline(0, color=FALLING, lw=0.6)
-        low, high = lower.get_ylim()
-        lower.set_ylim(low, high + 0.35 * (high - low))
-        lower.set(xlabel="sample", ylabel="error (% of stroke)")
-        lower.legend(loc="upper left", ncols=4)
-
-    return inline(name, draw, rows=2, height=4.4)
+    fill(found.lowest, found.highest, "#E5E5E5", "all")
+    if found.likely is not None:
+        fill(found.likely[0], found.likely[1], "#CFD8E6", f"{100 * found.level:g} %")
+    if found.open is not None:
+        fill(found.open[0], found.open[1], "#AAAAAA", "compatible with the records")
+    fill(found.noise[0], found.noise[1], SIMULATED, "noise")
+    ax.axhline(0, color=FALLING, lw=0.6)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.35 * (high - low))
+    ax.set(xlabel="sample", ylabel="error (% of stroke)")
+    ax.legend(loc="upper left", ncols=4)

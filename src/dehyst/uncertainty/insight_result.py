@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from dehyst._text import escaped
 from dehyst._types import Array
+from dehyst._views import tables
+from dehyst._views.pictures import plotted
 from dehyst.control import Homing
 from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.model import Actuator
+from dehyst.uncertainty import insight_summary
 from dehyst.uncertainty.bootstrap import Intervals
 from dehyst.uncertainty.evidence import Evidence
 from dehyst.uncertainty.experiment_design import Suggestion
@@ -21,6 +25,10 @@ from dehyst.uncertainty.part_identifiability import SHARP, PartIdentifiability
 from dehyst.uncertainty.precision import Precision
 from dehyst.uncertainty.prediction_band import PredictionBand
 from dehyst.uncertainty.state_knowledge import StateKnowledge
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 _NOT_JUDGED = (
     "Not judged of a structured model: what other models of its class the records do not contradict, whether its "
@@ -77,6 +85,63 @@ class Insight:
     parts: tuple[PartIdentifiability, ...] = ()
     loop: MajorLoopWidth | None = None
     precision: Precision | None = None
+
+    def __repr__(self) -> str:
+        return insight_summary.one_line(self)
+
+    def _repr_html_(self) -> str:
+        return insight_summary.as_html(self)
+
+    def summary(self) -> str:
+        """Return what `dehyst insight` prints, in lines, in the order in which it matters."""
+        return "\n".join(escaped(line) for line in insight_summary.lines(self))
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the judged numbers of the model as a pandas DataFrame, a row a number; stiffnesses in V/um.
+
+        Columns: part, number, unit, estimate, lowest, highest, verdict; no rows without intervals. Raise
+        `MissingExtraError` if pandas is not installed.
+        """
+        parts = () if self.precision is None else self.precision.parts
+        names = "part", "number", "unit", "estimate", "lowest", "highest", "verdict"
+        rows = [
+            (part.part, i + 1, unit, part.estimate[i] * factor, *part.interval[:, i] * factor, verdict.value)
+            for part in parts
+            for factor, unit in ((1e-6, "V/um") if part.unit == "V/m" else (1.0, part.unit),)
+            for i, verdict in enumerate(part.verdicts)
+        ]
+        return tables.frame({name: [row[k] for row in rows] for k, name in enumerate(names)})
+
+    def plot(
+        self,
+        kind: Literal["stiffnesses", "directions", "loop", "band"] | None = None,
+        *,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Draw what the records leave open.
+
+        Parameters
+        ----------
+        kind : str, optional
+            "stiffnesses": each with its interval. "directions": their singular values, determined or open. "loop":
+            uncertainty of the displacement on the major loop of a structured model. "band": where the displacement of
+            the trajectory may be, less the wanted path. Default: the last of "directions", "stiffnesses", "loop" and
+            "band" for which there are numbers.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; default: the axes of a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ModelError
+            If there is no such kind, or no numbers for it.
+        MissingExtraError
+            If matplotlib is not installed.
+        """
+        return plotted("insight", self, kind, ax)
 
     @property
     def structured(self) -> bool:

@@ -1,0 +1,1 @@
+"""How objects show themselves: one line, HTML, tables, and the door to pictures."""

@@ -1,0 +1,55 @@
+"""One line about an object, for `repr` and `print`."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from math import floor, inf, log10
+
+import numpy as np
+
+from dehyst._text import counted, escaped
+from dehyst._types import Array
+
+
+def brief(owner: object) -> str:
+    """Describe a dataclass in one line: arrays by their shape and range; a class may take this as its `__repr__`."""
+    parts = [f"{one.name}={_shown(getattr(owner, one.name))}" for one in fields(owner) if one.repr]  # type: ignore[arg-type]
+    return f"<{type(owner).__name__}: {', '.join(parts)}>"
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        shape = " x ".join(map(str, value.shape))
+        return f"{shape} from {value.min():.4g} to {value.max():.4g}" if value.size else "none"
+    if isinstance(value, tuple) and len(value) > 2:
+        return counted(len(value), "item")
+    return f"{value:.6g}" if isinstance(value, float) else escaped(repr(value))
+
+
+def ends(low: float, high: float, unit: str) -> str:
+    """Write an interval with the decimals that show a thousandth of its width: "-0.003 to 16.154 um"."""
+    width = abs(high - low)
+    decimals = min(12, max(0, 3 - floor(log10(width)))) if 0 < width < inf else 6
+    written = [f"{end:.{decimals}f}" if abs(end) < 1e15 else f"{end:.6g}" for end in (low, high)]
+    # Without zeros at the end, and without a minus before nothing.
+    low_, high_ = (str(float(text)).removesuffix(".0") if "e" not in text else text for text in written)
+    return f"{low_.removeprefix('-') if float(low_) == 0 else low_} to {high_} {unit}"
+
+
+def span_of(values: Array, unit: str, factor: float = 1.0) -> str:
+    """Write the range of numbers: "0 to 200 V"; "none" if there are no numbers."""
+    if not values.size:
+        return "none"
+    return ends(float(values.min()) * factor, float(values.max()) * factor, unit)
+
+
+def length(metres: float) -> str:
+    """Write a length in um, or in nm below 1 um."""
+    return f"{metres * 1e9:.3g} nm" if abs(metres) < 1e-6 else f"{metres * 1e6:.4g} um"
+
+
+def percent(part: float, whole: float) -> str:
+    """Write a part of a whole in percent, with two digits; "not known" if that is no number."""
+    if not (whole > 0 and np.isfinite(part)):
+        return "not known"
+    return f"{100 * part / whole:.2g} %" if part < whole else f"{100 * part / whole:.0f} %"

@@ -1,0 +1,84 @@
+"""The only door to pandas and xarray: columns to tables that these libraries understand, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dehyst._errors import MissingExtraError, RecordError
+from dehyst._text import escaped
+from dehyst._types import Array
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from xarray import Dataset
+
+
+def frame(columns: Mapping[str, Any], **attributes: Any) -> DataFrame:
+    """Return columns as a DataFrame with these attributes (`DataFrame.attrs`); arrays are copied.
+
+    Raise `MissingExtraError` if pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        raise MissingExtraError.of("pandas", "tables", "A DataFrame") from error
+    made = pandas.DataFrame({name: np.array(values) for name, values in columns.items()})
+    made.attrs.update(attributes)
+    return made
+
+
+def dataset(time: Array, variables: Mapping[str, tuple[Array, str]], **attributes: Any) -> Dataset:
+    """Return variables over time [s] as an xarray Dataset; each is an array and its unit, kept as attribute `units`.
+
+    Raise `MissingExtraError` if xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError as error:
+        raise MissingExtraError.of("xarray", "tables", "A Dataset") from error
+    return xarray.Dataset(
+        {name: ("time", np.array(values), {"units": unit}) for name, (values, unit) in variables.items()},
+        coords={"time": ("time", np.array(time), {"units": "s"})},
+        attrs=attributes,
+    )
+
+
+def columns_of(table: Any) -> list[tuple[str, Array, str]]:
+    """Return name, numbers and unit of each numeric column of a DataFrame, its index too if that has a name.
+
+    Dates and durations become seconds; other columns have no unit beside their name.
+    """
+    if not hasattr(table, "columns") or not hasattr(table, "index"):
+        raise RecordError(f"frame: got {type(table).__name__}, need a DataFrame; or try dehyst.Record.from_arrays")
+    rows = table if table.index.name is None else table.reset_index()
+    given = {str(name): np.asarray(rows[name]) for name in rows.columns}
+    return [
+        (name, np.asarray(seconds(values), dtype=np.float64), "s" if values.dtype.kind in "mM" else "")
+        for name, values in given.items()
+        if values.dtype.kind in "iufmM"
+    ]
+
+
+def variable(container: Any, name: str) -> Any:
+    """Return a variable of an xarray Dataset, with its unit; raise `RecordError` if there is none of that name."""
+    try:
+        found = container[name]
+    except (KeyError, TypeError, IndexError) as error:
+        known = ", ".join(f"'{escaped(one)}'" for one in getattr(container, "variables", ()))
+        raise RecordError(
+            f"dataset: got no variable '{name}', need one; it holds {known or 'none'}. Rename yours with "
+            f".rename(name='{name}')"
+        ) from error
+    return seconds(found.values) if found.values.dtype.kind in "mM" else found
+
+
+def seconds(values: Any) -> Any:
+    """Return dates and durations as seconds since the first; anything else as it is."""
+    kind = values.dtype.kind
+    if kind not in "mM" or not values.size:
+        return values
+    elapsed = values - values[0] if kind == "M" else values
+    return elapsed / np.timedelta64(1, "s")

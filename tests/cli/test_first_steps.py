@@ -1,0 +1,107 @@
+"""What someone meets first: `dehyst` alone, help in the order of the journey, suggestions, completion."""
+
+import os
+import re
+import subprocess
+import sys
+
+import click
+import places
+import pytest
+from click.shell_completion import BashComplete
+from command_line import run
+
+from dehyst.cli import main
+
+
+def test_dehyst_alone_prints_five_lines_of_what_to_do_first():
+    status, out, err = run()
+    assert (status, err) == (0, "")
+    assert len(out.splitlines()) == 5
+    assert all(line.startswith("dehyst ") for line in out.splitlines())
+    assert max(map(len, out.splitlines())) <= 84
+
+
+def test_the_first_lines_name_commands_and_options_that_exist():
+    for line in run()[1].splitlines():
+        words = re.split(r" {2,}", line)[0].split()[1:]
+        if words[0] == "--help":
+            continue
+        flags = {flag for option in main.commands[words[0]].params for flag in option.opts}
+        assert {word for word in words[1:] if word.startswith("-")} <= flags
+
+
+def test_help_has_every_command_once_under_a_heading_with_a_whole_sentence():
+    status, out, _ = run("--help")
+    assert status == 0
+    listed = re.findall(r"^  ([a-z]+)  +(\S.*)$", out, re.M)
+    assert sorted(name for name, _ in listed) == sorted(main.commands)
+    assert [heading for heading in main.journey if f"\n{heading}:\n" in out] == list(main.journey)
+    assert [words for _, words in listed if words.endswith("...")] == []
+
+
+def test_the_order_of_help_is_that_of_the_journey():
+    names = main.list_commands(click.Context(main))
+    assert names.index("excite") < names.index("identify") < names.index("compensate")
+
+
+def test_a_command_without_a_heading_is_listed_too():
+    @click.command()
+    def extra():
+        """Do more."""
+
+    try:
+        main.add_command(extra)
+        text = main.get_help(click.Context(main))
+    finally:
+        del main.commands["extra"]
+    assert re.search(r"More:\n  extra +Do more\.", text)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "suggestion"),
+    [
+        (["identfy", "loops.csv"], "identify"),
+        (["simulation"], "simulate"),
+        (["identify", "--elemnts", "3", "loops.csv"], "--elements"),
+        (["identify", "--reports", "r.html", "loops.csv"], "--report"),
+        (["excite", "staircases"], "staircase"),
+    ],
+)
+def test_a_slip_of_the_pen_gets_a_suggestion(arguments, suggestion):
+    status, out, err = run(*arguments)
+    assert (status, out) == (2, "")
+    assert re.search(rf"[Dd]id you mean.*'{suggestion}'", err)
+
+
+def test_what_resembles_nothing_gets_no_suggestion():
+    status, _, err = run("zzz")
+    assert status == 2
+    assert "mean" not in err
+
+
+def test_the_suggestion_does_not_depend_on_click(monkeypatch):
+    """Older versions of click have none."""
+
+    def refuse(self, ctx, args):
+        raise click.UsageError(f"No such command {args[0]!r}.", ctx)
+
+    monkeypatch.setattr(click.Group, "resolve_command", refuse)
+    with pytest.raises(click.UsageError, match=r"No such command 'identfy'\. Did you mean 'identify'\?"):
+        main.resolve_command(click.Context(main), ["identfy"])
+
+
+def test_completion_offers_commands_and_options():
+    complete = BashComplete(main, {}, "dehyst", "_DEHYST_COMPLETE")
+    assert {item.value for item in complete.get_completions([], "i")} == {"identify", "insight"}
+    assert "--elements" in {item.value for item in complete.get_completions(["identify"], "--el")}
+    assert {item.type for item in complete.get_completions(["identify"], "lo")} == {"file"}
+
+
+def test_the_documented_completion_script_is_printed():
+    page = (places.DOCS / "command-line.md").read_text()
+    variable = re.search(r"(_DEHYST_COMPLETE)=bash_source", page)[1]
+    environment = {**os.environ, variable: "zsh_source"}
+    command = [sys.executable, "-c", "from dehyst.cli import main; main(prog_name='dehyst')"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60)
+    assert "#compdef dehyst" in done.stdout

@@ -1,0 +1,90 @@
+"""A compensator in micrometres gives the voltages of one in metres, in every method."""
+
+import copy
+import pickle
+
+import numpy as np
+import pint
+import plain_records
+import pytest
+from summaries import anatomy
+
+from dehyst import Compensator, ModelError
+from dehyst.exports.golden_trace import golden_trace
+
+U = pint.UnitRegistry()
+ACTUATOR = plain_records.plant(6)
+PATH = np.array([2.0, 5.0, 11.0, 7.0, 3.0, 9.0])
+
+
+def pair(units="um", **options):
+    given = {"actuator": ACTUATOR, "limits": (0, 200), **options}
+    return Compensator(**given), Compensator(**given, units=units)
+
+
+@pytest.mark.parametrize(("units", "counts"), [("mm", 1e3), ("um", 1e6), ("nm", 1e9)])
+def test_loops_and_paths_in_a_unit_give_the_voltages_in_metres(units, counts):
+    metres, other = pair(units)
+    path = PATH / 1e6 * counts
+    command, expected = other.trajectory(path), metres.trajectory(path / counts)
+    np.testing.assert_array_equal(command.voltage, expected.voltage)
+    np.testing.assert_allclose(command.displacement, path, rtol=1e-14)
+    assert (command.units, command.warnings) == (units, expected.warnings)
+    for wanted in path.tolist():
+        assert other.offer(wanted) == metres.offer(wanted / counts)
+        assert other.step(wanted) == metres.step(wanted / counts)
+    np.testing.assert_array_equal(other.run(path), metres.run(path / counts))
+    np.testing.assert_allclose(other.reach, np.multiply(metres.reach, counts), rtol=1e-15)
+
+
+def test_a_clamped_path_is_reported_in_the_unit():
+    metres, micro = pair(limits=(0, 100))
+    expected, command = metres.trajectory(PATH / 1e6), micro.trajectory(PATH)
+    assert command.missed == pytest.approx(expected.missed * 1e6, rel=1e-12) and command.missed > 0.1
+    assert command.warnings == expected.warnings
+    assert repr(command) == repr(expected)
+    pytest.importorskip("pandas")
+    for column in ("voltage_V", "displacement_um", "clamped"):
+        np.testing.assert_allclose(command.to_dataframe()[column], expected.to_dataframe()[column], rtol=1e-14)
+
+
+def test_derivatives_are_in_the_unit_too():
+    metres, micro = pair(actuator=anatomy("inertia"), period=1e-4)
+    time = 1e-4 * np.arange(60)
+    path = 8 + np.sin(300 * time)
+    slope, bend = 300 * np.cos(300 * time), -9e4 * np.sin(300 * time)
+    given = {"velocity": slope / 1e6, "acceleration": bend / 1e6}
+    expected = metres.trajectory(path / 1e6, **given).voltage
+    np.testing.assert_array_equal(micro.trajectory(path, velocity=slope, acceleration=bend).voltage, expected)
+
+
+def test_quantities_are_converted_once():
+    metres, micro = pair()
+    assert micro.step(5000 * U.nm) == pytest.approx(metres.step(5e-6), rel=1e-13)
+    np.testing.assert_allclose(micro.run(PATH * 1e3 * U.nm), metres.run(PATH / 1e6), rtol=1e-12)
+
+
+def test_a_copy_keeps_the_unit():
+    micro = pair()[1]
+    micro.step(5.0)
+    for other in (copy.copy(micro), copy.deepcopy(micro), pickle.loads(pickle.dumps(micro)), micro.afresh()):
+        assert other.units == "um"
+    assert pickle.loads(pickle.dumps(micro)).step(7.0) == micro.step(7.0)
+    assert micro.afresh("m").units == "m"
+
+
+def test_what_strays_is_refused_in_words_of_the_unit():
+    micro = pair()[1]
+    with pytest.raises(ModelError, match=r"This compensator takes displacements in um; or pass extrapolate=True"):
+        micro.trajectory(PATH * 1e3)
+    assert micro.strays(PATH) == ""
+    assert "in um" in micro.strays(PATH * 1e3)
+    with pytest.raises(ModelError, match="displacement: got nan"):
+        micro.step(float("nan"))
+    with pytest.raises(ModelError, match="units: got 'V', need a unit of length"):
+        Compensator(ACTUATOR, (0, 200), units="V")
+
+
+def test_an_export_is_in_metres_whatever_the_unit():
+    metres, micro = (golden_trace(one) for one in pair(period=1e-3))
+    assert repr(metres) == repr(micro)  # NaN equals NaN so

@@ -1,0 +1,73 @@
+"""The notebook and the page on Python keep their word: their code runs, and the stored output is of this code."""
+
+import ast
+import re
+
+import places
+import pytest
+
+from dehyst.records import write_record
+from dehyst.studies import demo
+from dehyst.virtual import PlayActuator
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("pandas")
+nbformat = pytest.importorskip("nbformat")
+
+NOTEBOOK = places.EXAMPLES / "first_steps.ipynb"
+
+
+@pytest.fixture(scope="module")
+def executed():
+    import notebooks
+
+    return notebooks.run(NOTEBOOK)
+
+
+def kinds(cell):
+    return [sorted(output.get("data", {output.output_type: None})) for output in cell.get("outputs", [])]
+
+
+def test_the_notebook_runs_and_its_stored_output_is_of_these_cells(executed):
+    stored = nbformat.read(NOTEBOOK, as_version=4)
+    nbformat.validate(stored)
+    assert [kinds(cell) for cell in executed.cells] == [kinds(cell) for cell in stored.cells]
+    assert sum("image/png" in kind for cell in stored.cells for shown in kinds(cell) for kind in shown) >= 4
+
+
+def test_results_show_as_html_and_print_as_one_line(executed):
+    html = [kind for cell in executed.cells for kind in kinds(cell) if "text/html" in kind]
+    assert len(html) >= 6
+    lines = [
+        output.data["text/plain"] for cell in executed.cells for output in cell.get("outputs", []) if "data" in output
+    ]
+    assert all("\n" not in line for line in lines if line.startswith("<"))
+
+
+def test_no_cell_converts_a_length_by_hand_but_where_the_library_is_in_metres():
+    source = "\n".join(cell.source for cell in nbformat.read(NOTEBOOK, as_version=4).cells if cell.cell_type == "code")
+    numbers = [node.value for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Constant)]
+    assert 1e-6 not in numbers
+
+
+def test_the_page_on_python_runs(tmp_path, monkeypatch):
+    import matplotlib
+
+    matplotlib.use("agg")
+    from matplotlib import pyplot
+
+    record = demo.record_loops(PlayActuator(plays=60))[0]
+    write_record(tmp_path / "loops.csv", record)
+    monkeypatch.chdir(tmp_path)
+    space = {}
+    for code in re.findall(r"```python\n(.*?)```", (places.DOCS / "python.md").read_text(), re.DOTALL):
+        exec(code, space)
+    pyplot.close("all")
+    assert space["command"].units == "um"
+    assert len(space["same"]) == len(record)
+
+
+@pytest.mark.parametrize("page", ["python.md", "command-line.md"])
+def test_what_the_pages_refer_to_is_there(page):
+    for target in re.findall(r"\]\(([^)#]+)\)", (places.DOCS / page).read_text()):
+        assert (places.DOCS / target).exists(), target

@@ -1,0 +1,234 @@
+"""How results show themselves: one line each, escaped HTML, tables, and summaries as the commands print them."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import plain_records
+import pytest
+from summaries import PARTS, anatomy
+
+import dehyst
+from dehyst import Actuator, Compensator, Fit, MaxwellSlip, Outcome, Record, Spring, Trace
+from dehyst._views import html
+from dehyst._views.lines import brief, ends, percent, span_of
+
+HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$\n\u202e"
+
+
+class Markup(HTMLParser):
+    """Demands that every tag is closed in order; keeps tags and text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.text = [], [], ""
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return plain_records.plant(6)
+
+
+@pytest.fixture(scope="module")
+def record(plant):
+    return plain_records.loops(plant, plain_records.DESCENDING_TOPS, samples=30, noise=5e-9, name=HOSTILE)
+
+
+@pytest.fixture(scope="module")
+def fit(record):
+    return dehyst.identify(record, elements=6, structure="paper", norm="l2")
+
+
+@pytest.fixture(scope="module")
+def insight(fit, record):
+    path = np.linspace(2e-6, 12e-6, 20)
+    return dehyst.insight(fit.actuator, record, repeats=20, trajectory=path)
+
+
+@pytest.fixture(scope="module")
+def things(record, fit, insight):
+    actuator = fit.actuator
+    motion = actuator.simulate([0.0, 20.0, 10.0])
+    command = Compensator(actuator).trajectory(np.linspace(2e-6, 12e-6, 20))
+    return {
+        "record": record,
+        "actuator": replace(actuator, name=HOSTILE),
+        "fit": fit,
+        "expectation": fit.expectation,
+        "errors": fit.errors[0],
+        "trace": fit.traces[0],
+        "insight": replace(insight, actuator=replace(actuator, name=HOSTILE)),
+        "motion": motion,
+        "command": command,
+        "state": motion.state,
+        "slip": actuator.slip,
+        "spring": actuator.spring,
+    }
+
+
+NAMES = [
+    "record",
+    "actuator",
+    "fit",
+    "expectation",
+    "errors",
+    "trace",
+    "insight",
+    "motion",
+    "command",
+    "state",
+    "slip",
+    "spring",
+]
+SHOWN = ["record", "actuator", "fit", "insight", "motion", "command"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_repr_and_print_are_one_printable_line_without_arrays(things, name):
+    for text in (repr(things[name]), str(things[name])):
+        assert text.isprintable()
+        assert "array" not in text
+    assert repr(things[name]).startswith(f"<{type(things[name]).__name__}")
+    assert 10 < len(repr(things[name])) < 260
+
+
+def test_a_fit_prints_its_verdict(fit):
+    assert str(fit) == str(fit.expectation) == fit.expectation.sentence
+    assert f"{fit.expectation.readiness.value}; expect" in repr(fit)
+    assert str(Fit(None, Outcome.FAILED)) == Outcome.FAILED.value
+    assert repr(Fit(None, Outcome.FAILED)) == "<Fit of no record: FAILED>"
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_an_actuator_names_its_parts(kind):
+    actuator = anatomy(kind)
+    assert repr(actuator).count("\n") == 0
+    assert ("creep" in repr(actuator)) == (actuator.creep is not None)
+    assert len(actuator.summary().splitlines()) >= 3
+    Markup(actuator._repr_html_())
+
+
+def test_an_actuator_whose_loops_cannot_be_computed_still_has_a_line():
+    actuator = Actuator(MaxwellSlip([1e-30], [1e30]), Spring([0, 1e30], [0, 1e30]))
+    assert "1 slip element" in repr(actuator)
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_html_is_well_formed_and_escapes_names(things, name):
+    page = Markup(things[name]._repr_html_())
+    assert {"script", "style", "link", "img"} & set(page.tags) == set()
+    assert "\u202e" not in page.text
+    if name in {"record", "actuator", "insight"}:
+        assert "<script>alert" in page.text
+
+
+def test_html_of_a_fit_has_a_row_for_each_record(fit):
+    page = Markup(fit._repr_html_())
+    assert page.tags.count("tr") == 1 + len(fit.errors)
+    assert fit.expectation.sentence in page.text
+
+
+def test_a_table_of_many_rows_is_cut_and_counted():
+    page = Markup(html.table(("n",), [(n,) for n in range(60)]))
+    assert page.tags.count("tr") == 51
+    assert "and 10 more" in page.text
+
+
+def test_the_summary_of_a_fit_is_what_the_command_prints(fit, tmp_path, capsys):
+    from dehyst.cli.printing import print_fit
+
+    print_fit(fit, None, None)
+    assert capsys.readouterr().out == fit.summary() + "\n"
+    assert re.search(r"training +\d+ +\d+ +\d\.\d+ %", fit.summary())
+    assert fit.summary().splitlines()[1] == fit.outcome.value
+
+
+def test_the_summary_of_an_assessment_is_what_the_command_prints(insight, capsys):
+    from dehyst.cli.printing import print_insight
+
+    print_insight(insight, None, None)
+    assert capsys.readouterr().out == insight.summary() + "\n"
+
+
+def test_tables_have_units_in_their_names(things):
+    pandas = pytest.importorskip("pandas")
+    columns = {
+        "record": ["time_s", "voltage_V", "displacement_um"],
+        "motion": ["voltage_V", "displacement_um"],
+        "command": ["voltage_V", "displacement_um", "clamped"],
+        "trace": ["time_s", "voltage_V", "measured_um", "simulated_um"],
+    }
+    for name, expected in columns.items():
+        frame = things[name].to_dataframe()
+        assert isinstance(frame, pandas.DataFrame)
+        assert list(frame.columns) == expected
+    frame = things["trace"].to_dataframe()
+    np.testing.assert_allclose((frame.measured_um - frame.simulated_um) / 1e6, things["trace"].residual, atol=1e-15)
+
+
+def test_a_table_is_a_copy(things):
+    pytest.importorskip("pandas")
+    frame = things["record"].to_dataframe()
+    frame.loc[0, "voltage_V"] = 17.0
+    assert things["record"].voltage[0] != 17.0
+
+
+def test_the_table_of_a_fit_and_of_an_assessment(fit, insight):
+    pytest.importorskip("pandas")
+    errors = fit.to_dataframe()
+    assert errors.largest_percent.tolist() == [error.largest_percent for error in fit.errors]
+    np.testing.assert_allclose(errors.rms_nm, [error.rms * 1e9 for error in fit.errors])
+    assert len(Fit(None, Outcome.FAILED).to_dataframe()) == 0
+    numbers = insight.to_dataframe()
+    assert len(numbers) == sum(part.of_all for part in insight.precision.parts)
+    assert (numbers.lowest <= numbers.estimate).all()
+    assert (numbers.estimate <= numbers.highest).all()
+    stiffness = numbers[numbers.part == "stiffness"].iloc[0]
+    assert stiffness.unit == "V/um"
+    assert stiffness.estimate == pytest.approx(insight.precision.parts[0].estimate[0] * 1e-6)
+
+
+def test_intervals_have_the_decimals_that_their_width_needs():
+    assert ends(-2.98e-3, 16.1544, "um") == "0 to 16.15 um"
+    assert ends(-0.0298, 16.1, "um") == "-0.03 to 16.1 um"
+    assert ends(0.0, 200.0, "V") == "0 to 200 V"
+    assert ends(-1e-9, 200.0, "V") == "0 to 200 V"
+    assert ends(5.0, 5.0, "V") == "5 to 5 V"
+    assert ends(-1e300, 1e300, "um") == "-1e+300 to 1e+300 um"
+    assert span_of(np.array([]), "V") == "none"
+    assert (percent(1.0, 0.0), percent(float("nan"), 1.0)) == ("not known", "not known")
+    assert (percent(0.00123, 1.0), percent(2.0, 1.0)) == ("0.12 %", "200 %")
+
+
+def test_a_part_shows_shape_and_range():
+    assert repr(Spring([0, 1e-6], [0, 3.0])) == "<Spring: displacement=2 from 0 to 1e-06, voltage=2 from 0 to 3>"
+    assert "5 x 2 from" in repr(anatomy("graded").slip)
+    assert brief(Trace("a", "training", *4 * (np.zeros(0),))).count("none") == 4
+
+
+def test_a_name_that_is_nearly_right_is_suggested(record, fit):
+    with pytest.raises(dehyst.ModelError, match="did you mean 'residuals'"):
+        fit.plot("residual")
+    with pytest.raises(dehyst.IdentifyError, match=r"method.*did you mean 'breakpoints'"):
+        dehyst.identify(record, method="breakpoint")
+    with pytest.raises(AttributeError) as caught:
+        _ = dehyst.identfy
+    assert (caught.value.name, caught.value.obj) == ("identfy", dehyst)
+
+
+def test_a_record_with_a_line_end_in_its_name_has_one_line():
+    assert repr(Record([0, 1], [0, 1], [0, 1e-6], name="a\nb")).startswith("<Record 'a\\nb': 2 samples")

@@ -1,0 +1,141 @@
+"""The `plot` methods: axes in, axes out, nothing global."""
+
+import subprocess
+import sys
+
+import numpy as np
+import plain_records
+import pytest
+from summaries import anatomy
+
+import dehyst
+from dehyst import Fit, MissingExtraError, ModelError, Outcome, RecordError
+
+matplotlib = pytest.importorskip("matplotlib")
+Figure = pytest.importorskip("matplotlib.figure").Figure
+
+HOSTILE = "_$\\frac{1}$ <b>\n" + "long" * 40
+KINDS = {
+    "record": ["loop", "time"],
+    "actuator": ["loop", "elements", "spring", "slopes"],
+    "creeping": ["creep", "loop"],
+    "fit": ["loops", "hysteresis", "residuals", "residuals in time"],
+    "insight": ["stiffnesses", "directions", "band"],
+}
+PICTURES = [(name, kind) for name, kinds in KINDS.items() for kind in kinds]
+
+
+@pytest.fixture(scope="module")
+def things():
+    plant = plain_records.plant(6)
+    record = plain_records.loops(plant, plain_records.DESCENDING_TOPS, samples=30, noise=5e-9, name=HOSTILE)
+    other = plain_records.loops(plant, plain_records.THREE_LOOPS, samples=30, noise=5e-9, name="other")
+    fit = dehyst.identify(record, validate=other, elements=6, structure="paper", norm="l2")
+    insight = dehyst.insight(fit.actuator, record, repeats=20, trajectory=np.linspace(2e-6, 12e-6, 20))
+    creeping = anatomy("creep")
+    return {"record": record, "actuator": fit.actuator, "creeping": creeping, "fit": fit, "insight": insight}
+
+
+def axes():
+    return Figure().subplots()
+
+
+@pytest.mark.parametrize(("name", "kind"), PICTURES)
+def test_it_draws_on_the_given_axes_with_units_and_returns_them(things, name, kind):
+    ax = axes()
+    assert things[name].plot(kind, ax=ax) is ax
+    assert ax.has_data()
+    # A singular value, of volts for each volt, belongs to a number.
+    labels = [ax.get_xlabel(), ax.get_ylabel()]
+    assert all("(" in label or label in {"direction", "sample"} for label in labels)
+    assert ax.get_title()
+    ax.figure.canvas.draw()
+
+
+@pytest.mark.parametrize(("name", "kind"), PICTURES)
+def test_nothing_global_changes(things, name, kind):
+    from matplotlib import pyplot
+
+    before, figures = dict(matplotlib.rcParams), pyplot.get_fignums()
+    ax = axes()
+    things[name].plot(kind, ax=ax)
+    assert dict(matplotlib.rcParams) == before
+    assert pyplot.get_fignums() == figures
+
+
+def test_with_axes_pyplot_is_not_even_loaded():
+    code = (
+        "import sys, dehyst, matplotlib.figure as f\n"
+        "dehyst.Record([0, 1, 2], [0, 1, 0], [0, 1e-6, 0]).plot('time', ax=f.Figure().subplots())\n"
+        "print('matplotlib.pyplot' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout == "False\n"
+
+
+def test_without_axes_there_is_a_new_figure_of_pyplot_each_time(things):
+    from matplotlib import pyplot
+
+    backend = matplotlib.get_backend()
+    pyplot.switch_backend("agg")
+    try:
+        first, second = things["record"].plot(), things["record"].plot("time")
+        assert first.figure is not second.figure
+        assert {first.figure.number, second.figure.number} <= set(pyplot.get_fignums())
+    finally:
+        pyplot.close(first.figure)
+        pyplot.close(second.figure)
+        pyplot.switch_backend(backend)
+
+
+def test_a_title_of_the_user_stays(things):
+    ax = axes()
+    ax.set_title("mine")
+    assert things["record"].plot(ax=ax).get_title() == "mine"
+
+
+def test_the_record_s_numbers_are_drawn_in_micrometres(things):
+    record = things["record"]
+    (line,) = record.plot("loop", ax=axes()).lines
+    y = line.get_ydata()
+    assert (np.nanmin(y), np.nanmax(y)) == pytest.approx(np.array(record.displacement_range) * 1e6, rel=1e-3)
+
+
+def test_residuals_are_all_drawn(things):
+    fit = things["fit"]
+    ax = fit.plot("residuals", ax=axes())
+    assert sum(line.get_xdata().size for line in ax.lines[:2]) == sum(trace.time.size for trace in fit.traces)
+    ax = fit.plot("residuals in time", ax=axes())
+    assert len(ax.get_legend().get_texts()) == len(fit.traces)
+
+
+def test_the_loops_of_an_actuator_lie_within_its_limits(things):
+    actuator = things["actuator"]
+    lines = actuator.plot(ax=axes()).lines
+    for line in lines:
+        assert actuator.limits[0] <= line.get_xdata().min()
+        assert line.get_xdata().max() <= actuator.limits[1]
+    assert np.array(lines[0].get_ydata())[[0, 199]] == pytest.approx(np.array(actuator.reach) * 1e6, rel=1e-6, abs=1e-9)
+
+
+def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):
+    from matplotlib import pyplot
+
+    figures = pyplot.get_fignums()
+    with pytest.raises(RecordError, match="kind: got 'loops', need 'loop' or 'time'; did you mean 'loop'"):
+        things["record"].plot("loops")
+    with pytest.raises(ModelError, match="without creep"):
+        things["actuator"].plot("creep")
+    with pytest.raises(ModelError, match="kind: got 'loop', need one of directions, stiffnesses, band"):
+        things["insight"].plot("loop")
+    with pytest.raises(ModelError, match=r"fit without traces.*Not identified"):
+        Fit(None, Outcome.FAILED).plot()
+    assert pyplot.get_fignums() == figures
+
+
+def test_without_matplotlib_it_says_what_to_install(things, monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"needs matplotlib.*pip install 'dehyst\[report\]'"):
+        things["record"].plot()
