@@ -209,6 +209,9 @@ class RemainingError:
         Shares of white noise, of drift and the like, of a line that the voltage does not have, and of the model.
     frequency : float
         That of the line [Hz]; 0 without one.
+    means : tuple of float
+        Mean residual, its slow part aside [m]: where the voltage rises, in the lowest, middle and highest third of the
+        displacements, then where it falls. Empty without an error.
     """
 
     record: str
@@ -219,6 +222,7 @@ class RemainingError:
     vibration: float
     model: float
     frequency: float
+    means: tuple[float, ...] = ()
 
     @property
     def vibration_amplitude(self) -> float:
@@ -238,13 +242,25 @@ class RemainingError:
             parts.append((self.vibration, f"a vibration of {self.frequency:.3g} Hz, {size}"))
         parts.sort(reverse=True)
         shares = ", ".join(f"{100 * share:.0f} % {cause}" for share, cause in parts)
-        return f"{self.record}: of the remaining error's power, {shares}. {_REMEDIES[parts[0][1].split()[0]]}"
+        remedy = _REMEDIES[parts[0][1].split()[0]]
+        return f"{self.record}: of the remaining error's power, {shares}.{self._where(stroke)} {remedy}"
+
+    def _where(self, stroke: float) -> str:
+        """Return where the model's part is largest, if it is a part worth naming."""
+        if self.model < _NAMED or not self.means:
+            return ""
+        worst = max(range(len(self.means)), key=lambda k: abs(self.means[k]))
+        way, third = ("rising", "falling")[worst // 3], ("lowest", "middle", "highest")[worst % 3]
+        mean = f"{100 * self.means[worst] / stroke:+.2g} % of the stroke"
+        return f" The model's part is largest where {way} in the {third} third: {mean} on average."
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return asdict(self)
 
 
+# The model's part is located if it is this share.
+_NAMED = 0.1
 # By the first word of the largest part.
 _REMEDIES = {
     "white": "A quieter sensor or averaged cycles would reduce it; a better model would not.",

@@ -39,5 +39,20 @@ def test_a_vibration_is_named_with_frequency_and_size():
     assert "a vibration of 3.1 Hz, " in found.sentence(1e-5)
 
 
+def test_the_model_s_part_is_located_by_direction_and_level():
+    path = 1e-7 * VOLTAGE
+    falling_low = (np.gradient(VOLTAGE) < 0) & (path < path.max() / 3)
+    error = 1e-8 * falling_low + 1e-10 * RNG.normal(size=TIME.size)
+    found = remaining_error(Trace("a", "training", TIME, VOLTAGE, path + error, path))
+    assert int(np.argmax(np.abs(found.means))) == 3
+    assert "largest where falling in the lowest third" in found.sentence(1e-5)
+    assert len(found.as_dict()["means"]) == 6
+
+
+def test_harmonics_of_a_periodic_voltage_are_the_model_s():
+    for multiple in (2, 3, 5):
+        assert of(1e-8 * np.sin(2 * np.pi * 0.5 * multiple * TIME)).model > 0.8
+
+
 def test_nothing_left_has_no_cause():
     assert of(0 * TIME).rms == 0

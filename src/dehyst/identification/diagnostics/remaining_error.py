@@ -13,6 +13,10 @@ _LINE, _ABOVE = 0.05, 20.0
 # A voltage has energy at a frequency if it holds this part of that of its strongest line there.
 _DRIVEN = 1e-4
 _NEIGHBOURS = 20
+# A voltage is periodic if one line holds this part of its power, so many cycles from the lowest.
+_MOSTLY, _FEWEST_CYCLES = 0.5, 6
+# The middle of a line is known to this part of a step.
+_APART = 0.15
 
 
 def remaining_error(trace: Trace) -> RemainingError:
@@ -35,7 +39,19 @@ def remaining_error(trace: Trace) -> RemainingError:
     # Estimates of parts may add up to more than the whole.
     scale = total / max(white + drifting + line + model, total)
     noise, drift, vibration, rest = (part * scale / total for part in (white, drifting, line, model))
-    return RemainingError(trace.record, trace.role, float(np.sqrt(total)), noise, drift, vibration, rest, frequency)
+    means = _means(trace, fast)
+    return RemainingError(
+        trace.record, trace.role, float(np.sqrt(total)), noise, drift, vibration, rest, frequency, means
+    )
+
+
+def _means(trace: Trace, residual: Array) -> tuple[float, ...]:
+    """Return the mean residual by thirds of the displacements, where the voltage rises, then where it falls."""
+    y = trace.simulated
+    third = np.clip((3 * (y - y.min()) / max(float(np.ptp(y)), 1e-300)).astype(int), 0, 2)
+    change = np.gradient(trace.voltage)
+    places = [(change * way > 0) & (third == k) for way in (1, -1) for k in range(3)]
+    return tuple(float(residual[place].mean()) if place.any() else 0.0 for place in places)
 
 
 def _slow(trace: Trace, residual: Array) -> Array:
@@ -59,11 +75,23 @@ def _vibration(trace: Trace, residual: Array) -> tuple[float, float]:
     near = slice(max(k - 2, 1), k + 3)
     around = np.concatenate([power[max(k - _NEIGHBOURS, 1) : near.start], power[near.stop : k + _NEIGHBOURS]])
     share = float(power[near].sum()) / max(float(power[1:].sum()), 1e-300)
-    driven = float(drive[near].max()) > _DRIVEN * float(drive[1:].max(initial=0.0))
+    driven = float(drive[near].max()) > _DRIVEN * float(drive[1:].max(initial=0.0)) or _harmonic(drive, k)
     if driven or share < _LINE or not around.size or power[k] < _ABOVE * float(np.median(around)):
         return 0.0, 0.0
     frequency, amplitude = _line(residual, step, k / (step * residual.size))
     return frequency, 0.5 * amplitude**2
+
+
+def _harmonic(drive: Array, k: int) -> bool:
+    """Whether line k is a multiple of the one that holds most of the voltage: hysteresis makes those."""
+    first = int(np.argmax(drive[1:])) + 1
+    lines = np.arange(max(first - 2, 1), min(first + 3, drive.size))
+    own = drive[lines]
+    if first < _FEWEST_CYCLES or float(own.sum()) < _MOSTLY * float(drive[1:].sum()):
+        return False
+    middle = float(lines @ own / own.sum())
+    multiple = max(round(k / middle), 1)
+    return abs(k - multiple * middle) <= _APART * multiple + 1
 
 
 def _line(residual: Array, step: float, near: float) -> tuple[float, float]:
