@@ -1,4 +1,4 @@
-"""What a record cannot tell, and is said beside the verdict."""
+"""Reasons for care beside the verdict: a coarse voltage, and a lag whose cause a record does not show."""
 
 import itertools
 
@@ -45,10 +45,10 @@ def test_a_lag_is_called_the_sensor_s_or_the_actuator_s_and_an_option_tells():
     seen, _ = records()
     unknown, none, known = (identify(seen, structure="paper", sensor_lag=lag) for lag in (None, 0.0, LAG))
     assert unknown.actuator.delay > 0.5 * LAG
-    assert "cannot tell which" in unknown.expectation.sentence
+    assert "whether the sensor or the actuator lags" in unknown.expectation.sentence
     assert any("sensor_lag=SECONDS" in remark for remark in unknown.remarks)
     assert unknown.expectation.readiness is not Readiness.READY
-    assert "cannot tell which" not in none.expectation.sentence
+    assert "whether the sensor or the actuator lags" not in none.expectation.sentence
     assert abs(known.actuator.delay) < 0.1 * LAG
     assert known.options["sensor_lag"] == known.actuator.provenance["sensor_lag"] == LAG
     assert any("before the sensor's lag of 80 ms" in repair for repair in known.repairs)

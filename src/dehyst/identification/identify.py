@@ -72,7 +72,7 @@ def identify(
         Seconds by which the displacement lags the voltage; default: estimated from the training records.
     sensor_lag : float, optional
         Time constant of the sensor's own filter [s], a low-pass of first order, 0 if it has none; default: unknown.
-        What lags otherwise is taken as the actuator's. A record does not tell which it is.
+        Any other lag counts as the actuator's: a record does not show which of them lags.
     shared_datum : bool, optional
         Say that no record zeroed its sensor anew; default: each record's datum is looked for.
     drift : bool, optional
@@ -138,19 +138,13 @@ def identify(
     if refine and structure == "paper":
         raise IdentifyError("refine: the paper's class is fitted as it is; leave refine out, or try structure='auto'")
     report("checking the records")
-
     # The paper's class takes every sample as it is.
     most = 1.0 if structure == "paper" else sum(map(len, training)) / ENOUGH
-
-    def prepared(record: Record) -> Prepared:
-        found = prepare(record).with_block(most)
-        return found.reduced.without_lag(sensor_lag) if sensor_lag else found
-
     with one_thread():
         run = Run(
             settings,
-            [prepared(record) for record in training],
-            [prepared(record) for record in held_out],
+            [_prepared(record, most, settings.sensor_lag) for record in training],
+            [_prepared(record, most, settings.sensor_lag) for record in held_out],
             report,
             goal,
             deadline,
@@ -163,6 +157,12 @@ def identify(
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
     return fit
+
+
+def _prepared(record: Record, most: float, sensor_lag: float | None) -> Prepared:
+    """Prepare a record, to be reduced to means of `most` samples at most; before the lag of its sensor, if given."""
+    found = prepare(record).with_block(most)
+    return found.reduced.without_lag(sensor_lag) if sensor_lag else found
 
 
 def _refuse_copies(records: list[Record]) -> None:

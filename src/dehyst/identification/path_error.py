@@ -23,7 +23,7 @@ from dehyst.records.metrics import rms
 _ROWS = 4000
 # Fewer rows say nothing.
 _FEWEST = 20
-# Sizes that are told apart; cycles of this part of the largest one are as large.
+# Number of different sizes; a cycle of at least this part of the largest one is as large.
 _SIZES, _LARGEST = 20, 0.9
 # Structures whose held-out error is within this ratio of the least explain the records; so many are compared.
 _ABOUT, _COMPARED = 1.3, 4

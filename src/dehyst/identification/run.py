@@ -15,7 +15,7 @@ from dehyst._version import __version__
 from dehyst.identification.deadline import Deadline
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.assumptions import assumption_checks
-from dehyst.identification.diagnostics.expectation import Unseen, expectation
+from dehyst.identification.diagnostics.expectation import HeldOutErrors, expectation
 from dehyst.identification.diagnostics.remaining_error import remaining_error
 from dehyst.identification.diagnostics.residuals import residual_checks
 from dehyst.identification.dynamics_search import SensedDynamics
@@ -68,7 +68,7 @@ class Run:
     structure: Structure | None = None
     trials: tuple[StructureTrial, ...] = ()
     steady: bool | None = None
-    unseen: Unseen = field(default_factory=Unseen)
+    held_out_errors: HeldOutErrors = field(default_factory=HeldOutErrors)
     searched: Structure | None = None
 
     def __post_init__(self) -> None:
@@ -247,7 +247,7 @@ class Run:
 
     def look_beyond(self, frame: TrainingData, regression: Regression, actuator: Actuator) -> None:
         """Find how far the actuator misses what it was not trained on."""
-        self.unseen = Unseen(
+        self.held_out_errors = HeldOutErrors(
             block_error(frame, regression),
             size_error(regression),
             disagreement(frame, actuator, self.limits(), self.trials),
@@ -255,8 +255,7 @@ class Run:
         )
 
     def doubts(self, actuator: Actuator) -> list[str]:
-        """Return what the records cannot tell, if a path depends on it by more than what is known of the model."""
-        known = max(self.unseen.in_time, self.unseen.by_size)
+        """Return reasons for care: a coarse voltage, and a lag whose cause the records do not show."""
         step = max(resolution(item.record.voltage)[1] for item in self.training)
         doubts = [f"the voltage is recorded in steps of {100 * step:.2g} % of its range"] if step > COARSE else []
         lag = actuator.delay + actuator.lag
@@ -264,10 +263,10 @@ class Run:
             return doubts
         items = [item.reduced.record for item in self.training]
         moved = lag * max(rms(np.diff(one.displacement)) / one.sample_time for one in items)
-        if moved <= known:
+        if moved <= max(self.held_out_errors.in_time, self.held_out_errors.by_size):
             return doubts
         self.remarks.append(messages.of_lag(lag, moved, self.stroke))
-        return [*doubts, f"the sensor or the actuator lags by {1e3 * lag:.3g} ms, the records cannot tell which"]
+        return [*doubts, f"the records do not show whether the sensor or the actuator lags by {1e3 * lag:.3g} ms"]
 
     def best_words(self, actuator: Actuator) -> str:
         """Describe the structure of the result and, if it was tried, its held-out error."""
@@ -316,6 +315,6 @@ class Run:
             options,
             checked,
             self.trials,
-            expectation(outcome, errors, checked, self.unseen, remaining, noise, self.goal, doubts),
+            expectation(outcome, errors, checked, self.held_out_errors, remaining, noise, self.goal, doubts),
             remaining,
         )

@@ -246,6 +246,11 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> RecordC
     return RecordComparison(few, source, samples, regression, found, base, whole, record.block)
 
 
+def prepare_for(actuator: Actuator, record: Record) -> Prepared:
+    """Prepare a record as those that an actuator was identified from: before its sensor's lag, if that was given."""
+    return prepare(record).without_lag(float(actuator.provenance.get("sensor_lag") or 0.0))
+
+
 def compare_all(
     actuator: Actuator, records: Record | Sequence[Record]
 ) -> tuple[tuple[RecordComparison, ...], float, float]:
@@ -256,8 +261,7 @@ def compare_all(
     tuple of Comparison, float, float
         One a record, the range of the widest loop [m], and the least slope that the spring was allowed [V/m].
     """
-    lag = float(actuator.provenance.get("sensor_lag") or 0.0)
-    prepared = [prepare(record).without_lag(lag) for record in as_list(records)]
+    prepared = [prepare_for(actuator, record) for record in as_list(records)]
     options, spans = actuator.provenance, [high - low for low, high in (item.span() for item in prepared)]
     stroke, widest = max(spans), prepared[int(np.argmax(spans))].record
     datum = 0.0 if options.get("shared_datum") else None
@@ -283,7 +287,7 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
     """
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     try:
-        record = prepare(lead).without_lag(float(actuator.provenance.get("sensor_lag") or 0.0))
+        record = prepare_for(actuator, lead)
         beside = compare(actuator, record, Protocol("validation", actuator.delay, None, False, stroke))
         number, own = len(beside.pieces) - 1, beside.epochs[-1]
     except ValueError:

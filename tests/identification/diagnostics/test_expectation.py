@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst.identification.diagnostics.expectation import Unseen, expectation
+from dehyst.identification.diagnostics.expectation import HeldOutErrors, expectation
 from dehyst.model import Check, Expectation, Outcome, Readiness, RecordErrors, RemainingError, Verdict
 
 STROKE = 1e-5
@@ -18,7 +18,7 @@ def expected(*errors, held_out=None, checks=(), goal=1.0, noise=0.0, vibration=0
     for one in errors:
         shares = min(noise**2 / one.rms**2, 1.0), min(0.5 * vibration**2 / one.rms**2, 1.0)
         causes.append(RemainingError(one.record, one.role, one.rms, shares[0], 0.0, shares[1], 0.0, 5.0))
-    return expectation(outcome, errors, checks, held_out or Unseen(), causes, noise, goal, doubts)
+    return expectation(outcome, errors, checks, held_out or HeldOutErrors(), causes, noise, goal, doubts)
 
 
 def test_small_errors_are_ready_and_large_ones_of_no_use():
@@ -36,7 +36,7 @@ def test_the_sensor_s_peaks_are_not_the_model_s():
 
 def test_validation_records_are_what_counts():
     other = replace(ERRORS, role="validation", rms=5e-8, largest=9e-8)
-    found = expected(ERRORS, other, held_out=Unseen(1.0, 1.0, 1.0))
+    found = expected(ERRORS, other, held_out=HeldOutErrors(1.0, 1.0, 1.0))
     assert (found.rms, found.basis) == (5e-8, "validation records")
     assert "5.0 times" in found.sentence
 
@@ -48,15 +48,15 @@ def test_a_model_that_misses_its_own_records_is_of_no_use_whatever_it_makes_of_o
 
 
 def test_held_out_parts_count_where_they_are_worse():
-    assert expected(ERRORS, held_out=Unseen(9e-8)).rms == pytest.approx(9e-8)
-    assert expected(ERRORS, held_out=Unseen(9e-8)).largest == pytest.approx(2.7e-7)
-    assert expected(ERRORS, held_out=Unseen(1e-9)).rms == ERRORS.rms
-    sizes = expected(ERRORS, held_out=Unseen(2e-8, 9e-8))
+    assert expected(ERRORS, held_out=HeldOutErrors(9e-8)).rms == pytest.approx(9e-8)
+    assert expected(ERRORS, held_out=HeldOutErrors(9e-8)).largest == pytest.approx(2.7e-7)
+    assert expected(ERRORS, held_out=HeldOutErrors(1e-9)).rms == ERRORS.rms
+    sizes = expected(ERRORS, held_out=HeldOutErrors(2e-8, 9e-8))
     assert (sizes.rms, sizes.basis) == (pytest.approx(9e-8), "loops of sizes held out")
 
 
 def test_other_structures_that_disagree_add_to_the_error():
-    assert expected(ERRORS, held_out=Unseen(4e-8, 0.0, 3e-8)).rms == pytest.approx(5e-8)
+    assert expected(ERRORS, held_out=HeldOutErrors(4e-8, 0.0, 3e-8)).rms == pytest.approx(5e-8)
 
 
 def test_what_the_sensor_adds_is_not_of_the_path():
@@ -67,7 +67,8 @@ def test_what_the_sensor_adds_is_not_of_the_path():
     shaken = expected(seen, vibration=4e-8 * 2**0.5)
     assert shaken.rms == pytest.approx(3e-8)
     assert shaken.largest == pytest.approx(2e-7 - 4e-8 * 2**0.5)
-    assert expected(seen, held_out=Unseen(5e-8, noise=3e-8), noise=5e-8).rms == pytest.approx((16e-16 + 25e-18) ** 0.5)
+    found = expected(seen, held_out=HeldOutErrors(5e-8, noise=3e-8), noise=5e-8)
+    assert found.rms == pytest.approx((16e-16 + 25e-18) ** 0.5)
 
 
 def test_a_doubt_keeps_a_model_from_being_ready():

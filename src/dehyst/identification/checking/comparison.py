@@ -16,8 +16,8 @@ from dehyst._types import Array
 from dehyst.identification.checking.changes import Known, Slow, find_changes
 from dehyst.identification.checking.recheck import PEAK, Recheck
 from dehyst.identification.preprocessing import cleaning
-from dehyst.identification.preprocessing.preparation import Prepared, prepare
-from dehyst.identification.validation import Protocol, compare, errors_of
+from dehyst.identification.preprocessing.preparation import Prepared
+from dehyst.identification.validation import Protocol, compare, errors_of, prepare_for
 from dehyst.model import Actuator, Trace
 from dehyst.records import Record
 from dehyst.records.metrics import largest, rms
@@ -66,7 +66,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
     if not isinstance(record, Record):
         raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")
     with one_thread():
-        prepared = prepare(record).without_lag(float(actuator.provenance.get("sensor_lag") or 0.0))
+        prepared = prepare_for(actuator, record)
         prepared.span()
         stroke = float(np.ptp(actuator.reach))
         protocol = Protocol("validation", actuator.delay, 0.0, False, stroke)

@@ -15,8 +15,8 @@ _KNOWN = 0.1
 
 
 @dataclass(frozen=True)
-class Unseen:
-    """Errors on what was not trained on; 0 where it was not tried.
+class HeldOutErrors:
+    """Errors on parts of the records that were not trained on; 0 where that was not tried.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ def expectation(
     outcome: Outcome,
     errors: Sequence[RecordErrors],
     checks: Sequence[Check],
-    held_out: Unseen,
+    held_out: HeldOutErrors,
     remaining: Sequence[RemainingError],
     noise: float,
     goal: float,
@@ -53,7 +53,7 @@ def expectation(
     outcome : Outcome
     errors, checks
         Those of a `Fit`.
-    held_out : Unseen
+    held_out : HeldOutErrors
     remaining : sequence of RemainingError
         One for each of the errors.
     noise : float
@@ -61,44 +61,54 @@ def expectation(
     goal : float
         [% of the stroke].
     doubts : sequence of str, optional
-        What the records cannot tell: more reasons.
+        More reasons for care, in words.
     """
     training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
     # A model that misses its own records by too much is of no use, whatever it makes of others.
     by_others = bool(validation) and outcome is not Outcome.INACCURATE
     judged, basis = (validation, "validation records") if by_others else (training, "training records")
     causes = [cause for cause in remaining if cause.role == judged[0].role]
-    measured = max(one.rms for one in judged)
+    vibration = max(cause.vibration_amplitude for cause in causes)
     # What the sensor adds, a path does not have.
     rms = max(_less(one.rms, cause.sensed) for one, cause in zip(judged, causes, strict=True))
-    peak = _NOISE_PEAK * noise + max(cause.vibration_amplitude for cause in causes)
     if not by_others:
-        vibration = max(cause.vibration_amplitude for cause in causes) / 2**0.5
-        parts = [
-            _less(part, (held_out.noise**2 + vibration**2) ** 0.5) for part in (held_out.in_time, held_out.by_size)
-        ]
-        names = ("parts of the records held out in turn", "loops of sizes held out")
-        for part, name in zip(parts, names, strict=True):
-            rms, basis = (part, name) if part > rms else (rms, basis)
-        rms = (rms**2 + held_out.disagreement**2) ** 0.5
+        rms, basis = _beyond(rms, basis, held_out, vibration)
     rms = (rms**2 + (_KNOWN * noise) ** 2) ** 0.5
-    largest = max(max(one.largest for one in judged) - peak, _PEAK * rms)
-    reasons = list(doubts)
-    aside = sum(one.left_out for one in training) / sum(one.left_out + one.samples for one in training)
-    if aside > MOST_SET_ASIDE:
-        reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
+    largest = max(max(one.largest for one in judged) - _NOISE_PEAK * noise - vibration, _PEAK * rms)
+    measured = max(one.rms for one in judged)
+    reasons = [*doubts, *_reasons(training, errors, goal)]
     fitted = max(one.rms for one in training)
     if by_others and measured > WIDEST_GAP * fitted:
         reasons.append(f"validation records are missed {measured / fitted:.1f} times as far as training records")
-    drifted = max(abs(one.drifted_percent) for one in errors)
-    if drifted > goal:
-        reasons.append(f"a drift of {drifted:.2g} % was removed, which a path will show")
     if outcome is Outcome.UNDETERMINED:
         reasons.append("the records do not determine all stiffnesses")
     failed = [check.name for check in checks if check.verdict is Verdict.FAILS]
     if failed:
         reasons.append(f"failed checks: {', '.join(failed)}")
     return Expectation(rms, largest, measured, noise, errors[0].stroke, goal, basis, tuple(reasons))
+
+
+def _beyond(rms: float, basis: str, held_out: HeldOutErrors, vibration: float) -> tuple[float, str]:
+    """Return the RMS error [m] and its basis where what was held out is missed by more; `vibration`: amplitude [m]."""
+    sensed = (held_out.noise**2 + 0.5 * vibration**2) ** 0.5
+    for part, name in (
+        (held_out.in_time, "parts of the records held out in turn"),
+        (held_out.by_size, "loops of sizes held out"),
+    ):
+        rms, basis = max((rms, basis), (_less(part, sensed), name))
+    return (rms**2 + held_out.disagreement**2) ** 0.5, basis
+
+
+def _reasons(training: Sequence[RecordErrors], errors: Sequence[RecordErrors], goal: float) -> list[str]:
+    """Return the reasons for care that lie in the records."""
+    reasons = []
+    aside = sum(one.left_out for one in training) / sum(one.left_out + one.samples for one in training)
+    if aside > MOST_SET_ASIDE:
+        reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
+    drifted = max(abs(one.drifted_percent) for one in errors)
+    if drifted > goal:
+        reasons.append(f"a drift of {drifted:.2g} % was removed, which a path will show")
+    return reasons
 
 
 def _less(error: float, noise: float) -> float:
