@@ -7,12 +7,17 @@ import subprocess
 import sys
 import time
 
+import click
+import plain_records
 import pytest
 from command_line import TIMEOUT, run
 
+import dehyst
 from dehyst import Actuator
 from dehyst.cli import terminal
-from dehyst.records import write_record
+from dehyst.cli.identify import BestSoFar, identify
+from dehyst.identification import Deadline
+from dehyst.records import read, write_record
 from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
 
@@ -96,6 +101,24 @@ def test_a_second_ctrl_c_stops_at_once(folder):
 
 
 @posix
+def test_ctrl_c_while_the_first_model_is_written_ends_the_search_only(tmp_path, monkeypatch, capfd):
+    output, deadline = tmp_path / "m.json", Deadline(None)
+    best, actuator = BestSoFar(deadline, output), plain_records.plant(4)
+    save = Actuator.save
+
+    def interrupted(self, path):
+        save(self, path)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(Actuator, "save", interrupted)
+    with click.Context(identify, obj=None), best.ended_by_interrupt():
+        best.keep(actuator)
+    assert deadline.ended
+    assert output.exists()
+    assert "press it again" in capfd.readouterr().err
+
+
+@posix
 def test_a_killed_process_leaves_a_provisional_model(folder):
     process = started(folder)
     process.kill()
@@ -126,12 +149,8 @@ def test_impossible_limits_are_refused(folder, limit):
 
 
 def test_a_finished_model_stays_until_the_new_one_is_finished(folder):
-    from dehyst.cli.identify import BestSoFar
-    from dehyst.identification import Deadline, identify
-    from dehyst.records import read
-
     first = []
-    fit = identify(read(folder / "loops.csv"), structure="paper", first_model=first.append)
+    fit = dehyst.identify(read(folder / "loops.csv"), structure="paper", first_model=first.append)
     fit.actuator.save(folder / "m.json")
     best = BestSoFar(Deadline(), folder / "m.json")
     best.keep(first[0])

@@ -12,6 +12,7 @@ from dehyst import ClampWarning
 from dehyst._errors import RecordError
 from dehyst.instruments import DeviceError, LinkError, RigError
 from dehyst.instruments.pi import PiRig
+from dehyst.records.quality import SHORTEST
 from dehyst.waveforms import Excitation
 
 
@@ -77,6 +78,13 @@ def test_long_waves_are_cut_where_the_tables_end():
     rows = rig.rows(len(wave))
     assert np.abs(record.voltage - wave.voltage[rows]).max() <= 0.6e-6
     assert (np.diff(record.time) > 0).all()
+
+
+def test_times_rise_within_one_tick_of_the_controller_s_clock():
+    with pytest.warns(UserWarning, match="slowly"):
+        rig = quick(FakeController(without=["DRR?"], told={"TIM?": ["0"]}), slew_rate=4000.0)
+    steps = np.diff(rig.play(triangle(high=20.0, count=5, rate=200.0)).time)
+    assert (steps >= SHORTEST).all()
 
 
 def test_times_rise_without_a_clock_of_the_controller():

@@ -183,13 +183,13 @@ class BestSoFar:
         self._usable = self._written = False
 
     def keep(self, actuator: Actuator) -> None:
-        """Write the first model."""
+        """Write the first model; from here on Ctrl-C ends the search only."""
+        self._usable = True
         output = self._output
         if output is not None and (not os.path.lexists(output) or _is_provisional(output)):
             refuse_replacing(output)
             actuator.save(output)
             self._written = True
-        self._usable = True
 
     def remove(self) -> None:
         """Remove the first model, because there will be no final one."""

@@ -34,6 +34,8 @@ _ROWS = 2000
 _PATIENCE = 5.0
 _PATIENT_SAMPLES = 20
 _STEPS_TO_STOP = 20
+# Time [s] between two readings within one tick of a clock.
+_TICK = 1e-9
 
 
 class PiRig(AbstractRig):
@@ -268,8 +270,8 @@ class PiRig(AbstractRig):
         timed = "TIM?" in self._client.commands
         now = self._client.query("TIM?", gcs_syntax.timer) * _SECONDS if timed else time.monotonic() - self._began
         self._shift = max(self._shift, self._last_sample - now)
-        # No two readings have the same time.
-        self._last_time = max(now + self._shift, float(np.nextafter(self._last_time, np.inf)))
+        # No two readings have the same time, though a clock's ticks may be longer than the time between them.
+        self._last_time = max(now + self._shift, self._last_time + _TICK)
         return self._last_time
 
     def _playing(self) -> bool:

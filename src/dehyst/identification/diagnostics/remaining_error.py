@@ -91,7 +91,9 @@ def _harmonic(drive: Array, k: int) -> bool:
         return False
     middle = float(lines @ own / own.sum())
     multiple = max(round(k / middle), 1)
-    return abs(k - multiple * middle) <= _APART * multiple + 1
+    within = _APART * multiple + 1
+    # Beyond a quarter of the distance between multiples, any line would count as one.
+    return abs(k - multiple * middle) <= within <= middle / 4
 
 
 def _line(residual: Array, step: float, near: float) -> tuple[float, float]:
