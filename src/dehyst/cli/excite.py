@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.common import PATH, force_option, json_option, read_model, refuse_overwriting, refuse_replacing
+from dehyst.cli.common import (
+    PATH,
+    force_option,
+    json_option,
+    read_model,
+    refuse_overwriting,
+    refuse_replacing,
+    write_output,
+)
 from dehyst.cli.terminal import echo, echo_json, note, worded
 
 if TYPE_CHECKING:
@@ -184,11 +192,10 @@ def _drive(options: dict[str, Any]) -> Sampling:
 
 
 def _save(excitation: Excitation, options: dict[str, Any], remark: str) -> None:
-    from dehyst.records import write_columns
 
     output = options["output"]
     refuse_replacing(output)
-    write_columns(output, {"time_s": excitation.time, "voltage_V": excitation.voltage})
+    write_output(output, {"time_s": excitation.time, "voltage_V": excitation.voltage})
     for warning in excitation.warnings:
         note(warning)
     low, high = excitation.voltage_range

@@ -45,7 +45,7 @@ def _bars(found: ModelComparison) -> str:
     # Beside a linear ratio the others would be dots: the scale ends at some times the middle.
     end = min(scores[-1][0].largest, _LONGEST * scores[len(scores) // 2][0].largest)
     lines = "\n".join(
-        f"<dt{' class=own' if name == OURS else ''}>{escape(name)}</dt><dd>"
+        f"<dt>{_emphasised(name)}</dt><dd>"
         f'<span class="bar" style="width:{_width(score.largest, end):.1f}%"></span>'
         f'<span class="bar rms" style="width:{_width(score.rms, end):.1f}%"></span>'
         f"<small>{number(score.largest)} % · {number(score.rms)} %"
@@ -57,6 +57,10 @@ def _bars(found: ModelComparison) -> str:
         f'<h2>Which model predicts best</h2>\n<p class="muted">Largest and RMS error on {which}, in % of the stroke; '
         f'the least first.</p>\n<dl class="bars">{lines}</dl>'
     )
+
+
+def _emphasised(name: str) -> str:
+    return f"<b>{escape(name)}</b>" if name == OURS else escape(name)
 
 
 def _width(error: float, end: float) -> float:
