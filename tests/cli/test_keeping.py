@@ -186,22 +186,18 @@ def test_after_an_error_there_is_no_model(folder):
 def test_progress_beside_a_terminal_is_a_line_every_few_seconds(monkeypatch, capfd):
     now = [0.0]
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
-    progress = terminal.progress_line(lines=True)
+    progress = terminal.progress_line()
     for second in range(12):
         now[0] = float(second)
         progress(f"trial {second}")
     progress("")
     assert capfd.readouterr().err == "dehyst: trial 5\ndehyst: trial 10\n"
-    silent = terminal.progress_line()
-    now[0] = 100.0
-    silent("trial 100")
-    assert capfd.readouterr().err == ""
 
 
 def test_progress_on_a_terminal_stays_on_one_line(monkeypatch, capfd):
     monkeypatch.setattr(terminal.sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", "40")
-    progress = terminal.progress_line(lines=True)
+    progress = terminal.progress_line()
     progress("trial 7 (of up to 18): 20 elements and 9 creep branches; 3 s so far")
     progress("short")
     long, short = capfd.readouterr().err.split("\r\033[K")[1:]

@@ -122,7 +122,7 @@ def identify(
 
     refuse_overwriting([*records, *validate], output, report)
     deadline = Deadline(time_limit)
-    best, progress = BestSoFar(deadline, output), progress_line(lines=True)
+    best, progress = BestSoFar(deadline, output), progress_line()
     progress("reading")
     training, held_out = zeroed(read_records(records, options), read_records(validate, options), zero)
     settings = {name: value for name, value in options.items() if name not in COLUMNS}

@@ -47,13 +47,10 @@ def note(sentence: object) -> None:
     echo(f"dehyst: {worded([str(sentence)])[0]}", err=True)
 
 
-def progress_line(*, lines: bool = False) -> Callable[[str], None]:
-    """Return a function that shows progress: it overwrites one line on a terminal.
-
-    Elsewhere it is silent or, if `lines`, prints a line every few seconds.
-    """
+def progress_line() -> Callable[[str], None]:
+    """Return a function that shows progress: it overwrites one line on a terminal, elsewhere it prints one at times."""
     if not sys.stderr.isatty():
-        return _every_few_seconds() if lines else lambda _: None
+        return _every_few_seconds()
 
     def progress(words: str) -> None:
         line = f"{escaped(words)}{' ...' if words else ''}"

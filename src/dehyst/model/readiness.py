@@ -32,7 +32,7 @@ class Expectation:
     rms, largest : float
         Expected errors of a path [m], without what is the sensor's: from the validation records; without any the
         larger of those of the training records, of parts of them that were held out in time and of loops of sizes that
-        were held out, and how far other structures disagree that explain the records as well.
+        were held out. In either case with how far other structures disagree that explain the records as well.
     measured : float
         RMS error of the records from which that comes, as measured [m].
     noise : float

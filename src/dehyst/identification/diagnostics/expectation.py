@@ -73,7 +73,8 @@ def expectation(
     rms = max(_less(one.rms, cause.sensed) for one, cause in zip(judged, causes, strict=True))
     if not by_others:
         rms, basis = _beyond(rms, basis, held_out, vibration)
-    rms = (rms**2 + (_KNOWN * noise) ** 2) ** 0.5
+    # Validation records may hold the same kind of loops as those that were trained on; a path does not.
+    rms = (rms**2 + held_out.disagreement**2 + (_KNOWN * noise) ** 2) ** 0.5
     largest = max(max(one.largest for one in judged) - _NOISE_PEAK * noise - vibration, _PEAK * rms)
     measured = max(one.rms for one in judged)
     reasons = [*doubts, *_reasons(training, errors, goal)]
@@ -96,7 +97,7 @@ def _beyond(rms: float, basis: str, held_out: HeldOutErrors, vibration: float) -
         (held_out.by_size, "loops of sizes held out"),
     ):
         rms, basis = max((rms, basis), (_less(part, sensed), name))
-    return (rms**2 + held_out.disagreement**2) ** 0.5, basis
+    return rms, basis
 
 
 def _reasons(training: Sequence[RecordErrors], errors: Sequence[RecordErrors], goal: float) -> list[str]:
