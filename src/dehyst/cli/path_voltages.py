@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dehyst.cli.start import Request, begin_within, delay_warnings, file_warnings, homed_words, start_words
+from dehyst.cli.played_voltage import PlayedVoltage
+from dehyst.cli.start import Request, begin_within, delay_warnings, file_warnings, start_error, start_words
 
 if TYPE_CHECKING:
-    from dehyst.control import Compensator, HomedPath, PossibleStart, StartError
-    from dehyst.model import State
+    from dehyst.control import Compensator, HomedPath, StartError
 
 # Seconds of a homing from which on its duration is a warning.
 _LONG = 60.0
@@ -17,36 +16,21 @@ _LONG = 60.0
 WantedPath = tuple[Any, dict[str, Any], dict[str, Any]]
 
 
-@dataclass(frozen=True, eq=False)
-class PathVoltages:
-    """The voltages of a path: their columns, and what is known of their start."""
-
-    columns: dict[str, Any]
-    clamped: int
-    followed: bool
-    state: State
-    start: PossibleStart
-    words: str
-    warnings: list[str]
-    error: StartError | None
-    homed: HomedPath | None = None
-
-    @classmethod
-    def of(cls, request: Request, compensator: Compensator, path: WantedPath) -> PathVoltages:
-        """Return the voltages from the start that was given, or if it matters, with a homing before the path."""
-        if request.home:
-            return _homed(request, compensator, path)
-        answer = _from_start(request, compensator, path)
-        if request.start is None and request.home is None and answer.error is not None and answer.error.matters:
-            homed = _homed(request, compensator, path)
-            homed.warnings.extend(_of_long_homing(homed.homed, answer.error))
-            return homed
-        return answer
+def path_voltages(request: Request, compensator: Compensator, path: WantedPath) -> PlayedVoltage:
+    """Return the voltages from the start that was given, or if it matters, with a homing before the path."""
+    if request.home:
+        return _homed(request, compensator, path)
+    answer = _from_start(request, compensator, path)
+    if request.start is None and request.home is None and answer.error is not None and answer.error.matters:
+        homed = _homed(request, compensator, path)
+        homed.warnings.extend(_of_long_homing(homed.homed, answer.error))
+        return homed
+    return answer
 
 
-def _from_start(request: Request, compensator: Compensator, path: WantedPath) -> PathVoltages:
+def _from_start(request: Request, compensator: Compensator, path: WantedPath) -> PlayedVoltage:
     """Return the voltages from the start, or from the middle of the possible ones."""
-    from dehyst.control import PossibleStart, StartError, start_at
+    from dehyst.control import start_at
     from dehyst.control.reachable import state_at
 
     wanted, time, derivatives = path
@@ -58,39 +42,35 @@ def _from_start(request: Request, compensator: Compensator, path: WantedPath) ->
     first = state_at(actuator, begin, float(wanted[0])) if wanted.size and actuator.model.moves_on else begin
     when = time.get("time_s")
     command = compensator.trajectory(wanted, time=when, **derivatives, state=first)
-    error = None
-    if not start.known and wanted.size:
-        states = start.states
-        if start.name == "unknown":
-            # Without a homing the actuator rests at the first voltage, however it was brought there.
-            states = PossibleStart.unknown(actuator, float(command.voltage[0]), compensator.limits).states
-        error = StartError.along(actuator, states, command.voltage, time=when)
-    columns = {**time, **_columns(wanted, command.voltage, command.displacement)}
     unwritten = file_warnings(actuator, float(command.voltage[0]), start, begin, slew) if wanted.size else []
-    words = start_words(actuator, start, begin)
-    clamped = int(command.clamped.sum())
-    warnings = [*command.warnings, *unwritten]
-    return PathVoltages(columns, clamped, command.followed, command.state, start, words, warnings, error)
+    return PlayedVoltage(
+        clock=time,
+        voltage=command.voltage,
+        displacement=wanted,
+        expected=command.displacement,
+        state=command.state,
+        start=start,
+        words=start_words(actuator, start, begin),
+        error=start_error(actuator, start, command.voltage, compensator.limits, time=when),
+        warnings=[*command.warnings, *unwritten],
+        clamped=int(command.clamped.sum()),
+        followed=command.followed,
+    )
 
 
-def _homed(request: Request, compensator: Compensator, path: WantedPath) -> PathVoltages:
+def _homed(request: Request, compensator: Compensator, path: WantedPath) -> PlayedVoltage:
     """Return the voltages with the shortest homing before them."""
     from dehyst.control import home_before
 
     wanted, time, derivatives = path
     homed = home_before(compensator, wanted, time=time.get("time_s"), **derivatives, present=request.present)
-    columns = {
-        **({} if homed.time is None else {"time_s": homed.time}),
-        "phase": homed.phase,
-        **_columns(homed.displacement, homed.voltage, homed.expected),
-    }
-    warnings = [*homed.warnings, *delay_warnings(request.actuator)]
-    clamped, start, words = int(homed.clamped.sum()), homed.start, homed_words(homed)
-    return PathVoltages(columns, clamped, homed.followed, homed.state, start, words, warnings, homed.error, homed)
+    answer = PlayedVoltage.after_homing(homed)
+    answer.warnings.extend(delay_warnings(request.actuator))
+    return answer
 
 
 def _of_long_homing(homed: HomedPath | None, without: StartError) -> list[str]:
-    """Warn of a homing that nobody asked for and that takes long, with what it is for."""
+    """Warn of a homing that the user did not request and that takes long, with its purpose."""
     if homed is None or homed.seconds is None or homed.seconds < _LONG:
         return []
     return [
@@ -98,7 +78,3 @@ def _of_long_homing(homed: HomedPath | None, without: StartError) -> list[str]:
         f"{without.percent(without.largest):.2g} % of the stroke open. If what was played last is on file, --start "
         "FILE needs no homing"
     ]
-
-
-def _columns(wanted: Any, voltage: Any, expected: Any) -> dict[str, Any]:
-    return {"displacement_um": wanted * 1e6, "voltage_V": voltage, "expected_um": expected * 1e6}
