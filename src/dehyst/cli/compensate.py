@@ -20,8 +20,7 @@ from dehyst.cli.common import (
     refuse_replacing,
     slew_option,
 )
-from dehyst.cli.path_voltages import WantedPath, path_voltages
-from dehyst.cli.played_voltage import path_columns
+from dehyst.cli.played_voltage import WantedPath, path_columns, path_voltages
 from dehyst.cli.record_files import COLUMNS, column_of, columns_options, table_of, time_of_table
 from dehyst.cli.scans import NAMES, errors_in_options, named_scan, scan_options
 from dehyst.cli.start import Request, given_start, home_option, start_option
