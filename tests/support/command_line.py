@@ -95,3 +95,25 @@ def run(*arguments, cwd=None):
         status, out, err = done.returncode, done.stdout, done.stderr
     assert "Traceback" not in err, err
     return status, out, err
+
+
+def run_as_process(*arguments, cwd=None, **options):
+    """Status, standard output and standard error of a command as a process, which must not end in a traceback.
+
+    With options of `subprocess.run`, it is not forked.
+    """
+    if not options:
+        status, out, err = run(*map(os.fspath, arguments), cwd=cwd)
+        assert "Exception ignored" not in err, err
+        return status, out, err
+    given = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        "stdin": subprocess.DEVNULL,
+        "timeout": 120,
+        **options,
+    }
+    done = subprocess.run([*DEHYST, *map(os.fspath, arguments)], cwd=cwd, check=False, **given)
+    err = (done.stderr or b"").decode()
+    assert "Traceback" not in err and "Exception ignored" not in err, err
+    return done.returncode, (done.stdout or b"").decode(), err

@@ -21,10 +21,10 @@ from dehyst.cli.common import (
     slew_option,
     write_output,
 )
-from dehyst.cli.path_voltages import PathVoltages
+from dehyst.cli.played_voltage import WantedPath, path_columns, path_voltages
 from dehyst.cli.record_files import COLUMNS, column_of, columns_options, table_of, time_of_table
 from dehyst.cli.scans import NAMES, errors_in_options, named_scan, scan_options
-from dehyst.cli.start import Request, error_line, given_start, home_option, start_dict, start_option
+from dehyst.cli.start import Request, given_start, home_option, start_option
 from dehyst.cli.terminal import progress_line
 from dehyst.cli.wave_table import refuse_cycles, tabulate
 from dehyst.cli.zero import outside_reach, refuse_astray, scan_from_zero, zero_of_path, zero_option
@@ -112,8 +112,7 @@ def compensate(
         if table is None:
             _follow(request, _of_scan(path, axis, cycles), output, zero, (*remarks, *path.warnings))
         wanted = path.path(axis).displacement
-        refuse_astray(request.actuator, wanted, request.limits, zero)
-        remarks += outside_reach(request.actuator, wanted, request.limits, zero)
+        remarks += _reach_remarks(request, wanted, zero)
         tabulate(request, path, axis, cycles, (output, table), options, remarks)
 
 
@@ -150,14 +149,20 @@ def _refuse_unused(scan: str | None, options: dict[str, Any]) -> None:
         raise ModelError(f"{unused}: got it without --cycle; give --cycle TABLE.csv, the file for the steady cycle")
 
 
-def _of_file(trajectory: Path | None, options: dict[str, Any]) -> tuple[Any, dict[str, Any], dict[str, Any]]:
+def _reach_remarks(request: Request, wanted: Any, zero: str | float | None) -> list[str]:
+    """Refuse a path far outside of the reachable range; return a remark if it lies outside at all."""
+    refuse_astray(request.actuator, wanted, request.limits, zero)
+    return outside_reach(request.actuator, wanted, request.limits, zero)
+
+
+def _of_file(trajectory: Path | None, options: dict[str, Any]) -> WantedPath:
     """Return the wanted displacement [m], its time column if there is one, and no derivatives."""
     table = table_of(trajectory or Path(), options)
     wanted = column_of(table, "displacement", options)
     return wanted, time_of_table(table, wanted.size, options), {}
 
 
-def _of_scan(scan: Scan, axis: str, cycles: int) -> tuple[Any, dict[str, Any], dict[str, Any]]:
+def _of_scan(scan: Scan, axis: str, cycles: int) -> WantedPath:
     """Return the wanted displacement [m], its time and its derivatives."""
     refuse_cycles(scan, cycles)
     path = scan.path(axis)
@@ -168,7 +173,7 @@ def _of_scan(scan: Scan, axis: str, cycles: int) -> tuple[Any, dict[str, Any], d
 
 def _follow(
     request: Request,
-    path: tuple[Any, dict[str, Any], dict[str, Any]],
+    path: WantedPath,
     output: Path,
     zero: str | float | None,
     warnings: tuple[str, ...] = (),
@@ -176,15 +181,13 @@ def _follow(
     """Write the voltage of a path, and exit."""
     from dehyst.control import Compensator
 
-    wanted, _, _ = path
-    refuse_astray(request.actuator, wanted, request.limits, zero)
-    warnings = (*warnings, *outside_reach(request.actuator, wanted, request.limits, zero))
-    answer = PathVoltages.of(request, Compensator(request.actuator, request.limits, request.slew), path)
-    homed, voltage = answer.homed, answer.columns["voltage_V"]
+    warnings = (*warnings, *_reach_remarks(request, path[0], zero))
+    answer = path_voltages(request, Compensator(request.actuator, request.limits, request.slew), path)
+    voltage = answer.voltage
     progress = progress_line()
     progress(f"writing {voltage.size} rows")
     refuse_replacing(output)
-    write_output(output, answer.columns)
+    write_output(output, {**answer.clock, **path_columns(answer)})
     progress("")
     low, high = float(voltage.min()), float(voltage.max())
     remarks = [*warnings, *answer.warnings]
@@ -193,13 +196,12 @@ def _follow(
         "clamped": answer.clamped,
         "lowest_V": low,
         "highest_V": high,
-        **start_dict(answer.start.name, answer.error, homed),
+        **answer.start_dict(),
         "warnings": remarks,
         "state": answer.state.as_dict(),
         "output": str(output),
     }
     lines = [f"{counted(voltage.size, 'sample')}, {low:.6g} to {high:.6g} V {answer.words}: {output}"]
-    if answer.error is not None:
-        lines.append(error_line(answer.start.name, answer.error, homed=homed is not None))
+    lines += answer.error_lines()
     conclude(request.as_json, result, lines, remarks)
-    sys.exit(0 if answer.followed and not (request.home and homed and not homed.certified) else 1)
+    sys.exit(0 if answer.followed and (answer.certified or not request.home) else 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,21 +19,19 @@ from dehyst.cli.common import (
     refuse_replacing,
     write_output,
 )
+from dehyst.cli.played_voltage import PlayedVoltage
 from dehyst.cli.record_files import column_of, columns_options, table_of, time_of_table
 from dehyst.cli.start import (
-    error_line,
     given_start,
     home_option,
-    homed_words,
     lagging,
     outside_warnings,
-    start_dict,
     start_option,
     start_words,
 )
 
 if TYPE_CHECKING:
-    from dehyst.control import HomedPath, PossibleStart, StartError
+    from dehyst.control import PossibleStart
     from dehyst.model import Actuator
 
 
@@ -74,15 +71,15 @@ def simulate(
     voltage = column_of(table, "voltage", columns)
     time = time_of_table(table, voltage.size, columns)
     given, remarks = (None, []) if start is None else given_start(actuator, start, None, columns["max_bytes"])
-    run = _homed(actuator, voltage, time) if home else _run(actuator, voltage, time, given)
-    written = {"displacement_um": run.displacement}
+    run = _homed(actuator, voltage, time) if home else _from_start(actuator, voltage, time, given)
+    written = {"displacement_um": run.expected}
     if run.error is not None and run.homed is None:
         written |= {"lowest_um": run.error.lowest, "highest_um": run.error.highest}
     if lag:
-        written = {name: lagging(values, actuator, run.time) for name, values in written.items()}
+        written = {name: lagging(values, actuator, run.clock) for name, values in written.items()}
     refuse_replacing(output)
     micro = {name: values * 1e6 for name, values in written.items()}
-    write_output(output, {**run.time, **run.phase, "voltage_V": run.voltage, **micro})
+    write_output(output, {**run.clock, "voltage_V": run.voltage, **micro})
     outside, far, warnings = outside_warnings(actuator, voltage)
     warnings += [*remarks, *run.warnings]
     if actuator.delay and not lag:
@@ -93,71 +90,39 @@ def simulate(
         "samples": run.voltage.size,
         "outside": outside,
         "far_outside": far,
-        **start_dict(run.start.name, run.error, run.homed),
+        **run.start_dict(),
         "warnings": warnings,
         "state": run.state.as_dict(),
         "output": str(output),
     }
-    lines = [f"{counted(run.voltage.size, 'sample')} {run.words}: {output}"]
-    if run.error is not None:
-        lines.append(error_line(run.start.name, run.error, homed=run.homed is not None))
+    lines = [f"{counted(run.voltage.size, 'sample')} {run.words}: {output}", *run.error_lines()]
     conclude(as_json, result, lines, warnings)
-    sys.exit(1 if far or not run.known else 0)
+    sys.exit(1 if far or not run.certified else 0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """A simulation: its columns, and what is known of its start."""
-
-    time: dict[str, Any]
-    voltage: Any
-    displacement: Any
-    state: Any
-    start: PossibleStart
-    words: str
-    error: StartError | None
-    homed: HomedPath | None = None
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def phase(self) -> dict[str, Any]:
-        return {} if self.homed is None else {"phase": self.homed.phase}
-
-    @property
-    def known(self) -> bool:
-        """Whether the homing, if there is one, does what it is for."""
-        return self.homed is None or self.homed.certified
-
-
-def _run(actuator: Actuator, voltage: Any, time: dict[str, Any], given: PossibleStart | None) -> _Run:
+def _from_start(actuator: Actuator, voltage: Any, time: dict[str, Any], given: PossibleStart | None) -> PlayedVoltage:
     """Simulate from the start that was given, or from the middle of the possible ones."""
     from dehyst.control import PossibleStart, StartError
 
     first = float(voltage[0]) if voltage.size else 0.0
     start = PossibleStart.unknown(actuator, first) if given is None else given
     when = time.get("time_s")
-    clock = when if actuator.needs_time else None
-    motion = actuator.simulate(voltage, time=clock, state=start.state, extrapolate=True)
-    error = None if start.known else StartError.along(actuator, start.states, voltage, time=when)
-    words = start_words(actuator, start, start.state)
-    return _Run(time, voltage, motion.displacement, motion.state, start, words, error)
+    motion = actuator.simulate(voltage, time=when if actuator.needs_time else None, state=start.state, extrapolate=True)
+    return PlayedVoltage(
+        clock=time,
+        voltage=voltage,
+        displacement=motion.displacement,
+        expected=motion.displacement,
+        state=motion.state,
+        start=start,
+        words=start_words(actuator, start, start.state),
+        error=None if start.known else StartError.along(actuator, start.states, voltage, time=when),
+    )
 
 
-def _homed(actuator: Actuator, voltage: Any, time: dict[str, Any]) -> _Run:
+def _homed(actuator: Actuator, voltage: Any, time: dict[str, Any]) -> PlayedVoltage:
     """Simulate a homing, and the voltages after it."""
     from dehyst.control import Compensator, home_before_voltage
 
     compensator = Compensator(actuator, actuator.voltage_range)
-    homed = home_before_voltage(compensator, voltage, time=time.get("time_s"))
-    when = {} if homed.time is None else {"time_s": homed.time}
-    return _Run(
-        when,
-        homed.voltage,
-        homed.displacement,
-        homed.state,
-        homed.start,
-        homed_words(homed),
-        homed.error,
-        homed,
-        homed.warnings,
-    )
+    return PlayedVoltage.after_homing(home_before_voltage(compensator, voltage, time=time.get("time_s")))

@@ -23,7 +23,7 @@ _NAMES = ("top", "bottom", "relaxed", "homed")
 
 
 class Request(NamedTuple):
-    """What a command that computes voltages is asked for: of which model, within what, from which state.
+    """The options of a command that computes voltages: the model, limits and slew rate, and the start.
 
     `start` is None if it is unknown. `home`: whether to home first; None: where the start matters.
     """
@@ -139,6 +139,29 @@ def homed_words(homed: HomedPath) -> str:
     """Describe the homing before a path, in brackets."""
     seconds = "" if homed.seconds is None else f", {homed.seconds:.4g} s"
     return f"(homed first, {counted(homed.first, 'sample')}{seconds})"
+
+
+def start_error(
+    actuator: Actuator,
+    start: PossibleStart,
+    voltage: Any,
+    limits: tuple[float, float] | None,
+    *,
+    time: Any = None,
+    first: int = 0,
+) -> StartError | None:
+    """Return what a start leaves open of the motion by a voltage [V] from sample `first` on; None if it is known.
+
+    An actuator of unknown history rests at the first voltage, however it was brought there.
+    """
+    from dehyst.control import PossibleStart, StartError
+
+    if start.known or not voltage.size:
+        return None
+    states = start.states
+    if start.name == "unknown":
+        states = PossibleStart.unknown(actuator, float(voltage[0]), limits).states
+    return StartError.along(actuator, states, voltage, time=time, first=first)
 
 
 def error_line(name: str, error: StartError, *, homed: bool) -> str:

@@ -30,7 +30,7 @@ _TOLERANCE = 1e-3
 # Creep on the way to the first sample changes the voltage there: so often the way is found again.
 _ROUNDS = 3
 # A larger file is more than 300 MB.
-_MOST_ROWS = 5_000_000
+MOST_ROWS = 5_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,10 +238,10 @@ class _Way:
         seconds = 0.0 if excitation is None else excitation.duration
         drive = replace(drive, base=now, present=now, limits=limits, slew_rate=compensator.slew_rate)
         way, state = _ramp(actuator, drive, homing.state, goal)
-        if rows.size + way.size + size > _MOST_ROWS:
+        if rows.size + way.size + size > MOST_ROWS:
             raise RecordError(
                 f"homing: got {rows.size + way.size} samples before the path, {seconds:.4g} s at {rate:g} Hz, need at "
-                f"most {_MOST_ROWS:g} with it; try a lower sample rate, or give the start"
+                f"most {MOST_ROWS:g} with it; try a lower sample rate, or give the start"
             )
         when = rows / (1.0 if excitation is None else excitation.sample_rate)
         return cls(

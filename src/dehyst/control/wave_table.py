@@ -141,6 +141,16 @@ class WaveTable:
         return self.actuator.simulate(v, time=time, state=relaxed, extrapolate=True).displacement
 
 
+class _Begin(NamedTuple):
+    """The state before the start-up, and the homing that leads to it; as in `WaveTable`."""
+
+    start: State
+    homing: Excitation | None = None
+    unknown: float = 0.0
+    certified: bool = True
+    warnings: tuple[str, ...] = ()
+
+
 def wave_table(
     actuator: Actuator,
     scan: Scan,
@@ -202,14 +212,17 @@ def wave_table(
     stroke = path.range[1] - path.range[0]
     least = _TOLERANCE * stroke if tolerance is None else positive(tolerance, "tolerance")
     count = None if cycles is None else start_up_cycles(cycles, path)
-    warnings, excitation, unknown, certified, start = list(scan.warnings), None, 0.0, True, state
-    if start is None:
-        slowly = max(FASTEST_LEG, 0.5 * scan.period)
-        excitation, homing, remarks = played_homing(compensator, scan.rate, slowly, present=present, drive=drive)
-        unknown, certified, start = homing.error, homing.certified, homing.state
-        warnings += remarks
+    begin = _homed(compensator, scan, present, drive) if state is None else _Begin(state)
     motion = MotionLimits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
-    way = approach_to(path, compensator, start, motion, approach)
-    settled = settle(compensator, path, way, start, least, count)
-    table = {**vars(settled), "warnings": (*warnings, *settled.warnings), "tolerance": least, "unknown": unknown}
-    return WaveTable(homing=excitation, certified=certified, start=start, actuator=actuator, **table)
+    way = approach_to(path, compensator, begin.start, motion, approach)
+    settled = settle(compensator, path, way, begin.start, least, count)
+    warnings = (*scan.warnings, *begin.warnings, *settled.warnings)
+    table = {**vars(settled), **begin._asdict(), "warnings": warnings, "tolerance": least}
+    return WaveTable(actuator=actuator, **table)
+
+
+def _homed(compensator: Compensator, scan: Scan, present: float | None, drive: Sampling | None) -> _Begin:
+    """Return the state after the shortest homing, by default no faster than the scan."""
+    leg = max(FASTEST_LEG, 0.5 * scan.period)
+    excitation, homing, remarks = played_homing(compensator, scan.rate, leg, present=present, drive=drive)
+    return _Begin(homing.state, excitation, homing.error, homing.certified, remarks)

@@ -227,6 +227,11 @@ class Transformer:
         demand_curve(v, tau, "transformer")
         keep(self, voltage=v, drive=tau)
 
+    @property
+    def slopes(self) -> Array:
+        """(K - 1,) slopes of the segments [V/V]."""
+        return np.diff(self.drive) / np.diff(self.voltage)
+
     def __call__(self, voltage: ArrayLike) -> Array:
         """Return the drive tau(v) [V] at voltages [V] of any shape."""
         return on_curve(self.voltage, self.drive, voltage)

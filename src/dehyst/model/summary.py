@@ -143,7 +143,7 @@ def _spring(spring: Spring) -> Part:
 def _transformer(transformer: Transformer) -> Part:
     deviation = bend(transformer)
     most, v = int(np.argmax(np.abs(deviation))), transformer.voltage
-    gains = np.diff(transformer.drive) / np.diff(v) / (np.ptp(transformer.drive) / np.ptp(v))
+    gains = transformer.slopes / (np.ptp(transformer.drive) / np.ptp(v))
     sentence = (
         f"tau(v) lies up to {abs(deviation[most]):.3g} V ({100 * abs(deviation[most]) / np.ptp(v):.2g} % of the "
         f"voltages) {'above' if deviation[most] > 0 else 'below'} a straight line, most at {v[most]:.4g} V; a volt "

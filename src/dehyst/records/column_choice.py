@@ -31,10 +31,9 @@ class ColumnsError(FileFormatError):
 
     def __init__(self, reason: str, options: Mapping[str, str]) -> None:
         given = [f'{name}="{value}"' for name, value in options.items()]
-        told = all(option in reason for option in given)
-        advice = (
-            "" if told else f"{'' if reason.endswith('.') else '.'} Try {', '.join(given)}; check units and scales."
-        )
+        contained = all(option in reason for option in given)
+        stop = "" if reason.endswith(".") else "."
+        advice = "" if contained else f"{stop} Try {', '.join(given)}; check units and scales."
         super().__init__(f"{reason}{advice}")
         self.reason, self.options = reason, dict(options)
 

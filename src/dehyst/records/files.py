@@ -91,10 +91,7 @@ def read(
     displacement = displacement if units is None else _in_units(table, displacement, units)
     choice = Choice(time, voltage, displacement, voltage_scale, displacement_scale)
     record = record_of(table, choice, sample_rate, name or (stored.name if stored else Path(path).stem))
-    if stored:
-        kept = {key: record.meta[key] for key in ("scales",) if key in record.meta}
-        return replace(record, meta={**stored.meta, **kept})
-    return record
+    return _with_stored_meta(record, stored) if stored else record
 
 
 def record_of(table: Table, choice: Choice, sample_rate: float | None, name: str) -> Record:
@@ -105,6 +102,12 @@ def record_of(table: Table, choice: Choice, sample_rate: float | None, name: str
         found["time"] = time_of(table, len(found["voltage"]), choice.time, sample_rate)
     meta = _meta(table, choice, sample_rate)
     return Record(found["time"], found["voltage"], found["displacement"], name, meta)
+
+
+def _with_stored_meta(record: Record, stored: hdf5.Stored) -> Record:
+    """Return a record with the meta that its file stores, and the scales that were given now."""
+    scales = {"scales": record.meta["scales"]} if "scales" in record.meta else {}
+    return replace(record, meta={**stored.meta, **scales})
 
 
 def named_and_joined(

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+# Largest value of white noise, in standard deviations.
+NOISE_PEAK = 4.0
+
 
 def largest(error: ArrayLike) -> float:
     """Return the largest absolute error; 0 without any."""

@@ -13,6 +13,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records.butterfly import butterfly_of
 from dehyst.records.formats.columns import shortened
+from dehyst.records.formats.units import HIGHEST_VOLTAGE
 from dehyst.records.glitches import glitch_sentences, glitches
 from dehyst.records.signals import noise_span, resolution, white_noise
 
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 LARGEST, SHORTEST = 1e30, 1e-30
 # A stroke [m] below any sensor's resolution: the size of an atomic nucleus.
 _LEAST_STROKE = 1e-15
-# Largest voltage of piezo actuators [V].
-_HIGHEST_VOLTAGE = 1500.0
 # Share of the time step up to which the rounding of large times is not reported.
 _ROUNDED = 0.02
 
@@ -68,7 +67,7 @@ def problems(record: Record) -> tuple[str, ...]:
             f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check the displacement's unit."
         )
     highest = max(map(abs, record.voltage_range))
-    if highest > _HIGHEST_VOLTAGE:
+    if highest > HIGHEST_VOLTAGE:
         sentences.append(
             f"The voltage reaches {highest:.4g} V, unusual for a piezo actuator; check the voltage's unit and scale."
         )

@@ -21,7 +21,7 @@ def transformer(tau: Transformer, *, name: str) -> str:
         upper.plot(tau.voltage, bend(tau), color=MEASURED, lw=1, marker="o", ms=2.6)
         upper.axhline(0, color=INK, lw=0.6)
         upper.set_ylabel("tau(v) less a straight line (V)")
-        lower.stairs(np.diff(tau.drive) / np.diff(tau.voltage), tau.voltage, baseline=None, color=MEASURED, lw=1)
+        lower.stairs(tau.slopes, tau.voltage, baseline=None, color=MEASURED, lw=1)
         lower.axhline(1, color=INK, lw=0.6)
         lower.set_ylim(bottom=0)
         lower.set(xlabel="voltage (V)", ylabel="slope of tau (V/V)")

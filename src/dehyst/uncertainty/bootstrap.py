@@ -384,7 +384,7 @@ def _more(squares: Array, absolutes: Array, wide: bool) -> float:
 
 def _gains(actuator: Actuator) -> Array:
     tau = actuator.transformer
-    return np.zeros(0) if tau is None else np.diff(tau.drive) / np.diff(tau.voltage)
+    return np.zeros(0) if tau is None else tau.slopes
 
 
 def _risen(actuator: Actuator) -> Array:

@@ -99,7 +99,7 @@ def _next(found: Insight) -> str:
 
 
 def _parts_known(found: Insight) -> Iterator[str]:
-    """Print what records determine of each part of a wider model, and how accurate its numbers are."""
+    """Yield what records determine of each part of a wider model, and how accurate its numbers are."""
     identifiability = found.identifiability
     yield (
         f"Their turning points determine {identifiability.determined} of {identifiability.of} directions of plain "
@@ -109,7 +109,7 @@ def _parts_known(found: Insight) -> Iterator[str]:
     yield from _bullets(part.sentence for part in found.parts)
     if found.precision is not None:
         yield f"Known within {100 * found.precision.precision:g} %, number by number:"
-        yield from _bullets(f"{part.counted}" for part in found.precision.parts)
+        yield from _bullets(part.counted for part in found.precision.parts)
         yield found.precision.rule
     if found.intervals is not None:
         yield ""

@@ -53,9 +53,8 @@ def structured_precision(
         names = "smooth element", "smooth elements", "V/m"
         judged.append((names, actuator.smooth.stiffness, intervals.smooth, known.get("smooth elements")))
     if actuator.transformer is not None and intervals.gains is not None:
-        gains = np.diff(actuator.transformer.drive) / np.diff(actuator.transformer.voltage)
         names = "transformer segment", "transformer segments", "V/V"
-        judged.append((names, gains, intervals.gains, _with_last(known.get("transformer"))))
+        judged.append((names, actuator.transformer.slopes, intervals.gains, _with_last(known.get("transformer"))))
     made = [_part(names, estimate, ends, alone, precision) for names, estimate, ends, alone in judged]
     return Precision(tuple(part for part in made if part.of_all), precision, intervals.level)
 

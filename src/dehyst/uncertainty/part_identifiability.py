@@ -38,8 +38,8 @@ class PartIdentifiability:
     ----------
     part : str
     deviations : (m,) array
-        Standard deviation of each combination of its coefficients, the best known first [V]; infinite where nothing is
-        told.
+        Standard deviation of each combination of its coefficients, the best known first [V]; infinite if the records
+        do not determine it at all.
     allowed : float
         That up to which a combination counts as known [V].
     alone : (m,) bool array

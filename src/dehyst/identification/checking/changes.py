@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
+from dehyst._views import lines
 from dehyst.model import Trace
+from dehyst.records.metrics import percent
 
 # A change counts from so many standard errors on.
 SIGMAS = 3.0
@@ -28,11 +30,12 @@ _BLOCKS, _SECTIONS, _KNOTS = 16, 8, 24
 _MOST, _STEPS = 100_000, 3
 # A loop narrower than this part of its height has no width that could change.
 _NARROW = 1e-3
-_PERCENT = 100.0
+# Names of the slow changes, of which a record shows one.
+SLOW = ("creep", "drift")
 # Columns whose range is their largest effect; of others it is the largest value.
-_RANGING = ("gain", "creep", "drift")
+_RANGING = ("gain", *SLOW)
 # Factor and unit in which each is shown.
-_SHOWN = {"gain": (_PERCENT, "%"), "width": (_PERCENT, "%"), "delay": (1e3, "ms")}
+_SHOWN = {"gain": (100.0, "%"), "width": (100.0, "%"), "delay": (1e3, "ms")}
 
 
 @dataclass(frozen=True)
@@ -76,19 +79,19 @@ class Change:
     def sentence(self, stroke: float) -> str:
         """Return the change in words; creep and drift as parts of `stroke` [m]."""
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
-        effect = f"{_PERCENT * abs(self.effect) / stroke:.2g} % of the stroke"
-        return f"{direction.format(self.amount(stroke))}: up to {effect}. {_REMEDIES[self.name]}"
+        effect = lines.percent(abs(self.effect), stroke)
+        return f"{direction.format(self.amount(stroke))}: up to {effect} of the stroke. {_REMEDIES[self.name]}"
 
     def amount(self, stroke: float) -> str:
         """Return the size with its standard error, as shown; creep and drift as parts of `stroke` [m]."""
         factor, unit = _SHOWN.get(self.name, (1e9, "nm"))
-        if self.name in ("creep", "drift"):
-            factor, unit = _PERCENT / stroke, "% of the stroke" + (" a decade" if self.name == "creep" else "")
+        if self.name in SLOW:
+            factor, unit = 100.0 / stroke, "% of the stroke" + (" a decade" if self.name == "creep" else "")
         return f"{abs(self.value) * factor:.3g} ± {self.error * factor:.2g} {unit}"
 
     def as_dict(self, stroke: float) -> dict[str, Any]:
         """Return JSON values in SI units, the effect also in % of `stroke` [m]."""
-        own = {**asdict(self), "effect_percent": _PERCENT * self.effect / stroke}
+        own = {**asdict(self), "effect_percent": percent(self.effect, stroke)}
         return {**own, "score": self.score, "counts": self.counts}
 
 
@@ -225,15 +228,13 @@ def _mean_line(voltage: Array, displacement: Array, knots: Array) -> Array:
 
 def _fitted(loop: _SimulatedLoop, slow: Slow | None, step: int) -> _ChangeFit:
     """Fit all columns; the simulated displacement is delayed until no delay is left."""
-    delay, late = 0.0, loop
+    delay, fit = 0.0, _regression(loop, slow, step)
+    place = fit.names.index("delay")
     for _ in range(_STEPS):
-        fit = _regression(late, slow, step)
-        place = fit.names.index("delay")
         if abs(fit.values[place]) <= 1e-2 * fit.errors[place]:
             break
         delay += float(fit.values[place])
-        late = loop.later(delay)
-    fit = _regression(late, slow, step)
+        fit = _regression(loop.later(delay), slow, step)
     fit.values[place] += delay
     return fit
 

@@ -14,13 +14,14 @@ from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.identification.checking.changes import Known, Slow, find_changes
-from dehyst.identification.checking.recheck import PEAK, Recheck
+from dehyst.identification.checking.recheck import Recheck
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.validation import Protocol, compare, errors_of, prepare_for
 from dehyst.model import Actuator, Trace
 from dehyst.records import Record
-from dehyst.records.metrics import largest, rms
+from dehyst.records.hdf5 import sha256_of
+from dehyst.records.metrics import NOISE_PEAK, largest, rms
 
 _GOAL = 1.0
 # A change counts if its effect exceeds this part of the goal.
@@ -76,32 +77,30 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
     slow = _slow(prepared, trace) if drifts else ()
     error, drift = _steadied(trace, slow if actuator.creep is None else ())
     before = _number_of(actuator, "largest_error_m")
-    known = Known(errors.datum, _doubt(actuator, record), (before or 0.0) / PEAK)
-    found = find_changes(trace, slow, known, _PART * goal / 100 * stroke)
+    known = Known(errors.datum, _doubt(actuator, record), (before or 0.0) / NOISE_PEAK)
     return Recheck(
-        record.name,
-        actuator.name,
-        _record_id(record),
-        _model_id(actuator),
-        errors.samples,
-        errors.left_out,
-        largest(error),
-        rms(error),
-        prepared.noise,
-        before,
-        stroke,
-        goal,
-        drift,
-        found,
-        (*_remarks(actuator, record), *prepared.sentences),
-        trace,
+        record=record.name,
+        model=actuator.name,
+        record_id=_record_id(record),
+        model_id=_model_id(actuator),
+        samples=errors.samples,
+        left_out=errors.left_out,
+        largest=largest(error),
+        rms=rms(error),
+        noise=prepared.noise,
+        before=before,
+        stroke=stroke,
+        goal=goal,
+        drift=drift,
+        changes=find_changes(trace, slow, known, _PART * goal / 100 * stroke),
+        remarks=(*_remarks(actuator, record), *prepared.sentences),
+        trace=trace,
     )
 
 
 def _record_id(record: Record) -> str:
     """Return a hash of the samples."""
-    columns = record.time, record.voltage, record.displacement
-    return hashlib.sha256(b"".join(column.tobytes() for column in columns)).hexdigest()[:_DIGITS]
+    return sha256_of((record.time, record.voltage, record.displacement))[:_DIGITS]
 
 
 def _model_id(actuator: Actuator) -> str:

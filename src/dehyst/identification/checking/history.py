@@ -15,6 +15,7 @@ from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import read_json, write_json
 from dehyst._io.marks import demand_own_folder, make_own_folder
 from dehyst._types import Array, Mask
+from dehyst.identification.checking.changes import SLOW
 from dehyst.identification.checking.recheck import Recheck
 
 # Marker of a folder and the format of its marker; format of a check.
@@ -24,8 +25,8 @@ _CHECK = "dehyst-check"
 WEIGHT, LIMIT = 0.2, 3.0
 # Allowance and decision interval of the cumulative sums, in the same unit (Page 1954).
 ALLOWANCE, DECISION = 1.0, 4.0
-# Only one of the two is found in a check.
-_SLOW = "creep or drift"
+# The slow changes share a chart: a check finds one of them.
+_SLOW = " or ".join(SLOW)
 CHARTED = ("gain", "width", "offset", "delay", _SLOW)
 
 
@@ -242,7 +243,7 @@ def _past(path: Path) -> PastCheck:
         checked = datetime.fromisoformat(data["checked"])
         if checked.tzinfo is None:
             raise ValueError("checked: has no time zone")
-        changes = [(_SLOW if one["name"] in ("creep", "drift") else str(one["name"]), one) for one in data["changes"]]
+        changes = [(_SLOW if one["name"] in SLOW else str(one["name"]), one) for one in data["changes"]]
         before = data["before_percent"]
         return PastCheck(
             checked=checked,

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from dehyst._views import lines
 from dehyst.identification.checking.changes import Change
 from dehyst.model import Trace
+from dehyst.records.metrics import NOISE_PEAK, percent
 
-# Peaks of noise reach so many standard deviations.
-PEAK = 4.0
 # An error this many times that of the identification is another one.
 _WORSE = 1.5
 
@@ -80,7 +80,7 @@ class Recheck:
     @property
     def without_noise(self) -> float:
         """Largest error less the peaks of the sensor's noise [m]: what is compared with the goal."""
-        return max(self.largest - PEAK * self.noise, 0.0)
+        return max(self.largest - NOISE_PEAK * self.noise, 0.0)
 
     @property
     def ratio(self) -> float | None:
@@ -132,7 +132,7 @@ class Recheck:
         return "No new model is needed."
 
     def _percent(self, length: float) -> str:
-        return f"{100 * length / self.stroke:.2g} %"
+        return lines.percent(length, self.stroke)
 
     def change_sentences(self) -> tuple[str, ...]:
         """Return a sentence for each change that counts, the largest first."""
@@ -151,13 +151,13 @@ class Recheck:
             "record_id": self.record_id,
             "samples": self.samples,
             "left_out": self.left_out,
-            "largest_percent": 100 * self.largest / self.stroke,
-            "rms_percent": 100 * self.rms / self.stroke,
-            "without_noise_percent": 100 * self.without_noise / self.stroke,
-            "before_percent": None if self.before is None else 100 * self.before / self.stroke,
+            "largest_percent": percent(self.largest, self.stroke),
+            "rms_percent": percent(self.rms, self.stroke),
+            "without_noise_percent": percent(self.without_noise, self.stroke),
+            "before_percent": None if self.before is None else percent(self.before, self.stroke),
             "ratio": None if ratio is None or not np.isfinite(ratio) else ratio,
             "goal_percent": self.goal,
-            "drift_percent": 100 * self.drift / self.stroke,
+            "drift_percent": percent(self.drift, self.stroke),
             "largest_m": self.largest,
             "rms_m": self.rms,
             "noise_m": self.noise,

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from dehyst.model import Check, Expectation, Outcome, RecordErrors, RemainingError, Verdict
 from dehyst.model.readiness import MOST_SET_ASIDE, WIDEST_GAP
+from dehyst.records.metrics import NOISE_PEAK
 
-# Largest error of a path in RMS errors, at least; peaks of white noise in standard deviations.
-_PEAK, _NOISE_PEAK = 3.0, 4.0
+# Largest error of a path in RMS errors, at least.
+_PEAK = 3.0
 # What is subtracted as noise is known to this part.
 _KNOWN = 0.1
 
@@ -75,7 +76,7 @@ def expectation(
         rms, basis = _beyond(rms, basis, held_out, vibration)
     # Validation records may hold the same kind of loops as those that were trained on; a path does not.
     rms = (rms**2 + held_out.disagreement**2 + (_KNOWN * noise) ** 2) ** 0.5
-    largest = max(max(one.largest for one in judged) - _NOISE_PEAK * noise - vibration, _PEAK * rms)
+    largest = max(max(one.largest for one in judged) - NOISE_PEAK * noise - vibration, _PEAK * rms)
     measured = max(one.rms for one in judged)
     reasons = [*doubts, *_reasons(training, errors, goal)]
     fitted = max(one.rms for one in training)

@@ -31,7 +31,7 @@ class Format(NamedTuple):
 
 
 def _read_text(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read a text file of any kind; what it begins with tells which."""
+    """Read a text file in the format that its first bytes show."""
     if is_labview(data):
         return read_labview(data, allowance)
     return read_gcs(data, allowance) if is_gcs(data) else read_text(data, allowance)

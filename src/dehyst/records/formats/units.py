@@ -38,6 +38,11 @@ _WORDS = {
 }
 _SCALE = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([^\W\d]+)\s*/\s*([^\W\d]+)\s*")
 _EXAMPLES = {"voltage": "100 V/V", "displacement": "10 um/V"}
+# Largest voltage [V] and range of strokes [m] of piezo actuators: no hint leads outside of them.
+HIGHEST_VOLTAGE, STROKES = 1500.0, (1e-9, 1e-3)
+_USUAL = {"time": ("s", "ms"), "voltage": ("V", "mV"), "displacement": ("um", "nm", "mm", "m")}
+# A stroke of many piezo actuators [m].
+_STROKE = 1e-5
 
 
 def symbol_of(unit: str) -> str:
@@ -52,13 +57,6 @@ def quantity_of(unit: str) -> str:
     """Return the quantity of a unit; "" if it is unknown."""
     symbol = symbol_of(unit)
     return next((quantity for quantity, known in UNITS.items() if symbol in known), "")
-
-
-# Largest voltage [V] and range of strokes [m] of piezo actuators: no hint leads outside of them.
-HIGHEST_VOLTAGE, STROKES = 1500.0, (1e-9, 1e-3)
-_USUAL = {"time": ("s", "ms"), "voltage": ("V", "mV"), "displacement": ("um", "nm", "mm", "m")}
-# A stroke of many piezo actuators [m].
-_STROKE = 1e-5
 
 
 class Scale(NamedTuple):

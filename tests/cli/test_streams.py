@@ -1,0 +1,175 @@
+"""Streams, devices and long names: a command ends with a sentence, never with a traceback."""
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from command_line import run_as_process as run
+
+import dehyst.cli.registry
+from dehyst.records import read_table
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="devices, pipes and names of POSIX")
+
+
+@posix
+def test_a_name_of_255_bytes_is_written_and_a_longer_one_refused(tmp_path):
+    longest = "µ" * 125 + "x.csv"
+    assert len(longest.encode()) == 255
+    command = ["excite", "raised-cosine", "10", "-o"]
+    for _ in range(2):
+        assert run(*command, longest, cwd=tmp_path)[0] == 0
+    status, out, err = run(*command, f"x{longest}", cwd=tmp_path)
+    assert (status, out) == (2, "")
+    assert "File name too long" in err and "give a shorter name" in err and err.count("\n") == 1
+    status, _, err = run("simulate", f"x{longest}", "a.csv", "-o", "o.csv", cwd=tmp_path)
+    assert status == 2 and err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == [longest]
+
+
+FULL = Path("/dev/full")
+full = pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
+PRINTING = [
+    ["--help"],
+    ["--version"],
+    ["excite", "staircase", "--help"],
+    ["excite", "raised-cosine", "10", "-o", "v.csv"],
+    ["excite", "raised-cosine", "10", "-o", "v.csv", "--json"],
+    ["simulate", "model.json", "voltage.csv", "-o", "o.csv"],
+]
+
+
+@full
+@pytest.mark.parametrize("command", PRINTING, ids=" ".join)
+def test_a_full_disk_under_standard_output_is_a_sentence(folder, command):
+    with FULL.open("wb") as stream:
+        status, _, err = run(*command, cwd=folder, stdout=stream)
+    assert status == 1
+    assert "dehyst: standard output cannot be written (No space left on device)" in err
+    if "-o" in command:
+        assert (folder / command[command.index("-o") + 1]).is_file()
+
+
+@posix
+@pytest.mark.parametrize("command", PRINTING, ids=" ".join)
+def test_a_closed_standard_output_is_a_sentence(folder, command):
+    status, _, err = run(*command, cwd=folder, stdout=None, preexec_fn=lambda: os.close(1))
+    assert status == 1
+    assert "dehyst: standard output cannot be written (Bad file descriptor)" in err
+    if "-o" in command:
+        assert read_table(folder / command[command.index("-o") + 1]).columns
+
+
+@posix
+@pytest.mark.parametrize("command", PRINTING, ids=" ".join)
+def test_a_reader_that_has_gone_is_left_quietly(folder, command):
+    read, write = os.pipe()
+    os.close(read)
+    status, _, err = run(*command, cwd=folder, stdout=write)
+    os.close(write)
+    assert (status, err) == (1, "")
+
+
+@full
+def test_a_standard_error_that_is_full_or_closed_changes_no_result(folder):
+    command = ["compensate", "model.json", "path.csv", "-o", "o.csv", "--limits", "0", "0.5"]
+    status, out, err = run(*command, cwd=folder)
+    assert status == 1 and "CLAMPED" in err
+    with FULL.open("wb") as stream:
+        assert run(*command, cwd=folder, stderr=stream)[:2] == (status, out)
+        assert run("simulate", "absent", "absent", "-o", "x.csv", cwd=folder, stderr=stream)[0] == 2
+        assert run("--wrong", cwd=folder, stderr=stream)[0] == 2
+        assert run("--help", stdout=stream, stderr=stream)[0] == 1
+    assert run(*command, cwd=folder, stderr=None, preexec_fn=lambda: os.close(2))[:2] == (status, out)
+
+
+@full
+def test_a_full_device_as_output_is_a_sentence(folder):
+    (folder / "full.csv").symlink_to(FULL)
+    status, out, err = run("excite", "raised-cosine", "10", "-o", "full.csv", cwd=folder)
+    assert (status, out) == (2, "")
+    assert (
+        err == "dehyst: full.csv: cannot be written (No space left on device); make room there, or name a place "
+        "that has some\n"
+    )
+    assert (folder / "full.csv").is_symlink()
+
+
+def test_ctrl_c_is_a_sentence():
+    code = (
+        "import os, signal, time, dehyst.studies.demo\n"
+        "dehyst.studies.demo.run = lambda tell: os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)\n"
+        "from dehyst.cli.registry import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "demo"],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "dehyst: stopped by Ctrl-C\n")
+
+
+# What is read as a model
+
+
+@contextlib.contextmanager
+def strangers(folder):
+    """Paths that are no files."""
+    os.mkfifo(folder / "fifo")
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(os.fspath(folder / "socket"))
+        yield ["/dev/zero", "/dev/null", "/dev/stdin", folder / "fifo", folder / "socket"]
+
+
+@posix
+def test_a_model_that_is_no_file_is_refused_at_once(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    read, write = os.pipe()
+    with strangers(Path()) as paths:
+        for path in paths:
+            status, out, err = run("simulate", path, "voltage.csv", "-o", "o.csv", stdin=read, timeout=60)
+            assert (status, out) == (2, "")
+            assert err == f"dehyst: {path}: is a device, a pipe or a socket; give the name of a file\n"
+    os.close(read)
+    os.close(write)
+    status, _, err = run("simulate", folder, "voltage.csv", "-o", "o.csv")
+    assert status == 2 and "this is a folder" in err
+
+
+@posix
+def test_every_command_refuses_a_device_as_its_model(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    (folder / "r.csv").write_text("time_s,voltage_V,displacement_um\n0,1,1\n1,2,2\n")
+    for command in (
+        ["compensate", "/dev/zero", "path.csv", "-o", "o.csv"],
+        ["insight", "/dev/zero", "r.csv"],
+        ["export", "/dev/zero", "c"],
+        ["excite", "homing", "--model", "/dev/zero", "-o", "o.csv"],
+    ):
+        done = CliRunner().invoke(dehyst.cli.registry.main, command)
+        assert done.exit_code == 2 and "/dev/zero: is a device, a pipe or a socket" in done.stderr, command
+
+
+def test_a_model_of_gigabytes_is_refused_by_its_size(folder):
+    with (folder / "huge.json").open("wb") as stream:
+        stream.truncate(4_000_000_000)
+    status, _, err = run("simulate", "huge.json", "voltage.csv", "-o", "o.csv", cwd=folder)
+    assert status == 2 and "huge.json: has 4000 MB, need 100 MB at most" in err
+
+
+def test_commands_print_by_one_door():
+    source = Path(dehyst.cli.registry.__file__).parent
+    paths = sorted(set(source.glob("*.py")) - {source / "terminal.py", source / "live.py"})
+    assert len(paths) > 8
+    for path in paths:
+        assert not re.search(r"click\.s?echo|\bprint\(|sys\.std(out|err)\.write", path.read_text()), path.name
