@@ -38,7 +38,9 @@ def test_a_table_the_figures_and_a_page(folder):
         "page.html",
         cwd=folder,
     )
-    assert (status, err) == (0, "")
+    assert status == 0
+    # A slow machine shows progress.
+    assert all(line.startswith(("dehyst: fitting ", "dehyst: simulating ")) for line in err.splitlines())
     for name in ("dehyst", "Duhem", "linear ratio"):
         assert re.search(rf"^{name} +\d+\.\d+ +\d+\.\d+ +\d+\.\d+ +\d+\.\d+ .* \d+$", out, re.M), out
     assert "Errors in % of the stroke, 16 um" in out

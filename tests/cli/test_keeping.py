@@ -75,10 +75,10 @@ def test_ctrl_c_leaves_the_best_model_so_far(folder):
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 1, err
-    assert err.splitlines()[-2:] == [
-        "dehyst: Ctrl-C: completing the best model so far; press it again to stop at once",
-        "dehyst: stopped by Ctrl-C; the best model so far is in m.json",
-    ]
+    # A slow machine shows progress between the two.
+    lines = err.splitlines()
+    assert "dehyst: Ctrl-C: completing the best model so far; press it again to stop at once" in lines
+    assert lines[-1] == "dehyst: stopped by Ctrl-C; the best model so far is in m.json"
     remark = json.loads(out)["remarks"][0]
     assert remark.startswith("Ctrl-C ended ") and "the model is the best so far" in remark
     assert "Ctrl-C ended" in (folder / "r.html").read_text()

@@ -247,6 +247,7 @@ class Run:
 
     def look_beyond(self, frame: TrainingData, regression: Regression, actuator: Actuator) -> None:
         """Find how far the actuator misses what it was not trained on."""
+        self.remarks += messages.of_one_ended_loops([item.record.voltage for item in (*self.training, *self.held_out)])
         self.held_out_errors = HeldOutErrors(
             block_error(frame, regression),
             size_error(regression),

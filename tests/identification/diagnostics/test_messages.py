@@ -1,5 +1,6 @@
 """What is said of an identification: only what is worth a sentence, and what the record can show."""
 
+import itertools
 import re
 
 import numpy as np
@@ -7,6 +8,7 @@ import plain_records
 import pytest
 
 import dehyst
+from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.messages import repaired
 from dehyst.model import RecordErrors
 from dehyst.records import Record
@@ -88,3 +90,24 @@ def test_a_creep_is_told_as_a_rate():
     fit = dehyst.identify(Record(made.time, made.voltage, crept, "made"), structure="paper", elements=10, delay=0.0)
     said = set_aside(fit)
     assert re.fullmatch(r"made: creeps by \S+ % of the range a decade of time since its start; set aside\.", said)
+
+
+def through(*corners):
+    return np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(corners)])
+
+
+@pytest.mark.parametrize(
+    ("corners", "end"),
+    [
+        ((0, 100, 0, 70, 0, 40, 0), "lowest"),
+        ((0, 100, 20, 100, 50, 100, 0), "highest"),
+        ((0, 100, 20, 80, 40, 60, 0), None),
+        ((0, 100, 0, 100, 0, 100), None),
+        ((0, 100, 0), None),
+    ],
+)
+def test_loops_that_turn_at_one_end_are_remarked(corners, end):
+    remarks = messages.of_one_ended_loops([through(*corners)])
+    assert [end in remark for remark in remarks] == ([True] if end else [])
+    # One record with other loops is enough.
+    assert messages.of_one_ended_loops([through(*corners), through(0, 100, 30, 70, 30, 100, 0)]) == []

@@ -15,6 +15,7 @@ from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
 from dehyst.model import Outcome, RecordErrors
 from dehyst.model.fit import FEWEST_DECADES
+from dehyst.records.signals import turning_points
 
 # Below this many times the noise the stiffness of an element is estimated too small.
 _LOUD = 30
@@ -22,6 +23,8 @@ _LOUD = 30
 _SMALLEST_DRIFT = 2e-4
 # The outer part of the limits' range at each end, and the part of one passage through it that is enough.
 _END, _PASSAGE = 0.1, 0.25
+# Fewer turns are no protocol.
+_FEWEST_TURNS = 4
 # Voltages may leave those of training by this part of their range; errors may be this many times those of training.
 _MARGIN, _USUAL = 0.02, 2
 
@@ -55,6 +58,26 @@ def of_lag(lag: float, moved: float, stroke: float) -> str:
         "by as much: look for its time constant in the sensor's data sheet, or watch a step with a faster sensor, and "
         "give it as sensor_lag=SECONDS (0 if the sensor has none)."
     )
+
+
+def of_one_ended_loops(voltages: Sequence[Array]) -> list[str]:
+    """Return a remark if all inner loops turn at one end of the voltages [V]: a path may have others."""
+    low, high = min(float(v.min()) for v in voltages), max(float(v.max()) for v in voltages)
+    near = _END * (high - low)
+    minima, maxima = [], []
+    for v in voltages:
+        turns = v[turning_points(v, _MARGIN * (high - low))]
+        rises = np.diff(turns, append=turns[-2:-1]) > 0
+        minima += turns[rises].tolist()
+        maxima += turns[~rises].tolist()
+    at_low, at_high = all(v < low + near for v in minima), all(v > high - near for v in maxima)
+    if at_low == at_high or len(minima) + len(maxima) < _FEWEST_TURNS:
+        return []
+    return [
+        f"All inner loops of the records turn at the {'lowest' if at_low else 'highest'} voltage. Loops that turn "
+        "elsewhere were not tested, and a path that has them may be missed by several times the expected error. "
+        "Reversal curves or a random sequence as a validation record would show it."
+    ]
 
 
 def of_noise(first: float, noise: float) -> list[str]:
