@@ -187,6 +187,16 @@ def test_a_start_of_another_unit_or_actuator_is_refused(folder, command):
     assert status in (0, 1) and "history.csv: 1 of 3 voltages lie outside the identified range" in err
 
 
+def test_a_homing_beyond_the_records_is_said(folder):
+    """Limits that are wider than the model's let the homing go there."""
+    table = ("--scan", "triangle", "--low", 3, "--high", 10, "--frequency", 5, "--cycle", "t.csv")
+    for path in (("path.csv",), table):
+        for limits, said in ((("--limits", "-500", "500"), True), ((), False)):
+            status, _, err = run("compensate", "creep.json", *path, "-o", "w.csv", *limits, cwd=folder)
+            assert status in (0, 1)
+            assert ("the homing goes from " in err and "outside of the identified range" in err) == said
+
+
 @pytest.mark.parametrize("command", ["simulate", "compensate"])
 def test_a_start_that_is_nothing_is_refused(folder, command):
     status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "middle", cwd=folder)
