@@ -90,6 +90,22 @@ def test_show_reads_a_pipe_once(tmp_path, monkeypatch):
     assert done.exit_code == 0, done.stderr
 
 
+def test_a_scale_that_contradicts_the_file_is_in_no_command(monitor):
+    """A message prints no command that fails in the same way."""
+    (monitor / "plain.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n2,0,0\n")
+    done = run("show", "plain.csv", "--displacement-scale", "10 um/V")
+    assert done.exit_code == 2
+    assert "has the unit 'um', but the scale 10 um/V is for V" in done.stderr
+    assert "try:" not in done.stderr
+    # Nor if another column is to be selected, too.
+    (monitor / "plain.csv").write_text("time_s,ch1_V,ch2_um\n0,0,0\n1,1,1\n2,0,0\n")
+    done = run(
+        "show", "plain.csv", "--voltage-scale", "1 V/V", "--displacement", "ch2_um", "--displacement-scale", "1 um/V"
+    )
+    assert done.exit_code == 2
+    assert "try:" not in done.stderr
+
+
 def test_a_joined_file_is_not_replaced(monitor):
     laboratory_files.two_files(monitor / "drive.csv")
     done = run("identify", "drive.csv", "--join", "sensor.csv", "-o", "sensor.csv", "--force")
