@@ -106,6 +106,12 @@ def test_a_scale_that_contradicts_the_file_is_in_no_command(monitor):
     assert "try:" not in done.stderr
 
 
+def test_leaving_out_all_columns_is_refused(monitor):
+    done = run("show", "bare.csv", "--columns", "-,-,-")
+    assert done.exit_code == 2
+    assert "columns: got '-,-,-', which leaves out all columns" in done.stderr
+
+
 def test_a_joined_file_is_not_replaced(monitor):
     laboratory_files.two_files(monitor / "drive.csv")
     done = run("identify", "drive.csv", "--join", "sensor.csv", "-o", "sensor.csv", "--force")
