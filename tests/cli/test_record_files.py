@@ -112,6 +112,22 @@ def test_leaving_out_all_columns_is_refused(monitor):
     assert "columns: got '-,-,-', which leaves out all columns" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("scale", "said"), [("1e400 V/V", "the number is finite and not 0"), ("0,1 V/mV", "with a decimal point")]
+)
+def test_a_scale_that_is_no_number_is_explained(monitor, scale, said):
+    done = run("show", "monitor.csv", "--voltage", "Monitor [mV]", "--voltage-scale", scale)
+    assert done.exit_code == 2
+    assert said in done.stderr
+
+
+def test_german_words_for_units(monitor):
+    (monitor / "zeit.csv").write_text("Zeit in Millisekunden;Spannung in Volt;Weg in Mikrometer\n0;0;0\n1;1;1\n2;0;0\n")
+    record = read("zeit.csv")
+    assert record.time == pytest.approx([0, 1e-3, 2e-3])
+    assert record.displacement == pytest.approx([0, 1e-6, 0])
+
+
 def test_a_joined_file_is_not_replaced(monitor):
     laboratory_files.two_files(monitor / "drive.csv")
     done = run("identify", "drive.csv", "--join", "sensor.csv", "-o", "sensor.csv", "--force")
