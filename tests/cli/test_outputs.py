@@ -561,3 +561,12 @@ def test_commands_print_by_one_door():
     assert len(paths) > 8
     for path in paths:
         assert not re.search(r"click\.s?echo|\bprint\(|sys\.std(out|err)\.write", path.read_text()), path.name
+
+
+def test_a_dash_is_no_name_of_an_output(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "loops.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n")
+    done = CliRunner().invoke(dehyst.cli.registry.main, ["identify", "loops.csv", "-o", "-"])
+    assert done.exit_code == 2
+    assert "-: is no name of a file" in done.stderr
+    assert not (tmp_path / "-").exists()
