@@ -262,3 +262,12 @@ def test_demo_leaves_other_folders_alone(journey, tmp_path):
     assert (status, out) == (2, "") and "holds other files (loops.csv)" in err
     with pytest.raises(FileFormatError, match=r"cannot be made a folder \(it is a file\); give another"):
         demand_own_folder(tmp_path / "loops.csv", "demo.json", "dehyst-demo")
+
+
+def test_a_dash_is_no_name_of_an_output(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "loops.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n")
+    done = CliRunner().invoke(dehyst.cli.registry.main, ["identify", "loops.csv", "-o", "-"])
+    assert done.exit_code == 2
+    assert "-: is no name of a file" in done.stderr
+    assert not (tmp_path / "-").exists()

@@ -90,6 +90,44 @@ def test_show_reads_a_pipe_once(tmp_path, monkeypatch):
     assert done.exit_code == 0, done.stderr
 
 
+def test_a_scale_that_contradicts_the_file_is_in_no_command(monitor):
+    """A message prints no command that fails in the same way."""
+    (monitor / "plain.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n2,0,0\n")
+    done = run("show", "plain.csv", "--displacement-scale", "10 um/V")
+    assert done.exit_code == 2
+    assert "has the unit 'um', but the scale 10 um/V is for V" in done.stderr
+    assert "try:" not in done.stderr
+    # Nor if another column is to be selected, too.
+    (monitor / "plain.csv").write_text("time_s,ch1_V,ch2_um\n0,0,0\n1,1,1\n2,0,0\n")
+    done = run(
+        "show", "plain.csv", "--voltage-scale", "1 V/V", "--displacement", "ch2_um", "--displacement-scale", "1 um/V"
+    )
+    assert done.exit_code == 2
+    assert "try:" not in done.stderr
+
+
+def test_leaving_out_all_columns_is_refused(monitor):
+    done = run("show", "bare.csv", "--columns", "-,-,-")
+    assert done.exit_code == 2
+    assert "columns: got '-,-,-', which leaves out all columns" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"), [("1e400 V/V", "the number is finite and not 0"), ("0,1 V/mV", "with a decimal point")]
+)
+def test_a_scale_that_is_no_number_is_explained(monitor, scale, said):
+    done = run("show", "monitor.csv", "--voltage", "Monitor [mV]", "--voltage-scale", scale)
+    assert done.exit_code == 2
+    assert said in done.stderr
+
+
+def test_german_words_for_units(monitor):
+    (monitor / "zeit.csv").write_text("Zeit in Millisekunden;Spannung in Volt;Weg in Mikrometer\n0;0;0\n1;1;1\n2;0;0\n")
+    record = read("zeit.csv")
+    assert record.time == pytest.approx([0, 1e-3, 2e-3])
+    assert record.displacement == pytest.approx([0, 1e-6, 0])
+
+
 def test_a_joined_file_is_not_replaced(monitor):
     laboratory_files.two_files(monitor / "drive.csv")
     done = run("identify", "drive.csv", "--join", "sensor.csv", "-o", "sensor.csv", "--force")

@@ -168,6 +168,36 @@ def test_voltages_alone_are_a_start_as_far_as_they_determine_it(folder):
 
 
 @pytest.mark.parametrize("command", ["simulate", "compensate"])
+def test_a_start_of_another_unit_or_actuator_is_refused(folder, command):
+    """Voltages and displacements far from the model's lead to no state of it."""
+    write_columns(folder / "next.csv", {"time_s": np.arange(50.0), "voltage_V": np.linspace(30, 100, 50)})
+    file = "next.csv" if command == "simulate" else "path.csv"
+    given = (command, "model.json", file, "-o", "x.csv", "--start", "history.csv")
+    write_columns(folder / "history.csv", {"voltage_V": np.array([0.0, 2e5, 3e4])})
+    status, _, err = run(*given, cwd=folder)
+    assert status == 2 and "history.csv: voltage: got 0 to 200000 V, the model was identified from" in err
+    time, voltage = np.arange(400.0), 100 - 100 * np.cos(np.arange(400) / 30)
+    other = {"time_s": time, "voltage_V": voltage, "displacement_um": 2 * voltage}
+    write_columns(folder / "history.csv", other)
+    status, _, err = run(*given, cwd=folder)
+    assert status == 2 and "history.csv: displacement: got" in err
+    # Somewhat outside is a remark.
+    write_columns(folder / "history.csv", {"voltage_V": np.array([0.0, 230.0, 30.0])})
+    status, _, err = run(*given, cwd=folder)
+    assert status in (0, 1) and "history.csv: 1 of 3 voltages lie outside the identified range" in err
+
+
+def test_a_homing_beyond_the_records_is_said(folder):
+    """Limits that are wider than the model's let the homing go there."""
+    table = ("--scan", "triangle", "--low", 3, "--high", 10, "--frequency", 5, "--cycle", "t.csv")
+    for path in (("path.csv",), table):
+        for limits, said in ((("--limits", "-500", "500"), True), ((), False)):
+            status, _, err = run("compensate", "creep.json", *path, "-o", "w.csv", *limits, cwd=folder)
+            assert status in (0, 1)
+            assert ("the homing goes from " in err and "outside of the identified range" in err) == said
+
+
+@pytest.mark.parametrize("command", ["simulate", "compensate"])
 def test_a_start_that_is_nothing_is_refused(folder, command):
     status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "middle", cwd=folder)
     assert status == 2 and "got 'middle', need top, bottom, relaxed, homed, or a file" in err

@@ -385,3 +385,9 @@ def test_measured_data(name, rows):
     assert record.sample_time == pytest.approx(0.005)
     assert record.meta["columns"]["voltage"] == "drive_V"
     record.check_usable()
+
+
+def test_a_record_that_is_written_is_a_record(tmp_path):
+    record = Record(T, V, Y)
+    with pytest.raises(FileFormatError, match="record: got str, need a Record; give the path first"):
+        write_record(record, str(tmp_path / "a.csv"))

@@ -177,3 +177,9 @@ def test_without_repeats_there_are_no_intervals():
     assert found.homing.certified
     with pytest.raises(dehyst.ModelError, match="got 0 and a trajectory"):
         insight(actuator, record, trajectory=[1e-6, 2e-6], repeats=0)
+
+
+def test_arguments_in_the_wrong_order_are_explained():
+    record = Record(np.arange(3.0), np.arange(3.0), np.arange(3.0) * 1e-6)
+    with pytest.raises(dehyst.ModelError, match="actuator: got Record, need an Actuator"):
+        insight(record, record)

@@ -212,6 +212,8 @@ def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
     if len({os.path.realpath(output) for output in named}) < len(named):
         raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own name")
     for output in named:
+        if str(output) == "-":
+            raise FileFormatError("-: is no name of a file, and standard output holds the summary; name a file")
         if any(_same(output, path) for path in inputs):
             raise FileFormatError(f"{output}: is also an input of this command; give another name for the output")
         refuse_replacing(output)

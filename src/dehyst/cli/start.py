@@ -89,19 +89,40 @@ def given_start(
     table = read_table(start, max_bytes=max_bytes)
     voltage, timed = table.column("voltage"), actuator.needs_time or table.has("displacement")
     time = table.column("time") if timed else None
+    outside = _outside_words(actuator, start.name, voltage, limits)
     if time is not None and table.has("displacement"):
-        return _after_record(actuator, Record(time, voltage, table.column("displacement"), start.name))
-    return PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=start.name), []
+        state, beside = _after_record(actuator, Record(time, voltage, table.column("displacement"), start.name))
+        return state, [*outside, *beside]
+    known = PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=start.name)
+    return known, outside
+
+
+def _outside_words(actuator: Actuator, name: str, voltage: Any, limits: tuple[float, float] | None) -> list[str]:
+    """Return a remark on earlier voltages outside the identified range; refuse those far outside of what is allowed."""
+    from dehyst._errors import ModelError
+    from dehyst.model.plausibility import Range, voltage_error
+
+    if actuator.limits is None:
+        return []
+    identified = Range(*actuator.limits)
+    far = identified.joined(*([] if limits is None else [limits])).far_ends(voltage)
+    if far is not None:
+        raise ModelError(f"{name}: {voltage_error(far, identified)}")
+    return [f"{name}: {words}" for words in outside_warnings(actuator, voltage)[2]]
 
 
 def _after_record(actuator: Actuator, record: Record) -> tuple[PossibleStart, list[str]]:
     """Return the state at the end of a record, and a remark if its voltages lie beside the model's."""
     import numpy as np
 
+    from dehyst._errors import ModelError
     from dehyst.control import PossibleStart
     from dehyst.control.start_error import model_error
     from dehyst.identification import state_after
+    from dehyst.model.plausibility import implausibility
 
+    if reason := implausibility(actuator, record.displacement, None):
+        raise ModelError(f"{record.name}: {reason}")
     state, offset = state_after(actuator, record)
     low, high = actuator.voltage_range
     share = abs(offset) / (high - low)

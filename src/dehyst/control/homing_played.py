@@ -84,7 +84,20 @@ def played_homing(
     if len(homing.turns) < 2:
         return None, homing, remarks
     played = homing.played or homing_through(turns=homing.turns, drive=drive)
-    return played, homing, (*remarks, *played.warnings)
+    return played, homing, (*remarks, *_extrapolation_warning(actuator, played.voltage), *played.warnings)
+
+
+def _extrapolation_warning(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
+    """Warn of a homing (n,) [V] that leaves the voltages of the model's records: they may harm the actuator."""
+    if actuator.limits is None:
+        return ()
+    (low, high), least, most = actuator.limits, float(voltage.min()), float(voltage.max())
+    if low <= least and most <= high:
+        return ()
+    return (
+        f"the homing goes from {least:.6g} to {most:.6g} V, outside of the identified range {low:.6g} to {high:.6g} V: "
+        "extrapolated; check that the actuator allows these voltages, or choose narrower limits",
+    )
 
 
 def rows_of(voltage: Array) -> NDArray[np.int64]:

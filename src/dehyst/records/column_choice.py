@@ -11,7 +11,7 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst._types import Array
 from dehyst.records.formats.columns import EXAMPLES, UNITS, Column, ColumnError, Table, listed
-from dehyst.records.formats.units import plausible_unit, quantity_of
+from dehyst.records.formats.units import plausible_unit, quantity_of, scale_of
 
 _PARTS = {
     "time": ("time", "zeit", "second", "temps"),
@@ -95,6 +95,9 @@ def _options(table: Table, choice: Choice, found: list[str], problems: list[Colu
     used |= _assigned([c for c in free if c not in used.values()], [q for q in wanted if q not in used])
     if any(column.unnamed for column in free) and len(used) == len(wanted):
         return {"columns": ",".join(_entry(column, used) for column in table.columns)}
+    if any(_refuses(choice.scale(quantity), quantity, column) for quantity, column in used.items()):
+        # No name mends a scale that is wrong.
+        return {}
     options: dict[str, str] = {}
     for quantity in wanted:
         if quantity in used:
@@ -140,6 +143,12 @@ def _option(quantity: str, column: Column, scale: str | None) -> dict[str, str]:
         return {}
     unit = plausible_unit(quantity, column.data)
     return {quantity: f"{name}:{unit}"} if unit else {}
+
+
+def _refuses(scale: str | None, quantity: str, column: Column) -> bool:
+    """Return whether a scale contradicts the unit that the file states for a column."""
+    stated = column.parts[1]
+    return scale is not None and bool(stated) and bool(scale_of(quantity, scale).refusal(stated))
 
 
 def _entry(column: Column, used: Mapping[str, Column]) -> str:

@@ -17,7 +17,7 @@ def renamed(table: Table, columns: str) -> Table:
     Raises
     ------
     FileFormatError
-        There are more entries than columns, fewer, an unknown unit, or a name twice.
+        There are more entries than columns, fewer, an unknown unit, a name twice, or no name.
     """
     entries = [entry.strip() for entry in columns.split(",")]
     if len(entries) != len(table.columns):
@@ -35,4 +35,8 @@ def renamed(table: Table, columns: str) -> Table:
     names = [column.name for column in named]
     if len(set(names)) < len(names):
         raise FileFormatError(f"{table.source}: columns: got {listed(tuple(names))}; give each name once")
+    if not named:
+        raise FileFormatError(
+            f"{table.source}: columns: got '{columns}', which leaves out all columns; name one at least, as time:s"
+        )
     return replace(table, columns=tuple(named))

@@ -189,6 +189,10 @@ def write_record(path: PathLike, record: Record) -> None:
     An existing file is replaced. The new file is a measurement, not an output: no command replaces it without --force.
     `path` ends in .csv.
     """
+    if not isinstance(record, Record):
+        raise FileFormatError(
+            f"record: got {type(record).__name__}, need a Record; give the path first, then the record"
+        )
     columns = {"time_s": record.time, "voltage_V": record.voltage, "displacement_um": record.displacement * 1e6}
     write_atomically(path, "\n".join([*_lines(path, columns), ""]))
 

@@ -79,6 +79,8 @@ def insight(
     ModelError
         If a trajectory is given without repeats, or is no path.
     """
+    if not isinstance(actuator, Actuator):
+        raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator, such as the one of a Fit")
     _check(trajectory is not None, repeats, level, precision)
     progress("reading the records beside the model")
     allowed = actuator.limits if limits is None else interval(limits)

@@ -169,3 +169,10 @@ def test_ids_are_those_of_the_numbers():
     assert (one.model_id, one.record_id) == (other.model_id, other.record_id)
     assert dehyst.check(model, loops.later(2)).record_id != one.record_id
     assert dehyst.check(replace(model, delay=0.1), record).model_id != one.model_id
+
+
+def test_arguments_in_the_wrong_order_are_explained():
+    record = Record(np.arange(3.0), np.arange(3.0), np.arange(3.0) * 1e-6)
+    for actuator in (record, "model.json"):
+        with pytest.raises(IdentifyError, match=r"actuator: got \w+, need an Actuator"):
+            dehyst.check(actuator, record)

@@ -62,6 +62,8 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
     IdentifyError
         If no sample counts, or the goal is impossible.
     """
+    if not isinstance(actuator, Actuator):
+        raise IdentifyError(f"actuator: got {type(actuator).__name__}, need an Actuator, such as the one of a Fit")
     goal = (_number_of(actuator, "goal_percent") or _GOAL) if goal is None else goal
     goal = _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
     if not isinstance(record, Record):

@@ -21,16 +21,16 @@ _WORDS = {
     word: symbol
     for symbol, words in {
         "s": "second seconds sec secs sekunde sekunden",
-        "ms": "millisecond milliseconds msec",
+        "ms": "millisecond milliseconds msec millisekunde millisekunden",
         "us": "microsecond microseconds usec",
         "ns": "nanosecond nanoseconds nsec",
-        "min": "minute minutes",
+        "min": "minute minutes minuten",
         "V": "volt volts",
         "mV": "millivolt millivolts",
         "kV": "kilovolt kilovolts",
         "m": "meter meters metre metres",
         "mm": "millimeter millimeters millimetre millimetres",
-        "um": "micrometer micrometers micrometre micrometres micron microns",
+        "um": "micrometer micrometers micrometre micrometres micron microns mikrometer",
         "nm": "nanometer nanometers nanometre nanometres",
         "pm": "picometer picometers picometre picometres",
     }.items()
@@ -89,15 +89,16 @@ def scale_of(quantity: str, text: str) -> Scale:
         It is no number with two units, its first unit is not of the quantity, or the number is 0 or not finite.
     """
     what = f"{quantity}_scale: got '{text}', need a number with two units, as in '{_EXAMPLES[quantity]}'"
-    match = _SCALE.fullmatch(text)
+    match = _SCALE.fullmatch(text) if isinstance(text, str) else None
     if match is None:
-        raise FileFormatError(what)
+        point = "; with a decimal point" if "," in str(text) else ""
+        raise FileFormatError(f"{what}{point}")
     try:
         number, unit, per = float(match[1]), symbol_of(match[2]), symbol_of(match[3])
     except ValueError as error:
         raise FileFormatError(what) from error
     if not isfinite(number) or number == 0:
-        raise FileFormatError(f"{what}; the number is not 0")
+        raise FileFormatError(f"{what}; the number is finite and not 0")
     if unit not in UNITS[quantity]:
         raise FileFormatError(f"{what}; the first unit is one of {', '.join(UNITS[quantity])}")
     if not per:
