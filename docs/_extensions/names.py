@@ -1,0 +1,60 @@
+"""Links from names to the reference, and the look of the gallery's figures."""
+
+import re
+from typing import Any
+
+from docutils import nodes
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+from sphinx.transforms.post_transforms import SphinxPostTransform
+
+NAME = re.compile(r"(dehyst(?:\.\w+)+)(?:\(.*\))?")
+
+
+class LinkNames(SphinxPostTransform):
+    """Link names such as `dehyst.Compensator`, in the code of a page's text, to the reference."""
+
+    default_priority = 5
+
+    def run(self, **kwargs: Any) -> None:
+        """Wrap each literal that is a public name into a reference."""
+        objects = self.env.domains["py"].objects
+        for literal in list(self.document.findall(nodes.literal)):
+            found = NAME.fullmatch(literal.astext())
+            if not found or found[1] not in objects or not isinstance(literal.parent, nodes.Element):
+                continue
+            if isinstance(literal.parent, (nodes.reference, pending_xref)):
+                continue
+            link = pending_xref("", refdomain="py", reftype="obj", reftarget=found[1], refdoc=self.env.docname)
+            literal.replace_self(link)
+            link += literal
+
+
+def leave_as_code(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.Node) -> nodes.Node | None:
+    """Show a name in backticks that the reference does not have as code: a parameter, an equation, a file."""
+    return content if node.get("refdomain") == "py" and node.get("reftype") == "obj" else None
+
+
+def plain_figures(gallery: dict[str, Any], name: str) -> None:
+    """Give each example's figures a white background, which dark pages need, and one size of letters."""
+    import matplotlib as mpl
+
+    mpl.rcParams.update(
+        {
+            "figure.figsize": (8, 4),
+            "figure.facecolor": "white",
+            "figure.constrained_layout.use": True,
+            "savefig.facecolor": "white",
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "legend.frameon": False,
+        }
+    )
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register with Sphinx."""
+    app.add_post_transform(LinkNames)
+    app.connect("missing-reference", leave_as_code)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
