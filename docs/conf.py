@@ -36,11 +36,13 @@ html_show_sourcelink = False
 # Names in single backticks of a docstring lead to the reference where it has them: see `_extensions/names.py`.
 default_role = "py:obj"
 autodoc_member_order = "groupwise"
+toc_object_entries = False
 autodoc_typehints = "none"
 autodoc_preserve_defaults = True
 autodoc_mock_imports = ["aioca", "bluesky", "nidaqmx", "ophyd_async", "softioc"]
 autosummary_generate = True
 autosummary_ignore_module_all = False
+autosummary_imported_members = True
 # What `dehyst` offers is described there, and only linked from the pages of the rooms.
 autosummary_context = {"top": sorted(set(dehyst.__all__) - {"__version__"})}
 numpydoc_show_class_members = False

@@ -31,9 +31,17 @@ class LinkNames(SphinxPostTransform):
             link += literal
 
 
-def leave_as_code(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.Node) -> nodes.Node | None:
-    """Show a name in backticks that the reference does not have as code: a parameter, an equation, a file."""
-    return content if node.get("refdomain") == "py" and node.get("reftype") == "obj" else None
+def missing(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.Element) -> nodes.Node | None:
+    """Find a class of a private module by its public name, and show other names in backticks as code.
+
+    These are parameters, equations and files. All other references that lead nowhere stay warnings.
+    """
+    if node.get("refdomain") != "py":
+        return None
+    public = "dehyst." + node["reftarget"].rpartition(".")[2]
+    if node["reftarget"].startswith("dehyst._") and public in env.domains["py"].objects:
+        return env.domains["py"].resolve_xref(env, node["refdoc"], app.builder, "obj", public, node, content)
+    return content if node["reftype"] == "obj" else None
 
 
 def plain_figures(gallery: dict[str, Any], name: str) -> None:
@@ -56,5 +64,5 @@ def plain_figures(gallery: dict[str, Any], name: str) -> None:
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register with Sphinx."""
     app.add_post_transform(LinkNames)
-    app.connect("missing-reference", leave_as_code)
+    app.connect("missing-reference", missing)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -34,5 +34,5 @@ fit.plot("residuals", ax=right)
 plt.show()
 
 # %%
-# The model is a file in JSON that any version of dehyst from now on reads.
-fit.actuator.save("model.json")
+# ``fit.actuator.save("model.json")`` writes the model as JSON, and ``dehyst.Actuator.load`` reads it.
+print(fit.actuator)
