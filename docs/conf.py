@@ -8,7 +8,7 @@ import dehyst
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "dehyst"
-author = "The dehyst developers"
+author = project_copyright = "The dehyst developers"
 version = release = dehyst.__version__
 extensions = [
     "myst_parser",
@@ -53,7 +53,7 @@ sphinx_gallery_conf = {
     "examples_dirs": ["../examples/gallery"],
     "gallery_dirs": ["gallery"],
     "filename_pattern": r"\.py$",
-    "within_subsection_order": "ExampleTitleSortKey",
+    "within_subsection_order": "names.InOrderOfWork",
     "reset_modules": ("matplotlib", "names.plain_figures"),
     "download_all_examples": False,
     "show_memory": False,

@@ -1,14 +1,32 @@
 """Links from names to the reference, and the look of the gallery's figures."""
 
 import re
+from pathlib import Path
 from typing import Any
 
 from docutils import nodes
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
+from sphinx.ext import autosummary
 from sphinx.transforms.post_transforms import SphinxPostTransform
 
+# Of the examples; others come last.
+ORDER = (
+    "identify_from_loops",
+    "straight_gain",
+    "asymmetric_loops",
+    "creep",
+    "sensor_delay",
+    "what_records_leave_open",
+    "check_a_month_later",
+    "compare_models",
+    "control_loop",
+    "saturating_limits",
+    "scan_wave_table",
+    "micrometres",
+    "export_to_c",
+)
 NAME = re.compile(r"(dehyst(?:\.\w+)+)(?:\(.*\))?")
 
 
@@ -44,6 +62,21 @@ def missing(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nod
     return content if node["reftype"] == "obj" else None
 
 
+class InOrderOfWork:
+    """Sort key of the examples: as one works, from loops to firmware."""
+
+    def __init__(self, folder: str) -> None:
+        self._folder = folder
+
+    def __repr__(self) -> str:
+        return "<InOrderOfWork>"
+
+    def __call__(self, name: str) -> tuple[int, str]:
+        """Return the place of the example of this file name."""
+        stem = Path(name).stem
+        return ORDER.index(stem) if stem in ORDER else len(ORDER), name
+
+
 def plain_figures(gallery: dict[str, Any], name: str) -> None:
     """Give each example's figures a white background, which dark pages need, and one size of letters."""
     import matplotlib as mpl
@@ -63,6 +96,8 @@ def plain_figures(gallery: dict[str, Any], name: str) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register with Sphinx."""
+    # Else a summary ends at the dot of the first.
+    autosummary.WELL_KNOWN_ABBREVIATIONS += ("Eq.", "Eqs.", "Sec.")
     app.add_post_transform(LinkNames)
     app.connect("missing-reference", missing)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

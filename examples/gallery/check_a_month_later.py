@@ -5,6 +5,8 @@ Check a model a month later
 Record a few loops and compare: is the model still true, and if not, what has changed?
 """
 
+from textwrap import fill
+
 import matplotlib.pyplot as plt
 
 import dehyst
@@ -20,7 +22,7 @@ record = dehyst.Record(tops.time, tops.voltage, stage.play(tops.voltage), name="
 actuator = dehyst.identify(record).actuator
 
 # %%
-# The same stage, and one whose gain has grown by 2 %.
+# The same stage, one whose gain has grown by 2 %, and one whose loop is wider.
 later = {
     "the same": PlayActuator(seed=1),
     "gain + 2 %": PlayActuator(seed=2, stroke=1.02 * stage.stroke),
@@ -29,9 +31,8 @@ later = {
 for name, today in later.items():
     new = dehyst.Record(loops.time, loops.voltage, today.play(loops.voltage), name=name)
     recheck = dehyst.check(actuator, new, goal=1.0)
-    print(f"{name}: {recheck.sentence}")
-    for sentence in recheck.change_sentences():
-        print("   ", sentence)
+    for sentence in (f"{name}: {recheck.sentence}", *recheck.change_sentences()):
+        print(fill(sentence, 85, subsequent_indent="    "))
 
 # %%
 # The difference of measured and simulated displacement, for each stage: a slope is gain, a loop is width.

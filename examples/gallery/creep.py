@@ -5,6 +5,8 @@ Creep
 Identify creep from loops at two speeds and holds, and hold a displacement for a minute.
 """
 
+from textwrap import fill
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -24,9 +26,8 @@ voltage = np.concatenate([slow.voltage, fast.voltage, stairs.voltage])
 time = np.arange(voltage.size) / rate
 record = dehyst.Record(time, voltage, stage.play(voltage, time=time), name="run")
 fit = dehyst.identify(record)
-for line in fit.summary().splitlines():
-    if "reep" in line:
-        print(line)
+line = next(line for line in fit.summary().splitlines() if line.strip().startswith("Creep:"))
+print(fill(line, 85))
 
 # %%
 # Home, step to 8 um and stay there. The past matters when an actuator creeps, so the state is that of the whole

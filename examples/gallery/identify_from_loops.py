@@ -5,6 +5,8 @@ Identify from loops
 Fit a model to recorded loops, and test it on loops that it has not seen.
 """
 
+from textwrap import fill
+
 import matplotlib.pyplot as plt
 
 import dehyst
@@ -24,7 +26,7 @@ held_out = dehyst.Record(others.time, others.voltage, stage.play(others.voltage)
 # %%
 # The first line of the summary is the verdict.
 fit = dehyst.identify(record, validate=held_out)
-print(fit.summary().splitlines()[0])
+print(fill(fit.summary().splitlines()[0], 85))
 
 # %%
 # Loops of a good fit lie on each other. Without the straight line (left) hysteresis and misfit fill the height.

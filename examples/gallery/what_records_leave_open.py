@@ -35,13 +35,15 @@ for name, excitation in (
     print(f"{name}: {fit.outcome.name}, {fit.errors[0].rms_percent:.3f} % RMS on the record")
 
 # %%
-# The band that should hold the displacement on a path with inner loops: wide where the records leave it open.
-figure, axes = plt.subplots(1, 2, figsize=(10, 4), sharey=True)
+# The band that should hold the error on a path with inner loops: wide where the records leave it open.
+figure, axes = plt.subplots(2, 1, figsize=(9, 7), sharex=True, sharey=True)
 for panel, (name, answer) in zip(axes, answers.items(), strict=True):
     answer.plot("band", ax=panel)
-    panel.set_title(name)
+    panel.set_title(name, loc="left")
 plt.show()
 
 # %%
-# What to record next, if only the major loop is there: each line is a command of dehyst.
-print(answers["major loops only"].summary().split("What to record")[-1][:600])
+# What to record next, if only the major loop is there. The best comes first, with the command that writes its voltage.
+for suggestion in answers["major loops only"].advice[:3]:
+    print(f"{suggestion.determined} of {suggestion.of} directions:", suggestion.words)
+    print("   ", suggestion.command)
