@@ -15,10 +15,11 @@ from dehyst.waveforms import Sampling, descending_tops, raised_cosine
 sampling = Sampling(sample_rate=2)
 
 
-def recorded(excitation):
+def recorded(name, excitation):
     """Play an excitation on a new stage, whose loops are of symmetric width."""
     stage = PlayActuator(asymmetry=0.0, bend=0.0)
-    return dehyst.Record(excitation.time, excitation.voltage, stage.play(excitation.voltage), name=excitation.name)
+    displacement = stage.play(excitation.voltage)
+    return dehyst.Record(excitation.time, excitation.voltage, displacement, name=name)
 
 
 # %%
@@ -29,17 +30,16 @@ for name, excitation in (
     ("major loops only", raised_cosine([200.0], cycles=4, drive=sampling)),
     ("descending tops", descending_tops(200, drive=sampling)),
 ):
-    record = recorded(excitation)
+    record = recorded(name, excitation)
     fit = dehyst.identify(record, structure="paper", elements=10)
     answers[name] = dehyst.insight(fit.actuator, record, trajectory=path, repeats=20)
-    print(f"{name}: {fit.outcome.name}, {fit.errors[0].rms_percent:.3f} % RMS on the record")
+    print(f"{name}: {fit.outcome.name}, {fit.errors[0].rms_percent:.3f} % RMS")
 
 # %%
 # The band that should hold the error on a path with inner loops: wide where the records leave it open.
 figure, axes = plt.subplots(2, 1, figsize=(9, 7), sharex=True, sharey=True)
-for panel, (name, answer) in zip(axes, answers.items(), strict=True):
+for panel, answer in zip(axes, answers.values(), strict=True):
     answer.plot("band", ax=panel)
-    panel.set_title(name, loc="left")
 plt.show()
 
 # %%

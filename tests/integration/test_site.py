@@ -50,7 +50,8 @@ def test_what_a_page_refers_to_is_there(page):
 
 def commands(page):
     """The command lines of a page, those left out that are wrong on purpose or have something to fill in."""
-    lines = re.findall(r"^(?:    |\s*\$ )(?:\$ )?(dehyst .*)$", page.read_text(), re.M)
+    text = re.sub(r"\\\n\s*", "", page.read_text())
+    lines = re.findall(r"^(?:    |\s*\$ )(?:\$ )?(dehyst .*)$", text, re.M)
     return [line for line in lines if not re.search(r" \[|\.\.\.|://\.|<\(| RIG\b|identfy", line)]
 
 
