@@ -2,6 +2,7 @@
 # make test     install with the tests' dependencies and run the tests
 # make nightly  the same tests with all repeats and examples
 # make check    lint, types, import contract, and the C core under strict warnings
+# make docs     build the site into build/docs, with all examples run; a warning is an error
 # make wheel    build the wheel, audit it, and run the demo from it in a new environment
 # make bench    measure speed and accuracy, write benchmarks/*.json and the README's table
 
@@ -10,7 +11,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.txt core/*/*.[ch] core/*/*/*.[ch] bindings/* src/dehyst/* src/dehyst/*/*)
 
-.PHONY: demo test nightly check wheel bench clean
+.PHONY: demo test nightly check docs wheel bench clean
 
 demo: $(VENV)/.report
 	$(BIN)/dehyst demo
@@ -27,6 +28,9 @@ check: $(VENV)/.check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	sh core/tests/strict_build.sh
+
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx -W --keep-going --nitpicky --quiet -d build/doctrees docs build/docs
 
 wheel: $(VENV)/.release
 	.ci/wheel $(BIN)/python
@@ -68,9 +72,13 @@ $(VENV)/.check: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[test,check]'
 	touch $@ $(VENV)/.test $(VENV)/.report
 
+$(VENV)/.docs: $(BIN)/python $(SOURCES)
+	$(BIN)/python -m pip install --quiet '.[docs]'
+	touch $@ $(VENV)/.report
+
 $(VENV)/.release: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[release]'
 	touch $@
 
 clean:
-	rm -rf build dist dehyst-demo $(VENV)
+	rm -rf build dist dehyst-demo docs/gallery docs/reference/api $(VENV)

@@ -1,4 +1,4 @@
-"""Put the figures of `loop.json` into `docs/control.md`, between its markers.
+"""Put the figures of `loop.json` into `docs/how_to/control.md`, between its markers.
 
 With --check nothing is written; the exit status is 0 if the page contains them already.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 from readme import fill
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parent / "docs" / "control.md"
+PAGE = HERE.parent / "docs" / "how_to" / "control.md"
 BLOCK = re.compile(r"(<!-- figures: loop -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 NAMES = {"feedback": "integral feedback", "feedforward": "feedforward (dehyst)", "both": "both"}
 PATHS = ("triangle", "tones")

@@ -1,6 +1,6 @@
 """A compensator in a loop: integral feedback, feedforward and both on a stage that creeps and resonates.
 
-Writes `loop.json` and `docs/loop.svg`, and the table of `docs/control.md` by `control_page.py`. The stage is
+Writes `loop.json`, and `loop.svg` and the table of `docs/how_to/control.md` (by `control_page.py`). The stage is
 `stage.Stage`, no instance of the model, which is identified from its records. All three use the same model and the
 sample before, and keep the same margin:
 

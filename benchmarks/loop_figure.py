@@ -1,4 +1,4 @@
-"""The figure of `docs/control.md`: a raster's lines followed in three ways, and how fast each can be."""
+"""The figure of `docs/how_to/control.md`: a raster's lines followed in three ways, and how fast each can be."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-TARGET = Path(__file__).resolve().parents[1] / "docs" / "loop.svg"
+TARGET = Path(__file__).resolve().parents[1] / "docs" / "how_to" / "loop.svg"
 COLOURS = {"feedback": "#0072b2", "feedforward": "#d55e00", "both": "#009e73"}
 NAMES = {"feedback": "integral feedback", "feedforward": "feedforward", "both": "both"}
 STYLE = {

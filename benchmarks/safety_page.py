@@ -1,4 +1,4 @@
-"""Put the faults of `faults.json` into `docs/safety.md`, between its markers.
+"""Put the faults of `faults.json` into `docs/explanation/safety.md`, between its markers.
 
 With --check nothing is written; the exit status is 0 if the page contains them already.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 from readme import fill
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parent / "docs" / "safety.md"
+PAGE = HERE.parent / "docs" / "explanation" / "safety.md"
 BLOCK = re.compile(r"(<!-- figures: faults -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 HEADS = ("fault", "message", "exit status", "ended after", "voltage", "samples from the device, on disk")
 _LONGEST = 150

@@ -1,4 +1,4 @@
-"""Put the coverage of bands from `coverage.json` into `docs/trust.md`, between its markers.
+"""Put the coverage of bands from `coverage.json` into `docs/explanation/trust.md`, between its markers.
 
 With --check nothing is written; the exit status is 0 if the page contains it already.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 from readme import fill
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parent / "docs" / "trust.md"
+PAGE = HERE.parent / "docs" / "explanation" / "trust.md"
 BLOCK = re.compile(r"(<!-- figures: coverage -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 HEADS = (
     "truth",

@@ -99,7 +99,7 @@ def test_completion_offers_commands_and_options():
 
 
 def test_the_documented_completion_script_is_printed():
-    page = (places.DOCS / "command-line.md").read_text()
+    page = (places.DOCS / "how_to" / "command_line.md").read_text()
     variable = re.search(r"(_DEHYST_COMPLETE)=bash_source", page)[1]
     environment = {**os.environ, variable: "zsh_source"}
     command = [sys.executable, "-c", "from dehyst.cli import main; main(prog_name='dehyst')"]

@@ -224,7 +224,7 @@ def test_the_command_line_refuses(tmp_path, options, words):
 
 def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch):
     """And what it shows: the actuator follows two steps late."""
-    page = (places.DOCS / "fmu.md").read_text()
+    page = (places.DOCS / "how_to" / "simulink.md").read_text()
     names = {}
     ALL["creep"].actuator.save(tmp_path / "model.json")
     monkeypatch.chdir(tmp_path)

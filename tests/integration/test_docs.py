@@ -33,7 +33,7 @@ def my_rig(tmp_path, monkeypatch):
     for name in ("my_rig", "my_lab"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     (tmp_path / "my_lab.py").write_text(MY_LAB)
-    code = next(block for block in blocks("rigs.md") if "class MyRig" in block)
+    code = next(block for block in blocks("how_to/instruments.md") if "class MyRig" in block)
     assert len(code.splitlines()) <= 50
     (tmp_path / "my_rig.py").write_text(code)
     return f"{tmp_path / 'my_rig.py'}:make"
@@ -56,7 +56,7 @@ def test_a_rig_of_fifty_lines_plays_and_keeps_its_limits(my_rig):
 
 
 def test_the_first_lines_run():
-    code = next(block for block in blocks("rigs.md") if "sim://play" in block)
+    code = next(block for block in blocks("how_to/instruments.md") if "sim://play" in block)
     space = {}
     exec(code, space)
     assert len(space["record"]) > 1000
@@ -66,12 +66,12 @@ def test_the_first_lines_run():
 def test_the_calibration_in_python_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     space = {}
-    exec(blocks("calibrate.md")[0], space)
+    exec(blocks("tutorials/first_calibration.md")[0], space)
     assert space["found"].good
     assert read(tmp_path / "stage-1" / "records" / "look.h5").meta["complete"]
 
 
-@pytest.mark.parametrize("page", ["rigs.md", "calibrate.md", "safety.md"])
+@pytest.mark.parametrize("page", ["how_to/instruments.md", "tutorials/first_calibration.md", "explanation/safety.md"])
 def test_what_they_refer_to_is_there(page):
     for target in re.findall(r"\]\(([^)#]+)\)", (DOCS / page).read_text()):
-        assert target.startswith("http") or (DOCS / target).exists(), target
+        assert target.startswith("http") or ((DOCS / page).parent / target).exists(), target

@@ -60,14 +60,14 @@ def test_the_page_on_python_runs(tmp_path, monkeypatch):
     write_record(tmp_path / "loops.csv", record)
     monkeypatch.chdir(tmp_path)
     space = {}
-    for code in re.findall(r"```python\n(.*?)```", (places.DOCS / "python.md").read_text(), re.DOTALL):
+    for code in re.findall(r"```python\n(.*?)```", (places.DOCS / "how_to" / "python.md").read_text(), re.DOTALL):
         exec(code, space)
     pyplot.close("all")
     assert space["command"].units == "um"
     assert len(space["same"]) == len(record)
 
 
-@pytest.mark.parametrize("page", ["python.md", "command-line.md"])
+@pytest.mark.parametrize("page", ["python.md", "command_line.md"])
 def test_what_the_pages_refer_to_is_there(page):
-    for target in re.findall(r"\]\(([^)#]+)\)", (places.DOCS / page).read_text()):
-        assert (places.DOCS / target).exists(), target
+    for target in re.findall(r"\]\(([^)#]+)\)", (places.DOCS / "how_to" / page).read_text()):
+        assert (places.DOCS / "how_to" / target).exists(), target

@@ -186,7 +186,7 @@ def snippets(page):
 
 
 @pytest.mark.parametrize(
-    "page", [*PAGES, *sorted(places.EXAMPLES.glob("*.py"))], ids=lambda page: str(page.relative_to(places.ROOT))
+    "page", [*PAGES, *sorted(places.EXAMPLES.rglob("*.py"))], ids=lambda page: str(page.relative_to(places.ROOT))
 )
 def test_readme_docs_and_examples_use_only_public_names(page):
     public = {"dehyst": FACES["dehyst"], **{f"dehyst.{room}": names for room, names in FACES.items()}, **DRIVERS}

@@ -17,7 +17,7 @@ from dehyst import ClampWarning, Compensator, Dynamics, MissingExtraError, Model
 control = pytest.importorskip("control", reason="python-control is not installed; pip install 'dehyst[control]'")
 
 ROOT = places.ROOT
-PAGE = ROOT / "docs" / "control.md"
+PAGE = ROOT / "docs" / "how_to" / "control.md"
 PERIOD = 1 / wide.RATE
 ANY = (-1e4, 1e4)
 

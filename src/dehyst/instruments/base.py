@@ -45,7 +45,8 @@ class AbstractRig(ABC):
     """An amplifier and a sensor around one actuator.
 
     A driver opens its link in ``__init__``, calls ``super().__init__`` with what the device reports, and implements
-    the methods whose names begin with an underscore; see ``docs/rigs.md``. All methods that send a voltage are final.
+    the methods whose names begin with an underscore; see ``docs/how_to/instruments.md``. All methods that send a
+    voltage are final.
 
     Parameters
     ----------

@@ -232,7 +232,7 @@ class Record:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the sensor's white noise [m], see :func:`white_noise`."""
+        """Standard deviation of the sensor's white noise [m]."""
         return white_noise(self.displacement)
 
     def gaps(self) -> list[tuple[int, float]]:

@@ -1,0 +1,139 @@
+"""The site keeps its word: its links lead somewhere, its code runs, its commands parse, its examples run."""
+
+import importlib.util
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+
+import click
+import numpy as np
+import places
+import pytest
+
+import dehyst
+from dehyst.cli import main
+from dehyst.records import write_record
+from dehyst.studies import demo
+from dehyst.virtual import PlayActuator
+
+PAGES = sorted(places.DOCS.rglob("*.md"))
+EXAMPLES = sorted((places.EXAMPLES / "gallery").glob("*.py"))
+GENERATORS = ("sphinx", "furo", "myst_parser", "numpydoc", "sphinx_gallery", "sphinx_click")
+# Pages whose code runs here; that of the others runs in the tests of what they are about.
+RUN_HERE = ("tutorials/first_stage.md", "how_to/check.md", "how_to/scans.md", "how_to/start_states.md")
+RUN_ELSEWHERE = (
+    "how_to/control.md",
+    "how_to/instruments.md",
+    "how_to/python.md",
+    "how_to/simulink.md",
+    "tutorials/first_calibration.md",
+)
+
+
+def named(page):
+    return page.relative_to(places.ROOT).as_posix()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_what_a_page_refers_to_is_there(page):
+    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
+        path = page.parent / target
+        if path.parent.name == "gallery":  # written by the build
+            path = (places.EXAMPLES / "gallery" / target.rpartition("/")[2]).with_suffix(".py")
+            assert path.exists() or path.stem == "index", target
+        else:
+            assert "://" in target or path.exists(), target
+
+
+def commands(page):
+    """The command lines of a page, those left out that are wrong on purpose or have something to fill in."""
+    text = re.sub(r"\\\n\s*", "", page.read_text())
+    lines = re.findall(r"^(?:    |\s*\$ )(?:\$ )?(dehyst .*)$", text, re.M)
+    return [line for line in lines if not re.search(r" \[|\.\.\.|://\.|<\(| RIG\b|identfy", line)]
+
+
+def parse(words):
+    """Parse a command line as the program does, and run nothing."""
+    command = main
+    while isinstance(command, click.Group):
+        name, *words = words
+        command = command.commands[name]
+    command.make_context(name, words)
+
+
+@pytest.mark.parametrize("page", [page for page in (places.ROOT / "README.md", *PAGES) if commands(page)], ids=named)
+def test_the_commands_of_a_page_parse(page):
+    wrong = []
+    for line in commands(page):
+        try:
+            parse(shlex.split(line, comments=True)[1:])
+        except (KeyError, click.UsageError, dehyst.DehystError) as error:
+            wrong.append((line, str(error)))
+    assert wrong == []
+
+
+def test_the_code_of_every_page_runs_somewhere():
+    with_code = {page.relative_to(places.DOCS).as_posix() for page in PAGES if "```python" in page.read_text()}
+    assert with_code == {*RUN_HERE, *RUN_ELSEWHERE}
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """A folder with the files that the pages name."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    record, other = demo.record_loops(PlayActuator(plays=60))
+    write_record(folder / "loops.csv", record)
+    write_record(folder / "new.csv", other)
+    dehyst.identify(record, structure="paper").actuator.save(folder / "model.json")
+    return folder
+
+
+@pytest.mark.parametrize("page", RUN_HERE)
+def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
+    shutil.copytree(laboratory, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    space = {}
+    for code in re.findall(r"```python\n(.*?)```", (places.DOCS / page).read_text(), re.DOTALL):
+        exec(code, space)
+    if page == "how_to/scans.md":
+        assert space["table"].warnings == ()
+    if page == "tutorials/first_stage.md":
+        assert np.loadtxt("path.csv", delimiter=",", skiprows=1).shape == (400, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
+@pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
+def test_an_example_runs_draws_and_leaves_no_file(example, tmp_path, monkeypatch):
+    matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed; pip install 'dehyst[report]'")
+    matplotlib.use("agg")
+    from matplotlib import pyplot
+
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(example))
+    drawn = pyplot.get_fignums()
+    pyplot.close("all")
+    assert drawn
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_the_site_is_read_without_a_warning(tmp_path):
+    """Links within it lead somewhere, and every page is in a table of contents. The examples are not run here."""
+    missing = [name for name in GENERATORS if importlib.util.find_spec(name) is None]
+    if missing:
+        pytest.skip(f"not installed: {', '.join(missing)}; pip install 'dehyst[docs]'")
+    built = shutil.ignore_patterns("gallery", "api")
+    shutil.copytree(places.DOCS, tmp_path / "docs", ignore=built)
+    shutil.copytree(places.EXAMPLES, tmp_path / "examples")
+    shutil.copy(places.ROOT / "CONTRIBUTING.md", tmp_path)
+    command = [sys.executable, "-m", "sphinx", "-b", "dummy", "-W", "--keep-going", "--nitpicky", "--quiet"]
+    done = subprocess.run(
+        [*command, "-D", "plot_gallery=0", "docs", "build"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "docs" / "reference" / "api" / "dehyst.control.rst").exists()
+    assert (tmp_path / "docs" / "gallery" / "creep.rst").exists()
