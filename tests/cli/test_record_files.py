@@ -5,6 +5,7 @@ import os
 import re
 import shlex
 import threading
+from pathlib import Path
 
 import laboratory_files
 import numpy as np
@@ -66,6 +67,15 @@ def test_show_prints_and_draws(monitor):
     page = (monitor / "page.html").read_text()
     assert page.count("<svg") == 2
     assert "100 V/V" in page
+
+
+def test_show_names_what_no_identification_takes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{i},5,{i % 7}\n" for i in range(40))
+    Path("flat.csv").write_text("time_s,voltage_V,displacement_um\n" + rows)
+    shown = run("show", "flat.csv")
+    assert shown.exit_code == 0 and "No problems found" not in shown.output
+    assert "  - Not usable for an identification: " in shown.output and "constant" in shown.output
 
 
 def test_show_lists_the_columns_of_a_file_that_is_no_record(monitor):

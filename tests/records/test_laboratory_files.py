@@ -103,6 +103,18 @@ def test_a_sensor_in_volts_is_never_taken_for_micrometres(tmp_path):
     assert_measured(read(path, **caught.value.options))
 
 
+def test_volts_are_never_taken_for_millivolts(tmp_path):
+    path = text(tmp_path, "time_s,voltage_V,y_um\n" + laboratory_files.rows(T, V, UM))
+    with pytest.raises(
+        FileFormatError, match="has the unit 'V' in the file, got 'mV'; if the file is wrong, give"
+    ) as it:
+        read(path, voltage="voltage_V:mV")
+    assert 'voltage_scale="0.001 V/V"' in str(it.value)
+    assert read(path, voltage="voltage_V:V").voltage_range == read(path).voltage_range
+    (sentence,) = read(path, voltage_scale="1e-6 V/V").problems()
+    assert "check its unit and scale" in sentence
+
+
 def test_a_monitor_is_asked_for_its_scale(tmp_path):
     path = text(tmp_path, "time_s,monitor_mV,y_um\n" + laboratory_files.rows(T, V * 10, UM))
     assert any("monitor_mV" in sentence for sentence in read(path, voltage="monitor_mV").problems())

@@ -60,7 +60,7 @@ def show(file: Path, report: Path | None, as_json: bool, **options: Any) -> None
     width = max(len(row[1]) for row in rows)
     for quantity, column, words in rows:
         echo(f"{quantity + ':':<14}{column:<{width}}  {words}")
-    problems = worded(record.problems())
+    problems = worded([*_unusable(record), *record.problems()])
     echo()
     echo("Notes:" if problems else "No problems found.")
     for sentence in problems:
@@ -119,8 +119,19 @@ def _numbers(record: Record, table: Table) -> dict[str, Any]:
         "displacement_um": [1e6 * value for value in record.displacement_range],
         "noise_nm": 1e9 * record.noise,
         "cycles": len(record.cycles()),
-        "problems": list(worded(record.problems())),
+        "problems": list(worded([*_unusable(record), *record.problems()])),
     }
+
+
+def _unusable(record: Record) -> list[str]:
+    """Return why no loop can be identified from a record; nothing if one can."""
+    from dehyst._errors import RecordError
+
+    try:
+        record.check_usable()
+    except RecordError as error:
+        return [f"Not usable for an identification: {error}."]
+    return []
 
 
 def _plot(x: Any, y: Any, x_label: str, y_label: str) -> list[str]:

@@ -111,6 +111,8 @@ def outside_reach(
     actuator: Actuator, wanted: Any, limits: tuple[float, float] | None, zero: str | float | None = None
 ) -> list[str]:
     """Return a warning if a path lies outside of the reachable range, with that range and what to try."""
+    import numpy as np
+
     from dehyst.control import Compensator
 
     if not wanted.size:
@@ -120,7 +122,9 @@ def outside_reach(
     margin = _ROUNDING * (high - low)
     if low - margin <= wanted.min() and wanted.max() <= high + margin:
         return []
-    advice = _advice(wanted, (low, high), zero) or "choose a smaller path"
+    fits = float(np.ptp(wanted)) <= high - low
+    another = "choose another --zero, or none" if zero is not None and fits else "choose a smaller path"
+    advice = _advice(wanted, (low, high), zero) or another
     volts = "{:.5g} to {:.5g} V".format(*compensator.limits)
     return [
         f"the path covers {1e6 * wanted.min():.6g} to {1e6 * wanted.max():.6g} um, the model reaches "

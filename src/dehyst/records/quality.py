@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 LARGEST, SHORTEST = 1e30, 1e-30
 # A stroke [m] below any sensor's resolution: the size of an atomic nucleus.
 _LEAST_STROKE = 1e-15
+# Voltages [V] below this are no actuator's, nor those of an amplifier's monitor.
+_LEAST_VOLTAGE = 0.01
 # Share of the time step up to which the rounding of large times is not reported.
 _ROUNDED = 0.02
 
@@ -70,6 +72,10 @@ def problems(record: Record) -> tuple[str, ...]:
     if highest > HIGHEST_VOLTAGE:
         sentences.append(
             f"The voltage reaches {highest:.4g} V, unusual for a piezo actuator; check the voltage's unit and scale."
+        )
+    if 0 < highest < _LEAST_VOLTAGE:
+        sentences.append(
+            f"The voltage stays below {highest:.3g} V, unusual for a piezo actuator; check its unit and scale."
         )
     columns = record.meta.get("columns")
     monitor = str(columns.get("voltage", "")) if isinstance(columns, dict) else ""

@@ -204,7 +204,7 @@ class Table:
         )
 
     def _refuse_relabelled(self, quantity: str, column: Column, stated: str, given: str) -> None:
-        """Refuse to take volts for micrometres because a user gives another unit than the file."""
+        """Refuse to take volts for micrometres, or for millivolts, because a user gives another unit than the file."""
         if given and quantity_of(stated) and quantity_of(given) == quantity and quantity_of(stated) != quantity:
             raise ColumnError(
                 self.source,
@@ -214,6 +214,16 @@ class Table:
                 "instance"
                 if quantity != "time"
                 else "; select another column",
+            )
+        known = UNITS[quantity]
+        if given in known and stated in known and known[given] != known[stated]:
+            factor = f"{known[given] / known[stated]:g} {stated}/{stated}"
+            right = f", give {_option(f'{quantity}_scale', factor)}" if quantity != "time" else ", correct it there"
+            raise ColumnError(
+                self.source,
+                quantity,
+                f"column '{shortened(column.name)}' has the unit '{stated}' in the file, got '{given}'",
+                f"; if the file is wrong{right}",
             )
 
     def _candidates(self, quantity: str) -> list[Column]:
