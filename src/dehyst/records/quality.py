@@ -32,6 +32,10 @@ _ROUNDED = 0.02
 
 def problems(record: Record) -> tuple[str, ...]:
     """Return sentences about what is suspicious but allowed, see `Record.problems`."""
+    return (*_problems_of_times(record), *_problems_of_samples(record), *_problems_of_units(record))
+
+
+def _problems_of_times(record: Record) -> list[str]:
     sentences = []
     steps, gaps = np.diff(record.time), record.gaps()
     if gaps:
@@ -46,6 +50,11 @@ def problems(record: Record) -> tuple[str, ...]:
     jitter = float(np.std(steps[steps <= 1.5 * record.sample_time])) / record.sample_time
     if jitter > 0.01:
         sentences.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; resample the record.")
+    return sentences
+
+
+def _problems_of_samples(record: Record) -> list[str]:
+    sentences = []
     cycles = record.cycles()
     points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
     if points < 50:
@@ -63,7 +72,11 @@ def problems(record: Record) -> tuple[str, ...]:
             f"{record.time[spikes[0]]:.6g} s: remove such spikes, they distort range and fit."
         )
     glitch_remarks = glitch_sentences(glitches(record.time, record.voltage, record.displacement))
-    sentences += [remark[0].upper() + remark[1:] for remark in glitch_remarks]
+    return sentences + [remark[0].upper() + remark[1:] for remark in glitch_remarks]
+
+
+def _problems_of_units(record: Record) -> list[str]:
+    sentences = []
     if not 1e-9 <= record.stroke <= 1e-3:
         sentences.append(
             f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check the displacement's unit."
@@ -84,7 +97,7 @@ def problems(record: Record) -> tuple[str, ...]:
             f"The voltage is column '{shortened(monitor)}': if that is a monitor, which divides the voltage of the "
             'actuator, give its scale, voltage_scale="100 V/V" for instance.'
         )
-    return tuple(sentences)
+    return sentences
 
 
 def _spikes(record: Record) -> NDArray[np.intp]:
