@@ -51,6 +51,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/figure.py
 	$(BIN)/python benchmarks/readme.py
+	$(BIN)/python benchmarks/benchmarks_page.py
 	$(BIN)/python benchmarks/control_page.py
 	$(BIN)/python benchmarks/safety_page.py
 	$(BIN)/python benchmarks/trust_page.py

@@ -367,6 +367,15 @@ def test_a_million_rows(tmp_path):
     assert np.array_equal(record.time, t)
 
 
+def test_rounded_columns_have_no_tails_and_keep_within_their_range(tmp_path):
+    limit = 99.9876543219876
+    voltage = [0.0050000000000000044, 33.33333333333333, -109.99999999999999, limit]
+    write_columns(tmp_path / "a.csv", {"voltage_V": voltage, "empty": [float("nan")] * 4}, digits=12)
+    lines = (tmp_path / "a.csv").read_text().splitlines()[-4:]
+    # The least and the largest would grow by rounding.
+    assert lines == ["0.005,nan", "33.3333333333,nan", "-109.99999999999999,nan", "99.9876543219876,nan"]
+
+
 @pytest.mark.parametrize(("name", "rows"), [("major.csv", 8027), ("ramps.csv", 7350)])
 def test_measured_data(name, rows):
     if not (DATA / name).exists():

@@ -12,6 +12,8 @@ from pathlib import Path
 
 DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
 TIMEOUT = 600
+# Commands write twelve significant digits: a number moves by this part of itself at most.
+WRITTEN = 5e-12
 # A line in: arguments, folder, environment, and files for both outputs of a command. A line out: its exit status.
 # What commands import when they need it, the server has imported. A child ends as an interpreter does, but does not
 # take the modules apart, which would copy all memory that it shares with the server.

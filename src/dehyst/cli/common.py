@@ -20,6 +20,8 @@ from dehyst.cli.option_words import in_words_of, options_of
 from dehyst.cli.terminal import echo, echo_json, guarded_streams, note, worded
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from dehyst._errors import DehystError
     from dehyst.model import Actuator
 
@@ -27,6 +29,8 @@ PATH = click.Path(path_type=Path)
 
 _FORCE = "dehyst.force"
 _INTERRUPTED = 130
+# Significant digits of a table: 0.1 nV of 100 V.
+_DIGITS = 12
 
 
 class Commands(click.Group):
@@ -235,6 +239,13 @@ def _same(first: Path, second: Path) -> bool:
         return first.samefile(second)
     except OSError:
         return os.path.realpath(first) == os.path.realpath(second)
+
+
+def write_output(path: Path, columns: Mapping[str, ArrayLike]) -> None:
+    """Write a table as `write_columns` does, without the tails of rounding errors."""
+    from dehyst.records import write_columns
+
+    write_columns(path, columns, digits=_DIGITS)
 
 
 def read_model(path: Path) -> Actuator:

@@ -19,6 +19,7 @@ from dehyst.cli.common import (
     refuse_overwriting,
     refuse_replacing,
     slew_option,
+    write_output,
 )
 from dehyst.cli.path_voltages import PathVoltages
 from dehyst.cli.record_files import COLUMNS, column_of, columns_options, table_of, time_of_table
@@ -174,7 +175,6 @@ def _follow(
 ) -> None:
     """Write the voltage of a path, and exit."""
     from dehyst.control import Compensator
-    from dehyst.records import write_columns
 
     wanted, _, _ = path
     refuse_astray(request.actuator, wanted, request.limits, zero)
@@ -184,7 +184,7 @@ def _follow(
     progress = progress_line()
     progress(f"writing {voltage.size} rows")
     refuse_replacing(output)
-    write_columns(output, answer.columns)
+    write_output(output, answer.columns)
     progress("")
     low, high = float(voltage.min()), float(voltage.max())
     remarks = [*warnings, *answer.warnings]

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.common import PATH, force_option, json_option, read_model, refuse_overwriting, refuse_replacing
+from dehyst.cli.common import (
+    PATH,
+    force_option,
+    json_option,
+    read_model,
+    refuse_overwriting,
+    refuse_replacing,
+    write_output,
+)
 from dehyst.cli.terminal import echo, echo_json, note, worded
 
 if TYPE_CHECKING:
@@ -17,6 +25,14 @@ if TYPE_CHECKING:
 
 # A negative voltage is not an option.
 _NEGATIVE = {"ignore_unknown_options": True}
+# Cycles a second [Hz] that are tried, the longest time [s] that a recording may take, and the pace of a model's homing.
+_FREQUENCIES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+_LONGEST, _HARDLY = 120.0, 1.25
+_HOMING = 0.1
+_WHY = (
+    "Go slower (--frequency) if the sensor or the amplifier lags behind at this rate, faster if drift or creep adds to "
+    "the loops; best is the rate at which the actuator will be used."
+)
 
 
 @click.group()
@@ -43,7 +59,12 @@ def _play_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option("--present", type=float, metavar="V", help="Present voltage: a ramp leads from it."),
         click.option("--base", type=float, default=0.0, show_default=True, help="Voltage to start from."),
         click.option("--sample-rate", type=float, metavar="HZ", help="Samples a second.  [default: 400 a cycle]"),
-        click.option("--frequency", type=float, default=0.01, show_default=True, help="Cycles a second."),
+        click.option(
+            "--frequency",
+            type=float,
+            metavar="HZ",
+            help="Cycles a second.  [default: the slowest of 0.01, 0.02, 0.05 ... 1 that takes under two minutes]",
+        ),
         click.option("-o", "--output", type=PATH, required=True, help="Write time and voltage here (CSV)."),
     ):
         command = option(command)
@@ -152,7 +173,7 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
     if options["limits"] is not None and given is not click.core.ParameterSource.COMMANDLINE:
         low, high = options["limits"]
         options["base"] = min(max(options["base"], low), high)
-    drive = _drive(options)
+    drive = _drive(options, options["frequency"] or _HOMING)
     ends = {"present": drive.start, "end": options["base"]}
     way = shortest_homing(actuator, limits=options["limits"], **ends, stiff_only=True, drive=drive, hold=hold)
     if not way.certified or way.played is not None:
@@ -173,22 +194,35 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
 
 def _write(make: Callable[[Sampling], Excitation], options: dict[str, Any]) -> None:
     refuse_overwriting([], options["output"])
-    _save(make(_drive(options)), options, "")
+    if options["frequency"] is not None:
+        _save(make(_drive(options, options["frequency"])), options, "")
+        return
+    slow, frequency = _slow_enough(make, options)
+    _save(slow, options, f"{frequency:g} Hz by default")
+    if not options["as_json"]:
+        echo(_WHY)
 
 
-def _drive(options: dict[str, Any]) -> Sampling:
+def _slow_enough(make: Callable[[Sampling], Excitation], options: dict[str, Any]) -> tuple[Excitation, float]:
+    """Return the slowest excitation that takes under two minutes or, if none does, hardly longer than the fastest."""
+    possible = [(make(_drive(options, frequency)), frequency) for frequency in _FREQUENCIES]
+    # A warning says that the slew rate makes legs longer.
+    possible = [one for one in possible if not one[0].warnings] or possible
+    longest = max(_LONGEST, _HARDLY * min(excitation.duration for excitation, _ in possible))
+    return next(one for one in possible if one[0].duration <= longest)
+
+
+def _drive(options: dict[str, Any], frequency: float) -> Sampling:
     from dehyst.waveforms import Sampling
 
-    same = ("frequency", "sample_rate", "base", "present", "limits", "shape", "pace")
-    return Sampling(slew_rate=options["slew"], **{name: options[name] for name in same})
+    same = ("sample_rate", "base", "present", "limits", "shape", "pace")
+    return Sampling(frequency, slew_rate=options["slew"], **{name: options[name] for name in same})
 
 
 def _save(excitation: Excitation, options: dict[str, Any], remark: str) -> None:
-    from dehyst.records import write_columns
-
     output = options["output"]
     refuse_replacing(output)
-    write_columns(output, {"time_s": excitation.time, "voltage_V": excitation.voltage})
+    write_output(output, {"time_s": excitation.time, "voltage_V": excitation.voltage})
     for warning in excitation.warnings:
         note(warning)
     low, high = excitation.voltage_range

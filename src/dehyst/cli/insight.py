@@ -18,6 +18,7 @@ from dehyst.cli.common import (
     refuse_overwriting,
     refuse_replacing,
     report_option,
+    write_output,
 )
 from dehyst.cli.printing import print_insight
 from dehyst.cli.record_files import columns_options, path_of, read_records
@@ -64,7 +65,6 @@ def insight(
     The status is 1 if there is a warning, also if a number of the model is not known to the precision.
     """
     from dehyst._errors import ModelError
-    from dehyst.records import write_columns
     from dehyst.uncertainty import insight as run
 
     if output is not None and trajectory is None:
@@ -89,7 +89,7 @@ def insight(
     assessment = run(actuator, training, trajectory=path, time=time.get("time_s"), progress=progress, **asked)
     refuse_replacing(output, report)
     if output is not None and assessment.band is not None:
-        write_columns(output, {**time, **assessment.band.columns()})
+        write_output(output, {**time, **assessment.band.columns()})
     if report is not None:
         from dehyst.report import write_insight
 

@@ -18,6 +18,7 @@ from dehyst.cli.common import (
     read_model,
     refuse_overwriting,
     refuse_replacing,
+    write_output,
 )
 from dehyst.cli.record_files import column_of, columns_options, table_of, time_of_table
 from dehyst.cli.start import (
@@ -64,7 +65,6 @@ def simulate(
     limits by more than a tenth of their range, or if --home leaves more than the model's error.
     """
     from dehyst._errors import ModelError
-    from dehyst.records import write_columns
 
     if home and start is not None:
         raise ModelError("--start: got it with --home, which determines the state; leave one out")
@@ -82,7 +82,7 @@ def simulate(
         written = {name: lagging(values, actuator, run.time) for name, values in written.items()}
     refuse_replacing(output)
     micro = {name: values * 1e6 for name, values in written.items()}
-    write_columns(output, {**run.time, **run.phase, "voltage_V": run.voltage, **micro})
+    write_output(output, {**run.time, **run.phase, "voltage_V": run.voltage, **micro})
     outside, far, warnings = outside_warnings(actuator, voltage)
     warnings += [*remarks, *run.warnings]
     if actuator.delay and not lag:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dehyst._text import counted
-from dehyst.cli.common import conclude, refuse_replacing
+from dehyst.cli.common import conclude, refuse_replacing, write_output
 from dehyst.cli.scans import in_options
 from dehyst.cli.start import (
     Request,
@@ -41,7 +41,6 @@ def tabulate(
     """Write the wave table of a scan with its homing and start-up, and exit."""
     from dehyst._errors import RecordError
     from dehyst.control import wave_table
-    from dehyst.records import write_columns
 
     refuse_cycles(scan, cycles)
     actuator, limits, slew = request.actuator, request.limits, request.slew
@@ -69,8 +68,8 @@ def tabulate(
     progress(f"writing {table.rows(cycles)} rows")
     played, cycle = table.played(cycles), table.cycle
     refuse_replacing(*outputs)
-    write_columns(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
-    write_columns(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
+    write_output(outputs[0], {"time_s": played.time, "phase": played.phase, **_columns(played)})
+    write_output(outputs[1], {"time_s": cycle.time, **_columns(cycle)})
     progress("")
     warnings = [*map(in_options, table.warnings), *remarks, *_unwritten_warnings(request, start, table)]
     error = _start_error(request, start, table, played)

@@ -347,7 +347,8 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
         starts.append(start[0].shifted(compared.datum))
         for played in compared.play(actuator, number, slice(first, len(piece)), start, _AT_A_TIME):
             sums.add(played)
-    trace = Trace(record.name, protocol.role, *(np.concatenate(column) for column in zip(*sums.drawn, strict=True)))
+    time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*sums.drawn, strict=True))
+    trace = Trace(record.name, protocol.role, time, voltage, measured, simulated, record.start)
     slope = float(np.median(regression.slope(found)))
     offset = float(np.median(list(found.offsets.values()))) - compared.base
     return RecordErrors(

@@ -166,7 +166,8 @@ def may_creep(rate: float, decades: float) -> bool:
 class Trace:
     """A `record` and its simulation: `time` [s], acting `voltage` [V], displacements [m] on the model's axis.
 
-    `role` is training or validation. `measured` and `simulated` are (n,) [m].
+    `role` is training or validation. `measured` and `simulated` are (n,) [m]. `began` is the time of the record's first
+    sample [s], compared or not.
     """
 
     record: str
@@ -175,6 +176,7 @@ class Trace:
     voltage: Array
     measured: Array
     simulated: Array
+    began: float = float("inf")
 
     def __repr__(self) -> str:
         largest = float(np.abs(self.residual).max(initial=0.0))
@@ -235,6 +237,10 @@ class RemainingError:
         return self.rms * float(np.sqrt(self.noise + self.vibration))
 
     def sentence(self, stroke: float) -> str:
+        """Return the record and its `causes`; lengths are parts of `stroke` [m]."""
+        return f"{self.record}: of the remaining error's power, {self.causes(stroke)}"
+
+    def causes(self, stroke: float) -> str:
         """Return the shares in words, lengths as parts of `stroke` [m], with what would reduce the largest one."""
         parts = [(self.noise, "white noise"), (self.slow, "drift or another slow cause"), (self.model, "the model")]
         if self.vibration:
@@ -243,7 +249,9 @@ class RemainingError:
         parts.sort(reverse=True)
         shares = ", ".join(f"{100 * share:.0f} % {cause}" for share, cause in parts)
         remedy = _REMEDIES[parts[0][1].split()[0]]
-        return f"{self.record}: of the remaining error's power, {shares}.{self._where(stroke)} {remedy}"
+        if self.noise == parts[0][0] and self.model > _WORTH:
+            remedy = "A quieter sensor or averaged cycles would reduce it; a better model, its own part."
+        return f"{shares}.{self._where(stroke)} {remedy}"
 
     def _where(self, stroke: float) -> str:
         """Return where the model's part is largest, if it is a part worth naming."""
@@ -259,8 +267,8 @@ class RemainingError:
         return asdict(self)
 
 
-# The model's part is located if it is this share.
-_NAMED = 0.1
+# The model's part is located if it is the first share, and worth a better model if it is the second.
+_NAMED, _WORTH = 0.1, 0.25
 # By the first word of the largest part.
 _REMEDIES = {
     "white": "A quieter sensor or averaged cycles would reduce it; a better model would not.",

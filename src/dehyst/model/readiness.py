@@ -81,6 +81,12 @@ class Expectation:
         return Readiness.READY if self.largest_percent <= self.goal and not self.reasons else Readiness.USABLE
 
     @property
+    def why_not_ready(self) -> tuple[str, ...]:
+        """All that keeps the model from being ready, its error too: each a phrase."""
+        above = self.largest_percent > self.goal
+        return ("the largest error is above the goal", *self.reasons) if above else self.reasons
+
+    @property
     def sentence(self) -> str:
         """The verdict in one line, with its numbers and reasons."""
         text = (
@@ -89,10 +95,9 @@ class Expectation:
             f"The records are missed by {_percent(self.measured, self.stroke)} RMS, the sensor's noise is "
             f"{_percent(self.noise, self.stroke)}."
         )
-        reasons = list(self.reasons)
-        if self.readiness is not Readiness.READY and self.largest_percent > self.goal:
-            reasons.insert(0, "the largest error is above the goal")
-        return f"{text} {'; '.join(reasons).capitalize()}." if reasons else text
+        reasons = self.why_not_ready
+        words = "; ".join(reasons)
+        return f"{text} {words[0].upper()}{words[1:]}." if reasons else text
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -210,24 +210,25 @@ def write_hdf5(path: PathLike, record: Record) -> None:
     write_atomically(path, hdf5.pack(columns, record.name, record.meta, path))
 
 
-def write_columns(path: PathLike, columns: Mapping[str, ArrayLike]) -> None:
-    """Write named (n,) arrays as CSV, at full precision, marked as an output of dehyst (`dehyst._io.marks`).
+def write_columns(path: PathLike, columns: Mapping[str, ArrayLike], *, digits: int | None = None) -> None:
+    """Write named (n,) arrays as CSV, marked as an output of dehyst (`dehyst._io.marks`).
 
-    `path` is the file's. `columns` maps names to arrays.
+    `path` is the file's. `columns` maps names to arrays. `digits` are the significant digits of the numbers, by default
+    as many as give the same numbers when read; rounding never widens the range of a column.
 
     Raises
     ------
     FileFormatError
         The suffix is not one of text, the columns differ in length, or the file cannot be written.
     """
-    lines = _lines(path, columns)
+    lines = _lines(path, columns, digits)
     if len(lines) > 1:
         first, *rest = re.split(r"([,\t])", lines[1], maxsplit=1)
         lines[1] = "".join([marked(first), *rest])
     write_atomically(path, "\n".join([*lines, ""]))
 
 
-def _lines(path: PathLike, columns: Mapping[str, ArrayLike]) -> list[str]:
+def _lines(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None = None) -> list[str]:
     """Return a table as lines of text, the header first."""
     if Path(path).suffix.lower() not in TEXT and (Path(path).is_file() or not Path(path).exists()):
         raise FileFormatError(f"{path}: dehyst writes text only; try the suffix .csv")
@@ -238,5 +239,20 @@ def _lines(path: PathLike, columns: Mapping[str, ArrayLike]) -> list[str]:
         shapes = ", ".join(f"{name} {array.shape}" for name, array in zip(columns, arrays, strict=True))
         raise FileFormatError(f"{path}: columns must be one-dimensional and of one length, got {shapes or 'none'}")
     delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
-    rows = zip(*(map(repr, array.tolist()) for array in arrays), strict=True)
+    rows = zip(*(_texts(array, digits) for array in arrays), strict=True)
     return [delimiter.join(columns), *map(delimiter.join, rows)]
+
+
+def _texts(values: Array, digits: int | None) -> Iterator[str]:
+    """Return the texts of numbers, in full or with so many significant digits."""
+    if digits is None or not values.size:
+        return map(repr, values.tolist())
+    known = np.isfinite(values)
+    low, high = np.min(values, initial=np.inf, where=known), np.max(values, initial=-np.inf, where=known)
+
+    def rounded(value: float) -> str:
+        text = f"{value:.{digits}g}"
+        # A voltage at a limit stays within it.
+        return text if low <= float(text) <= high else repr(value)
+
+    return map(rounded, values.tolist())

@@ -11,6 +11,8 @@ from dehyst.baselines.tracking_trials import TrackingErrors
 from dehyst.report.html import Row, bullets, document, escape, length, number, reproduction, table
 
 _NONE = "–"
+# Bars of one model are no comparison; the longest is so many times the middle one.
+_FEWEST_BARS, _LONGEST = 2, 6.0
 
 
 def write_comparison(path: str | PathLike[str], found: ModelComparison, *, command: str | None = None) -> None:
@@ -30,7 +32,40 @@ def write_comparison(path: str | PathLike[str], found: ModelComparison, *, comma
 
 def comparison_sections(found: ModelComparison) -> list[str]:
     """Return the page's sections, which the report can contain too."""
-    return [part for part in (_table(found), _each(found), _costs(found), _failures(found)) if part]
+    return [part for part in (_bars(found), _table(found), _each(found), _costs(found), _failures(found)) if part]
+
+
+def _bars(found: ModelComparison) -> str:
+    """Return a picture: the largest and RMS error of each model, held out if records are, least first."""
+    role = "validation" if found.held_out else "training"
+    scores = [(score, row.name) for row in found.rows if (score := row.worst(role)) is not None]
+    if len(scores) < _FEWEST_BARS:
+        return ""
+    scores.sort(key=lambda pair: pair[0].largest)
+    # Beside a linear ratio the others would be dots: the scale ends at some times the middle.
+    end = min(scores[-1][0].largest, _LONGEST * scores[len(scores) // 2][0].largest)
+    lines = "\n".join(
+        f"<dt>{_emphasised(name)}</dt><dd>"
+        f'<span class="bar" style="width:{_width(score.largest, end):.1f}%"></span>'
+        f'<span class="bar rms" style="width:{_width(score.rms, end):.1f}%"></span>'
+        f"<small>{number(score.largest)} % · {number(score.rms)} %"
+        f"{' (longer than drawn)' if score.largest > end else ''}</small></dd>"
+        for score, name in scores
+    )
+    which = "the held-out records" if found.held_out else "the training records"
+    return (
+        f'<h2>Which model predicts best</h2>\n<p class="muted">Largest and RMS error on {which}, in % of the stroke; '
+        f'the least first.</p>\n<dl class="bars">{lines}</dl>'
+    )
+
+
+def _emphasised(name: str) -> str:
+    return f"<b>{escape(name)}</b>" if name == OURS else escape(name)
+
+
+def _width(error: float, end: float) -> float:
+    """Return the width of a bar, in % of the room for it."""
+    return 100 * min(error / end, 1.0) if end > 0 else 0.0
 
 
 def _table(found: ModelComparison) -> str:
@@ -58,8 +93,28 @@ def _table(found: ModelComparison) -> str:
         "RMS, with one free constant for each record or with none. Tracking: wanted minus reached displacement of a "
         "virtual actuator along a random path of 40 reversals; the model was fitted to that actuator's own records."
         f"{' ' + escape(found.note) if found.note else ''}</p>\n"
-        f"{table(head, rows, texts=1)}"
+        f"{table(head, rows, texts=1, best=_best(found))}"
     )
+
+
+def _best(found: ModelComparison) -> set[tuple[int, int]]:
+    """Return row and column of the least largest error of each column; none where one row alone has a number."""
+    columns = [
+        [_largest(row.worst("training")) for row in found.rows],
+        [_largest(row.worst("validation")) for row in found.rows],
+        [score.largest_without if (score := row.worst("validation")) else None for row in found.rows],
+        *([_largest(row.tracking.get(name)) for row in found.rows] for name in found.truths),
+    ]
+    best = set()
+    for column, errors in enumerate(columns, 1):
+        known = [(error, i) for i, error in enumerate(errors) if error is not None]
+        if len(known) > 1:
+            best.add((min(known)[1], column))
+    return best
+
+
+def _largest(score: RecordScore | TrackingErrors | None) -> float | None:
+    return None if score is None else score.largest
 
 
 def _costs(found: ModelComparison) -> str:

@@ -1,106 +1,195 @@
-"""Figures and numbers of a fit, as sections of the report: loops, residuals, slip elements and spring."""
+"""Sections on a fit: its verdict, errors by record, choice of the structure, assumptions, remaining error."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
-from dehyst._types import Array
-from dehyst.model import Actuator, Fit, GradedSlip, MaxwellSlip, Trace
-from dehyst.report import plots
-from dehyst.report.html import MINUS, figure, panel, table
+from dehyst.model import Actuator, Expectation, Fit, Readiness, RecordErrors
+from dehyst.model.fit_summary import label
+from dehyst.report.charts import Axis, Chart, Series
+from dehyst.report.html import Charts, Row, escape, length, number, sentence, table
+from dehyst.report.plots import length_unit
 
-MOST_RECORDS = 6
-
-
-def _shown(fit: Fit) -> list[tuple[Trace, float]]:
-    """Return the traces to draw, each with the stroke to which its percentages refer."""
-    traces = [trace for trace in fit.traces if trace.time.size > 1]
-    widest = max((float(np.ptp(trace.measured)) for trace in traces), default=0.0)
-    stroke = fit.errors[0].stroke if fit.errors else widest
-    return [(trace, stroke) for trace in traces[:MOST_RECORDS]]
+_COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
 
 
-def _only(fit: Fit) -> str:
-    if len(fit.traces) <= MOST_RECORDS:
-        return ""
-    return f" The first {MOST_RECORDS} of {len(fit.traces)} records are drawn; the table above lists all."
-
-
-def loops(fit: Fit) -> str:
-    """Return the loops of the records, measured and simulated."""
-    panels = [panel(_whose(t), plots.loop(t, name=f"loop{i}"), "Loop of") for i, (t, _) in enumerate(_shown(fit))]
-    caption = (
-        "Where the thin line (simulated) leaves the broad one (measured), the model is wrong; look at the turning "
-        "points and at the minor loops." + _only(fit)
-    )
-    return figure("Loops", caption, panels)
-
-
-def residuals(fit: Fit) -> str:
-    """Return the residuals of the records, in time and over displacement."""
-    shown = _shown(fit)
-    if not shown:
-        return ""
-    worst = max(float(np.abs(100 * trace.residual / stroke).max()) for trace, stroke in shown)
-    limit = 1.3 * worst or 1.0
-    panels = []
-    for i, (trace, stroke) in enumerate(shown):
-        time = plots.residual_in_time(trace, stroke, limit, name=f"time{i}")
-        place = plots.residual_in_displacement(trace, stroke, limit, name=f"place{i}")
-        panels.append(panel(_whose(trace), time, "Residual against time of"))
-        panels.append(panel(_whose(trace), place, "Residual against displacement of"))
-    caption = (
-        "A slow trend in time is drift or creep. A pattern in displacement, or a distance between rising and falling "
-        "branches, is a limit of the model. An even band is the sensor's noise. The circle marks the largest residual; "
-        "all panels share one scale." + _only(fit)
-    )
-    if any(trace.time.size > plots.MOST_BRANCH_POINTS for trace, _ in shown):
-        caption += f" Against displacement, {plots.MOST_BRANCH_POINTS} samples of a longer record are drawn."
-    return figure("Residuals: measured minus simulated", caption, panels)
-
-
-def slip_and_spring(actuator: Actuator) -> str:
-    """Return figures of the slip elements and of the spring."""
-    slip = panel(("Slip elements", ""), plots.slip_elements(_plain_slip(actuator), name="slip"), "")
-    spring = panel(("Parallel spring", ""), plots.parallel_spring(actuator.spring, name="spring"), "")
-    caption = (
-        "Among the slip elements, single large values between zeros (hollow circles) show that the records determine "
-        "sums of stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
-    )
-    if isinstance(actuator.slip, GradedSlip):
-        caption += " These elements are graded: each is shown with its largest stiffness."
-    return figure("Its slip elements and spring" if actuator.wide else "The model", caption, [slip, spring])
-
-
-def _plain_slip(actuator: Actuator) -> MaxwellSlip:
-    return actuator.slip if isinstance(actuator.slip, MaxwellSlip) else actuator.slip.stiffest()
-
-
-def _whose(trace: Trace) -> tuple[str, str]:
-    return trace.record, trace.role
-
-
-def numbers(actuator: Actuator) -> str:
-    """Return tables of the slip elements and of the knots of the spring."""
-    slip, spring = _plain_slip(actuator), actuator.spring
-    each = [str(i) for i in range(1, len(slip) + 1)]
-    columns = (slip.breakaway * 1e6, slip.stiffness * 1e-6, slip.friction)
-    elements = zip(each, *map(_column, columns), strict=True)
-    each = [str(i) for i in range(1, spring.voltage.size + 1)]
-    knots = zip(each, _column(spring.displacement * 1e6), _column(spring.voltage), strict=True)
-    first = table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0)
-    second = table(("Knot", "y (µm)", "η (V)"), knots, texts=0)
+def verdict(fit: Fit) -> str:
+    """Return the verdict in the colour of its readiness: its number first, then how the identification ended."""
+    expected = fit.expectation
+    if expected is None:
+        word = Readiness.NOT_USABLE.value.capitalize()
+        return f'<p class="outcome red" role="status"><strong>{word}</strong> {escape(sentence(fit.outcome.value))}</p>'
+    word = expected.readiness.value.capitalize()
+    share = number(100 * expected.largest / expected.stroke, 2)
+    headline = f"<b>{share} % of the stroke <small>or {escape(length(expected.largest))}</small></b>"
+    rest = [f"is the largest error to expect on a path like the records, RMS {_share(expected.rms, expected)}"]
+    rest[0] += f" (from {expected.basis}; the goal is {expected.goal:g} %)."
+    rest.append(f"The records are missed by {_share(expected.measured, expected)} RMS;")
+    rest.append(f"the sensor's noise is {_share(expected.noise, expected)}.")
+    why = "".join(f"<li>{escape(sentence(one[0].upper() + one[1:]))}.</li>" for one in expected.why_not_ready)
     return (
-        "<details>\n<summary>The model's numbers</summary>\n"
-        f'<div class="panels tables">\n<div><h3>Slip elements</h3>\n{first}'
-        f"</div>\n<div><h3>Knots of the parallel spring</h3>\n{second}</div>\n</div>\n</details>"
+        f'<div class="outcome {_COLOURS[expected.readiness]}" role="status"><strong>{word}</strong>{headline}\n'
+        f"{escape(' '.join(rest))} {escape(sentence(fit.outcome.value))}"
+        f"{f'<ul>{why}</ul>' if why else ''}</div>"
     )
 
 
-def _column(values: Array) -> list[str]:
-    """Write a column with the decimals that give its largest value six digits."""
-    largest = float(np.abs(values).max())
-    decimals = min(12, max(0, 5 - math.floor(math.log10(largest)))) if largest > 0 else 0
-    return [f"{float(value):.{decimals}f}".replace("-", MINUS) if value else "0" for value in values]
+def _share(error: float, expected: Expectation) -> str:
+    return f"{number(100 * error / expected.stroke, 2)} %"
+
+
+def errors_table(errors: Sequence[RecordErrors]) -> str:
+    """Return the errors by record, steady and with its drift."""
+    if not errors:
+        return ""
+    rows: list[Row] = [
+        (
+            (error.record, error.role),
+            *(
+                (f"{number(100 * e / error.stroke)} %", length(e))
+                for e in (error.largest, error.rms, error.largest_with_drift, error.rms_with_drift)
+            ),
+            *(str(error.samples), str(error.left_out)),
+        )
+        for error in errors
+    ]
+    head = (
+        "Record",
+        "Largest error",
+        "RMS error",
+        "Largest, drift left in",
+        "RMS, drift left in",
+        "Samples counted",
+        "Left out",
+    )
+    stroke = length(errors[0].stroke)
+    return (
+        "<h2>Errors by record</h2>\n"
+        '<p class="muted">Measured minus simulated displacement, simulated from the voltage alone, in % of the stroke '
+        f"({stroke}, the range of the widest training loop). Validation records took no part in the fit of the "
+        f"model.</p>\n{table(head, rows, texts=1)}"
+    )
+
+
+def structures(fit: Fit) -> list[str | Charts]:
+    """Return the structures that were tried: error against size, and a table, best first."""
+    if not fit.trials:
+        return []
+    best = min(fit.trials, key=lambda trial: trial.structure.as_dict() != fit.options.get("structure"))
+    first = fit.trials[0]
+    rows: list[Row] = [
+        (
+            label(trial.structure, fit.trials) + (" (chosen)" if trial is best else ""),
+            str(trial.structure.parameters),
+            length(trial.held_out),
+            length(trial.training),
+        )
+        for trial in sorted(fit.trials, key=lambda trial: trial.held_out)
+    ]
+    head = ("Structure", "Coefficients", "RMS error of held-out cycles", "RMS error of the records themselves")
+    why = "A part is added if it lowers the error of cycles held out in turn (cross-validation) by at least 3 %."
+    if best is not first and first.structure.plain:
+        times = number(first.held_out / best.held_out)
+        why += (
+            f" The plain structure that was tried first, {first.structure.words}, has {times} times the error of the "
+            "chosen one."
+        )
+    body = table(head, rows, texts=1)
+    return [
+        Charts("Choice of the structure", why, (_by_size(fit, best),)),
+        f"<details>\n<summary>The structures that were tried</summary>\n<div>{body}</div>\n</details>",
+    ]
+
+
+def _by_size(fit: Fit, best: Any) -> Chart:
+    """Return the errors of the structures against their number of coefficients."""
+    factor, unit = length_unit(max(trial.held_out for trial in fit.trials))
+    sizes = np.array([float(trial.structure.parameters) for trial in fit.trials])
+    held_out = factor * np.array([trial.held_out for trial in fit.trials])
+    training = factor * np.array([trial.training for trial in fit.trials])
+    names = tuple(label(trial.structure, fit.trials) for trial in fit.trials)
+    one = np.array([fit.trials.index(best)])
+    series = (
+        Series("held-out cycles", sizes, held_out, "measured", "points", 7, 0.8, names=names),
+        Series("the records themselves", sizes, training, "without", "points", 5, 0.7, names=names),
+        Series("chosen", sizes[one], held_out[one], "simulated", "points", 11, names=(f"chosen: {names[one[0]]}",)),
+    )
+    y = Axis("RMS error", unit, (0.0, 1.1 * float(np.max(held_out, where=np.isfinite(held_out), initial=0.0)) or 1.0))
+    return Chart("", "", "Error against size of the structures tried", Axis("number of coefficients", ""), y, series)
+
+
+_CAUSES = (
+    ("noise", "the sensor's noise"),
+    ("slow", "drift and other slow causes"),
+    ("vibration", "a vibration"),
+    ("model", "the model"),
+)
+
+
+def remaining_error(fit: Fit) -> str:
+    """Return where the remaining error of each record comes from: a bar of shares, and a sentence."""
+    if not fit.remaining or not fit.errors:
+        return ""
+    keys = "".join(f'<span><i style="background:var(--{key})"></i>{words}</span>' for key, words in _CAUSES)
+    bars = []
+    for one in fit.remaining:
+        shares = "".join(
+            f'<span style="width:{100 * getattr(one, key):.1f}%;background:var(--{key})" '
+            f'title="{words}: {100 * getattr(one, key):.0f} %"></span>'
+            for key, words in _CAUSES
+        )
+        words = sentence(one.causes(fit.errors[0].stroke))
+        bars.append(
+            f'<h3>{escape(one.record)} <span>{escape(one.role)}</span></h3>\n<div class="share">{shares}</div>\n'
+            f'<p class="muted">{escape(words)}</p>'
+        )
+    return (
+        '<h2>Where the remaining error comes from</h2>\n<p class="muted">Shares of the power of the residual.</p>\n'
+        f'<div class="shares"><p class="keys">{keys}</p>\n{"".join(bars)}</div>'
+    )
+
+
+def assumptions(fit: Fit, actuator: Actuator | None) -> str:
+    """Return the checks of a model's assumptions, with their floors."""
+    wide, checks = actuator is not None and actuator.wide, fit.checks
+    if not checks:
+        return ""
+    rows: list[Row] = [
+        (
+            *(check.name, check.verdict.value, sentence(check.sentence)),
+            *(("–" if x is None else (number(x), check.unit.replace("um", "µm"))) for x in (check.value, check.floor)),
+        )
+        for check in checks
+    ]
+    head = ("Assumption", "Verdict", "Finding", "Value", "Floor")
+    where, slope = "the records", "Assumption I"
+    if wide:
+        where = "its residuals (it needs neither symmetry nor closed loops, as a plain model does)"
+        slope = "rising branches"
+    return (
+        "<h2>Assumptions</h2>\n"
+        f'<p class="muted">The assumptions of the model, tested on {where}. Floor: with 95 % probability noise alone '
+        f"gives no more; for {slope} it is the least slope that was allowed. A value below 0.1 % of the range passes "
+        f"in any case.</p>\n{table(head, rows, texts=3)}"
+    )
+
+
+def constants(errors: Iterable[RecordErrors]) -> str:
+    """Show each record's nuisances: they are fitted to held-out records too."""
+    rows: list[Row] = [
+        (
+            (error.record, error.role),
+            *(number(x) for x in (error.offset, error.datum * 1e6, error.drifted_percent, error.decades)),
+        )
+        for error in errors
+    ]
+    if not rows:
+        return ""
+    head = ("Record", "Offset (V)", "Sensor's zero (µm)", "Drift (% of stroke)", "over decades of time")
+    return (
+        "<details>\n<summary>Constants found for each record, validation records too</summary>\n"
+        f"<div>{table(head, rows, texts=1)}</div>\n</details>"
+    )

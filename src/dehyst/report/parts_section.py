@@ -1,13 +1,16 @@
-"""The parts of a wider actuator, as a section of the report."""
+"""The parts of an actuator, as sections of the report: figures, and tables of their numbers."""
 
 from __future__ import annotations
 
-import re
+import math
 
-from dehyst.model import Actuator, Creep, GradedSlip, SmoothSlip
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip
 from dehyst.model.summary import parts_of
-from dehyst.report import part_plots
-from dehyst.report.html import Row, figure, number, panel, table
+from dehyst.report import part_plots, plots
+from dehyst.report.html import MINUS, Row, figure, number, panel, sentence, table
 
 
 def made_of(actuator: Actuator) -> str:
@@ -80,5 +83,46 @@ def _lengths(smooth: SmoothSlip) -> str:
     return table(("Length (µm)", "Closing", "k (V/µm)", "Holds (V)"), rows, texts=0)
 
 
-def _spelt(sentence: str) -> str:
-    return re.sub(r"(?<=\d |V/)um\b", "µm", sentence).replace("tau(v)", "τ(v)")
+def _spelt(words: str) -> str:
+    return sentence(words).replace("tau(v)", "τ(v)")
+
+
+def slip_and_spring(actuator: Actuator) -> str:
+    """Return figures of the slip elements and of the spring."""
+    slip = panel(("Slip elements", ""), plots.slip_elements(_plain_slip(actuator), name="slip"), "")
+    spring = panel(("Parallel spring", ""), plots.parallel_spring(actuator.spring, name="spring"), "")
+    caption = (
+        "Among the slip elements, single large values between zeros (hollow circles) show that the records determine "
+        "sums of stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
+    )
+    if isinstance(actuator.slip, GradedSlip):
+        caption += " These elements are graded: each is shown with its largest stiffness."
+    return figure("Its slip elements and spring" if actuator.wide else "The model", caption, [slip, spring])
+
+
+def _plain_slip(actuator: Actuator) -> MaxwellSlip:
+    return actuator.slip if isinstance(actuator.slip, MaxwellSlip) else actuator.slip.stiffest()
+
+
+def numbers(actuator: Actuator) -> str:
+    """Return tables of the slip elements and of the knots of the spring."""
+    slip, spring = _plain_slip(actuator), actuator.spring
+    each = [str(i) for i in range(1, len(slip) + 1)]
+    columns = (slip.breakaway * 1e6, slip.stiffness * 1e-6, slip.friction)
+    elements = zip(each, *map(_column, columns), strict=True)
+    each = [str(i) for i in range(1, spring.voltage.size + 1)]
+    knots = zip(each, _column(spring.displacement * 1e6), _column(spring.voltage), strict=True)
+    first = table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0)
+    second = table(("Knot", "y (µm)", "η (V)"), knots, texts=0)
+    return (
+        "<details>\n<summary>The model's numbers</summary>\n"
+        f'<div class="panels tables">\n<div><h3>Slip elements</h3>\n{first}'
+        f"</div>\n<div><h3>Knots of the parallel spring</h3>\n{second}</div>\n</div>\n</details>"
+    )
+
+
+def _column(values: Array) -> list[str]:
+    """Write a column with the decimals that give its largest value six digits."""
+    largest = float(np.abs(values).max())
+    decimals = min(12, max(0, 5 - math.floor(math.log10(largest)))) if largest > 0 else 0
+    return [f"{float(value):.{decimals}f}".replace("-", MINUS) if value else "0" for value in values]

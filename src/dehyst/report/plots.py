@@ -136,21 +136,6 @@ def line(ax: Axes, x: Array, y: Array, **style: Any) -> None:
     ax.plot(*thinned(np.arange(x.size, dtype=np.float64), x, y), **style)
 
 
-def loop(trace: Trace, *, name: str) -> str:
-    """Draw displacement against voltage, measured and simulated.
-
-    `name`: makes the ids inside the SVG unique on a page.
-    """
-    factor, unit = length_unit(float(np.ptp(trace.measured)))
-
-    def draw(ax: Axes) -> None:
-        draw_both(ax, trace, trace.measured * factor, trace.simulated * factor)
-        ax.set(xlabel="voltage (V)", ylabel=f"displacement ({unit})")
-        ax.legend(loc="upper left")
-
-    return inline(name, draw)
-
-
 def draw_both(ax: Axes, trace: Trace, measured: Array, simulated: Array, *, labels: bool = True) -> None:
     """Draw what was measured and what was simulated over the voltage of a trace, broken where samples are missing."""
     for y, colour, width, alpha, label in (
@@ -160,39 +145,6 @@ def draw_both(ax: Axes, trace: Trace, measured: Array, simulated: Array, *, labe
         v, shown = thinned(trace.time, trace.voltage, y)
         big = v.size > _VECTOR_VERTICES
         ax.plot(v, shown, color=colour, lw=width, alpha=alpha, label=label if labels else None, rasterized=big)
-
-
-def residual_in_time(trace: Trace, stroke: float, limit: float, *, name: str) -> str:
-    """Draw the residual against time, from -limit to limit [% of stroke]; a circle marks the largest."""
-
-    def draw(ax: Axes) -> None:
-        percent = 100 * trace.residual / stroke
-        points(ax, trace.time, percent, INK, of=percent.size)
-        _mark_largest(ax, trace.time, percent)
-        _residual_axes(ax, stroke, limit)
-        ax.set_xlabel("time (s)")
-
-    return inline(name, draw)
-
-
-def residual_in_displacement(trace: Trace, stroke: float, limit: float, *, name: str) -> str:
-    """Draw the residual against displacement, rising and falling branches apart; a circle marks the largest."""
-    factor, unit = length_unit(float(np.ptp(trace.measured)))
-
-    def draw(ax: Axes) -> None:
-        y, percent, up = trace.measured * factor, 100 * trace.residual / stroke, rising(trace)
-        some = some_samples(percent.size)
-        for branch, colour, label in ((some & up, RISING, "rising"), (some & ~up, FALLING, "falling")):
-            points(ax, y[branch], percent[branch], colour, of=int(some.sum()), label=label)
-        _mark_largest(ax, y, percent)
-        _residual_axes(ax, stroke, limit)
-        ax.set_xlabel(f"displacement ({unit})")
-        legend = ax.legend(loc="upper left", ncols=2, handlelength=0.8)
-        for handle in legend.legend_handles:
-            if handle is not None:
-                handle.set(alpha=1.0, markersize=6)
-
-    return inline(name, draw)
 
 
 def slip_elements(slip: MaxwellSlip, *, name: str) -> str:
@@ -255,22 +207,6 @@ def some_samples(size: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
         some[:] = False
         some[np.random.default_rng(0).choice(size, MOST_BRANCH_POINTS, replace=False)] = True
     return some
-
-
-def _mark_largest(ax: Axes, x: Array, y: Array) -> None:
-    worst = int(np.argmax(np.abs(y)))
-    ax.plot(x[worst], y[worst], marker="o", ms=6, mfc="none", mec=SIMULATED, mew=0.9, ls="none")
-
-
-def _residual_axes(ax: Axes, stroke: float, limit: float) -> None:
-    ax.axhline(0, color=INK, lw=0.6)
-    ax.set_ylim(-limit, limit)
-    ax.set_ylabel("residual (% of stroke)")
-    factor, unit = length_unit(limit / 100 * stroke)
-    scale = factor * stroke / 100
-    right = ax.secondary_yaxis("right", functions=(lambda p: np.multiply(p, scale), lambda u: np.divide(u, scale)))
-    right.set_ylabel(f"residual ({unit})")
-    right.spines["right"].set_visible(True)
 
 
 def stems(ax: Axes, x: Array, height: Array, label: str) -> None:

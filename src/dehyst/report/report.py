@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst.baselines import ModelComparison
 from dehyst.control import TrackedPath
-from dehyst.model import Actuator, Fit, Readiness, RecordErrors, Structure
-from dehyst.model.fit_summary import label
+from dehyst.model import Actuator, Fit, Structure
 from dehyst.report.comparison_section import comparison_sections
-from dehyst.report.fit_section import loops, numbers, residuals, slip_and_spring
-from dehyst.report.html import Row, bullets, document, escape, length, number, table
-from dehyst.report.parts_section import made_of
+from dehyst.report.fit_section import assumptions, constants, errors_table, remaining_error, structures, verdict
+from dehyst.report.html import bullets, document, escape, length, number, sentence, table
+from dehyst.report.parts_section import made_of, numbers, slip_and_spring
+from dehyst.report.record_charts import before_and_after, loops, residuals
 from dehyst.report.tracking_section import followed_sections
 from dehyst.report.uncertainty_section import sections
 from dehyst.uncertainty import Insight
@@ -97,18 +96,19 @@ def render(
     parts = [
         f"<h1>{escape(name)}</h1>",
         _facts(fit, actuator),
-        _outcome(fit),
+        verdict(fit),
         *followed_sections(followed),
-        _errors(fit.errors),
-        _trials(fit),
-        _checks(fit, actuator),
-        _sentences("What was repaired or left out", fit.repairs, "Nothing was repaired or left out."),
-        _sentences("Remaining error", [one.sentence(fit.errors[0].stroke) for one in fit.remaining], "None."),
-        _sentences("Remarks", fit.remarks, "No remarks."),
+        before_and_after(fit),
         loops(fit),
         residuals(fit),
+        remaining_error(fit),
+        *structures(fit),
+        errors_table(fit.errors),
+        assumptions(fit, actuator),
+        _list("What was repaired or left out", fit.repairs, "Nothing was repaired or left out."),
+        _list("Remarks", fit.remarks, "No remarks."),
         *([made_of(actuator), slip_and_spring(actuator), numbers(actuator)] if actuator else []),
-        *(sections(insight) if insight else []),
+        *(["<h2>Insight: what the records determine</h2>", *sections(insight)] if insight else []),
         *(comparison_sections(comparison) if comparison else []),
         _reproduce(fit, actuator, command),
     ]
@@ -128,129 +128,10 @@ def _facts(fit: Fit, actuator: Actuator | None) -> str:
     return f'<p class="muted">{escape(" · ".join(facts))}</p>'
 
 
-_COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
-
-
-def _outcome(fit: Fit) -> str:
-    """Return the verdict in the colour of its readiness, then how the identification ended."""
-    if fit.expectation is None:
-        colour, word, sentence = "red", Readiness.NOT_USABLE.value.capitalize(), fit.outcome.value
-    else:
-        colour = _COLOURS[fit.expectation.readiness]
-        word, _, sentence = fit.expectation.sentence.partition(": ")
-        sentence = f"{sentence[0].upper()}{sentence[1:]} {fit.outcome.value}"
-    return f'<p class="outcome {colour}" role="status"><strong>{word}</strong> {_with_units(escape(sentence))}</p>'
-
-
-def _errors(errors: Sequence[RecordErrors]) -> str:
-    if not errors:
-        return ""
-    rows: list[Row] = [
-        (
-            (error.record, error.role),
-            *(
-                (f"{number(100 * e / error.stroke)} %", length(e))
-                for e in (error.largest, error.rms, error.largest_with_drift, error.rms_with_drift)
-            ),
-            *(str(error.samples), str(error.left_out)),
-        )
-        for error in errors
-    ]
-    head = (
-        "Record",
-        "Largest error",
-        "RMS error",
-        "Largest, drift left in",
-        "RMS, drift left in",
-        "Samples counted",
-        "Left out",
-    )
-    stroke = length(errors[0].stroke)
-    return (
-        "<h2>Errors by record</h2>\n"
-        '<p class="muted">Measured minus simulated displacement, simulated from the voltage alone, in % of the stroke '
-        f"({stroke}, the range of the widest training loop). Validation records took no part in the fit of the "
-        f"model.</p>\n{table(head, rows, texts=1)}"
-    )
-
-
-def _trials(fit: Fit) -> str:
-    """List the structures that were tried, best first."""
-    if not fit.trials:
-        return ""
-    best = min(fit.trials, key=lambda trial: trial.structure.as_dict() != fit.options.get("structure"))
-    first = fit.trials[0]
-    rows: list[Row] = [
-        (
-            label(trial.structure, fit.trials) + (" (chosen)" if trial is best else ""),
-            str(trial.structure.parameters),
-            length(trial.held_out),
-            length(trial.training),
-        )
-        for trial in sorted(fit.trials, key=lambda trial: trial.held_out)
-    ]
-    head = ("Structure", "Coefficients", "RMS error of held-out cycles", "RMS error of the records themselves")
-    why = "A part is added if it lowers the error of cycles held out in turn (cross-validation) by at least 3 %."
-    if best is not first and first.structure.plain:
-        times = number(first.held_out / best.held_out)
-        why += (
-            f" The plain structure that was tried first, {first.structure.words}, has {times} times the error of the "
-            "chosen one."
-        )
-    return f'<h2>Choice of the structure</h2>\n<p class="muted">{why}</p>\n{table(head, rows, texts=1)}'
-
-
-def _checks(fit: Fit, actuator: Actuator | None) -> str:
-    wide, checks = actuator is not None and actuator.wide, fit.checks
-    if not checks:
-        return ""
-    rows: list[Row] = [
-        (
-            *(check.name, check.verdict.value, _with_units(check.sentence)),
-            *(("–" if x is None else (number(x), _with_units(check.unit))) for x in (check.value, check.floor)),
-        )
-        for check in checks
-    ]
-    head = ("Assumption", "Verdict", "Finding", "Value", "Floor")
-    where, slope = "the records", "Assumption I"
-    if wide:
-        where = "its residuals (it needs neither symmetry nor closed loops, as a plain model does)"
-        slope = "rising branches"
-    return (
-        "<h2>Assumptions</h2>\n"
-        f'<p class="muted">The assumptions of the model, tested on {where}. Floor: with 95 % probability noise alone '
-        f"gives no more; for {slope} it is the least slope that was allowed. A value below 0.1 % of the range passes "
-        f"in any case.</p>\n{table(head, rows, texts=3)}"
-    )
-
-
-def _sentences(title: str, sentences: Sequence[str], none: str) -> str:
+def _list(title: str, sentences: Sequence[str], none: str) -> str:
     if not sentences:
         return f'<h2>{title}</h2>\n<p class="muted">{none}</p>'
-    return bullets(title, (_with_units(escape(sentence)) for sentence in sentences))
-
-
-def _with_units(sentence: str) -> str:
-    """Write um as µm; the text is not yet escaped for HTML."""
-    return re.sub(r"(?<=\d |V/)um\b", "µm", sentence)
-
-
-def _constants(errors: Iterable[RecordErrors]) -> str:
-    """Show each record's nuisances: they are fitted to held-out records too."""
-    rows: list[Row] = [
-        (
-            (error.record, error.role),
-            *(number(x) for x in (error.offset, error.datum * 1e6, error.drifted_percent, error.decades)),
-        )
-        for error in errors
-    ]
-    if not rows:
-        return ""
-    head = ("Record", "Offset (V)", "Sensor's zero (µm)", "Drift (% of stroke)", "over decades of time")
-    return (
-        "<details>\n<summary>Constants found for each record, validation records too</summary>\n"
-        f"<div>{table(head, rows, texts=1)}</div>\n</details>"
-    )
+    return bullets(title, (escape(sentence(one)) for one in sentences))
 
 
 def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
@@ -274,7 +155,7 @@ def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
     entries.append(("Duality gap, relative", number(fit.gap)))
     listed = "\n".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in entries)
     shown = f"<pre>{escape(command)}</pre>\n" if command else ""
-    return f"<h2>How to reproduce</h2>\n{shown}<dl>\n{listed}\n</dl>\n{_sources(records)}\n{_constants(fit.errors)}"
+    return f"<h2>How to reproduce</h2>\n{shown}<dl>\n{listed}\n</dl>\n{_sources(records)}\n{constants(fit.errors)}"
 
 
 def _sources(records: Any) -> str:

@@ -114,7 +114,7 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
     demo.fit.actuator.save(target / "model.json")
     wanted = {"time_s": demo.time, "wanted_um": demo.wanted * 1e6, "voltage_V": demo.voltage}
     reached = {"compensated_um": demo.compensated * 1e6, "linear_um": demo.linear * 1e6}
-    write_columns(target / "tracking.csv", wanted | reached)
+    write_columns(target / "tracking.csv", wanted | reached, digits=12)
     names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json"]
     if report:
         from dehyst.report import write_report

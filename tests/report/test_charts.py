@@ -1,0 +1,74 @@
+"""Charts: the data that stand in a page are those of the records."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+
+from dehyst.report.charts import Axis, Chart, ChartData, Series, legend
+
+
+def chart(*series, **kwargs):
+    return Chart("a", "training", "a chart of", Axis("voltage", "V"), Axis("error", "nm"), series, **kwargs)
+
+
+def columns(data):
+    """What the page's script makes of the stored columns."""
+    for stored in json.loads(data.json())["columns"]:
+        if "floats" in stored:
+            yield np.frombuffer(base64.b64decode(stored["floats"]), "<f4").astype(float)
+        else:
+            codes = np.frombuffer(base64.b64decode(stored["steps"]), "<u2")
+            yield np.where(codes == 65535, np.nan, stored["low"] + stored["step"] * codes)
+
+
+def test_values_come_back_to_a_65_000th_of_their_range():
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=500), 1e-3 * rng.normal(size=500)
+    y[[3, 77]] = np.nan
+    data = ChartData()
+    assert not data
+    assert data.add(chart(Series("one", x, y, "measured"))) == 0
+    for given, stored in zip((x, y), columns(data), strict=True):
+        assert (np.isnan(given) == np.isnan(stored)).all()
+        assert np.nanmax(np.abs(given - stored)) <= 0.51 * np.nanmax(np.ptp(given[~np.isnan(given)])) / 65534
+
+
+def test_times_are_exact_enough_for_a_long_record():
+    time = np.arange(10_000) * 1e-3 + 100
+    data = ChartData()
+    data.add(chart(Series("one", time, np.zeros(10_000), "measured", exact=True)))
+    stored, flat = columns(data)
+    assert np.diff(stored).min() > 0.9e-3
+    assert (flat == 0).all()
+
+
+def test_a_column_that_charts_share_is_stored_once():
+    x, y = np.arange(5.0), np.arange(5.0) ** 2
+    data = ChartData()
+    data.add(chart(Series("one", x, y, "measured"), Series("two", x, -y, "simulated")))
+    data.add(chart(Series("three", x.copy(), y, "measured")))
+    assert len(list(columns(data))) == 3
+    assert [[one["x"], one["y"]] for one in json.loads(data.json())["charts"][1]["series"]] == [[0, 1]]
+
+
+def test_names_cannot_end_the_data():
+    data = ChartData()
+    data.add(chart(Series("</script><b>&", np.zeros(2), np.ones(2), "ink")))
+    text = data.json()
+    assert "<" not in text and ">" not in text and "&" not in text
+    assert json.loads(text)["charts"][0]["series"][0]["name"] == "</script><b>&"
+
+
+def test_a_legend_names_each_colour_once():
+    x = np.zeros(2)
+    series = (Series("rising", x, x, "rising"), Series("mean, rising", x, x, "rising"), Series("", x, x, "ink"))
+    assert legend(chart(*series, keys=(("noise", "band"),))) == [("rising", "rising"), ("noise", "band")]
+
+
+@pytest.mark.parametrize("values", [[], [2.0], [2.0, 2.0], [np.nan, np.nan]])
+def test_columns_without_a_range(values):
+    data = ChartData()
+    data.add(chart(Series("one", np.array(values), np.array(values), "measured")))
+    assert np.array_equal(next(columns(data)), values, equal_nan=True)

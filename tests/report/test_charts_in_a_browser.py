@@ -1,0 +1,121 @@
+"""The charts of a report in a real browser: drawn, enlarged, read out; nothing is loaded."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from dehyst.model import Actuator, Fit, MaxwellSlip, Outcome, Spring, Trace
+from dehyst.report import write_report
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    actuator = Actuator(MaxwellSlip([2e-6, 4e-6, 6e-6], [2e5, 1e5, 5e4]), Spring([0, 5e-6, 20e-6], [0, 6, 20]))
+    time = np.arange(4000) * 1e-3
+    voltage = 10 - 10 * np.cos(2 * np.pi * time)
+    simulated = actuator.simulate(voltage).displacement
+    measured = simulated + np.random.default_rng(0).normal(0, 2e-8, time.size)
+    trace = Trace("loops", "training", time, voltage, measured, simulated, began=-0.5)
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    write_report(path, Fit(actuator, Outcome.IDENTIFIED, traces=(trace,)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def page(browser, file):
+    opened = browser.new_page(viewport={"width": 1400, "height": 900})
+    complaints, requests = [], []
+    opened.on("console", lambda message: complaints.append(message.text))
+    opened.on("pageerror", lambda error: complaints.append(str(error)))
+    opened.on("request", lambda request: requests.append(request.url))
+    opened.goto(file.as_uri())
+    yield opened
+    opened.close()
+    assert complaints == []
+    assert requests == [file.as_uri()]
+
+
+def drawn(canvas):
+    """How many colours a canvas shows."""
+    return canvas.evaluate(
+        """canvas => {
+            const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+            return new Set(new Uint32Array(pixels.buffer)).size;
+        }"""
+    )
+
+
+def middle(canvas):
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def test_every_chart_is_drawn(page):
+    canvases = page.locator("canvas").all()
+    assert len(canvases) == 4
+    assert all(drawn(canvas) > 20 for canvas in canvases)
+
+
+def test_a_drag_enlarges_and_a_double_click_shows_the_whole(page):
+    canvas = page.locator("canvas").first
+    button = page.get_by_role("button", name="Whole range").first
+    x, y = middle(canvas)
+    before = canvas.screenshot()
+    assert not button.is_visible()
+    page.mouse.move(x - 100, y - 60)
+    page.mouse.down()
+    page.mouse.move(x + 100, y + 60)
+    page.mouse.up()
+    assert button.is_visible()
+    enlarged = canvas.screenshot()
+    assert enlarged != before
+    button.click()
+    assert not button.is_visible()
+    canvas.focus()
+    page.keyboard.press("+")
+    assert button.is_visible()
+    page.mouse.dblclick(x, y)
+    assert not button.is_visible()
+
+
+def test_the_pointer_reads_out_a_sample(page):
+    canvas = page.locator("canvas").first
+    x, y = middle(canvas)
+    page.mouse.move(x, y)
+    words = page.locator("output").first.inner_text()
+    name, place, error = words.split(" · ")
+    assert name in ("straight scale factor", "this model")
+    assert place.endswith(" µm") and 0 < float(place[:-3]) < 40
+    assert "% of stroke (" in error
+
+
+def test_the_dark_page_has_light_curves(browser, file):
+    shown = {}
+    for scheme in ("light", "dark"):
+        page = browser.new_page(color_scheme=scheme)
+        page.goto(file.as_uri())
+        shown[scheme] = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert drawn(page.locator("canvas").first) > 20
+        page.close()
+    assert shown == {"light": "rgb(255, 255, 255)", "dark": "rgb(22, 24, 27)"}
+
+
+def test_nothing_is_wider_than_a_telephone(browser, file):
+    page = browser.new_page(viewport={"width": 400, "height": 800})
+    page.goto(file.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") == 400
+    page.close()
