@@ -172,7 +172,8 @@ def served(faults=(), **options):
 @pytest.mark.parametrize(
     ("fault", "error", "why", "back"),
     [
-        ("drop", LinkError, "the controller closed the connection", True),
+        # What the system makes of unread bytes: an end, or a reset.
+        ("drop", LinkError, "the controller closed the connection|the connection was lost", True),
         ("silence", LinkError, "got nothing in", False),
         ("garble", LinkError, "got ", True),
         ("truncate", LinkError, "need an answer", True),
@@ -200,6 +201,18 @@ def test_each_rehearsed_fault_over_a_socket(fault, error, why, back):
     assert bench.log.refused == 0
 
 
+def connected(port, attempts=20):
+    """A rig with a short timeout; while it connects, a busy machine may exceed that."""
+    for attempt in range(attempts):
+        try:
+            return PiRig.connect("127.0.0.1", port, limits=ALLOWED, timeout=0.03, patience=0.1, slew_rate=5e4)
+        except LinkError:
+            if attempt == attempts - 1:
+                raise
+            time.sleep(0.1)
+    raise AssertionError("not reached")
+
+
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("cases", [8, pytest.param(80, marks=pytest.mark.nightly)])
 def test_fuzzed_replies_over_real_sockets(cases):
@@ -209,7 +222,7 @@ def test_fuzzed_replies_over_real_sockets(cases):
         bench, server = served(speed=1000.0)
         meddle = Meddling(seed, 0.0)
         with server, Proxy(server.port, meddle) as proxy:
-            rig = PiRig.connect("127.0.0.1", proxy.port, limits=ALLOWED, timeout=0.03, patience=0.1, slew_rate=5e4)
+            rig = connected(proxy.port)
             meddle.share = 0.15
             for _ in range(8):
                 act(rig, rng)
