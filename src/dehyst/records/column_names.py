@@ -31,7 +31,7 @@ def renamed(table: Table, columns: str) -> Table:
         if unit and not symbol_of(unit):
             raise FileFormatError(f"{table.source}: columns: got the unit '{unit}', which is unknown; try s, V or um")
         if name not in ("", "-"):
-            named.append(replace(column, name=name, unit=symbol_of(unit) or column.parts[1], unnamed=""))
+            named.append(replace(column, name=name, unit=symbol_of(unit) or column.parts[1], unnamed="", divided=False))
     names = [column.name for column in named]
     if len(set(names)) < len(names):
         raise FileFormatError(f"{table.source}: columns: got {listed(tuple(names))}; give each name once")
