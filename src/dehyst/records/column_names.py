@@ -17,8 +17,12 @@ def renamed(table: Table, columns: str) -> Table:
     Raises
     ------
     FileFormatError
-        There are more entries than columns, fewer, an unknown unit, a name twice, or no name.
+        It is no text, there are more entries than columns, fewer, an unknown unit, a name twice, or no name.
     """
+    if not isinstance(columns, str):
+        raise FileFormatError(
+            f"columns: got {columns!r}, need one text with commas, as 'time:s,voltage:V,displacement:um'"
+        )
     entries = [entry.strip() for entry in columns.split(",")]
     if len(entries) != len(table.columns):
         raise FileFormatError(

@@ -200,6 +200,8 @@ class Table:
     def find(self, quantity: str, wanted: str | None = None) -> tuple[Column, str]:
         """Return the column that `column` uses, and its unit."""
         unit = ""
+        if not isinstance(wanted, str | None):
+            raise FileFormatError(f"{quantity}: got {wanted!r}, need the name of a column, as '{EXAMPLES[quantity]}'")
         if wanted is None and self.columns and self.columns[0].unnamed:
             raise ColumnError(self.source, quantity, self.columns[0].unnamed, "")
         fits = self._candidates(quantity) if wanted is None else self._named(wanted)
