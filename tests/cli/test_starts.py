@@ -215,6 +215,16 @@ def test_a_homing_beyond_the_records_is_said(folder):
             assert ("the homing goes from " in err and "outside of the identified range" in err) == said
 
 
+@pytest.mark.parametrize("command", ["simulate", "compensate", "check", "insight"])
+def test_arguments_in_the_wrong_order_are_explained(folder, command):
+    output = ("-o", "x.csv") if command in ("simulate", "compensate") else ()
+    status, _, err = run(command, "loops.csv", "model.json", *output, cwd=folder)
+    assert status == 2
+    assert "loops.csv: is no model, but model.json is one; give MODEL first, then loops.csv" in err
+    status, _, err = run(command, "loops.csv", "path.csv", *output, cwd=folder)
+    assert status == 2 and "loops.csv: line 1, column 1: no valid JSON" in err
+
+
 @pytest.mark.parametrize("command", ["simulate", "compensate"])
 def test_a_start_that_is_nothing_is_refused(folder, command):
     status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "middle", cwd=folder)
