@@ -125,3 +125,20 @@ def test_a_picture_of_others_is_not_replaced(kept):
         "dehyst" in picture.read_text()
         and run("check", "model.json", "same.csv", "--history", "checks", cwd=kept)[0] == 0
     )
+
+
+@pytest.mark.parametrize("gain", [0.7, -0.6])
+def test_a_record_of_another_actuator_is_not_kept(kept, gain):
+    write_record(kept / "another.csv", loops.later(5, gain=gain))
+    before = {path.name: path.read_bytes() for path in (kept / "checks").iterdir()}
+    for goal in ((), ("--goal", 100)):
+        status, out, err = run("check", "model.json", "another.csv", "--history", "checks", *goal, cwd=kept)
+        assert status == 1 and out.startswith("Recalibrate: ") and "Checks of this model" not in out
+        assert "another: is plainly not a record of the model's actuator, or in other units: the gain differs by" in err
+        assert err.rstrip().endswith("It is not kept in checks")
+    assert {path.name: path.read_bytes() for path in (kept / "checks").iterdir()} == before
+    status, out, err = run("check", "model.json", "another.csv", "--history", "new", "--json", cwd=kept)
+    assert status == 1 and not (kept / "new").exists()
+    assert not json.loads(out)["good"] and "history" not in json.loads(out)
+    status, _, err = run("check", "model.json", "another.csv", cwd=kept)
+    assert status == 1 and "is plainly not a record" in err and "kept" not in err

@@ -56,6 +56,9 @@ def check(model: Path, records: Path, goal: float | None, history: Path | None, 
     (record,) = read_records((records,), columns)
     recheck = run(actuator, record, goal=goal)
     recheck = replace(recheck, remarks=worded(recheck.remarks))
+    if recheck.mismatch:
+        note(*worded([f"{recheck.mismatch}{'' if history is None else f'. It is not kept in {history}'}"]))
+        history = None
     past = None if history is None else CheckHistory.keep(history, recheck)
     for sentence in () if past is None else worded(past.damaged):
         note(sentence)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._errors import FileFormatError
+from dehyst._errors import FileFormatError, IdentifyError
 from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import read_json, write_json
 from dehyst._io.marks import demand_own_folder, format_of, make_own_folder
@@ -146,21 +146,10 @@ class CheckHistory:
 
     @classmethod
     def read(cls, folder: PathLike, model_id: str, *, throw: bool = True) -> CheckHistory:
-        """Read the checks of a model from a folder.
+        """Read the checks of the model with this `model_id` from a `folder`.
 
-        Parameters
-        ----------
-        folder : path-like
-            New, empty or the folder of a history.
-        model_id : str
-            As that of a `Recheck`.
-        throw : bool
-            Whether a file that is no check is an error; else it is left out, see `damaged`.
-
-        Raises
-        ------
-        FileFormatError
-            If the folder has other files, or with `throw` a file is no check.
+        Raise `FileFormatError` if the folder has other files or, with `throw`, a file is no check; without it such a
+        file is left out, see `damaged`.
         """
         demand_folder(folder)
         every, damaged = [], []
@@ -194,7 +183,11 @@ class CheckHistory:
         ------
         FileFormatError
             If the folder holds other files or cannot be written, or `moment` has no zone.
+        IdentifyError
+            If the record is plainly not of the model's actuator, see `Recheck.mismatch`.
         """
+        if recheck.mismatch:
+            raise IdentifyError(f"{recheck.mismatch}. It is not kept in the history")
         if moment is not None and moment.tzinfo is None:
             raise FileFormatError(f"moment: got {moment} without a time zone; try datetime.now(UTC)")
         demand_folder(folder)
