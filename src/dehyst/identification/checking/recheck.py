@@ -140,6 +140,8 @@ class Recheck:
         return f"{text}. {self._advice()}"
 
     def _advice(self) -> str:
+        if self.mismatch:
+            return "Check that model and record belong together."
         if self.standing is Standing.RECALIBRATE:
             return "Identify the model again from new records."
         if self.standing is Standing.NEVER_MET:
