@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 
 import checked_loops as loops
 import pytest
@@ -75,3 +76,69 @@ def test_wrong_input_is_named(folder, arguments, words):
     status, out, err = run("check", *arguments, cwd=folder)
     assert (status, out) == (2, "")
     assert words in err
+
+
+@pytest.fixture
+def kept(folder, tmp_path):
+    """A folder with the model, records, and a history of two checks."""
+    for name in ("model.json", "same.csv", "other.csv", "gain.csv"):
+        shutil.copy(folder / name, tmp_path)
+    for name in ("same", "other"):
+        assert run("check", "model.json", f"{name}.csv", "--history", "checks", cwd=tmp_path)[0] == 0
+    return tmp_path
+
+
+def test_a_damaged_check_is_left_out_of_the_history(kept):
+    first, second = sorted((kept / "checks").glob("check-*.json"))
+    first.write_text(first.read_text()[:300])
+    status, out, err = run("check", "model.json", "gain.csv", "--history", "checks", cwd=kept)
+    assert status == 1 and out.startswith("Recalibrate: ")
+    assert f"left out of the history: checks/{first.name}: line " in err and second.name not in err
+    assert "Checks of this model in checks: 2;" in out and "Picture: checks" in out
+    # The same record again mends its file.
+    for name in ("same", "other"):
+        status, out, err = run("check", "model.json", f"{name}.csv", "--history", "checks", cwd=kept)
+    assert (status, err) == (0, "") and "Checks of this model in checks: 3;" in out
+
+
+@pytest.mark.parametrize(("content", "words"), [(None, "is missing"), ("{}", "is damaged"), ("", "is damaged")])
+def test_a_damaged_marker_of_a_history_is_named(kept, content, words):
+    marker = kept / "checks" / "history.json"
+    marker.unlink() if content is None else marker.write_text(content)
+    status, out, err = run("check", "model.json", "gain.csv", "--history", "checks", cwd=kept)
+    assert (status, out) == (2, "")
+    assert f"checks/history.json: {words}, but the folder holds 2 checks; write {{" in err
+    marker.write_text(re.search(r"write (\{.*?\}) into", err)[1])
+    assert run("check", "model.json", "gain.csv", "--history", "checks", cwd=kept)[0] == 1
+
+
+def test_a_picture_of_others_is_not_replaced(kept):
+    picture = kept / "checks" / "history.svg"
+    picture.write_text('<?xml version="1.0"?><svg xmlns="http://www.w3.org/2000/svg"><title>dehyst</title></svg>')
+    before = {path.name: path.read_bytes() for path in (kept / "checks").iterdir()}
+    status, out, err = run("check", "model.json", "gain.csv", "--history", "checks", cwd=kept)
+    assert (status, out) == (2, "")
+    assert "history.svg: is there already, and dehyst did not write it" in err
+    assert {path.name: path.read_bytes() for path in (kept / "checks").iterdir()} == before
+    assert run("check", "model.json", "gain.csv", "--history", "checks", "--force", cwd=kept)[0] == 1
+    assert (
+        "dehyst" in picture.read_text()
+        and run("check", "model.json", "same.csv", "--history", "checks", cwd=kept)[0] == 0
+    )
+
+
+@pytest.mark.parametrize("gain", [0.7, -0.6])
+def test_a_record_of_another_actuator_is_not_kept(kept, gain):
+    write_record(kept / "another.csv", loops.later(5, gain=gain))
+    before = {path.name: path.read_bytes() for path in (kept / "checks").iterdir()}
+    for goal in ((), ("--goal", 100)):
+        status, out, err = run("check", "model.json", "another.csv", "--history", "checks", *goal, cwd=kept)
+        assert status == 1 and out.startswith("Recalibrate: ") and "Checks of this model" not in out
+        assert "another: is plainly not a record of the model's actuator, or in other units: the gain differs by" in err
+        assert err.rstrip().endswith("It is not kept in checks")
+    assert {path.name: path.read_bytes() for path in (kept / "checks").iterdir()} == before
+    status, out, err = run("check", "model.json", "another.csv", "--history", "new", "--json", cwd=kept)
+    assert status == 1 and not (kept / "new").exists()
+    assert not json.loads(out)["good"] and "history" not in json.loads(out)
+    status, _, err = run("check", "model.json", "another.csv", cwd=kept)
+    assert status == 1 and "is plainly not a record" in err and "kept" not in err

@@ -167,6 +167,25 @@ def test_voltages_alone_are_a_start_as_far_as_they_determine_it(folder):
     assert status == 2 and "time column" in err
 
 
+@pytest.mark.parametrize("file", ["path.csv", "timeless.csv"])
+def test_of_an_output_only_the_voltages_are_a_start(folder, file):
+    """The wanted displacement of an earlier path is no measurement, even where the path was not followed."""
+    wanted = {one.name: one.data for one in read_table(folder / file).columns}
+    write_columns(folder / "wanted.csv", wanted | {"displacement_um": wanted["displacement_um"] + 3})
+    status, _, err = run(
+        *("compensate", "model.json", "wanted.csv", "-o", "earlier.csv", "--home", "--limits", 0, 150), cwd=folder
+    )
+    assert status in (0, 1), err
+    write_columns(folder / "bare.csv", {"voltage_V": column(folder, "earlier.csv", "voltage_V")})
+    ends = {}
+    for start in ("earlier.csv", "bare.csv"):
+        given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--start", start)
+        _, ends[start] = answer(*given, cwd=folder)
+        err = run(*given, cwd=folder)[2]
+        assert ("earlier.csv: is an output of dehyst, whose displacements are computed" in err) == (start != "bare.csv")
+    assert ends["earlier.csv"]["state"] == ends["bare.csv"]["state"]
+
+
 @pytest.mark.parametrize("command", ["simulate", "compensate"])
 def test_a_start_of_another_unit_or_actuator_is_refused(folder, command):
     """Voltages and displacements far from the model's lead to no state of it."""
@@ -177,8 +196,7 @@ def test_a_start_of_another_unit_or_actuator_is_refused(folder, command):
     status, _, err = run(*given, cwd=folder)
     assert status == 2 and "history.csv: voltage: got 0 to 200000 V, the model was identified from" in err
     time, voltage = np.arange(400.0), 100 - 100 * np.cos(np.arange(400) / 30)
-    other = {"time_s": time, "voltage_V": voltage, "displacement_um": 2 * voltage}
-    write_columns(folder / "history.csv", other)
+    write_record(folder / "history.csv", dehyst.Record(time, voltage, 2e-6 * voltage))
     status, _, err = run(*given, cwd=folder)
     assert status == 2 and "history.csv: displacement: got" in err
     # Somewhat outside is a remark.
@@ -195,6 +213,16 @@ def test_a_homing_beyond_the_records_is_said(folder):
             status, _, err = run("compensate", "creep.json", *path, "-o", "w.csv", *limits, cwd=folder)
             assert status in (0, 1)
             assert ("the homing goes from " in err and "outside of the identified range" in err) == said
+
+
+@pytest.mark.parametrize("command", ["simulate", "compensate", "check", "insight"])
+def test_arguments_in_the_wrong_order_are_explained(folder, command):
+    output = ("-o", "x.csv") if command in ("simulate", "compensate") else ()
+    status, _, err = run(command, "loops.csv", "model.json", *output, cwd=folder)
+    assert status == 2
+    assert "loops.csv: is no model, but model.json is one; give MODEL first, then loops.csv" in err
+    status, _, err = run(command, "loops.csv", "path.csv", *output, cwd=folder)
+    assert status == 2 and "loops.csv: line 1, column 1: no valid JSON" in err
 
 
 @pytest.mark.parametrize("command", ["simulate", "compensate"])

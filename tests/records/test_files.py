@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 import scipy.io
 
+import dehyst
 from dehyst._errors import FileFormatError, MissingExtraError, RecordError
 from dehyst.records import Record, read, read_table, write_columns, write_record
 
@@ -391,3 +392,29 @@ def test_a_record_that_is_written_is_a_record(tmp_path):
     record = Record(T, V, Y)
     with pytest.raises(FileFormatError, match="record: got str, need a Record; give the path first"):
         write_record(record, str(tmp_path / "a.csv"))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"voltage": 3}, "voltage: got 3, need the name of a column, as 'voltage_V'"),
+        ({"displacement": ["y"]}, "displacement: got ['y'], need the name of a column"),
+        ({"voltage_scale": 100}, "voltage_scale: got 100, need a number with two units, as in '100 V/V'"),
+        ({"columns": ["time:s", "voltage:V"]}, "columns: got ['time:s', 'voltage:V'], need one text with commas"),
+        ({"sample_rate": "4"}, "sample_rate: got '4', need a number of samples a second [Hz]"),
+        ({"join": 3}, "join: got 3, need the name of a file"),
+    ],
+)
+def test_arguments_of_another_kind_are_explained(tmp_path, options, words):
+    write_record(tmp_path / "a.csv", Record(T, V, Y))
+    with pytest.raises(FileFormatError) as caught:
+        read(tmp_path / "a.csv", **options)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("reader", [read, read_table, dehyst.Actuator.load])
+@pytest.mark.parametrize("path", [5, None, b"a.csv"])
+def test_a_path_of_another_kind_is_explained(reader, path):
+    with pytest.raises(FileFormatError) as caught:
+        reader(path)
+    assert str(caught.value).startswith(f"path: got {path!r}, need the name of a file")

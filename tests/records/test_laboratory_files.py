@@ -44,6 +44,22 @@ def test_read_at_the_first_or_second_try(name, tmp_path, monkeypatch):
     assert_measured(tried(name, options_of(words)))
 
 
+@pytest.mark.parametrize(
+    "header", ["Zeit/s;U/V;Position/nm", "t/s;V/V;Weg/nm", "Time /s;Piezo Voltage/ V;Pos/nanometer"]
+)
+def test_a_unit_after_a_slash(tmp_path, header):
+    assert_measured(read(text(tmp_path, f"{header}\n" + laboratory_files.rows(T, V, 1e3 * UM, sign=";"))))
+
+
+def test_units_after_slashes_select_no_other_column(tmp_path):
+    header = "t/s;U/V;Sensor A/nm;rate/V/s;speed um/s;meas/y_um"
+    path = text(tmp_path, f"{header}\n" + laboratory_files.rows(T, V, 1e3 * UM, V, V, UM, sign=";"))
+    assert_measured(read(path))
+    assert_measured(read(path, displacement="Sensor A/nm"))
+    with pytest.raises(FileFormatError, match="'Sensor A/nm' has the unit 'nm' in the file, got 'V'"):
+        read(path, voltage="Sensor A/nm:V")
+
+
 def test_a_workbook(tmp_path):
     rows = [["Run", 7.0], ["Time (s)", "Drive (V)", "Position (um)"], *np.c_[T, V, UM].tolist()]
     laboratory_files.write_xlsx(tmp_path / "a.xlsx", rows)

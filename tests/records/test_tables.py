@@ -74,6 +74,8 @@ def test_columns_of_a_dataframe_are_found_as_those_of_a_file():
     pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame({"t_ms": TIME * 1e3, "note": list("abcde"), "drive_V": VOLTS, "gauge": MICROMETRES * 1e3})
     assert same(Record.from_dataframe(frame, displacement="gauge:nm"), RECORD)
+    slashes = pandas.DataFrame({"Zeit/ms": TIME * 1e3, "U/V": VOLTS, "Position/nm": MICROMETRES * 1e3})
+    assert same(Record.from_dataframe(slashes), RECORD)
     with pytest.raises(FileFormatError, match=r"DataFrame: .*displacement"):
         Record.from_dataframe(frame)
     with pytest.raises(RecordError, match="frame: got list, need a DataFrame"):

@@ -12,7 +12,7 @@ from typing import Any
 
 from dehyst._errors import FileFormatError
 from dehyst._io.drafts import PathLike, write_atomically
-from dehyst._io.reading import reading_errors
+from dehyst._io.reading import named, reading_errors
 
 # A model has some hundred numbers, a calibration's results some ten thousand.
 _MOST_JSON = 100_000_000
@@ -24,10 +24,10 @@ def read_json(path: PathLike) -> dict[str, Any]:
     Raises
     ------
     FileFormatError
-        No such file, a device or a pipe, more than 100 MB, not UTF-8, no valid JSON, no object, a key that is there
-        twice in one object, NaN, Infinity, or a number too large for a float.
+        No name of a file, no such file, a device or a pipe, more than 100 MB, not UTF-8, no valid JSON, no object, a
+        key that is there twice in one object, NaN, Infinity, or a number too large for a float.
     """
-    path = Path(path)
+    path = named(path)
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]

@@ -1,8 +1,8 @@
 """Marks of files written by dehyst: a marked file may be replaced, any other file only by force.
 
-JSON begins with a format that begins with dehyst, HTML names its generator, an FMU its generating tool. CSV has no
-place for a word that every reader skips: the first number is written with the exponent e0, which does not change it,
-and no other program writes one such number before numbers without.
+JSON begins with a format that begins with dehyst, HTML names its generator, SVG its creator, an FMU its generating
+tool. CSV has no place for a word that every reader skips: the first number is written with the exponent e0, which does
+not change it, and no other program writes one such number before numbers without.
 """
 
 from __future__ import annotations
@@ -23,6 +23,10 @@ GENERATOR = f"dehyst {__version__}"
 _HEAD = 16384
 _JSON = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"(dehyst-[a-z-]+)"')
 _HTML = re.compile(rb'<!DOCTYPE html>.{0,2000}?<meta name="generator" content="dehyst [^"]*">', re.DOTALL)
+_SVG = re.compile(
+    rb"<\?xml[^>]*>\s*<!DOCTYPE svg[^>]*>\s*<svg [^>]*>\s*<metadata>.{0,1000}?<dc:title>dehyst [^<]*</dc:title>",
+    re.DOTALL,
+)
 _FIRST = re.compile(rb"[^\r\n]*\r?\n-?\d+\.\d+e0(?:[,\t][^\r\n]*)?(?:\r?\n|$)")
 _OTHERS = re.compile(rb"[\d.]e0(?![\d])")
 _TOOL = re.compile(rb'generationTool="dehyst [^"]*"')
@@ -48,7 +52,7 @@ def written_by_dehyst(path: PathLike) -> bool:
     head = _head(path)
     if head.startswith(b"PK\3\4"):
         return _is_own_fmu(path)
-    return bool(_JSON.match(head) or _HTML.match(head) or _is_own_table(head))
+    return bool(_JSON.match(head) or _HTML.match(head) or _SVG.match(head) or _is_own_table(head))
 
 
 def demand_replaceable(path: PathLike, *, force: bool = False) -> None:

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from dehyst._errors import DehystError, FileFormatError
+
+
+def named(path: object, what: str = "path") -> Path:
+    """Return the name of a file as a path; raise FileFormatError if it is none."""
+    if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
+        return Path(path)
+    raise FileFormatError(f"{what}: got {path!r}, need the name of a file, as 'loops.csv' or a pathlib.Path")
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst._text import escaped
-from dehyst.cli.common import PATH, echo_files, json_option, read_model
+from dehyst.cli.common import PATH, echo_files, force_option, json_option, read_model, refuse_replacing
 from dehyst.cli.record_files import columns_options, read_records
 from dehyst.cli.terminal import echo, echo_json, note, worded
 
@@ -37,6 +37,7 @@ _PICTURE, _SHOWN = "history.svg", 10
     metavar="FOLDER",
     help="Keep the check here, print the earlier ones of this model, and draw them (history.svg).",
 )
+@force_option
 @columns_options
 @json_option
 def check(model: Path, records: Path, goal: float | None, history: Path | None, as_json: bool, **columns: Any) -> None:
@@ -50,11 +51,17 @@ def check(model: Path, records: Path, goal: float | None, history: Path | None, 
 
     if history is not None:
         demand_folder(history)
+        refuse_replacing(history / _PICTURE)
     actuator = read_model(model)
     (record,) = read_records((records,), columns)
     recheck = run(actuator, record, goal=goal)
     recheck = replace(recheck, remarks=worded(recheck.remarks))
+    if recheck.mismatch:
+        note(*worded([f"{recheck.mismatch}{'' if history is None else f'. It is not kept in {history}'}"]))
+        history = None
     past = None if history is None else CheckHistory.keep(history, recheck)
+    for sentence in () if past is None else worded(past.damaged):
+        note(sentence)
     picture = None if past is None else _drawn(past)
     if as_json:
         echo_json(recheck.as_dict() if past is None else {**recheck.as_dict(), "history": past.as_dict()})
@@ -68,12 +75,13 @@ def check(model: Path, records: Path, goal: float | None, history: Path | None, 
 
 def _drawn(history: CheckHistory) -> Path | None:
     """Draw a history into its folder, if that is possible: a check does not depend on its picture."""
-    from dehyst._errors import MissingExtraError
+    from dehyst._errors import FileFormatError, MissingExtraError
     from dehyst.report import write_check_history
 
     try:
+        refuse_replacing(history.folder / _PICTURE)
         write_check_history(history.folder / _PICTURE, history)
-    except MissingExtraError as error:
+    except (FileFormatError, MissingExtraError) as error:
         note(error)
         return None
     return history.folder / _PICTURE

@@ -252,15 +252,32 @@ def write_output(path: Path, columns: Mapping[str, ArrayLike]) -> None:
 
 def read_model(path: Path) -> Actuator:
     """Read a model, and warn if its identification was not usable."""
+    from dehyst._errors import FileFormatError
     from dehyst.model import Actuator, Outcome
 
-    actuator = Actuator.load(path)
+    try:
+        actuator = Actuator.load(path)
+    except FileFormatError as error:
+        if (model := _other_model(path)) is None:
+            raise
+        raise FileFormatError(f"{path}: is no model, but {model} is one; give MODEL first, then {path}") from error
     outcome = getattr(Outcome, str(actuator.provenance.get("outcome")), None)
     if isinstance(outcome, Outcome) and not outcome.good:
         note(f"{path}: when this model was identified: {outcome.value}")
     if actuator.provenance.get("provisional") is True:
         note(f"{path}: is provisional, because its identification did not end; it was not checked. Identify again")
     return actuator
+
+
+def _other_model(path: Path) -> Path | None:
+    """Return another argument of the running command, if that one is a model."""
+    from dehyst._io.marks import format_of
+    from dehyst.model.serialization import FORMAT
+
+    context = click.get_current_context()
+    given = [context.params.get(one.name or "") for one in context.command.params if isinstance(one, click.Argument)]
+    files = [each for value in given for each in (value if isinstance(value, tuple) else (value,))]
+    return next((f for f in files if isinstance(f, Path) and f != path and format_of(f) == FORMAT), None)
 
 
 def conclude(as_json: bool, result: dict[str, Any], lines: str | Iterable[str], warnings: Iterable[str]) -> None:

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 _FAR = 0.1
 # Least share of the stroke that is printed as a number [%].
 _SMALL = 1e-3
+# Of the displacements in an output of dehyst.
+_COMPUTED = (
+    "is an output of dehyst, whose displacements are computed, not measured: only its voltages determine the start; "
+    "give a record for more"
+)
 _NAMES = ("top", "bottom", "relaxed", "homed")
 
 
@@ -80,17 +85,24 @@ def home_option(words: str) -> Callable[..., Any]:
 def given_start(
     actuator: Actuator, start: str | Path, limits: tuple[float, float] | None, max_bytes: float
 ) -> tuple[PossibleStart, list[str]]:
-    """Return the start that the option names or the file determines, and remarks on it."""
+    """Return the start that the option names or the file determines, and remarks on it.
+
+    Displacements that dehyst wrote are no measurement: of such a file only the voltages count.
+    """
+    from dehyst._io.marks import written_by_dehyst
     from dehyst.control import PossibleStart
     from dehyst.records import Record, read_table
 
     if isinstance(start, str):
         return PossibleStart.named(actuator, start), []  # type: ignore[arg-type]
     table = read_table(start, max_bytes=max_bytes)
-    voltage, timed = table.column("voltage"), actuator.needs_time or table.has("displacement")
-    time = table.column("time") if timed else None
+    own, voltage = written_by_dehyst(start), table.column("voltage")
+    measured = table.has("displacement") and not own
+    time = table.column("time") if actuator.needs_time or measured else None
     outside = _outside_words(actuator, start.name, voltage, limits)
-    if time is not None and table.has("displacement"):
+    if own and table.has("displacement"):
+        outside.append(f"{start.name}: {_COMPUTED}")
+    if time is not None and measured:
         state, beside = _after_record(actuator, Record(time, voltage, table.column("displacement"), start.name))
         return state, [*outside, *beside]
     known = PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=start.name)

@@ -17,8 +17,12 @@ def renamed(table: Table, columns: str) -> Table:
     Raises
     ------
     FileFormatError
-        There are more entries than columns, fewer, an unknown unit, a name twice, or no name.
+        It is no text, there are more entries than columns, fewer, an unknown unit, a name twice, or no name.
     """
+    if not isinstance(columns, str):
+        raise FileFormatError(
+            f"columns: got {columns!r}, need one text with commas, as 'time:s,voltage:V,displacement:um'"
+        )
     entries = [entry.strip() for entry in columns.split(",")]
     if len(entries) != len(table.columns):
         raise FileFormatError(
@@ -31,7 +35,7 @@ def renamed(table: Table, columns: str) -> Table:
         if unit and not symbol_of(unit):
             raise FileFormatError(f"{table.source}: columns: got the unit '{unit}', which is unknown; try s, V or um")
         if name not in ("", "-"):
-            named.append(replace(column, name=name, unit=symbol_of(unit) or column.parts[1], unnamed=""))
+            named.append(replace(column, name=name, unit=symbol_of(unit) or column.parts[1], unnamed="", divided=False))
     names = [column.name for column in named]
     if len(set(names)) < len(names):
         raise FileFormatError(f"{table.source}: columns: got {listed(tuple(names))}; give each name once")

@@ -6,6 +6,7 @@ import hashlib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ from numpy.typing import ArrayLike
 from dehyst._errors import FileFormatError
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst._io.marks import marked
-from dehyst._io.reading import reading_errors
+from dehyst._io.reading import named, reading_errors
 from dehyst._types import Array
 from dehyst._units import per_metre
+from dehyst._validation import demand
 from dehyst.records import hdf5
 from dehyst.records.column_choice import Choice, chosen
 from dehyst.records.column_names import renamed
@@ -79,18 +81,21 @@ def read(
     Raises
     ------
     FileFormatError
-        The file or a column cannot be read, both a time column and a sample rate are given, or the file states another
-        unit than `units`.
+        An argument is of another kind, the file or a column cannot be read, both a time column and a sample rate are
+        given, or the file states another unit than `units`.
     RecordError
         The columns make no record.
     MissingExtraError
         The library for this kind of file is not installed.
     """
-    table, stored = _load(Path(path), max_bytes, with_meta=True)
+    path = named(path)
+    counted = sample_rate is None or (isinstance(sample_rate, Real) and not isinstance(sample_rate, bool))
+    demand(counted, "sample_rate", sample_rate, "a number of samples a second [Hz]", error=FileFormatError)
+    table, stored = _load(path, max_bytes, with_meta=True)
     table = named_and_joined(table, columns, join, time, sample_rate, max_bytes)
     displacement = displacement if units is None else _in_units(table, displacement, units)
     choice = Choice(time, voltage, displacement, voltage_scale, displacement_scale)
-    record = record_of(table, choice, sample_rate, name or (stored.name if stored else Path(path).stem))
+    record = record_of(table, choice, sample_rate, name or (stored.name if stored else path.stem))
     return _with_stored_meta(record, stored) if stored else record
 
 
@@ -121,7 +126,11 @@ def named_and_joined(
     """Return a table with the names in `columns`, and joined to the file `join`, see `read`."""
     if columns is not None:
         table = renamed(table, columns)
-    return table if join is None else joined(table, read_table(join, max_bytes=max_bytes), time, sample_rate)
+    return (
+        table
+        if join is None
+        else joined(table, read_table(named(join, "join"), max_bytes=max_bytes), time, sample_rate)
+    )
 
 
 def _meta(table: Table, choice: Choice, sample_rate: float | None) -> dict[str, Any]:
@@ -164,7 +173,7 @@ def read_table(path: PathLike, *, max_bytes: float = MOST) -> Table:
 
     `path` is the file's. `max_bytes` bounds the file and its numbers.
     """
-    return _load(Path(path), max_bytes, with_meta=False)[0]
+    return _load(named(path), max_bytes, with_meta=False)[0]
 
 
 def _load(path: Path, max_bytes: float, with_meta: bool) -> tuple[Table, hdf5.Stored | None]:

@@ -17,7 +17,7 @@ from dehyst._types import Array
 from dehyst._units import per_metre, plain
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
-from dehyst.records.formats.columns import Column, Table
+from dehyst.records.formats.columns import Column, Table, without_groups
 from dehyst.records.quality import problems, refuse_implausible, refuse_not_finite, refuse_not_rising, refuse_unusable
 from dehyst.records.signals import interpolate, noise_span, outer_extreme, turning_points, white_noise
 
@@ -168,7 +168,7 @@ class Record:
         RecordError
             If it is no DataFrame, or the columns make no record.
         """
-        found = Table("DataFrame", "", tuple(Column(*column) for column in tables.columns_of(frame)))
+        found = Table("DataFrame", "", tuple(without_groups(Column(*column)) for column in tables.columns_of(frame)))
         chosen = {"time": time, "voltage": voltage, "displacement": displacement}
         numbers = {quantity: found.column(quantity, wanted) for quantity, wanted in chosen.items()}
         return cls(name=name or str(frame.attrs.get("name", "record")), **numbers)  # type: ignore[arg-type]

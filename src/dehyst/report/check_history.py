@@ -9,6 +9,7 @@ import numpy as np
 
 from dehyst._errors import IdentifyError
 from dehyst._io.drafts import write_atomically
+from dehyst._io.marks import GENERATOR
 from dehyst.identification import CheckHistory
 from dehyst.identification.checking.history import ControlChart
 from dehyst.report.plots import INK, MEASURED, SIMULATED, svg_file
@@ -55,7 +56,8 @@ def write_check_history(path: str | PathLike[str], history: CheckHistory) -> Non
         _dates((others or (first,))[-1], history)
 
     rows = 1 + len(charts)
-    write_atomically(path, svg_file("checks", draw, rows=rows, height=_AROUND + _PANEL * rows))
+    height = _AROUND + _PANEL * rows
+    write_atomically(path, svg_file("checks", draw, rows=rows, height=height, creator=GENERATOR))
 
 
 def _errors(ax: Axes, history: CheckHistory) -> None:

@@ -238,14 +238,16 @@ def inline(name: str, draw: Callable[..., None], *, rows: int = 1, height: float
     return _inline(svg_file(name, draw, rows=rows, height=height))
 
 
-def svg_file(name: str, draw: Callable[..., None], *, rows: int = 1, height: float = 3.3) -> str:
-    """Draw on `rows` axes, one above the other, and return the text of an SVG file."""
+def svg_file(
+    name: str, draw: Callable[..., None], *, rows: int = 1, height: float = 3.3, creator: str | None = None
+) -> str:
+    """Draw on `rows` axes, one above the other, and return the text of an SVG file, which names its `creator`."""
     text = io.StringIO()
     with _figure(name, (_INCHES, height)) as figure:
         axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         draw(*axes)
         figure.align_ylabels()
-        figure.savefig(text, format="svg", dpi=_DPI, metadata=dict.fromkeys(_NO_METADATA))
+        figure.savefig(text, format="svg", dpi=_DPI, metadata={**dict.fromkeys(_NO_METADATA), "Creator": creator})
     return text.getvalue()
 
 

@@ -1,6 +1,7 @@
 """Histories of checks: one file each, control charts over them, and folders of others left alone."""
 
 import json
+import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst import FileFormatError
+from dehyst import FileFormatError, IdentifyError
 from dehyst.identification import CheckHistory, Standing
 from dehyst.identification.checking.history import ALLOWANCE, DECISION, LIMIT, WEIGHT, ControlChart
 
@@ -98,3 +99,22 @@ def test_folders_and_files_of_others_are_refused(tmp_path):
             CheckHistory.read(tmp_path / "own", recheck.model_id)
     with pytest.raises(FileFormatError, match="without a time zone"):
         CheckHistory.keep(tmp_path / "own", recheck, moment=datetime(2024, 5, 1))
+
+
+def test_a_record_of_another_actuator_is_refused(tmp_path):
+    recheck = dehyst.check(loops.model(), loops.later(gain=0.7))
+    assert not recheck.good and re.search(r"the gain differs by \+6\d\.\d %", recheck.mismatch)
+    with pytest.raises(IdentifyError, match=r"plainly not a record of the model's actuator.* not kept in the history"):
+        CheckHistory.keep(tmp_path / "new", recheck)
+    assert not (tmp_path / "new").exists()
+    assert not dehyst.check(loops.model(), loops.later(gain=0.3)).mismatch
+
+
+def test_damaged_checks_are_left_out_of_what_is_kept(tmp_path):
+    first = CheckHistory.keep(tmp_path, dehyst.check(loops.model(), loops.later()))
+    (path,) = tmp_path.glob("check-*.json")
+    path.write_text("{}")
+    history = CheckHistory.keep(tmp_path, dehyst.check(loops.model(), loops.later(2)))
+    assert [one.record for one in history.checks] == ["later-2"]
+    assert len(history.damaged) == 1 and path.name in history.damaged[0]
+    assert CheckHistory.read(tmp_path, first.checks[0].model_id, throw=False).damaged == history.damaged

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._errors import FileFormatError
+from dehyst._errors import FileFormatError, IdentifyError
 from dehyst._io.drafts import PathLike
 from dehyst._io.json_files import read_json, write_json
-from dehyst._io.marks import demand_own_folder, make_own_folder
+from dehyst._io.marks import demand_own_folder, format_of, make_own_folder
+from dehyst._text import counted
 from dehyst._types import Array, Mask
 from dehyst.identification.checking.changes import SLOW
 from dehyst.identification.checking.recheck import Recheck
@@ -134,28 +135,41 @@ class CheckHistory:
         In the order in which they were done.
     others : int
         Number of checks of other models in the folder.
+    damaged : tuple of str
+        A sentence for each file that is left out because it is no check.
     """
 
     folder: Path
     checks: tuple[PastCheck, ...]
     others: int = 0
+    damaged: tuple[str, ...] = ()
 
     @classmethod
-    def read(cls, folder: PathLike, model_id: str) -> CheckHistory:
+    def read(cls, folder: PathLike, model_id: str, *, throw: bool = True) -> CheckHistory:
         """Read the checks of the model with this `model_id` from a `folder`.
 
-        Raise `FileFormatError` if a file is no check, or the folder has other files.
+        Raise `FileFormatError` if the folder has other files or, with `throw`, a file is no check; without it such a
+        file is left out, see `damaged`.
         """
         demand_folder(folder)
-        every = sorted((_past(path) for path in Path(folder).glob("check-*.json")), key=lambda one: one.checked)
+        every, damaged = [], []
+        for path in sorted(Path(folder).glob("check-*.json")):
+            try:
+                every.append(_past(path))
+            except FileFormatError as error:
+                if throw:
+                    raise
+                damaged.append(f"left out of the history: {error}")
+        every.sort(key=lambda one: one.checked)
         own = tuple(one for one in every if one.model_id == model_id)
-        return cls(Path(folder), own, len(every) - len(own))
+        return cls(Path(folder), own, len(every) - len(own), tuple(damaged))
 
     @classmethod
     def keep(cls, folder: PathLike, recheck: Recheck, *, moment: datetime | None = None) -> CheckHistory:
         """Write a check to a folder, made if it does not exist, and read the history.
 
-        A record that was checked before with the same model keeps its place and gets the new result.
+        A record that was checked before with the same model keeps its place and gets the new result. A file that is no
+        check is left out, see `damaged`; one of the same record and model is replaced.
 
         Parameters
         ----------
@@ -168,16 +182,21 @@ class CheckHistory:
         Raises
         ------
         FileFormatError
-            If the folder holds other files or cannot be written, a file in it is no check, or `moment` has no zone.
+            If the folder holds other files or cannot be written, or `moment` has no zone.
+        IdentifyError
+            If the record is plainly not of the model's actuator, see `Recheck.mismatch`.
         """
+        if recheck.mismatch:
+            raise IdentifyError(f"{recheck.mismatch}. It is not kept in the history")
         if moment is not None and moment.tzinfo is None:
             raise FileFormatError(f"moment: got {moment} without a time zone; try datetime.now(UTC)")
+        demand_folder(folder)
         target = make_own_folder(folder, *OWN, option="--history")
         path = target / f"check-{recheck.model_id}-{recheck.record_id}.json"
-        done = moment or (_past(path).checked if path.exists() else datetime.now(UTC))
+        done = moment or _moment_of(path) or datetime.now(UTC)
         write_json(target / OWN[0], {"format": OWN[1], "version": 1})
         write_json(path, {"format": _CHECK, "version": 1, "checked": done.isoformat(), **recheck.as_dict()})
-        return cls.read(target, recheck.model_id)
+        return cls.read(target, recheck.model_id, throw=False)
 
     def charts(self) -> tuple[ControlChart, ...]:
         """Return a chart of each kind of change that a check looked for."""
@@ -231,7 +250,23 @@ class CheckHistory:
 
 def demand_folder(folder: PathLike) -> None:
     """Refuse a folder that is neither new, nor empty, nor of a history; raise `FileFormatError`."""
+    marker = Path(folder) / OWN[0]
+    checks = [path.name for path in Path(folder).glob("check-*.json") if format_of(path) == _CHECK]
+    if checks and format_of(marker) != OWN[1]:
+        what = "is damaged" if marker.exists() else "is missing"
+        raise FileFormatError(
+            f"{marker}: {what}, but the folder holds {counted(len(checks), 'check')}; write "
+            f'{{"format": "{OWN[1]}", "version": 1}} into that file, or give another folder with --history'
+        )
     demand_own_folder(folder, *OWN, option="--history")
+
+
+def _moment_of(path: Path) -> datetime | None:
+    """Return when a check was done; None if there is no such, or its file is damaged."""
+    try:
+        return _past(path).checked
+    except FileFormatError:
+        return None
 
 
 def _past(path: Path) -> PastCheck:

@@ -15,6 +15,8 @@ from dehyst.records.metrics import NOISE_PEAK, percent
 
 # An error this many times that of the identification is another one.
 _WORSE = 1.5
+# Parts of the gain and of the stroke beyond which a record is not of the model's actuator, or in other units.
+_ANOTHER = 0.5
 
 
 class Standing(Enum):
@@ -97,6 +99,8 @@ class Recheck:
     def standing(self) -> Standing:
         """The judgement."""
         allowed = self.goal / 100 * self.stroke
+        if self.mismatch:
+            return Standing.RECALIBRATE
         if self.without_noise > allowed:
             same = self.ratio is not None and self.ratio <= _WORSE
             return Standing.NEVER_MET if same else Standing.RECALIBRATE
@@ -106,6 +110,23 @@ class Recheck:
     def good(self) -> bool:
         """Whether the model itself may be used as before."""
         return self.standing in (Standing.STILL_TRUE, Standing.DRIFTS)
+
+    @property
+    def mismatch(self) -> str:
+        """Why the record is plainly not of the model's actuator, in a sentence; empty if it may be."""
+        gain = next((one.value for one in self.changed if one.name == "gain"), 0.0)
+        reasons = []
+        if abs(gain) > _ANOTHER:
+            reasons.append(f"the gain differs by {100 * gain:+.3g} %")
+        if self.without_noise > _ANOTHER * self.stroke:
+            reasons.append(f"the largest error is {self._percent(self.without_noise)} of the stroke")
+        found = " and ".join(reasons)
+        if not found:
+            return ""
+        return (
+            f"{self.record}: is plainly not a record of the model's actuator, or in other units: {found}, "
+            f"more than {100 * _ANOTHER:g} %; check that model and record belong together, and the scales"
+        )
 
     @property
     def sentence(self) -> str:
@@ -119,6 +140,8 @@ class Recheck:
         return f"{text}. {self._advice()}"
 
     def _advice(self) -> str:
+        if self.mismatch:
+            return "Check that model and record belong together."
         if self.standing is Standing.RECALIBRATE:
             return "Identify the model again from new records."
         if self.standing is Standing.NEVER_MET:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,13 +33,15 @@ _MORE_WORDS = {
         "temps",
         "tiempo",
     ],
-    "voltage": ["spannung", "tension", "piezo voltage", "drive voltage", "output voltage", "control voltage"],
+    "voltage": ["u", "spannung", "tension", "piezo voltage", "drive voltage", "output voltage", "control voltage"],
     "displacement": ["disp", "deflection", "elongation", "extension", "weg", "auslenkung", "verschiebung"],
 }
 EXAMPLES = {"time": "time_s", "voltage": "voltage_V", "displacement": "displacement_um"}
 TEXT = (".csv", ".tsv", ".txt", ".dat")
 # A quantity and its unit: "Time / s", "Weg in µm".
 _WRITTEN_OUT = re.compile(r"(.+?)\s+(?:/|in)\s+(\S+)")
+# The same without blanks: "Position/nm".
+_DIVIDED = re.compile(r"\s*([^/]*[^/\s])\s*/\s*([^/\s\[\]()]+)\s*")
 # Characters of a name that a message shows.
 _SHOWN = 60
 
@@ -76,6 +78,8 @@ class Column:
         ignored if another column fits.
     unnamed : str
         If the file has no names, so that the name is a number: the reason, and what to try.
+    divided : bool
+        Whether the name ends with a slash and its unit, as "Position/nm": that slash ends no group.
     """
 
     name: str
@@ -84,16 +88,21 @@ class Column:
     fault: str = ""
     foreign: bool = False
     unnamed: str = ""
+    divided: bool = False
 
     @property
     def leaf(self) -> str:
         """The name without its groups; "Time / s" has none."""
+        if self.divided:
+            return "/".join(self.name.rsplit("/", 2)[-2:])
         return self.name if " / " in self.name else self.name.rsplit("/", 1)[-1]
 
     @property
     def parts(self) -> tuple[str, str]:
         """Quantity and unit in the column's name: ('drive', 'V') for 'drive_V' or 'drive [V]'."""
         text = self.leaf.strip()
+        if self.divided and (divided := _DIVIDED.fullmatch(text)):
+            return divided[1], self.unit or symbol_of(divided[2])
         if len(text) <= _SHOWN and (written := _WRITTEN_OUT.fullmatch(text)) and symbol_of(written[2]):
             return written[1].strip(), symbol_of(written[2])
         start = min((at for at in (text.find("["), text.find("(")) if at >= 0), default=-1)
@@ -104,6 +113,15 @@ class Column:
         if any(self.unit in known for known in UNITS.values()):
             return word.strip(), self.unit
         return word.strip(), symbol_of(unit) or symbol_of(self.unit) or unit.strip() or self.unit
+
+
+def without_groups(column: Column) -> Column:
+    """Return a column of a flat table, where a slash before a unit ends no group: "Position/nm", but not "um/V"."""
+    divided = _DIVIDED.fullmatch(column.name) if len(column.name) <= _SHOWN else None
+    unit = symbol_of(divided[2]) if divided else ""
+    if divided is None or not unit or symbol_of(divided[1].split()[-1]) not in ("", unit):
+        return column
+    return replace(column, divided=True)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -182,6 +200,8 @@ class Table:
     def find(self, quantity: str, wanted: str | None = None) -> tuple[Column, str]:
         """Return the column that `column` uses, and its unit."""
         unit = ""
+        if not isinstance(wanted, str | None):
+            raise FileFormatError(f"{quantity}: got {wanted!r}, need the name of a column, as '{EXAMPLES[quantity]}'")
         if wanted is None and self.columns and self.columns[0].unnamed:
             raise ColumnError(self.source, quantity, self.columns[0].unnamed, "")
         fits = self._candidates(quantity) if wanted is None else self._named(wanted)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst.records.formats.columns import Column, shortened
+from dehyst.records.formats.columns import Column, shortened, without_groups
 from dehyst.records.formats.file_content import Allowance
 from dehyst.records.formats.table_layout import Layout, cells_of, layout_of, number_in
 from dehyst.records.formats.timestamps import elapsed, is_moment, moment
@@ -65,7 +65,8 @@ def columns_below(text: Text, layout: Layout, allowance: Allowance) -> list[Colu
     columns = _at_once(text, names, layout.delimiter) or _by_rows(text, names, layout.delimiter, allowance)
     units = [*layout.units, *[""] * len(names)]
     return [
-        replace(column, unit=column.unit or unit, unnamed=unnamed) for column, unit in zip(columns, units, strict=False)
+        without_groups(replace(column, unit=column.unit or unit, unnamed=unnamed))
+        for column, unit in zip(columns, units, strict=False)
     ]
 
 

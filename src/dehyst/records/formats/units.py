@@ -88,7 +88,8 @@ def scale_of(quantity: str, text: str) -> Scale:
     FileFormatError
         It is no number with two units, its first unit is not of the quantity, or the number is 0 or not finite.
     """
-    what = f"{quantity}_scale: got '{text}', need a number with two units, as in '{_EXAMPLES[quantity]}'"
+    got = f"'{text}'" if isinstance(text, str) else repr(text)
+    what = f"{quantity}_scale: got {got}, need a number with two units, as in '{_EXAMPLES[quantity]}'"
     match = _SCALE.fullmatch(text) if isinstance(text, str) else None
     if match is None:
         point = "; with a decimal point" if "," in str(text) else ""
