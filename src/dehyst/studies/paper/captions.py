@@ -23,12 +23,12 @@ from dehyst.studies.paper.tables import PAPER, physical
 _SCHEMATIC = (
     "The voltage v acts as a force F = T v on a massless bar at x. Three kinds of springs hold the bar: km and ke in "
     "series, together keq = ke km/(ke + km), which meet at the displacement y; the nonlinear spring g; and N slip "
-    "elements, each a spring kᵢ on a massless cart at x_bᵢ, which Coulomb friction holds until the force is fᵢ. km is "
+    "elements, each a spring kᵢ on a massless cart at xbᵢ, which Coulomb friction holds until the force is fᵢ. km is "
     "the mechanical stiffness, ke = T²/C that of the capacitance C. x, y and the forces count to the right. Drawn anew "
     "after the paper's text and equations."
 )
 _BLOCKS = (
-    "(a) The physical model, Eqs. 1 and 2: the displacement x drives the slip elements, and their forces F_Hᵢ return "
+    "(a) The physical model, Eqs. 1 and 2: the displacement x drives the slip elements, and their forces FHᵢ return "
     "to the force balance. (b) The Preisach model, its double integral as a sum: the voltage drives M relays with the "
     "switching values αᵢ, βᵢ, and their weighted sum is the displacement. The summation is a balance of forces in (a), "
     "a mathematical one in (b)."
