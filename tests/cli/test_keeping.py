@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import click
 import plain_records
@@ -16,9 +17,11 @@ import dehyst
 from dehyst import Actuator
 from dehyst.cli import terminal
 from dehyst.cli.identify import BestSoFar, identify
+from dehyst.cli.studies import paper
 from dehyst.identification import Deadline
 from dehyst.records import read, write_record
 from dehyst.studies import demo
+from dehyst.studies.paper import run as paper_study
 from dehyst.virtual import PlayActuator
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -192,6 +195,28 @@ def test_progress_beside_a_terminal_is_a_line_every_few_seconds(monkeypatch, cap
         progress(f"trial {second}")
     progress("")
     assert capfd.readouterr().err == "dehyst: trial 5\ndehyst: trial 10\n"
+
+
+def test_the_paper_reports_its_progress_beside_a_terminal(monkeypatch, capfd, tmp_path):
+    now = [0.0]
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
+
+    def run(progress):
+        for now[0], words in ((1.0, "recording"), (6.0, "identifying")):
+            progress(words)
+        return SimpleNamespace(as_dict=dict)
+
+    def write(result, folder, progress):
+        now[0] = 12.0
+        progress("drawing Fig. 1 of 12")
+        return []
+
+    monkeypatch.setattr(paper_study, "run", run)
+    monkeypatch.setattr(paper_study, "write", write)
+    paper.callback(tmp_path / "new", True)
+    said = capfd.readouterr()
+    assert said.err == "dehyst: identifying\ndehyst: drawing Fig. 1 of 12\n"
+    assert json.loads(said.out) == {"written": []}
 
 
 def test_progress_on_a_terminal_stays_on_one_line(monkeypatch, capfd):

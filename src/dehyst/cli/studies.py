@@ -55,10 +55,9 @@ def paper(output: Path, as_json: bool) -> None:
     from dehyst.studies.paper import run as study
 
     study.demand_folder(output)
-    progress = progress_line()
+    progress = progress_line(lines=True)
     result = study.run(progress)
-    progress("drawing")
-    written = study.write(result, output)
+    written = study.write(result, output, progress)
     progress("")
     if as_json:
         echo_json({**result.as_dict(), "written": [str(path) for path in written]})

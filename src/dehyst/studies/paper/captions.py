@@ -20,6 +20,20 @@ from dehyst.studies.paper.experiment import (
 )
 from dehyst.studies.paper.tables import PAPER, physical
 
+_SCHEMATIC = (
+    "The voltage v acts as a force F = T v on a massless bar at x. Three kinds of springs hold the bar: km and ke in "
+    "series, together keq = ke km/(ke + km), which meet at the displacement y; the nonlinear spring g; and N slip "
+    "elements, each a spring kᵢ on a massless cart at xbᵢ, which Coulomb friction holds until the force is fᵢ. km is "
+    "the mechanical stiffness, ke = T²/C that of the capacitance C. x, y and the forces count to the right. Drawn anew "
+    "after the paper's text and equations."
+)
+_BLOCKS = (
+    "(a) The physical model, Eqs. 1 and 2: the displacement x drives the slip elements, and their forces FHᵢ return "
+    "to the force balance. (b) The Preisach model, its double integral as a sum: the voltage drives M relays with the "
+    "switching values αᵢ, βᵢ, and their weighted sum is the displacement. The summation is a balance of forces in (a), "
+    "a mathematical one in (b)."
+)
+
 
 def captions(found: Experiment, symmetric: Experiment) -> dict[int, str]:
     """Return one caption for each figure, by the paper's number.
@@ -36,8 +50,9 @@ def captions(found: Experiment, symmetric: Experiment) -> dict[int, str]:
         10: _control_voltages,
         11: _trajectories,
     }
+    words = {1: _SCHEMATIC, 2: _BLOCKS}
     both = {4: _antisymmetry(found, symmetric), 12: _tracking_errors(found, symmetric)}
-    return {number: caption(found) for number, caption in single.items()} | both
+    return words | {number: caption(found) for number, caption in single.items()} | both
 
 
 def _typical_loop(found: Experiment) -> str:

@@ -222,7 +222,8 @@ def _record(truth: PlayActuator, start: Start, voltage: Array, seed: int) -> Mea
 
 def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan, progress: Progress) -> PaperTrial:
     """Identify on the major and the small loop, and on the further records of the plan."""
-    progress(f"identifying, {plan.key.replace('_', ' ')}")
+    step = f"identifying, {plan.key.replace('_', ' ')}"
+    progress(step)
     relaxed = runs[RELAXED.name]
     seen = relaxed.noiseless() if plan.noiseless else relaxed
     records = [seen.cut("major"), seen.cut("small")]
@@ -235,7 +236,7 @@ def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan
     # The virtual sensor neither lags nor creeps, and it is not zeroed between loops.
     known: dict[str, Any] = {"shared_datum": True, "delay": 0.0, "drift": False}
     options = {"method": plan.method, "elements": plan.elements, "norm": plan.norm, **known}
-    fit = identify(records, validate=seen.cut("medium"), **options)
+    fit = identify(records, validate=seen.cut("medium"), progress=lambda words: progress(f"{step}: {words}"), **options)
     return _trial(truth, relaxed, plan.key, fit.actuator, fit.outcome.name, fit.remarks)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +35,7 @@ class Plate:
     """A figure of the paper for the virtual actuator.
 
     `number`: the paper's. `wide`: whether it takes two columns of a journal. `data`: tables by suffix of the file's
-    name ("" for the main one), each columns by name with their units.
+    name ("" for the main one), each columns by name with their units; none of a schematic.
     """
 
     number: int
@@ -50,23 +50,21 @@ class Plate:
         return f"fig{self.number:02d}"
 
 
-def plates(found: Experiment, symmetric: Experiment) -> list[Plate]:
-    """Draw every figure, from the virtual E-280.10 and the same without its asymmetric map.
+def plates(found: Experiment, symmetric: Experiment) -> Iterator[Plate]:
+    """Draw each figure with data, from the virtual E-280.10 and the same without its asymmetric map.
 
     Raise `MissingExtraError` if matplotlib is not installed.
     """
-    return [
-        _typical_loop(found),
-        _antisymmetry(found, symmetric),
-        _break_points(found),
-        _initial_states(found),
-        _loops(found),
-        _parallel_spring(found),
-        _right_extreme(found),
-        _control_voltages(found),
-        _trajectories(found),
-        _tracking_errors(found, symmetric),
-    ]
+    yield _typical_loop(found)
+    yield _antisymmetry(found, symmetric)
+    yield _break_points(found)
+    yield _initial_states(found)
+    yield _loops(found)
+    yield _parallel_spring(found)
+    yield _right_extreme(found)
+    yield _control_voltages(found)
+    yield _trajectories(found)
+    yield _tracking_errors(found, symmetric)
 
 
 def _plate(number: int, title: str, draw: Callable[..., None], data: Any, **layout: Any) -> Plate:

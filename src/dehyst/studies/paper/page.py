@@ -13,7 +13,7 @@ from dehyst.studies.paper.figures import Plate
 from dehyst.studies.paper.tables import CONSTANTS, MODELS, Quantity, floors, limits, open_directions, summary, table1
 
 _STYLE = """.plate svg{max-width:62rem}.plate.one svg{max-width:31rem}
-.plate svg text{font-family:"DejaVu Sans","Bitstream Vera Sans",Verdana,Arial,sans-serif!important}
+.plate svg text,.plate svg tspan{font-family:"DejaVu Sans","Bitstream Vera Sans",Verdana,Arial,sans-serif!important}
 .plate .files{font-size:.85rem;margin:.3rem 0}
 th small{display:block;font-weight:400;color:#666}
 td.text,th.text{min-width:9.5rem}

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst._io.json_files import write_json
 from dehyst._io.marks import demand_own_folder, make_own_folder
+from dehyst._types import Progress
 from dehyst.records import write_columns
 from dehyst.studies.paper import experiment, tables
 from dehyst.studies.paper.experiment import Experiment
 from dehyst.studies.paper.tables import MODELS, PAPER
 
+if TYPE_CHECKING:
+    from dehyst.studies.paper.figures import Plate
+
 # A folder with this file is one of the paper's.
 _OWN = ("results.json", "dehyst-paper")
+_FIGURES = 12
 _ACTUATORS = {"asymmetric": "virtual E-280.10", "symmetric": "without its asymmetric map"}
 
 
@@ -44,7 +50,7 @@ class Paper:
         return {"paper": dict(PAPER), "protocol": tables.protocol(), **experiments}
 
 
-def run(progress: Callable[[str], None] = lambda _: None) -> Paper:
+def run(progress: Progress = lambda _: None) -> Paper:
     """Run the paper's protocol, identify and track; seeded and thus reproducible."""
 
     def of(name: str) -> Experiment:
@@ -59,19 +65,20 @@ def demand_folder(folder: PathLike) -> None:
     demand_own_folder(folder, *_OWN)
 
 
-def write(result: Paper, folder: PathLike) -> list[Path]:
+def write(result: Paper, folder: PathLike, progress: Progress = lambda _: None) -> list[Path]:
     """Write every figure (SVG, PNG, CSV), the tables, the numbers and a page to a folder; return the paths.
 
-    Files are index.html, results.json, summary.csv, limits.csv, table1.csv, and figNN.svg, .png and .csv. Each is
-    written wholly or not at all, the page last, and none if a figure cannot be drawn. Raise `FileFormatError` if the
-    folder cannot be made or written to, or holds files that are not of this experiment. Raise `MissingExtraError` if
-    matplotlib is not installed.
+    Files are index.html, results.json, summary.csv, limits.csv, table1.csv, and figNN.svg, .png and, but for the
+    schematics of Figs. 1 and 2, .csv. Each is written wholly or not at all, the page last, and none if a figure cannot
+    be drawn. Each figure is reported to `progress` before it is drawn. Raise `FileFormatError` if the folder cannot be
+    made or written to, or holds files that are not of this experiment. Raise `MissingExtraError` if matplotlib is not
+    installed.
     """
-    from dehyst.studies.paper.figures import plates
     from dehyst.studies.paper.page import render
 
     target = make_own_folder(folder, *_OWN)
-    drawn, written = plates(result.asymmetric, result.symmetric), []
+    drawn, written = _drawn(result, progress), []
+    progress("writing")
     # First, so that the folder counts as the paper's even if it is not finished.
     write_json(target / _OWN[0], {"format": _OWN[1], "version": 1, **result.as_dict()})
     for plate in drawn:
@@ -86,6 +93,20 @@ def write(result: Paper, folder: PathLike) -> list[Path]:
     page = render(result.asymmetric, result.symmetric, drawn, [path.name for path in written])
     write_atomically(target / "index.html", page)
     return [target / "index.html", *written]
+
+
+def _drawn(result: Paper, progress: Progress) -> list[Plate]:
+    """Draw Figs. 1 to 12."""
+    from dehyst.studies.paper.figures import plates
+    from dehyst.studies.paper.schematics import schematics
+
+    drawn: list[Plate] = []
+    progress(f"drawing Fig. 1 of {_FIGURES}")
+    for plate in chain(schematics(), plates(result.asymmetric, result.symmetric)):
+        drawn.append(plate)
+        if plate.number < _FIGURES:
+            progress(f"drawing Fig. {plate.number + 1} of {_FIGURES}")
+    return drawn
 
 
 def _summary(result: Paper) -> Iterator[list[Any]]:

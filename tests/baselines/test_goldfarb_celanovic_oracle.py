@@ -1,0 +1,88 @@
+"""Goldfarb and Celanovic's identification on records of their own electric circuit, integrated by SciPy."""
+
+import numpy as np
+from electromechanical_oracle import legs, moving, quasi_static
+from paper_stacks import CONSTANTS, KE, KEQ, KM, T, assert_proportional, paper_stack
+
+from dehyst import Record
+from dehyst.baselines import GoldfarbCelanovic
+
+STACK = paper_stack(linear=True)
+REACH = STACK.friction / STACK.stiffness
+RESISTANCES = np.array([1000.0, 250.0, 62.5])
+TURNS = [0, 200, 0, 140, 30, 90, 60, 150, 0]
+
+
+def instants(samples, peak=200.0):
+    """Times of samples, with those at which dry elements break on the first rise, of one second, to the peak [V]."""
+    force = KEQ * REACH + np.minimum.outer(REACH, REACH) @ STACK.stiffness
+    times, _ = legs(TURNS, samples)
+    return np.union1d(times, np.arccos(1 - 2 * force / T / peak) / np.pi)
+
+
+def recorded(resistance, samples=500):
+    """A record from the relaxed state, and its charges."""
+    time, voltage = instants(samples), legs(TURNS, 1)[1]
+    q, y = quasi_static(STACK, time, voltage, resistance)
+    return Record(time, voltage(time), y, "circuit"), q
+
+
+def identified(record):
+    return GoldfarbCelanovic.fit(record, breakaway=np.interp(REACH, STACK.x, STACK.displacement(T * STACK.x)))
+
+
+def test_stiffnesses_and_break_forces_come_back_as_the_friction_becomes_dry():
+    errors = []
+    for resistance in RESISTANCES:
+        paper = identified(recorded(resistance)[0]).actuator.physical(**CONSTANTS)
+        k = np.abs(paper.stiffness - STACK.stiffness).max() / STACK.stiffness.max()
+        f = np.abs(paper.friction - STACK.friction).max() / STACK.friction.max()
+        linear = np.abs(np.diff(paper.nonlinear)).max() / paper.parallel[-1]
+        errors.append([k, f, linear])
+    for kind in np.transpose(errors):
+        assert_proportional(kind, RESISTANCES)
+        assert kind[-1] < 5e-4
+
+
+def test_it_is_their_recipe():
+    """Slopes of force over deformation between break points of the first rise, the deformation being charge over T."""
+    record, q = recorded(250.0)
+    top = int(np.argmax(record.voltage))
+    rise = slice(0, top + 1)
+    places = np.concatenate([[0.0], REACH, [q[top] / T]])
+    slopes = np.diff(np.interp(places, q[rise] / T, T * record.voltage[rise])) / np.diff(places)
+    paper = identified(record).actuator.physical(**CONSTANTS)
+    np.testing.assert_allclose(paper.stiffness, -np.diff(slopes), rtol=1e-9)
+    np.testing.assert_allclose(paper.friction, -np.diff(slopes) * REACH, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(paper.parallel) / np.diff(paper.deformation), slopes[-1], rtol=1e-9)
+
+
+def test_the_loops_after_the_rise_follow():
+    errors = []
+    for resistance in RESISTANCES:
+        record, _ = recorded(resistance)
+        found = identified(record)
+        assert found.remarks == ()
+        y = found.simulate(record.voltage).displacement
+        errors.append(np.abs(y - record.displacement).max() / np.ptp(record.displacement))
+    assert_proportional(errors, RESISTANCES)
+    assert errors[-1] < 5e-5
+
+
+def test_the_slower_a_mass_is_moved_the_less_it_matters():
+    """Their full model, at a fiftieth of the resonance and slower."""
+    omega = 2 * np.pi * 1000
+    mass, errors = (KM + KE) / omega**2, []
+    shape = legs(TURNS[:3], 1)[1]
+    for speed in (40.0, 20.0, 10.0):
+        time = instants(1000)
+        time = time[time <= 1.2] / speed
+
+        def rate(t, speed=speed):
+            return 100 * np.pi * speed * np.sin(np.pi * speed * t)
+
+        _, y = moving(STACK, mass, 0.1 * omega * mass, time, lambda t, speed=speed: shape(speed * t), rate)
+        paper = identified(Record(time, shape(speed * time), y)).actuator.physical(**CONSTANTS)
+        errors.append(np.abs(paper.stiffness - STACK.stiffness).max() / STACK.stiffness.max())
+    assert np.all(np.diff(errors) < 0)
+    assert errors[-1] < 0.01

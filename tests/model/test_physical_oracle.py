@@ -1,0 +1,98 @@
+"""The actuator against an electric circuit of the paper's numbers, whose friction SciPy integrates."""
+
+import numpy as np
+import pytest
+from electromechanical_oracle import charge_driven, legs, quasi_static
+from paper_stacks import CONSTANTS, KE, KEQ, KM, T, actuator_of, assert_proportional, paper_stack
+
+from dehyst import Dynamics, State
+
+STACK = paper_stack()
+TURNS = [0, 200, 0, 140, 30, 90, 60, 150, -20, 0]
+RESISTANCES = np.array([4e3, 1e3, 250.0])
+
+
+def assert_vanishes(errors):
+    assert_proportional(errors, RESISTANCES)
+    assert errors[-1] < 5e-4
+
+
+@pytest.mark.parametrize("residual", [False, True], ids=["relaxed", "with residual charge"])
+def test_displacement_and_charge_are_the_circuits_as_its_friction_becomes_dry(residual):
+    actuator = actuator_of(STACK)
+    time, voltage = legs(TURNS, 40)
+    reach = STACK.friction / STACK.stiffness
+    carts = T * reach * np.linspace(0.9, -0.4, reach.size) if residual else 0 * reach
+    errors = []
+    for resistance in RESISTANCES:
+        q, y = quasi_static(STACK, time, voltage, resistance, carts=carts)
+        start = State(y[0], KEQ / KM * carts / T)
+        # The circuit starts in balance: its first voltage is the actuator's of that state.
+        assert actuator.voltage(start) == pytest.approx(0.0, abs=1e-9)
+        got = actuator.simulate(voltage(time), state=start).displacement
+        charge = actuator.charge(got, **CONSTANTS)
+        errors.append([np.abs(got - y).max() / np.ptp(y), np.abs(charge - q).max() / np.ptp(q)])
+    for kind in np.transpose(errors):
+        assert_vanishes(kind)
+
+
+def test_the_papers_numbers_come_back():
+    paper = actuator_of(STACK).physical(**CONSTANTS)
+    np.testing.assert_allclose(paper.stiffness, STACK.stiffness, rtol=1e-12)
+    np.testing.assert_allclose(paper.friction, STACK.friction, rtol=1e-12)
+    np.testing.assert_allclose(paper.deformation, STACK.x, rtol=1e-12, atol=1e-18)
+    np.testing.assert_allclose(paper.nonlinear, STACK.g, rtol=1e-12, atol=1e-12)
+
+
+def test_the_voltage_along_a_path_is_the_circuits_under_a_charge():
+    """y -> v: a driver of charge prescribes the displacement."""
+    actuator = actuator_of(STACK)
+    time, share = legs(TURNS, 40)
+
+    def charge(t):
+        return share(t) / 200 * T * 250e-6
+
+    path = STACK.displacement(charge(time))
+    sent = actuator.compensate(path, state=actuator.relaxed()).voltage
+    voltages = [charge_driven(STACK, time, charge, resistance) for resistance in RESISTANCES]
+    assert_vanishes([np.abs(v - sent).max() / np.ptp(sent) for v in voltages])
+
+
+def test_a_load_on_a_held_charge_meets_km_and_ke():
+    """Without dynamics a load moves y by F / kc: that of a driver of charge, kc = km + ke."""
+    actuator = actuator_of(STACK, load_stiffness=KM + KE)
+    time, share = legs(TURNS, 40)
+    load = 8 * np.sin(2.1 * time)
+
+    def charge(t):
+        return share(t) / 200 * T * 250e-6
+
+    expected = STACK.displacement(charge(time), load)
+    errors = []
+    for resistance in RESISTANCES:
+        unloaded = charge_driven(STACK, time, charge, resistance)
+        got = actuator.simulate(unloaded, load=load, state=actuator_of(STACK).relaxed()).displacement
+        errors.append(np.abs(got - expected).max() / np.ptp(expected))
+    assert_vanishes(errors)
+
+
+def test_a_slow_load_under_a_voltage_moves_the_charge_too():
+    """With ke / T as series spring, and a mass so small that it follows at once."""
+    actuator = actuator_of(STACK, dynamics=Dynamics(1e7, 1.0, KE / T), load_stiffness=KM + KE)
+    time, voltage = legs([0, 200, 0, 140, 30, 90, 0], 400)
+
+    def load(t):
+        return 8 * np.sin(2.1 * t)
+
+    start = State(0.0, np.zeros(STACK.friction.size), motion=[0.0, 0.0])
+    got = actuator.simulate(voltage(time), time=time, load=load(time), state=start).displacement
+    errors = []
+    for resistance in RESISTANCES:
+        q, y = quasi_static(STACK, time, voltage, resistance, load=load)
+        charge = actuator.charge(got - load(time) / (KM + KE), **CONSTANTS)
+        errors.append(max(np.abs(got - y).max() / np.ptp(y), np.abs(charge - q).max() / np.ptp(q)))
+    assert_vanishes(errors)
+    # Far more than what a plain F / kc leaves out.
+    plain = actuator_of(STACK, load_stiffness=KM + KE)
+    stiff = plain.simulate(voltage(time), load=load(time), state=plain.relaxed()).displacement
+    assert np.abs(stiff - y).max() / np.ptp(y) > 20 * errors[-1]

@@ -1,0 +1,208 @@
+"""A piezoelectric stack as an electric circuit with a mass, integrated by SciPy: a second opinion on the actuator.
+
+Nothing here is shared with the package, neither code nor coordinates. The equations are those of Goldfarb and
+Celanovic, in charges and volts:
+
+    v = sum_i u_i + g(q / T) / T + (q - T y) / C,        u_i = (q - b_i) k_i / T^2
+    m y'' + b y' + km y = T (q - T y) / C + F
+
+Coulomb friction keeps the charge b_i of element i where it is while |u_i| < f_i / T. `quasi_static` and
+`charge_driven` regularise it: beyond the break voltage a resistor R lets b_i follow, R b_i' = u_i -+ f_i / T, and the
+friction is dry in the limit of no R. `moving` has dry friction itself, from one event to the next.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """The paper's numbers: T [N/V], km, ke [N/m], k_i [N/m], f_i [N], and g [N] at places x [m], straight between."""
+
+    ratio: float
+    km: float
+    ke: float
+    stiffness: np.ndarray
+    friction: np.ndarray
+    x: np.ndarray
+    g: np.ndarray
+
+    @property
+    def capacitance(self):
+        return self.ratio**2 / self.ke
+
+    @property
+    def volts_per_charge(self):
+        """Of the elements."""
+        return self.stiffness / self.ratio**2
+
+    @property
+    def break_volts(self):
+        return self.friction / self.ratio
+
+    def displacement(self, charge, load=0.0):
+        """At rest: km y = T (q - T y) / C + F."""
+        return (self.ratio * charge / self.capacitance + load) / (self.km + self.ke)
+
+    def circuit_voltage(self, charge, displacement):
+        """Of the nonlinear capacitor and of the linear one."""
+        curved = line(charge / self.ratio, self.x, self.g) / self.ratio
+        return curved + (charge - self.ratio * displacement) / self.capacitance
+
+    def charge_of(self, voltage, slope, knots_voltage):
+        """Solve voltage = slope q + V(q) for q, V straight between the knots of g."""
+        charges = self.ratio * self.x
+        return line(voltage, slope * charges + knots_voltage, charges)
+
+
+def line(at, places, values):
+    """A line straight between places, and straight on beyond the first and the last."""
+    at = np.asarray(at, float)
+    k = np.clip(np.searchsorted(places, at) - 1, 0, len(places) - 2)
+    slope = (values[k + 1] - values[k]) / (places[k + 1] - places[k])
+    return values[k] + slope * (at - places[k])
+
+
+def legs(turns, samples):
+    """Half cosines from each turn to the next, one second each: times, and the voltage as a function of time."""
+    turns = np.asarray(turns, float)
+
+    def voltage(t):
+        k = np.clip(np.asarray(t, float).astype(int), 0, turns.size - 2)
+        return turns[k] + (turns[k + 1] - turns[k]) * (0.5 - 0.5 * np.cos(np.pi * (t - k)))
+
+    return np.arange((turns.size - 1) * samples + 1) / samples, voltage
+
+
+def quasi_static(stack, time, voltage, resistance, *, carts=None, load=lambda t: 0.0):
+    """Charges and displacements (n,) of a stack without mass under a voltage and a load, functions of time.
+
+    It starts with the charges `carts` (N,) of its elements; default: relaxed.
+    """
+    e, c = stack.volts_per_charge, stack.capacitance
+    charges = stack.ratio * stack.x
+
+    def charge(t, b):
+        # y is eliminated: what the load adds to it does not depend on the charge.
+        alone = stack.circuit_voltage(charges, stack.displacement(charges))
+        return stack.charge_of(voltage(t) + e @ b + stack.ratio / c * stack.displacement(0.0, load(t)), e.sum(), alone)
+
+    def rates(t, b):
+        return _slip(stack, charge(t, b) - b, resistance)
+
+    start = np.zeros(e.size) if carts is None else carts
+    b = _integrated(rates, time, start, 1e-12 * np.ptp(charges))
+    q = np.array([charge(*at) for at in zip(time, b.T, strict=True)])
+    return q, stack.displacement(q, np.array([load(t) for t in time]))
+
+
+def charge_driven(stack, time, charge, resistance):
+    """Voltages (n,) of a relaxed stack without mass or load on which a driver puts a charge, a function of time."""
+    b = _integrated(
+        lambda t, b: _slip(stack, charge(t) - b, resistance),
+        time,
+        np.zeros(stack.friction.size),
+        1e-12 * stack.ratio * np.ptp(stack.x),
+    )
+    q = charge(time)
+    return stack.volts_per_charge @ (q - b) + stack.circuit_voltage(q, stack.displacement(q))
+
+
+def _slip(stack, elongation, resistance):
+    u = stack.volts_per_charge * elongation
+    return (u - np.clip(u, -stack.break_volts, stack.break_volts)) / resistance
+
+
+def _integrated(rates, time, start, atol):
+    # No step longer than a twentieth of a leg: at a turn everything stands still for a while.
+    found = solve_ivp(
+        rates, (time[0], time[-1]), start, method="LSODA", t_eval=time, rtol=1e-8, atol=atol, max_step=0.05
+    )
+    assert found.success, found.message
+    return found.y
+
+
+def moving(stack, mass, damping, time, voltage, rate, *, load=lambda t: 0.0):
+    """Charges and displacements (n,) of a relaxed stack with a mass, from rest; dry friction, event by event.
+
+    `damping` is b [N s/m]; `voltage` and its `rate` are functions of time.
+    """
+    circuit = _Moving(stack, mass, damping, voltage, rate, load)
+    t, z, out = time[0], np.zeros(2), [(0.0, 0.0)]
+    circuit.direction = np.sign(circuit.current(t, z) or circuit.current(t + 1e-9 * time[-1], z))
+    while t < time[-1]:
+        found = circuit.until_event(t, z, time)
+        passed = time[len(out) :]
+        passed = passed[passed <= found.t[-1]]
+        out += [(float(circuit.charge(at, found.sol(at))), found.sol(at)[0]) for at in passed]
+        t, z = found.t[-1], found.y[:, -1]
+        circuit.commit(t, z, turned=found.t_events[0].size > 0)
+    return np.array(out).T
+
+
+class _Moving:
+    """A stack with a mass between two events: which elements slide, where the others stand, and the sign of q'.
+
+    Charge flows in the direction of v' + T y' / C, whatever slides: there all elements that slide stop at once.
+    """
+
+    def __init__(self, stack, mass, damping, voltage, rate, load):
+        self.stack, self.mass, self.damping = stack, mass, damping
+        self.voltage, self.rate, self.load = voltage, rate, load
+        self.slides, self.b = np.zeros(stack.friction.size, bool), np.zeros(stack.friction.size)
+        self.reach, self.direction = stack.break_volts / stack.volts_per_charge, 0.0
+        self.curve = stack.circuit_voltage(stack.ratio * stack.x, 0.0)
+
+    def charge(self, t, z):
+        stack, stuck = self.stack, ~self.slides
+        e = stack.volts_per_charge[stuck]
+        held = e @ self.b[stuck] - self.direction * stack.break_volts[self.slides].sum()
+        return stack.charge_of(self.voltage(t) + held + stack.ratio * z[0] / stack.capacitance, e.sum(), self.curve)
+
+    def rates(self, t, z):
+        stack = self.stack
+        pull = stack.ratio * (self.charge(t, z) - stack.ratio * z[0]) / stack.capacitance
+        return [z[1], (pull + self.load(t) - self.damping * z[1] - stack.km * z[0]) / self.mass]
+
+    def current(self, t, z):
+        return self.rate(t) + self.stack.ratio * z[1] / self.stack.capacitance
+
+    def left(self, q):
+        """Charge that each element can still take before it slides onward."""
+        return self.reach - self.direction * (q - self.b)
+
+    def until_event(self, t, z, time):
+        """Integrate until the charge turns or an element that stands begins to slide."""
+
+        def turns(t, z):
+            return self.current(t, z)
+
+        def breaks(t, z):
+            return self.left(self.charge(t, z))[~self.slides].min(initial=1.0)
+
+        turns.terminal = breaks.terminal = True
+        turns.direction, breaks.direction = -self.direction, -1
+        far = self.stack.displacement(self.stack.ratio * self.stack.x[-1])
+        found = solve_ivp(
+            self.rates,
+            (t, time[-1]),
+            z,
+            method="DOP853",
+            events=[turns, breaks],
+            dense_output=True,
+            rtol=1e-10,
+            atol=1e-10 * np.array([far, 1.0]),
+            max_step=(time[-1] - time[0]) / 400,
+        )
+        assert found.success, found.message
+        return found
+
+    def commit(self, t, z, *, turned):
+        q = self.charge(t, z)
+        self.b = np.where(self.slides, q - self.direction * self.reach, self.b)
+        if turned:
+            self.direction, self.slides = -self.direction, np.zeros(self.b.size, bool)
+        else:
+            self.slides = self.slides | (self.left(q) <= 1e-9 * self.reach)
