@@ -55,7 +55,7 @@ def paper(output: Path, as_json: bool) -> None:
     from dehyst.studies.paper import run as study
 
     study.demand_folder(output)
-    progress = progress_line(lines=True)
+    progress = progress_line()
     result = study.run(progress)
     written = study.write(result, output, progress)
     progress("")
