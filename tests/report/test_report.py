@@ -24,7 +24,7 @@ from dehyst.model import (
     Verdict,
 )
 from dehyst.report import plots, record_charts, report
-from dehyst.report.html import sentence
+from dehyst.report.html import spelled
 
 HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$ " + "long_" * 60
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -186,7 +186,7 @@ def test_colour_follows_the_readiness(outcome, percent, readiness, colour):
     words = Page(text).words
     assert f"{readiness.value.capitalize()}{percent:.1f}" in words.replace("0.50", "0.5")
     assert "is the largest error to expect on a path like the records" in words
-    assert sentence(outcome.value) in words
+    assert spelled(outcome.value) in words
 
 
 @pytest.mark.parametrize("outcome", Outcome)

@@ -10,7 +10,7 @@ import numpy as np
 from dehyst.model import Actuator, Expectation, Fit, Readiness, RecordErrors
 from dehyst.model.fit_summary import label
 from dehyst.report.charts import Axis, Chart, Series
-from dehyst.report.html import Charts, Row, escape, length, number, sentence, table
+from dehyst.report.html import Charts, Row, escape, length, number, spelled, table
 from dehyst.report.plots import length_unit
 
 _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
@@ -21,7 +21,7 @@ def verdict(fit: Fit) -> str:
     expected = fit.expectation
     if expected is None:
         word = Readiness.NOT_USABLE.value.capitalize()
-        return f'<p class="outcome red" role="status"><strong>{word}</strong> {escape(sentence(fit.outcome.value))}</p>'
+        return f'<p class="outcome red" role="status"><strong>{word}</strong> {escape(spelled(fit.outcome.value))}</p>'
     word = expected.readiness.value.capitalize()
     share = number(100 * expected.largest / expected.stroke, 2)
     headline = f"<b>{share} % of the stroke <small>or {escape(length(expected.largest))}</small></b>"
@@ -29,10 +29,10 @@ def verdict(fit: Fit) -> str:
     rest[0] += f" (from {expected.basis}; the goal is {expected.goal:g} %)."
     rest.append(f"The records are missed by {_share(expected.measured, expected)} RMS;")
     rest.append(f"the sensor's noise is {_share(expected.noise, expected)}.")
-    why = "".join(f"<li>{escape(sentence(one[0].upper() + one[1:]))}.</li>" for one in expected.why_not_ready)
+    why = "".join(f"<li>{escape(spelled(one[0].upper() + one[1:]))}.</li>" for one in expected.why_not_ready)
     return (
         f'<div class="outcome {_COLOURS[expected.readiness]}" role="status"><strong>{word}</strong>{headline}\n'
-        f"{escape(' '.join(rest))} {escape(sentence(fit.outcome.value))}"
+        f"{escape(' '.join(rest))} {escape(spelled(fit.outcome.value))}"
         f"{f'<ul>{why}</ul>' if why else ''}</div>"
     )
 
@@ -141,7 +141,7 @@ def remaining_error(fit: Fit) -> str:
             f'title="{words}: {100 * getattr(one, key):.0f} %"></span>'
             for key, words in _CAUSES
         )
-        words = sentence(one.causes(fit.errors[0].stroke))
+        words = spelled(one.causes(fit.errors[0].stroke))
         bars.append(
             f'<h3>{escape(one.record)} <span>{escape(one.role)}</span></h3>\n<div class="share">{shares}</div>\n'
             f'<p class="muted">{escape(words)}</p>'
@@ -159,7 +159,7 @@ def assumptions(fit: Fit, actuator: Actuator | None) -> str:
         return ""
     rows: list[Row] = [
         (
-            *(check.name, check.verdict.value, sentence(check.sentence)),
+            *(check.name, check.verdict.value, spelled(check.sentence)),
             *(("–" if x is None else (number(x), check.unit.replace("um", "µm"))) for x in (check.value, check.floor)),
         )
         for check in checks

@@ -141,7 +141,7 @@ def figure(title: str, caption: str, panels: Sequence[str], *, wide: bool = Fals
     )
 
 
-def sentence(text: str) -> str:
+def spelled(text: str) -> str:
     """Write um as µm and minus signs as such; the text is escaped afterwards."""
     return re.sub(r"(?<![\w.\-])-(?=\d)", MINUS, re.sub(r"(?<=\d |V/)um\b", "µm", text))
 

@@ -10,7 +10,7 @@ from dehyst._types import Array
 from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip
 from dehyst.model.summary import parts_of
 from dehyst.report import part_plots, plots
-from dehyst.report.html import MINUS, Row, figure, number, panel, sentence, table
+from dehyst.report.html import MINUS, Row, figure, number, panel, spelled, table
 
 
 def made_of(actuator: Actuator) -> str:
@@ -84,7 +84,7 @@ def _lengths(smooth: SmoothSlip) -> str:
 
 
 def _spelt(words: str) -> str:
-    return sentence(words).replace("tau(v)", "τ(v)")
+    return spelled(words).replace("tau(v)", "τ(v)")
 
 
 def slip_and_spring(actuator: Actuator) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst.records import Record
-from dehyst.report.html import Row, bullets, document, escape, figure, panel, reproduction, table
+from dehyst.report.html import Row, bullets, document, escape, figure, panel, reproduction, spelled, table
 from dehyst.report.plots import MEASURED, inline, length_unit, line
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *,
     parts = [
         f"<h1>{escape(record.name)}</h1>",
         table(("quantity", "column", "range"), columns, 3),
-        bullets("Notes", [escape(sentence) for sentence in record.problems()]),
+        bullets("Notes", [escape(spelled(problem)) for problem in record.problems()]),
         figure(
             "Against time",
             "Check that the voltage is that of the actuator, not of a monitor.",

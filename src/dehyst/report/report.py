@@ -12,7 +12,7 @@ from dehyst.control import TrackedPath
 from dehyst.model import Actuator, Fit, Structure
 from dehyst.report.comparison_section import comparison_sections
 from dehyst.report.fit_section import assumptions, constants, errors_table, remaining_error, structures, verdict
-from dehyst.report.html import bullets, document, escape, length, number, sentence, table
+from dehyst.report.html import bullets, document, escape, length, number, spelled, table
 from dehyst.report.parts_section import made_of, numbers, slip_and_spring
 from dehyst.report.record_charts import before_and_after, loops, residuals
 from dehyst.report.tracking_section import followed_sections
@@ -131,7 +131,7 @@ def _facts(fit: Fit, actuator: Actuator | None) -> str:
 def _list(title: str, sentences: Sequence[str], none: str) -> str:
     if not sentences:
         return f'<h2>{title}</h2>\n<p class="muted">{none}</p>'
-    return bullets(title, (escape(sentence(one)) for one in sentences))
+    return bullets(title, (escape(spelled(one)) for one in sentences))
 
 
 def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst.control import Homing
 from dehyst.report import uncertainty_plots
-from dehyst.report.html import Row, document, escape, figure, length, number, panel, reproduction, table
+from dehyst.report.html import Row, document, escape, figure, length, number, panel, reproduction, spelled, table
 from dehyst.uncertainty import Insight
 from dehyst.uncertainty.part_identifiability import SHARP
 from dehyst.uncertainty.precision import NOISE_BIAS
@@ -75,7 +75,7 @@ def _known(found: Insight) -> str:
 def _directions(found: Insight) -> str:
     directions = found.identifiability
     sentences = directions.sentences()
-    items = [escape(_subscripts(sentence)) for sentence in sentences[:_MOST_SENTENCES]]
+    items = [escape(spelled(_subscripts(sentence))) for sentence in sentences[:_MOST_SENTENCES]]
     if len(sentences) > _MOST_SENTENCES:
         items.append(f"and {len(sentences) - _MOST_SENTENCES} more")
     listed = "\n".join(f"<li>{item}</li>" for item in items)
@@ -225,7 +225,8 @@ def _verdict(found: Insight, word: str, good: str) -> str:
     warnings = found.warnings()
     if not warnings:
         return f'<p class="outcome green"><strong>{word}</strong> {good}</p>'
-    return f'<p class="outcome amber"><strong>Warning</strong> {"<br>".join(map(escape, warnings))}</p>'
+    lines = "<br>".join(escape(spelled(warning)) for warning in warnings)
+    return f'<p class="outcome amber"><strong>Warning</strong> {lines}</p>'
 
 
 def _trajectory(found: Insight) -> str:
@@ -264,7 +265,7 @@ def _state(found: Insight) -> str:
 
 def _homing(homing: Homing, *, creeps: bool) -> str:
     turns = ", ".join(number(v, 6) for v in homing.turns)
-    remarks = escape(" ".join(homing.remarks))
+    remarks = " ".join(f"{escape(spelled(one[:1].upper() + one[1:]))}." for one in homing.remarks)
     if homing.played is None:
         word = "certified: every state at rest ends in one" if homing.certified else "not certified"
         return f"<p>Shortest homing: {escape(turns)} V ({word}). {remarks}</p>"
@@ -274,5 +275,5 @@ def _homing(homing: Homing, *, creeps: bool) -> str:
         f"{way} V in {number(homing.played.duration)} s{', with holds at both limits' if creeps else ''} ({word}): "
         f"after any history within the limits, it makes the displacement known to {length(homing.error)}."
     )
-    items = "\n".join(f"<li>{escape(remark.replace(' um', ' µm'))}</li>" for remark in homing.remarks)
+    items = "\n".join(f"<li>{escape(spelled(remark))}</li>" for remark in homing.remarks)
     return f"<p>Homing: {sentence}</p>\n<ul>\n{items}\n</ul>"
