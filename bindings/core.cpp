@@ -1,5 +1,6 @@
 // Arrays in, arrays out, the interpreter lock released, a status back. No algorithm.
 #include "tables.h"
+#include "bank.h"
 #include "loop.h"
 
 namespace {
@@ -92,6 +93,7 @@ NB_MODULE(_core, m) {
         .def("simulate", &Wide::simulate)
         .def("voltage", &Wide::voltage);
     bind_loop(m);
+    bind_bank(m);
     m.def("slip_elongations", &slip_elongations);
     m.def("smooth_elongations", &smooth_elongations);
     m.def("steps", &steps);

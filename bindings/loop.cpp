@@ -102,6 +102,26 @@ struct Loop {
         }
         return own<Output>(std::move(out), {n});
     }
+    // One column of a path of many, (n, M): wanted displacements to voltages, or voltages to displacements.
+    using Columns = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+    void run_column(nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu> in, Columns out,
+                    size_t column, bool plays) {
+        demand_free();
+        const size_t n = in.shape(0), row = in.shape(1);
+        if (out.shape(0) != n || out.shape(1) != row || column >= row) demand(DEHYST_ERR_SIZE);
+        const double *from = in.data() + column;
+        double *to = out.data() + column;
+        const Busy mark(busy);
+        nb::gil_scoped_release release;
+        for (size_t t = 0; t < n; t++, from += row, to += row) {
+            if (plays) {
+                dehyst_loop_play(&compensator, &loop, *from);
+                *to = wide.tables.inertia ? loop.state.y : loop.state.memory.y;
+            } else {
+                *to = dehyst_loop_step(&compensator, &loop, *from);
+            }
+        }
+    }
     // Voltages, where each leads, and what was on offer.
     std::tuple<Output, Output, Output> trace(Input u) {
         demand_free();
@@ -253,6 +273,7 @@ void bind_loop(nb::module_ &m) {
         .def("commit", &Loop::commit)
         .def("step", [](Loop &loop, nb::handle u) { return loop.step(plain(u)); })
         .def("run", &Loop::run)
+        .def("run_column", &Loop::run_column)
         .def("trace", &Loop::trace)
         .def("tables", &Loop::tables)
         .def("sent", &Loop::sent)
@@ -261,6 +282,7 @@ void bind_loop(nb::module_ &m) {
         .def("rest", &Loop::rest)
         .def("go_on", &Loop::go_on)
         .def("row", &Loop::row)
+        .def("place", &Loop::place)
         .def("offered", &Loop::offered)
         .def("stepped", &Loop::stepped)
         .def("reached", &Loop::reached)

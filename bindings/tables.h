@@ -182,15 +182,15 @@ struct Wide {
 
     struct Workspace {
         std::vector<dehyst_reversal> reversals;
-        std::vector<double> value, slope, at_cart;
+        std::vector<double> value, slope, at_cart, along;
         std::vector<int> segment;
         dehyst_workspace workspace;
 
-        Workspace(size_t elements, size_t knots, bool stack)
+        Workspace(size_t elements, size_t knots, size_t smooth, bool stack)
             : reversals(stack ? DEHYST_STACK_CAPACITY(elements) : 0), value(knots), slope(knots), at_cart(elements),
-              segment(elements) {
+              along(2 * smooth + 1), segment(elements) {
             workspace = {{int(reversals.size()), 0, 1, 0, 0, stack ? reversals.data() : nullptr},
-                    value.data(), slope.data(), at_cart.data(), segment.data()};
+                    value.data(), slope.data(), at_cart.data(), segment.data(), along.data()};
         }
         Workspace(const Workspace &) = delete;
     };
@@ -237,7 +237,7 @@ struct Wide {
         const double *source = in.data(), *added = extra.size() ? extra.data() : nullptr;
         {
             nb::gil_scoped_release release;
-            Workspace work(base.rho.size(), base.knot.size(), stack);
+            Workspace work(base.rho.size(), base.knot.size(), length.size(), stack);
             for (size_t r = 0; r < count; r++) {
                 const dehyst_step step = steps.at(r);
                 const long first = steps.first(r);
@@ -258,7 +258,7 @@ struct Wide {
         const double *source = in.data(), *force = load.size() ? load.data() : nullptr;
         {
             nb::gil_scoped_release release;
-            Workspace work(base.rho.size(), base.knot.size(), stack);
+            Workspace work(base.rho.size(), base.knot.size(), length.size(), stack);
             for (size_t r = 0; r < count; r++) {
                 const dehyst_step step = steps.at(r);
                 const long first = steps.first(r);

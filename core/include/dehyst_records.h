@@ -58,6 +58,7 @@ typedef struct dehyst_workspace {
     dehyst_real *slope;   /* [knots of the spring - 1] */
     dehyst_real *at_cart; /* [N] psi_i at the carts, with graded elements */
     int *segment;         /* [N] where the carts sit, with graded elements */
+    dehyst_real *smooth;  /* [2 L + 1] with smooth elements */
 } dehyst_workspace;
 
 /* Return the end of a run of equal steps: samples `first` >= 1 to end - 1 are equally spaced in time, up to the

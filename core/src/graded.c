@@ -95,6 +95,14 @@ branch_segment dehyst_grades_look_ahead(const dehyst_actuator *actuator, const d
     return ahead;
 }
 
+dehyst_real dehyst_grades_stiffness(const dehyst_actuator *actuator, int i, dehyst_real y, dehyst_real direction)
+{
+    const dehyst_grades *grades = &actuator->grades;
+    dehyst_real event;
+    const int j = grade_ahead(grades, y, direction * actuator->plain.slip.rho[i], direction, grades->size / 2, &event);
+    return grades->slope[i * grades->size + j];
+}
+
 dehyst_real dehyst_grades_voltage(const dehyst_actuator *actuator, const dehyst_plain_state *state)
 {
     const dehyst_grades *grades = &actuator->grades;

@@ -60,6 +60,9 @@ void dehyst_grades_compensate(const dehyst_actuator *actuator, dehyst_plain_stat
 branch_segment dehyst_grades_look_ahead(const dehyst_actuator *actuator, const dehyst_plain_state *state, dehyst_real y,
                                         dehyst_real direction);
 
+/* Return the stiffness of a graded element whose cart slides with y in a direction. */
+dehyst_real dehyst_grades_stiffness(const dehyst_actuator *actuator, int i, dehyst_real y, dehyst_real direction);
+
 /* Return the segment of the plain or graded elements and the spring that begins at w. */
 static inline branch_segment look_ahead(const dehyst_actuator *actuator, const dehyst_plain_state *memory,
                                         dehyst_real w, dehyst_real direction)
@@ -113,6 +116,8 @@ dehyst_real dehyst_decay(dehyst_real x);
 /* Return ln(1 + a) for 0 <= a <= 1. */
 dehyst_real dehyst_log1p(dehyst_real a);
 dehyst_status dehyst_smooth_check(const dehyst_smooth *smooth, const dehyst_real *elongation);
+/* Return the elongation r of element l, positive in the direction of motion, after a motion over `way` >= 0. */
+dehyst_real dehyst_smooth_moved(const dehyst_smooth *smooth, int l, dehyst_real r, dehyst_real way);
 dehyst_real dehyst_smooth_voltage(const dehyst_smooth *smooth, const dehyst_real *elongation);
 /* Add the voltages of smooth elements along a path [n] that begins at y to v [n]. */
 void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,

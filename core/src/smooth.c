@@ -77,9 +77,9 @@ dehyst_status dehyst_smooth_check(const dehyst_smooth *smooth, const dehyst_real
     return DEHYST_OK;
 }
 
-/* Return the elongation r, positive in the direction of motion, after a motion over `way` >= 0. Against its elongation
- * an element returns by r' = 1 - back r, steeper than 1, until it is at rest; then r' = 1 - r / length. */
-static dehyst_real moved(const dehyst_smooth *smooth, int l, dehyst_real r, dehyst_real way)
+/* Against its elongation an element returns by r' = 1 - back r, steeper than 1, until it is at rest; then by
+ * r' = 1 - r / length. */
+dehyst_real dehyst_smooth_moved(const dehyst_smooth *smooth, int l, dehyst_real r, dehyst_real way)
 {
     const dehyst_real length = smooth->length[l], back = smooth->back[l];
     if (r < 0) {
@@ -99,7 +99,7 @@ void dehyst_smooth_move(const dehyst_smooth *smooth, dehyst_real *elongation, de
     int l;
     if (!(by != 0)) return;
     for (l = 0; l < smooth->size; l++)
-        elongation[l] = direction * moved(smooth, l, direction * elongation[l], direction * by);
+        elongation[l] = direction * dehyst_smooth_moved(smooth, l, direction * elongation[l], direction * by);
 }
 
 void dehyst_smooth_elongations(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
@@ -130,7 +130,7 @@ dehyst_real dehyst_smooth_voltage_after(const dehyst_smooth *smooth, const dehys
     dehyst_real sum = 0;
     int l;
     for (l = 0; l < smooth->size; l++)
-        sum += smooth->stiffness[l] * (direction * moved(smooth, l, direction * elongation[l], direction * by));
+        sum += smooth->stiffness[l] * (direction * dehyst_smooth_moved(smooth, l, direction * elongation[l], direction * by));
     return sum;
 }
 
@@ -160,7 +160,7 @@ static branch_segment meet(const dehyst_actuator *actuator, const dehyst_state *
     ahead.slope += stiffness;
     for (l = 0; l < smooth->size; l++) {
         const dehyst_real k = smooth->stiffness[l];
-        const dehyst_real r = moved(smooth, l, direction * state->elongation[l], direction * by);
+        const dehyst_real r = dehyst_smooth_moved(smooth, l, direction * state->elongation[l], direction * by);
         ahead.v += k * direction * r;
         ahead.slope += k * (r < 0 ? 1 - smooth->back[l] * r : 1 - r / smooth->length[l]);
     }

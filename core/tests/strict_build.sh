@@ -30,6 +30,12 @@ ${CC:-gcc} $sanitize "$work/empty.c" -o "$work/empty" 2>/dev/null || sanitize=
 # shellcheck disable=SC2086
 ${CC:-gcc} -std=c99 -O1 -g -ffp-contract=off $sanitize -Iinclude -Isrc $sources tests/laws.c -lm -o "$work/laws"
 "$work/laws" >/dev/null
+# A bank, for every processor and for AVX2.
+for part in src/bank/*.c src/records/elements_avx2.c; do
+    case "$part" in *avx2.c) [ "$(uname -m)" = x86_64 ] && more=-mavx2 || more= ;; *) more= ;; esac
+    # shellcheck disable=SC2086
+    ${CC:-gcc} $flags $more -Iinclude -Isrc -c "$part" -o "$work/bank.o"
+done
 # Baseline models are never exported: strict, but free to use the mathematical library.
 for baseline in baselines/*.c; do
     # shellcheck disable=SC2086

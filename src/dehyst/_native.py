@@ -126,6 +126,11 @@ class WideCore(_Rebuilt):
         """Return the voltage [V] in a state."""
         return float(checked(self._core.voltage, *start))
 
+    @property
+    def in_lanes(self) -> bool:
+        """Whether a bank computes it in lanes: it has neither graded nor smooth elements, nor a mass."""
+        return bool(_core.in_lanes(self._core))
+
     def loop(
         self,
         pace: StepCoefficients,
@@ -159,6 +164,48 @@ class WideCore(_Rebuilt):
         return out, CoreState(float(w), *rest)
 
 
+class BankCore:
+    """Tables of many actuators in C, which are computed in lanes; see `core/include/dehyst_bank.h`.
+
+    Parameters
+    ----------
+    cores : sequence of M WideCore
+        Each `in_lanes`.
+    decay, gain : (B,) array
+        Coefficients of a step of all creep branches, one actuator after the other.
+    limits : (3, M) array
+        Lowest and highest voltages [V], and largest changes in a step [V].
+    """
+
+    __slots__ = ("_bank", "rows")
+
+    def __init__(self, cores: Sequence[WideCore], decay: Array, gain: Array, limits: Array) -> None:
+        self._bank = checked(_core.Bank, [one._core for one in cores], decay, gain, limits)
+        # The largest numbers of elements and of creep branches.
+        self.rows: tuple[int, int] = self._bank.rows()
+
+    def run(self, values: Array, out: Array, memory: BankMemory, plays: bool, threads: int, build: str) -> None:
+        """Convert displacements to voltages, or with `plays` voltages to displacements, (n, M) both.
+
+        `build`: "baseline", "avx2", or "" for the fastest that this processor has; all give the same bits.
+        """
+        checked(self._bank.run, values, out, *memory, threads, plays, build)
+
+
+class BankMemory(NamedTuple):
+    """Memory of M actuators, which changes in place.
+
+    Displacements w (M,) [m], carts (N, M) [m], creep strains (J, M) [m], voltages (M,) [V], and counts (3, M) of
+    samples at a limit, held back by the slew rate, and refused.
+    """
+
+    w: Array
+    carts: Array
+    strains: Array
+    sent: Array
+    counts: NDArray[np.int64]
+
+
 class CoreState(NamedTuple):
     """A state as numbers [m]: w, carts (N,), strains and elongations (J + L,), with inertia y and y'/omega (2,)."""
 
@@ -182,6 +229,7 @@ class StepCoefficients(NamedTuple):
 
 
 CoreError = _core.CoreError
+has_avx2 = _core.has_avx2
 Loop = _core.Loop
 
 

@@ -25,6 +25,7 @@ static dehyst_real tau_slope[MOST], tau_inverse[MOST], creep[MOST], decay[MOST],
 static dehyst_real start[MOST], cart[MOST], first[MOST], strain[MOST], path[MOST], out[4][MOST];
 static dehyst_real length[MOST], closing[MOST], back[MOST], smooth[MOST], before[MOST], elongation[MOST];
 static dehyst_real room_value[MOST], room_slope[MOST], held[MOST];
+static dehyst_real smooth_work[2 * MOST + 1];
 static int segment[MOST];
 static dehyst_reversal reversal[DEHYST_STACK_CAPACITY(MOST)];
 
@@ -81,7 +82,7 @@ int main(void)
         const dehyst_real y = state.memory.y;
         for (column = 0; column < 4; column++) {
             dehyst_stack stack = {DEHYST_STACK_CAPACITY(MOST), 0, 1, 0, 0, 0};
-            dehyst_workspace room = {stack, room_value, room_slope, held, segment};
+            dehyst_workspace room = {stack, room_value, room_slope, held, segment, smooth_work};
             if (column < 2) room.stack.reversal = reversal;
             state.memory.y = y, state.memory.cart = cart, state.strain = strain;
             state.elongation = elongation;

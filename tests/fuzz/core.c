@@ -263,7 +263,10 @@ static void play_records(const model *m)
     int *segment = room((size_t)size, sizeof *segment);
     const int stack = chance(0.7);
     work.stack.capacity = DEHYST_STACK_CAPACITY(size), work.stack.reversal = stack ? reversals : NULL;
+    /* Paths that turn at most samples leave the stack as it is. */
+    work.stack.depth = 0;
     work.value = numbers(knots), work.slope = numbers(knots - 1), work.at_cart = numbers(size), work.segment = segment;
+    work.smooth = numbers(2 * m->actuator.smooth.size + 1);
     make_state(m, &s);
     if (dehyst_check(&m->actuator, &s) == DEHYST_OK) {
         dehyst_compensate_run(&m->actuator, &m->step, &s, &work, y, chance(0.2) ? v : NULL, out, n);

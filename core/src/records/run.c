@@ -1,3 +1,4 @@
+#include "branch.h"
 #include "reversals.h"
 
 /* Samples of one block: few enough to stay in the nearest cache and on a small processor's stack. */
@@ -179,18 +180,42 @@ static int simulate_on_stack(const dehyst_actuator *actuator, const dehyst_step 
     return 1;
 }
 
+/* On entry y holds tau(v). Each element is on its cart; samples that stay on a straight segment touch none. */
+static void simulate_on_branches(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+                                 dehyst_workspace *workspace, const dehyst_real *load, dehyst_real *y, long n)
+{
+    step_terms terms = step_terms_of(actuator, step, state);
+    const int timed = actuator->branches > 0 || actuator->inertia;
+    dehyst_branch branch;
+    long t;
+    dehyst_branch_begin(&branch, actuator, &state->memory);
+    if (actuator->smooth.size > 0) dehyst_smooth_prepare(&actuator->smooth, workspace->smooth);
+    for (t = 0; t < n; t++) {
+        const dehyst_real before = branch.w, force = load != NULL ? load[t] : 0;
+        dehyst_real drive = y[t], w;
+        if (timed) {
+            begin_step(actuator, step, state, before, force, &terms);
+            drive -= terms.known;
+        }
+        w = actuator->smooth.size > 0
+                ? dehyst_branch_solve_smooth(&branch, state, drive, terms.stiffness, workspace->smooth)
+                : dehyst_branch_solve(&branch, drive, terms.stiffness);
+        y[t] = timed ? end_step(actuator, step, state, before, w, force, &terms) : w;
+    }
+    dehyst_branch_end(&branch);
+}
+
 /* On entry y holds tau(v). */
 static void simulate_in_time(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
                              dehyst_workspace *workspace, const dehyst_real *load, dehyst_real *y, long n)
 {
     step_terms terms = step_terms_of(actuator, step, state);
-    const int stack = workspace->stack.reversal != NULL && actuator->grades.size == 0 && actuator->smooth.size == 0;
     dehyst_real likely = 1;
     long t;
     for (t = 0; t < n; t++) {
         const dehyst_real before = state->memory.y, force = load != NULL ? load[t] : 0;
         dehyst_real w;
-        if (stack && n - t >= SHORT && t % BLOCK == 0 &&
+        if (workspace != NULL && workspace->stack.reversal != NULL && n - t >= SHORT && t % BLOCK == 0 &&
             simulate_on_stack(actuator, step, state, workspace, load != NULL ? load + t : NULL, y + t, n - t))
             return;
         begin_step(actuator, step, state, before, force, &terms);
@@ -203,13 +228,17 @@ void dehyst_simulate_run(const dehyst_actuator *actuator, const dehyst_step *ste
                          dehyst_workspace *workspace, const dehyst_real *v, const dehyst_real *load, dehyst_real *y,
                          long n)
 {
+    const int timed = actuator->branches > 0 || actuator->inertia;
+    const int alone = actuator->grades.size > 0 || actuator->smooth.size > 0;
     dehyst_real likely = 1;
     long t;
     for (t = 0; t < n; t++) y[t] = v[t];
     if (actuator->transformer.size > 0) map(&actuator->transformer, y, n);
-    if (actuator->branches > 0 || actuator->inertia)
-        simulate_in_time(actuator, step, state, workspace, load, y, n);
-    else if (actuator->grades.size == 0 && actuator->smooth.size == 0 && workspace->stack.reversal != NULL)
+    if (alone && n >= SHORT && workspace->stack.reversal != NULL)
+        simulate_on_branches(actuator, step, state, workspace, load, y, n);
+    else if (timed)
+        simulate_in_time(actuator, step, state, alone ? NULL : workspace, load, y, n);
+    else if (!alone && workspace->stack.reversal != NULL)
         dehyst_plain_simulate_run(&actuator->plain, &state->memory, &workspace->stack, y, y, n);
     else
         for (t = 0; t < n; t++) y[t] = dehyst_solve(actuator, state, y[t], 0, &likely);

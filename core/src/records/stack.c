@@ -1,4 +1,5 @@
 #include "reversals.h"
+#include "turning.h"
 
 /* Samples on the carts between two attempts to encode a state that has no stack yet. */
 #define BLOCK 256
@@ -171,14 +172,34 @@ static void run(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_sta
     }
 }
 
+/* Fewer samples do not show how often a path turns. */
+#define FEW 64
+/* More elements take longer to solve on their carts than on the stack. */
+#define MOST_SOLVED 32
+
 void dehyst_plain_compensate_run(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_stack *work,
                                  const dehyst_real *y, dehyst_real *v, long n)
 {
-    run(plain, state, work, y, v, n, dehyst_plain_compensate, dehyst_stack_compensate);
+    const dehyst_slip *slip = &plain->slip;
+    if (n >= FEW && slip->size > 0 && dehyst_turns_often(plain, y, n, 2 * slip->rho[0]))
+        dehyst_elements_compensate(plain, state, y, v, n);
+    else
+        run(plain, state, work, y, v, n, dehyst_plain_compensate, dehyst_stack_compensate);
 }
 
 void dehyst_plain_simulate_run(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_stack *work,
                                const dehyst_real *v, dehyst_real *y, long n)
 {
+    const dehyst_slip *slip = &plain->slip;
+    const dehyst_curve *spring = &plain->spring;
+    const int last = spring->size - 1;
+    if (n >= FEW && slip->size > 0 && slip->size <= MOST_SOLVED) {
+        /* Back over twice the shortest element, where all stick. */
+        const dehyst_real slope = (spring->value[last] - spring->value[0]) / (spring->knot[last] - spring->knot[0]);
+        if (dehyst_turns_often(plain, v, n, 2 * slip->rho[0] * (slope + slip->stiffness[0]))) {
+            dehyst_elements_simulate(plain, state, v, y, n);
+            return;
+        }
+    }
     run(plain, state, work, v, y, n, dehyst_plain_simulate, dehyst_stack_simulate);
 }

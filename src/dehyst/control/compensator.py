@@ -15,7 +15,7 @@ from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import interval, number, vector
 from dehyst.control.clamping import Clamps, ClampWarning, stray_sentence, warn_of_run
-from dehyst.control.core_loop import make_loop, resume
+from dehyst.control.core_loop import make_loop, reached_if_clamped, resume
 from dehyst.control.limits import VoltageLimits
 from dehyst.control.preview import Preview
 from dehyst.control.reachable import state_within_limits
@@ -173,6 +173,18 @@ class Compensator:
             return self._loop.offer(self._metres(displacement))
         except CoreError as error:
             raise _refusal(displacement) from error
+
+    def offer_and_reach(self, displacement: float) -> tuple[float, float | None]:
+        """Return what `offer` returns and, if it is clamped, the displacement [m] that the actuator reaches then.
+
+        None if it is not clamped. A mass is taken to be at rest. Raises and warns as `offer`.
+
+        `displacement`: [m, or `units`].
+        """
+        voltage = self.offer(displacement)
+        reached = reached_if_clamped(self._loop, self._limits, self._period, voltage)
+        # What was tried has taken the offer back.
+        return (voltage, None) if reached is None else (self.offer(displacement), reached)
 
     def commit(self, voltage: float) -> None:
         """Commit `voltage` [V] as sent: the one on offer, or another to which a converter has rounded it.

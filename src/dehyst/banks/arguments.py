@@ -1,0 +1,70 @@
+"""What a bank is made of: a compensator for each actuator, from values for all or for each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from dehyst._errors import ModelError
+from dehyst._validation import number
+from dehyst.control import Compensator
+from dehyst.model import Actuator, State
+
+
+def reason_alone(actuator: Actuator) -> str:
+    """Return the part for which an actuator must be computed alone, or nothing."""
+    model = actuator.model
+    if model.core.in_lanes and not model.lag:
+        return ""
+    if model.lag:
+        return "an amplifier that lags"
+    if model.dynamics is not None:
+        return "a mass"
+    return "smooth elements" if model.smooth is not None else "graded elements"
+
+
+def compensators(
+    actuators: tuple[Actuator, ...],
+    limits: Any,
+    slew_rate: Any,
+    period: float | None,
+    states: State | Sequence[State] | None,
+) -> list[Compensator]:
+    """Return a compensator for each: they check what was given."""
+    m = len(actuators)
+    low_high = _for_each(limits, m, "limits", single=limits is None or np.ndim(limits) == 1)
+    slews = _for_each(slew_rate, m, "slew_rate", single=slew_rate is None or np.ndim(slew_rate) == 0)
+    starts = _for_each(states, m, "states", single=states is None or isinstance(states, State))
+    made = []
+    for i in range(m):
+        try:
+            made.append(Compensator(actuators[i], low_high[i], slews[i], period=period, state=starts[i]))
+        except ModelError as error:
+            raise ModelError(f"actuator {i}: {error}") from error
+    return made
+
+
+def _for_each(values: Any, m: int, what: str, *, single: bool) -> list[Any]:
+    if single:
+        return [values] * m
+    each = listed(values, what)
+    if len(each) != m:
+        raise ModelError(f"{what}: got {len(each)} for {m} actuators, need one for each, or one for all")
+    return each
+
+
+def listed(values: Any, what: str) -> list[Any]:
+    """Return `values` as a list; raise `ModelError` if they are none."""
+    if not isinstance(values, Iterable):
+        raise ModelError(f"{what}: got {type(values).__name__}, need a list with one for each actuator")
+    return list(values)
+
+
+def positive(threads: int) -> int:
+    """Return a number of `threads`; raise `ModelError` if it is none."""
+    count = number(threads, "threads")
+    if count < 1 or count != int(count):
+        raise ModelError(f"threads: got {threads}, need a whole number from 1 on")
+    return int(count)

@@ -1,0 +1,373 @@
+"""Many actuators in one call: inverse control and simulation, with the bits of a `Compensator` for each."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._native import BankCore, BankMemory, CoreState, Loop, checked, has_avx2
+from dehyst._text import counted
+from dehyst._types import Array
+from dehyst.banks.arguments import compensators, listed, positive, reason_alone
+from dehyst.banks.state import BankClamps, BankState
+from dehyst.control import ClampWarning, VoltageLimits
+from dehyst.control.clamping import stray_sentence
+from dehyst.control.core_loop import make_loop, step_numbers
+from dehyst.model import Actuator, State
+
+_TAP = np.ones(1)
+
+
+class Bank:
+    """Many actuators: wanted displacements in, voltages within limits out, or voltages in and displacements out.
+
+    A row of an array is a sample, a column an actuator. Every actuator has its own memory, limits and slew rate, and
+    gets the bits that its own `Compensator` would compute::
+
+        bank = dehyst.Bank(actuators, (0, 100), slew_rate=2e4, period=1e-3)
+        for wanted in path:          # (n, M) [m]
+            dac.write(bank.step(wanted))
+
+    Plain elements, a transformer and creep are computed several actuators at a time. An actuator with graded or smooth
+    elements, a mass or an amplifier that lags is computed alone, which takes longer; `alone` says which, and why.
+
+    Parameters
+    ----------
+    actuators : sequence of M Actuator
+    limits : (float, float) or sequence of M such pairs, optional
+        Lowest and highest voltage [V]; default: those of each actuator.
+    slew_rate : float or sequence of M floats, optional
+        Largest abs(dv/dt) [V/s] between samples; default: not limited.
+    period : float, optional
+        Seconds between samples; needed with a slew rate, and by actuators with creep, dynamics or a lag.
+    states : State or sequence of M State, optional
+        Where each actuator starts; default: its own state.
+    threads : int, optional
+        Actuators are shared among so many threads; default 1.
+
+    Attributes
+    ----------
+    actuators : tuple of Actuator
+    alone : dict of int to str
+        The actuators that are computed one by one, and the part of each that is the reason.
+    period, threads
+        As given.
+
+    Raises
+    ------
+    ModelError
+        If there is no actuator, a list has another length than the actuators, or one of them cannot have a
+        `Compensator` like this; the error names it.
+    """
+
+    def __init__(
+        self,
+        actuators: Sequence[Actuator],
+        limits: Any = None,
+        slew_rate: float | Sequence[float] | None = None,
+        *,
+        period: float | None = None,
+        states: State | Sequence[State] | None = None,
+        threads: int = 1,
+    ) -> None:
+        self.actuators = tuple(listed(actuators, "actuators"))
+        if not self.actuators:
+            raise ModelError("actuators: got none, need one at least")
+        self.period, self.threads = period, positive(threads)
+        makers = compensators(self.actuators, limits, slew_rate, period, states)
+        self._limits = [VoltageLimits(*one.limits, one.slew_rate) for one in makers]
+        self._starts = [one.start() for one in makers]
+        self.alone = {i: reason for i, one in enumerate(self.actuators) if (reason := reason_alone(one))}
+        self._laned = np.array([i for i in range(len(makers)) if i not in self.alone], dtype=np.intp)
+        self._whole = self._laned.size == len(makers)
+        self._core = self._lanes() if self._laned.size else None
+        self._warned: set[str] = set()
+        self.reset()
+
+    def __len__(self) -> int:
+        return len(self.actuators)
+
+    def __repr__(self) -> str:
+        how = "AVX2" if has_avx2() else "no AVX2"
+        alone = f", {len(self.alone)} of them alone" if self.alone else ""
+        period = "" if self.period is None else f", every {self.period:g} s"
+        return f"<Bank of {counted(len(self), 'actuator')}{alone}{period}, {how}, {counted(self.threads, 'thread')}>"
+
+    def step(self, displacement: ArrayLike, out: Array | None = None) -> Array:
+        """Return the voltages (M,) [V] to send for wanted displacements (M,) [m], and commit them.
+
+        Parameters
+        ----------
+        displacement : (M,) array
+            [m].
+        out : (M,) array, optional
+            Where the result is written, so that no memory is taken.
+
+        Raises
+        ------
+        ModelError
+            If a shape is wrong or a value not finite: the memory is unchanged, and no time has passed.
+
+        Warns
+        -----
+        ClampWarning
+            Once for limits and once for the slew rate; `clamps` counts all.
+        """
+        row = np.asarray(displacement)
+        if row.shape != (len(self),):
+            raise ModelError(f"displacement: got the shape {row.shape}, need one for each of {len(self)} actuators")
+        wanted = self._table(row[None], "displacement")
+        result = np.empty((1, len(self))) if out is None else self._own(out)[None]
+        self._run(wanted, result, plays=False)
+        self._report(wanted)
+        voltage: Array = result[0] if out is None else out
+        return voltage
+
+    def compensate(self, displacement: ArrayLike) -> Array:
+        """Return the voltages (n, M) [V] of n steps to wanted displacements, and commit them.
+
+        Parameters
+        ----------
+        displacement : (n, M) array
+            [m].
+
+        Raises
+        ------
+        ModelError
+            If the shape is wrong, a value is not finite, or a displacement lies strokes outside of its model: the
+            memory is unchanged.
+
+        Warns
+        -----
+        ClampWarning
+            As `step`.
+        """
+        wanted = self._table(displacement, "displacement")
+        self._refuse_strays(wanted)
+        result = np.empty(wanted.shape)
+        self._run(wanted, result, plays=False)
+        self._report(wanted)
+        return result
+
+    def simulate(self, voltage: ArrayLike) -> Array:
+        """Return the displacements (n, M) [m] that voltages lead to, limits left aside; the actuators move on.
+
+        Parameters
+        ----------
+        voltage : (n, M) array
+            [V].
+
+        Raises
+        ------
+        ModelError
+            If the shape is wrong or a value not finite: the memory is unchanged. If a voltage leads farther than can
+            be computed with: it moved nothing.
+        """
+        played = self._table(voltage, "voltage")
+        result = np.empty(played.shape)
+        before = self._memory.counts[2].sum()
+        self._run(played, result, plays=True)
+        if refused := self._memory.counts[2].sum() - before:
+            raise ModelError(f"voltage: {refused} of {played.size} lead farther than can be computed with")
+        return result
+
+    @property
+    def state(self) -> BankState:
+        """A copy of the present memory, to be given to `restore` later."""
+        return self.memory.copy() if self._whole else self._scattered()
+
+    @property
+    def memory(self) -> BankState:
+        """The memory itself, without a copy: it changes with the next step, and to write into it sets the state.
+
+        Raise `ModelError` if an actuator is computed alone: its memory is no column of these arrays.
+        """
+        if not self._whole:
+            raise ModelError(f"memory: {counted(len(self.alone), 'actuator')} computed alone; take state, a copy")
+        one = self._memory
+        return BankState(one.w, one.carts, one.strains, one.sent, {}, self._digest)
+
+    def restore(self, state: BankState) -> None:
+        """Set the memory to a `state` of this bank, or of one of the same actuators.
+
+        Raise `ModelError` if it does not fit: the memory is unchanged.
+        """
+        if not isinstance(state, BankState):
+            raise ModelError(f"state: got {type(state).__name__}, need the state of a bank")
+        state.demand_like(self.state)
+        self._demand_carts(state)
+        before = {i: loop.row() for i, loop in self._loops.items()}
+        try:
+            for i, loop in self._loops.items():
+                checked(loop.place, state.alone[i])
+        except ModelError:
+            for i, loop in self._loops.items():
+                loop.place(before[i])
+            raise
+        memory, columns = self._memory, self._laned
+        memory.w[:], memory.sent[:] = state.displacement[columns], state.voltage[columns]
+        for mine, theirs in ((memory.carts, state.carts), (memory.strains, state.creep)):
+            mine[:] = theirs[: mine.shape[0], columns]
+
+    def reset(self) -> None:
+        """Go back to the states of the construction, with no clamps counted."""
+        self._memory = self._begun()
+        self._loops = {i: self._loop(i) for i in self.alone}
+        self._warned.clear()
+        self._reported = (0, 0)
+
+    @property
+    def clamps(self) -> BankClamps:
+        """Clamped samples of each actuator since the construction or the last reset."""
+        counts = np.zeros((2, len(self)), dtype=np.int64)
+        counts[:, self._laned] = self._memory.counts[:2]
+        for i, loop in self._loops.items():
+            counts[:, i] = loop.counts()[:2]
+        return BankClamps(*counts)
+
+    def _lanes(self) -> BankCore:
+        """Return the tables of the actuators that are computed in lanes."""
+        steps = [step_numbers(self.actuators[i], self._limits[i], self.period) for i in self._laned]
+        decay, gain = (np.concatenate([np.ravel(one[0][part]) for one in steps]) for part in (1, 2))
+        limits = np.array([numbers[:3] for _, numbers in steps]).T
+        cores = [self.actuators[i].model.core for i in self._laned]
+        return BankCore(cores, decay, gain, np.ascontiguousarray(limits))
+
+    def _begun(self) -> BankMemory:
+        elements, branches = self._core.rows if self._core else (0, 0)
+        m = self._laned.size
+        memory = BankMemory(
+            np.zeros(m), np.zeros((elements, m)), np.zeros((branches, m)), np.zeros(m), np.zeros((3, m), dtype=np.int64)
+        )
+        for k, i in enumerate(self._laned):
+            start = self._starts[i]
+            memory.w[k] = start.w
+            memory.carts[: start.carts.size, k] = start.carts
+            memory.strains[: start.strains.size, k] = start.strains
+            memory.sent[k] = self._limits[i].nearest(self.actuators[i].model.core.voltage(start))
+        return memory
+
+    def _loop(self, i: int) -> Loop:
+        # Its own warnings would not say which actuator it is.
+        return make_loop(self.actuators[i], self._limits[i], self.period, _TAP, self._starts[i])
+
+    def _run(self, values: Array, out: Array, *, plays: bool, build: str = "") -> None:
+        if self._whole and self._core:
+            self._core.run(values, out, self._memory, plays, self.threads, build)
+            return
+        if self._core:
+            part = np.empty((values.shape[0], self._laned.size))
+            given = np.ascontiguousarray(values[:, self._laned])
+            self._core.run(given, part, self._memory, plays, self.threads, build)
+            out[:, self._laned] = part
+        if self.threads > 1 and values.shape[0] > 1:
+            with ThreadPoolExecutor(self.threads) as pool:
+                list(pool.map(lambda one: one[1].run_column(values, out, one[0], plays), self._loops.items()))
+        else:
+            for i, loop in self._loops.items():
+                loop.run_column(values, out, i, plays)
+
+    @cached_property
+    def _digest(self) -> str:
+        """What tells the actuators of this bank from others."""
+        digest = hashlib.sha256()
+        for one in self.actuators:
+            for numbers in (one.slip.breakaway, one.slip.stiffness, one.spring.displacement, one.spring.voltage):
+                digest.update(np.ascontiguousarray(numbers).tobytes())
+        return digest.hexdigest()
+
+    def _scattered(self) -> BankState:
+        """Return the state in copies, with the columns of actuators that are computed alone."""
+        rows = {i: loop.row() for i, loop in self._loops.items()}
+        m, alone = len(self), {i: CoreState(*loop.state()) for i, loop in self._loops.items()}
+        elements = max([self._memory.carts.shape[0], *(one.carts.size for one in alone.values())])
+        branches = {i: 0 if (creep := self.actuators[i].creep) is None else len(creep) for i in alone}
+        most = max([self._memory.strains.shape[0], *branches.values()])
+        state = BankState(np.zeros(m), np.zeros((elements, m)), np.zeros((most, m)), np.zeros(m), rows, self._digest)
+        state.displacement[self._laned], state.voltage[self._laned] = self._memory.w, self._memory.sent
+        state.carts[: self._memory.carts.shape[0], self._laned] = self._memory.carts
+        state.creep[: self._memory.strains.shape[0], self._laned] = self._memory.strains
+        for i, one in alone.items():
+            state.displacement[i], state.voltage[i] = one.w, self._loops[i].sent()
+            state.carts[: one.carts.size, i] = one.carts
+            state.creep[: branches[i], i] = one.strains[: branches[i]]
+        return state
+
+    def _demand_carts(self, state: BankState) -> None:
+        for i in self._laned:
+            actuator = self.actuators[i]
+            far = np.abs(state.displacement[i] - state.carts[: len(actuator.slip), i]) - actuator.slip.breakaway
+            if np.any(far > 1e-12 * actuator.slip.breakaway + 1e-14 * abs(state.displacement[i])):
+                raise ModelError(
+                    f"state: a cart of actuator {i} lies farther from its displacement than its breakaway elongation"
+                )
+
+    def _table(self, values: ArrayLike, what: str) -> Array:
+        given = np.asarray(values)
+        if given.dtype.kind not in "iuf":
+            raise ModelError(f"{what}: got an array of {given.dtype}, need numbers")
+        table = np.ascontiguousarray(given, dtype=np.float64)
+        if table.ndim != 2 or table.shape[1] != len(self):
+            got = table.shape[1:] if table.ndim == 2 and what == "displacement" else table.shape
+            raise ModelError(f"{what}: got the shape {got}, need a column for each of {len(self)} actuators")
+        if not np.isfinite(table).all():
+            t, i = np.argwhere(~np.isfinite(table))[0]
+            raise ModelError(f"{what}: sample {t} of actuator {i} is {table[t, i]}, need finite numbers")
+        return table
+
+    def _own(self, out: Array) -> Array:
+        fits = isinstance(out, np.ndarray) and out.shape == (len(self),) and out.dtype == np.float64
+        if not (fits and out.flags.c_contiguous and out.flags.writeable):
+            raise ModelError(f"out: need a writeable array of {len(self)} float64 in a row")
+        return out
+
+    def _refuse_strays(self, displacement: Array) -> None:
+        low, high = self._plausible()
+        if not displacement.size or (displacement.min() >= low.max() and displacement.max() <= high.min()):
+            return
+        for i in np.flatnonzero((displacement.min(axis=0) < low) | (displacement.max(axis=0) > high)):
+            sentence = stray_sentence(self.actuators[i], self._limits[i], displacement[:, i])
+            if sentence:
+                raise ModelError(f"actuator {i}: {sentence}")
+
+    def _plausible(self) -> tuple[Array, Array]:
+        """Return displacements (M,) beyond which a model is not meant."""
+        if not hasattr(self, "_ranges"):
+            ranges = [one.plausible for one in self.actuators]
+            low, high = np.array([one.low for one in ranges]), np.array([one.high for one in ranges])
+            self._ranges = low - (high - low), high + (high - low)
+        return self._ranges
+
+    def _clamped(self) -> tuple[int, int]:
+        limited, slewed = (int(n) for n in self._memory.counts[:2].sum(axis=1))
+        for loop in self._loops.values():
+            counts = loop.counts()
+            limited, slewed = limited + counts[0], slewed + counts[1]
+        return limited, slewed
+
+    def _report(self, wanted: Array) -> None:
+        """Warn of the first clamped samples of each kind; those of `wanted` (n, M) are not yet reported."""
+        before, self._reported = self._reported, self._clamped()
+        if self._reported == before:
+            return
+        kinds = ("at a limit", "by the slew rate")
+        for kind, now, then, counts in zip(kinds, self._reported, before, self.clamps, strict=True):
+            if now == then or kind in self._warned:
+                continue
+            self._warned.add(kind)
+            i = int(np.argmax(counts))
+            sentence = stray_sentence(self.actuators[i], self._limits[i], wanted[:, i])
+            more = f". {sentence}" if sentence else ""
+            warnings.warn(
+                f"{now - then} of {wanted.size} voltages clamped {kind}, of actuator {i} the most{more}",
+                ClampWarning,
+                3,
+            )

@@ -1,0 +1,305 @@
+"""A bank gives each actuator the bits of its own compensator, whatever it is computed beside, and in."""
+
+import pickle
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import SEEDS, make_actuator
+
+from dehyst import (
+    Actuator,
+    Bank,
+    ClampWarning,
+    Compensator,
+    Creep,
+    Dynamics,
+    GradedSlip,
+    MaxwellSlip,
+    ModelError,
+    SmoothSlip,
+    Spring,
+    Transformer,
+)
+from dehyst._native import has_avx2
+
+PERIOD = 1e-3
+# What is clamped is counted, and compared.
+pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+BUILDS = ("baseline", "avx2") if has_avx2() else ("baseline",)
+
+
+def mixed(seed, count, kinds=("plain", "creep", "tau", "both")):
+    """Actuators of many sizes and kinds, with limits that some paths exceed."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for _ in range(count):
+        seed = int(rng.integers(2**32))
+        one = make_actuator(seed, int(rng.integers(0, 23)), int(rng.integers(2, 30)), uniform=bool(rng.integers(2)))
+        low, high = one.voltage_range
+        kind = kinds[int(rng.integers(len(kinds)))]
+        parts = {}
+        if kind in ("creep", "both"):
+            stiffness = (high - low) / np.ptp(one.spring.displacement) * rng.random(3) * 0.1
+            parts["creep"] = Creep([3e-3, 0.1, 10.0], stiffness)
+        if kind in ("tau", "both"):
+            volts = np.linspace(low, high, 7)
+            parts["transformer"] = Transformer(volts, volts + 0.02 * (high - low) * np.sin(np.arange(7)))
+        made.append(Actuator(one.slip, one.spring, limits=(low, high), **parts))
+    return made
+
+
+def paths(actuators, samples, seed, beyond=0.1):
+    """Displacements over a little more than the reach of each actuator: jumps, rests, and small motions."""
+    rng = np.random.default_rng([seed, 7])
+    ends = np.array([one.spring.displacement[[0, -1]] for one in actuators])
+    share = rng.uniform(-beyond, 1 + beyond, (samples, len(actuators)))
+    near = 0.5 + 0.02 * np.cumsum(rng.normal(size=share.shape), axis=0)
+    share = np.where(np.arange(samples)[:, None] // 20 % 2, share, near.clip(-beyond, 1 + beyond))
+    share[5::11] = share[4::11][: share[5::11].shape[0]]
+    return ends[:, 0] + share * np.ptp(ends, axis=1)
+
+
+def alone(actuator, path, slew):
+    compensator = Compensator(actuator, slew_rate=slew, period=PERIOD)
+    return compensator.run(path), compensator
+
+
+def slews(actuators, share):
+    return [share * (one.limits[1] - one.limits[0]) / PERIOD for one in actuators]
+
+
+@settings(deadline=None, max_examples=25)
+@given(SEEDS, st.integers(1, 40), st.sampled_from([0.05, 0.6, 5.0]), st.integers(1, 3))
+def test_it_gives_each_the_bits_of_its_own_compensator(seed, count, share, threads):
+    actuators = mixed(seed, count)
+    wanted = paths(actuators, 80, seed)
+    slew = slews(actuators, share)
+    bank = Bank(actuators, slew_rate=slew, period=PERIOD, threads=threads)
+    voltage = np.vstack([bank.compensate(wanted[:50]), [bank.step(row) for row in wanted[50:]]])
+    assert not bank.alone
+    for i, one in enumerate(actuators):
+        expected, compensator = alone(one, wanted[:, i], slew[i])
+        np.testing.assert_array_equal(voltage[:, i], expected)
+        assert (bank.clamps.limited[i], bank.clamps.slewed[i]) == compensator.clamps
+        state = compensator.state
+        np.testing.assert_array_equal(bank.state.carts[: state.carts.size, i], state.carts)
+        np.testing.assert_array_equal(bank.state.creep[: state.creep.size, i], state.creep)
+        assert bank.state.displacement[i] == state.displacement
+        assert bank.state.voltage[i] == compensator.voltage
+
+
+@pytest.mark.parametrize("build", BUILDS)
+@pytest.mark.parametrize("seed", range(8))
+def test_simulation_has_the_bits_of_the_scalar_core(build, seed):
+    actuators = mixed(seed, 21)
+    wanted = paths(actuators, 120, seed, beyond=0.3)
+    rng = np.random.default_rng(seed)
+    voltage = np.array([rng.uniform(*one.limits, 120) for one in actuators]).T
+    voltage[20:30], voltage[60:70] = voltage[20], voltage[[60, 61] * 5]
+    bank = Bank(actuators, period=PERIOD)
+    found = np.empty(voltage.shape)
+    bank._run(voltage, found, plays=True, build=build)
+    for i, one in enumerate(actuators):
+        loop = Compensator(one, period=PERIOD)._loop
+        expected = np.full(voltage.shape, np.nan)
+        loop.run_column(voltage, expected, i, True)
+        np.testing.assert_array_equal(found[:, i], expected[:, i])
+        carts = loop.state()[1]
+        np.testing.assert_array_equal(bank.state.carts[: carts.size, i], carts)
+    assert np.isfinite(wanted).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_all_builds_give_the_same_bits(seed):
+    actuators = mixed(seed, 33)
+    wanted = paths(actuators, 200, seed)
+    results = []
+    for build in BUILDS:
+        bank = Bank(actuators, slew_rate=slews(actuators, 0.4), period=PERIOD)
+        voltage, displacement = np.empty(wanted.shape), np.empty(wanted.shape)
+        bank._run(wanted, voltage, plays=False, build=build)
+        bank._run(np.ascontiguousarray(voltage[::-1]), displacement, plays=True, build=build)
+        results.append((voltage, displacement, bank.state.copy(), bank.clamps))
+    for other in results[1:]:
+        for mine, theirs in zip(results[0][:2], other[:2], strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        np.testing.assert_array_equal(results[0][2].carts, other[2].carts)
+        np.testing.assert_array_equal(results[0][3], other[3])
+
+
+def classes():
+    """One actuator of every class, and two plain ones beside them."""
+    spring = Spring([0.0, 4e-6, 1e-5], [0.0, 40.0, 110.0])
+    slip = MaxwellSlip([5e-7, 1e-6, 2e-6], [4e6, 2e6, 1e6])
+    graded = GradedSlip([5e-7, 1e-6], [0.0, 5e-6, 1e-5], [[4e6, 3e6], [2e6, 3e6]])
+    low_high = (0.0, 120.0)
+    return [
+        Actuator(slip, spring, limits=low_high),
+        Actuator(graded, spring, limits=low_high),
+        Actuator(slip, spring, limits=low_high, smooth=SmoothSlip([3e-7], [0.8], [2e6])),
+        Actuator(slip, spring, limits=low_high, creep=Creep([0.1, 2.0], [4e5, 3e5])),
+        Actuator(slip, spring, limits=low_high, dynamics=Dynamics(500.0, 0.05)),
+        Actuator(slip, spring, limits=low_high, lag=2e-3),
+        Actuator(slip, spring, limits=low_high),
+    ]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_what_has_no_lane_is_computed_alone_and_the_reason_said(threads):
+    actuators = classes()
+    bank = Bank(actuators, period=PERIOD, threads=threads)
+    assert bank.alone == {
+        1: "graded elements",
+        2: "smooth elements",
+        4: "a mass",
+        5: "an amplifier that lags",
+    }
+    assert "4 of them alone" in repr(bank)
+    wanted = 5e-6 + 4e-6 * np.sin(np.arange(300)[:, None] / 20 + np.arange(7))
+    voltage = np.vstack([bank.compensate(wanted[:150]), [bank.step(row) for row in wanted[150:]]])
+    state = bank.state
+    for i, one in enumerate(actuators):
+        expected, compensator = alone(one, wanted[:, i], None)
+        np.testing.assert_array_equal(voltage[:, i], expected)
+        assert state.displacement[i] == compensator.state.displacement
+        np.testing.assert_array_equal(state.carts[: len(one.slip), i], compensator.state.carts)
+
+
+@pytest.mark.parametrize("make", [lambda: mixed(3, 19), classes], ids=["lanes", "mixed"])
+def test_a_state_that_is_restored_goes_on_bit_for_bit(make):
+    actuators = make()
+    wanted = paths(actuators, 90, 5, beyond=-0.1)
+    bank, other = (Bank(actuators, period=PERIOD) for _ in range(2))
+    bank.compensate(wanted[:40])
+    kept = bank.state.copy()
+    expected = bank.compensate(wanted[40:])
+    other.restore(pickle.loads(pickle.dumps(kept)))
+    np.testing.assert_array_equal(other.compensate(wanted[40:]), expected)
+    bank.reset()
+    afresh = Bank(actuators, period=PERIOD)
+    np.testing.assert_array_equal(bank.compensate(wanted[:40]), afresh.compensate(wanted[:40]))
+
+
+def test_a_state_is_a_copy_and_the_memory_is_the_banks_own():
+    bank = Bank(mixed(1, 9, kinds=("plain",)))
+    state, memory = bank.state, bank.memory
+    before = state.displacement.copy()
+    bank.step(paths(bank.actuators, 1, 1, beyond=0)[0])
+    np.testing.assert_array_equal(state.displacement, before)
+    assert not np.array_equal(memory.displacement, before)
+    assert np.shares_memory(memory.carts, bank.memory.carts)
+    memory.displacement[:], memory.carts[:] = state.displacement, state.carts
+    np.testing.assert_array_equal(bank.state.displacement, before)
+    with pytest.raises(ModelError, match="4 actuators computed alone; take state, a copy"):
+        _ = Bank(classes(), period=PERIOD).memory
+
+
+def test_a_state_of_other_actuators_is_refused():
+    bank = Bank(mixed(1, 9, kinds=("plain",)))
+    other = Bank(
+        [replace(one, spring=Spring(one.spring.displacement, 1.1 * one.spring.voltage)) for one in bank.actuators]
+    )
+    with pytest.raises(ModelError, match="it is of a bank of other actuators"):
+        bank.restore(other.state)
+    with pytest.raises(ModelError, match="state: got NoneType, need the state of a bank"):
+        bank.restore(None)
+
+
+def test_one_state_is_that_of_all():
+    (one,) = mixed(4, 1, kinds=("plain",))
+    start = one.simulate([0.0, 50.0, 20.0]).state
+    voltages = [Bank([one] * 3, states=states).step([1e-6] * 3) for states in (start, [start] * 3)]
+    np.testing.assert_array_equal(*voltages)
+
+
+def test_voltages_that_lead_too_far_are_refused():
+    bank = Bank(mixed(1, 3, kinds=("plain",)))
+    with pytest.raises(ModelError, match="1 of 6 lead farther than can be computed with"):
+        bank.simulate([[0.0, 1.0, 2.0], [0.0, 1e300, 2.0]])
+
+
+def test_it_writes_into_an_array_that_is_given():
+    bank = Bank(mixed(1, 9, kinds=("plain",)))
+    row = paths(bank.actuators, 1, 1, beyond=0)[0]
+    out = np.empty(9)
+    assert bank.step(row, out=out) is out
+    bank.reset()
+    np.testing.assert_array_equal(out, bank.step(row))
+
+
+def test_clamping_is_said_once_of_a_kind_and_counted():
+    bank = Bank(mixed(2, 12), period=PERIOD, slew_rate=slews(mixed(2, 12), 0.1))
+    wanted = paths(bank.actuators, 60, 2, beyond=0.2)
+    with pytest.warns(ClampWarning, match=r"voltages clamped by the slew rate, of actuator \d+ the most") as said:
+        bank.compensate(wanted)
+    assert len(said) == 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        bank.compensate(wanted)
+    assert bank.clamps.slewed.sum() > 0 and bank.clamps.limited.sum() > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"limits": [(0, 1)] * 2}, "limits: got 2 for 3 actuators"),
+        ({"limits": (5, 1)}, "actuator 0: "),
+        ({"slew_rate": [1.0, 2.0]}, "slew_rate: got 2 for 3 actuators"),
+        ({"slew_rate": 10.0}, "give period="),
+        ({"threads": 0}, "threads: got 0, need a whole number from 1 on"),
+        ({"threads": 1.5}, "threads: got 1.5"),
+        ({"states": [None]}, "states: got 1 for 3 actuators"),
+        ({"states": 5}, "states: got int, need a list"),
+        ({"limits": 5}, "limits: got int, need a list"),
+    ],
+)
+def test_what_does_not_fit_is_refused(options, message):
+    with pytest.raises(ModelError, match=message):
+        Bank(mixed(4, 3, kinds=("plain",)), **options)
+
+
+def test_no_actuators_and_wrong_ones_are_refused():
+    with pytest.raises(ModelError, match="got none, need one at least"):
+        Bank([])
+    with pytest.raises(ModelError, match="actuators: got Actuator, need a list"):
+        Bank(mixed(4, 1)[0])
+    with pytest.raises(ModelError, match="actuator 1: actuator: got str, need an Actuator"):
+        Bank([*mixed(4, 1), "stage"], period=PERIOD)
+
+
+def test_wrong_displacements_move_nothing():
+    bank = Bank(mixed(4, 3, kinds=("plain",)))
+    good = paths(bank.actuators, 4, 4, beyond=0)
+    before = bank.state.copy()
+    bad = good.copy()
+    bad[2, 1] = np.nan
+    for values, message in [
+        (good[:, :2], r"got the shape \(2,\), need a column for each of 3 actuators"),
+        (good[0], "need a column for each of 3"),
+        (bad, "sample 2 of actuator 1 is nan"),
+        (good * 1e6, "actuator 0: .*micrometres"),
+        (good * 1j, "got an array of complex128, need numbers"),
+    ]:
+        with pytest.raises(ModelError, match=message):
+            bank.compensate(values)
+    with pytest.raises(ModelError, match="out: need a writeable array of 3"):
+        bank.step(good[0], out=np.empty(4))
+    np.testing.assert_array_equal(bank.state.carts, before.carts)
+    broken = before.copy()
+    broken.carts[0] += 1.0
+    with pytest.raises(ModelError, match=r"a cart of actuator \d lies farther"):
+        bank.restore(broken)
+
+
+def test_simulate_undoes_compensate():
+    actuators = mixed(6, 17, kinds=("plain", "tau", "creep"))
+    wanted = paths(actuators, 100, 6, beyond=-0.2)
+    back = Bank(actuators, [(-1e9, 1e9)] * 17, period=PERIOD)
+    voltage = back.compensate(wanted)
+    back.reset()
+    span = np.ptp([one.spring.displacement[[0, -1]] for one in actuators], axis=1)
+    assert np.max(np.abs(back.simulate(voltage) - wanted) / span) < 1e-10
