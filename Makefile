@@ -3,6 +3,8 @@
 # make nightly  the same tests with all repeats and examples
 # make check    lint, types, import contract, and the C core under strict warnings
 # make docs     build the site into build/docs, with all examples run; a warning is an error
+# make wasm     compile the core to WebAssembly (needs Debian's clang and lld); commit the result
+# make pictures take the pictures of the workbench's tutorial anew
 # make wheel    build the wheel, audit it, and run the demo from it in a new environment
 # make bench    measure speed and accuracy, write benchmarks/*.json and the README's table
 
@@ -11,7 +13,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.txt core/*/*.[ch] core/*/*/*.[ch] bindings/* src/dehyst/* src/dehyst/*/*)
 
-.PHONY: demo test nightly check docs wheel bench clean
+.PHONY: demo test nightly check docs wasm pictures wheel bench clean
 
 demo: $(VENV)/.report
 	$(BIN)/dehyst demo
@@ -32,6 +34,12 @@ check: $(VENV)/.check
 docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going --nitpicky --quiet -d build/doctrees docs build/docs
 
+wasm:
+	$(PYTHON) bindings/wasm/build.py
+
+pictures: $(VENV)/.test
+	PYTHONPATH=tests/support $(BIN)/python tests/support/workbench_tour.py docs/tutorials/workbench
+
 wheel: $(VENV)/.release
 	.ci/wheel $(BIN)/python
 
@@ -39,16 +47,24 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/accuracy.py
 	$(BIN)/python benchmarks/strangers.py --jobs 2
+	$(BIN)/python benchmarks/coupled_axes.py
+	$(BIN)/python benchmarks/calibrated_axes.py
 	$(BIN)/python benchmarks/paper.py
 	$(BIN)/python benchmarks/coverage.py
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/size.py
 	$(BIN)/python benchmarks/latency.py
+	$(BIN)/python benchmarks/banks.py
+	$(BIN)/python benchmarks/wasm.py
 	$(BIN)/python benchmarks/threads.py
 	$(BIN)/python benchmarks/saturation.py
 	$(BIN)/python benchmarks/calibration.py
 	$(BIN)/python benchmarks/faults.py
 	$(BIN)/python benchmarks/loop.py
+	$(BIN)/python benchmarks/workbench.py
+	$(BIN)/python benchmarks/workbench_rehearsal.py
+	$(BIN)/python benchmarks/fleet.py
+	$(BIN)/python benchmarks/fleet_page.py
 	$(BIN)/python benchmarks/figure.py
 	$(BIN)/python benchmarks/readme.py
 	$(BIN)/python benchmarks/benchmarks_page.py

@@ -1,0 +1,347 @@
+"""A compensator in WebAssembly: the bits of Python in node, one small module for all models, hostile ones refused."""
+
+import json
+import re
+import runpy
+import shutil
+import subprocess
+from dataclasses import replace
+
+import compiled_exports
+import numpy as np
+import places
+import pytest
+from command_line import run
+from compiled_exports import KINDS
+from node_programs import column, exported, node
+
+import dehyst
+from dehyst import Compensator, FileFormatError, ModelError
+from dehyst._io.marks import written_by_dehyst
+from dehyst.exports import export_wasm, wasm_module
+from dehyst.exports.golden_trace import Call, golden_trace
+from dehyst.exports.shipped import shipped, shipped_bytes
+
+pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+
+BUILDER = places.ROOT / "bindings" / "wasm" / "build.py"
+MOST = 25_000
+
+
+# The module
+
+
+def test_the_module_is_of_these_sources():
+    building = runpy.run_path(str(BUILDER))
+    assert building["recorded"](shipped_bytes("core.wasm")) == building["digest"](), "run make wasm, and commit"
+    assert building["MODULE"].read_bytes() == shipped_bytes("core.wasm")
+
+
+def test_debians_compiler_makes_the_same_bytes(tmp_path):
+    if shutil.which("clang") is None or shutil.which("wasm-ld") is None:
+        pytest.skip("clang or wasm-ld is not installed: the module cannot be built (Debian: clang lld)")
+    version = subprocess.run(["clang", "--version"], capture_output=True, text=True, check=True).stdout
+    if not re.search(r"clang version 14\.", version):
+        pytest.skip(f"the module is built by clang 14, here is {version.splitlines()[0]}")
+    runpy.run_path(str(BUILDER))["build"](tmp_path / "core.wasm")
+    assert (tmp_path / "core.wasm").read_bytes() == shipped_bytes("core.wasm")
+
+
+def test_it_is_small():
+    assert len(shipped_bytes("core.wasm")) < MOST
+    assert all(len(wasm_module(KINDS[kind]())) < MOST for kind in KINDS)
+
+
+# The bits
+
+STEPS = """
+const wanted = read("wanted"), compensator = new Compensator(module), voltage = new Float64Array(wanted.length);
+for (let i = 0; i < wanted.length; i++) voltage[i] = compensator.step(wanted[i]);
+const { limited, slewed, refused } = compensator.clamps;
+write("voltage", voltage);
+compensator.reset();
+const kept = compensator.trajectory(wanted), ahead = compensator.simulate(kept.voltage);
+write("ran", compensator.run(wanted));
+compensator.reset();
+write("played", kept.voltage.map((one) => compensator.play(one)));
+write("simulated", ahead);
+write("displacement", kept.displacement);
+write("path", kept.voltage);
+console.log(limited, slewed, refused, kept.clamped.filter((code) => code === 1).length);
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "samples"), [("plain", 10**6), *((kind, 20_000) for kind in KINDS if kind != "plain")]
+)
+def test_random_steps_are_pythons_to_the_bit(tmp_path, kind, samples):
+    compensator = KINDS[kind]()
+    folder = exported(tmp_path / kind, compensator)
+    wanted = compiled_exports.wishes(compensator, samples)
+    counts = [int(word) for word in node(folder, STEPS, wanted=wanted).split()]
+    loop = compensator.afresh()
+    voltage = loop.run(wanted)
+    assert np.array_equal(column(folder, "voltage"), voltage.view(np.uint64))
+    assert counts[:3] == [*loop.clamps, 0] and counts[0] > 0
+    assert np.array_equal(column(folder, "ran"), voltage.view(np.uint64))
+    # With a slew rate a path differs, because its first voltage jumps.
+    if compensator.slew_rate is None:
+        assert np.array_equal(column(folder, "path"), voltage.view(np.uint64))
+        assert counts[3] == loop.clamps.limited
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_actuator_is_pythons_to_the_bit(tmp_path, kind):
+    compensator = KINDS[kind]()
+    folder = exported(tmp_path / kind, compensator)
+    node(folder, STEPS, wanted=compiled_exports.wishes(compensator, 5000))
+    loop, places_ = compensator.afresh("m"), []
+    for voltage in column(folder, "path").view(np.float64).tolist():
+        loop.commit(voltage)
+        state = loop.state
+        places_.append(float(state.motion[0]) if state.motion.size else state.displacement)
+    expected = np.array(places_).view(np.uint64)
+    for name in ("simulated", "played"):
+        assert np.array_equal(column(folder, name), expected), name
+    # What a path says of its displacements is what its voltages do, but for rounding where nothing is clamped.
+    assert np.allclose(column(folder, "displacement").view(np.float64), np.array(places_), rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_replays_the_golden_trace(tmp_path, kind):
+    compensator = KINDS[kind]()
+    trace = golden_trace(compensator)
+    folder = exported(tmp_path / kind, compensator)
+    calls = {call.name: int(call) for call in Call}
+    program = (
+        f"const Call = {json.dumps(calls)};"
+        + """
+const what = read("what"), given = read("given"), compensator = new Compensator(module);
+let offered = 0, begun = false;
+const answers = {
+    [Call.STEP]: (y) => compensator.step(y),
+    [Call.OFFER]: (y) => (offered = compensator.offer(y)),
+    [Call.COMMIT]: (v) => (compensator.commit(v), compensator.displacement),
+    [Call.ACCEPT]: () => (compensator.commit(offered), compensator.displacement),
+    [Call.HOLD]: () => (compensator.commit(), compensator.displacement),
+    [Call.NONSENSE]: () => {
+        try { compensator.step(NaN); } catch (error) {
+            if (error instanceof RangeError) return compensator.commit(), compensator.voltage;
+        }
+        throw new Error("not refused");
+    },
+    [Call.SIMULATE]: (v) => {
+        if (!begun) compensator.reset();
+        begun = true;
+        return compensator.play(v);
+    },
+};
+write("answers", what.map((call, i) => answers[call](given[i])));
+"""
+    )
+    rows = trace.rows
+    node(folder, program, what=[row.what for row in rows], given=[row.given for row in rows])
+    assert np.array_equal(column(folder, "answers"), np.array([row.answer for row in rows]).view(np.uint64))
+
+
+def test_limits_and_slew_rate_may_be_others(tmp_path):
+    compensator = compiled_exports.plain(period=1e-3)
+    wanted = compiled_exports.wishes(compensator, 5000)
+    options = "{ limits: [30, 90], slewRate: 1e4 }"
+    folder = exported(tmp_path / "c", compensator)
+    said = node(
+        folder,
+        f'const c = new Compensator(module, {options}); write("voltage", c.run(read("wanted")));'
+        "console.log(JSON.stringify([c.limits, c.slewRate, c.period, c.clamps.limited, c.clamps.slewed]))",
+        wanted=wanted,
+    )
+    loop = Compensator(compensator.actuator, (30, 90), 1e4, period=1e-3, state=compensator.asked_start)
+    assert np.array_equal(column(folder, "voltage"), loop.run(wanted).view(np.uint64))
+    assert json.loads(said) == [[30, 90], 1e4, 1e-3, *loop.clamps]
+
+
+def test_units_do_not_matter_and_the_compensator_does_not_change():
+    made = compiled_exports.plain()
+    other = made.afresh("um")
+    other.step(3.0)
+    assert wasm_module(other) == wasm_module(made)
+
+
+# What is refused
+
+REFUSED = """
+const refused = (what, work) => {
+    try { work(); } catch (error) {
+        if (error instanceof RangeError || error instanceof TypeError) return;
+        throw error;
+    }
+    throw new Error(`${what}: not refused`);
+};
+"""
+
+
+def test_wrong_numbers_and_options_are_refused_and_nothing_moves(tmp_path):
+    folder = exported(tmp_path / "c", KINDS["creep"]())
+    program = (
+        REFUSED
+        + """
+const c = new Compensator(module);
+c.step(c.about.start.displacement);
+const before = [c.displacement, c.voltage, JSON.stringify(c.clamps)].join();
+for (const wrong of [NaN, Infinity, undefined]) {
+    refused(`step ${wrong}`, () => c.step(wrong));
+    refused(`offer ${wrong}`, () => c.offer(wrong));
+    refused(`run ${wrong}`, () => c.run([1e-6, wrong]));
+    refused(`trajectory ${wrong}`, () => c.trajectory([1e-6, wrong]));
+}
+for (const wrong of [NaN, Infinity, 1e6]) refused(`commit ${wrong}`, () => c.commit(wrong));
+for (const wrong of [NaN, Infinity, undefined]) {
+    refused(`play ${wrong}`, () => c.play(wrong));
+    refused(`simulate ${wrong}`, () => c.simulate([1, wrong, 2]));
+}
+const options = [
+    ...[[1, 1], [2, 1], [NaN, 1], [0, Infinity]].map((limits) => ({ limits })),
+    ...[0, -1, NaN].map((slewRate) => ({ slewRate })),
+    ...[1, null, 0].map((period) => ({ period })),
+];
+for (const option of options) refused(JSON.stringify(option), () => new Compensator(module, option));
+const after = [c.displacement, c.voltage, JSON.stringify(c.clamps)].join();
+if (before !== after) throw new Error(`${before} ${after}`);
+refused("no model", () => new Compensator(new WebAssembly.Module(new Uint8Array([0, 97, 115, 109, 1, 0, 0, 0]))));
+console.log("done");
+"""
+    )
+    assert node(folder, program) == "done"
+
+
+HOSTILE = """
+const numbers = new Uint8Array(WebAssembly.Module.customSections(module, "dehyst.model")[0]);
+let seed = 1, opened = 0;
+// By the high bits: the low ones repeat soon.
+const random = (n) => Math.floor(((seed = (Math.imul(seed, 1664525) + 1013904223) >>> 0) / 2 ** 32) * n);
+const sizes = [0, 1, 2, 3, 7, 255, 65536, 2 ** 25, 2 ** 25 + 1, 2 ** 29 - 1, 2 ** 31 - 1, 2 ** 31, 2 ** 32 - 1];
+const values = [0, -0, -1, 1, 1e300, -1e300, 5e-324, NaN, Infinity, 1e-6, 2 ** 53];
+for (let turn = 0; turn < 6000; turn++) {
+    const own = numbers.slice(0, random(4) ? numbers.length : random(numbers.length + 1));
+    const view = new DataView(own.buffer);
+    for (let i = random(3); i >= 0; i--) {
+        const at = random(9) * 4;
+        if (random(2) && at + 4 <= own.length) view.setUint32(at, sizes[random(sizes.length)], true);
+        const place = 40 + 8 * random(Math.max(1, (numbers.length - 40) / 8));
+        if (place + 8 <= own.length) view.setFloat64(place, values[random(values.length)], true);
+    }
+    const core = new WebAssembly.Instance(module).exports, place = core.reserve(own.length);
+    new Uint8Array(core.memory.buffer, place, own.length).set(own);
+    if (core.open() !== 0 || core.begin() !== 0) continue;
+    opened++;
+    // The numbers and tables lie before the blocks; nothing lies behind what changes.
+    const memory = new Uint8Array(core.memory.buffer), constant = memory.slice(place, core.inputs());
+    const wanted = new Float64Array(core.memory.buffer, core.inputs(), core.block());
+    for (let t = 0; t < 50; t++) wanted[t] = random(2) ? values[random(values.length)] : (random(1000) - 500) * 1e-7;
+    core.run(50, 1);
+    core.simulate(50);
+    core.run(2 ** 32 - 1, 0);
+    if (Buffer.compare(constant, memory.slice(place, core.inputs())) !== 0) throw new Error("numbers were overwritten");
+    if (memory.subarray(core.state_end()).some((byte) => byte !== 0)) throw new Error("written behind the end");
+}
+console.log(opened);
+"""
+
+
+@pytest.mark.parametrize("kind", ["plain", "graded", "all", "moving"])
+def test_hostile_models_are_refused_or_stay_within_their_memory(tmp_path, kind):
+    assert 30 < int(node(exported(tmp_path / kind, KINDS[kind]()), HOSTILE)) < 3000
+
+
+EVERY = """
+const numbers = new Uint8Array(WebAssembly.Module.customSections(module, "dehyst.model")[0]);
+const opened = (own) => {
+    const core = new WebAssembly.Instance(module).exports;
+    new Uint8Array(core.memory.buffer, core.reserve(own.length), own.length).set(own);
+    return core.open();
+};
+const changed = (change) => {
+    const own = numbers.slice();
+    change(new DataView(own.buffer));
+    return opened(own);
+};
+const found = new Set();
+for (let at = 40; at < numbers.length; at += 8) {
+    for (const wrong of [NaN, Infinity]) found.add(changed((view) => view.setFloat64(at, wrong, true)));
+}
+for (let at = 0; at < 36; at += 4) {
+    for (const by of [-1, 1]) found.add(changed((view) => view.setUint32(at, view.getUint32(at, true) + by, true)));
+}
+for (let size = 0; size < numbers.length; size++) found.add(opened(numbers.slice(0, size)));
+found.add(opened(Uint8Array.from([...numbers, ...new Uint8Array(8)])));
+console.log(opened(numbers), [...found].sort().join());
+"""
+
+
+@pytest.mark.parametrize("kind", ["plain", "all", "moving"])
+def test_every_wrong_size_and_number_is_refused(tmp_path, kind):
+    assert node(exported(tmp_path / kind, KINDS[kind]()), EVERY) == "0 -1,-2"
+
+
+def test_only_compensators_and_names_of_modules_are_taken(tmp_path):
+    with pytest.raises(ModelError, match="need a Compensator"):
+        wasm_module(compiled_exports.plain().actuator)
+    with pytest.raises(FileFormatError, match=r"ends in \.wasm"):
+        export_wasm(compiled_exports.plain(), tmp_path / "stage.js")
+    for name in ("stage.wasm", "stage.js", "stage.d.ts"):
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(FileFormatError, match=f"{name}: is there already, and dehyst did not write it"):
+            export_wasm(compiled_exports.plain(), tmp_path / "stage.wasm")
+        assert [path.name for path in tmp_path.iterdir()] == [name]
+        (tmp_path / name).unlink()
+
+
+# The files
+
+
+def test_own_files_are_known_and_replaced(tmp_path):
+    (tmp_path / "stage.js").write_text("mine")
+    export_wasm(compiled_exports.plain(), tmp_path / "stage.wasm", force=True)
+    assert {path.name for path in tmp_path.iterdir()} == {"stage.wasm", "stage.js", "stage.d.ts"}
+    assert all(written_by_dehyst(path) for path in tmp_path.iterdir())
+    dehyst.export_wasm(compiled_exports.plain(), tmp_path / "stage.wasm")
+    assert 'from "./stage.js"' in (tmp_path / "stage.js").read_text()
+
+
+def test_a_name_ends_no_comment(tmp_path):
+    export_wasm(compiled_exports.plain(), tmp_path / "a\nthrow 1;.wasm")
+    assert (tmp_path / "a\nthrow 1;.js").read_text() == shipped("compensator.js")
+
+
+def test_the_types_have_every_member():
+    script, types = shipped("compensator.js"), shipped("compensator.d.ts")
+    members = set(re.findall(r"^  (?:get )?([a-z]\w*)\(.*\) \{$", script, re.MULTILINE)) - {"constructor"}
+    assert members >= {"step", "trajectory", "simulate", "clamps"}
+    assert all(re.search(rf"^  (readonly )?{name}[(:]", types, re.MULTILINE) for name in members)
+    for kind in KINDS:
+        text = wasm_module(KINDS[kind]())
+        about = json.loads(text[text.index(b'{"format"') : text.index(b"}}") + 2])
+        assert all(re.search(rf"^  {name}: ", types, re.MULTILINE) for name in about)
+        assert about["needsPeriod"] == (kind in ("creep", "all", "moving"))
+
+
+def test_the_command_writes_what_the_function_writes(tmp_path):
+    compensator = compiled_exports.plain()
+    actuator = replace(compensator.actuator, name="a \N{MICRO SIGN}m <stage>", limits=(0, 200))
+    actuator.save(tmp_path / "model.json")
+    status, out, err = run("export", "model.json", "stage.wasm", "--start", "top", "--json", cwd=tmp_path)
+    assert (status, err) == (0, "")
+    said = json.loads(out)
+    assert (said["wasm"], said["script"], said["types"]) == ("stage.wasm", "stage.js", "stage.d.ts")
+    assert said["bytes"] == (tmp_path / "stage.wasm").stat().st_size
+    program = "console.log(JSON.stringify(new Compensator(module).about))"
+    about = json.loads(node(tmp_path, program)) if shutil.which("node") else {"name": actuator.name}
+    assert about["name"] == actuator.name
+    for options in (["--fmu"], ["--name", "stage"], ["--no-measure"], ["--number", "float"], ["--kind", "actuator"]):
+        assert run("export", "model.json", "other.wasm", *options, cwd=tmp_path)[0] == 2
+    (tmp_path / "other.js").write_text("mine")
+    status, _, err = run("export", "model.json", "other.wasm", cwd=tmp_path)
+    assert status == 2 and "other.js: is there already" in err
+    assert not (tmp_path / "other.wasm").exists()
+    assert run("export", "model.json", "other.wasm", "--force", cwd=tmp_path)[0] == 0
