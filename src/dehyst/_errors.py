@@ -59,7 +59,7 @@ class RigError(DehystError, OSError):
 
 
 class LinkError(RigError, ConnectionError):
-    """A failed connection to an instrument: refused, lost, silent, or with an unreadable answer."""
+    """A failed connection to an instrument or to workers: refused, lost, silent, or with an unreadable answer."""
 
 
 class DeviceError(RigError):

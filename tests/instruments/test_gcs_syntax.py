@@ -207,9 +207,16 @@ def test_the_columns_are_told_by_their_names():
     turned = ("Voltage of output chan 1", "Current Position of axis 1")
     swapped = gcs_array.table(array_text(columns, names=turned), 2, 2)
     nameless = gcs_array.table(array_text(columns, names=()), 2, 2)
-    assert gcs_array.position_and_voltage(straight)[0].tolist() == [1.0, 2.0]
-    assert gcs_array.position_and_voltage(swapped)[0].tolist() == [3.0, 4.0]
-    assert gcs_array.position_and_voltage(nameless)[0].tolist() == [1.0, 2.0]
+    for array, positions in ((straight, [1.0, 2.0]), (swapped, [3.0, 4.0]), (nameless, [1.0, 2.0])):
+        assert gcs_array.positions_and_voltages(array)[0].T.tolist() == [positions]
+
+
+def test_each_pair_of_columns_is_told_by_its_own_names():
+    names = ("Position of axis 1", "Voltage of axis 1", "Voltage of axis 2", "Position of axis 2")
+    pairs = gcs_array.table(array_text([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0], [7.0, 8.0]], names=names), 2, 4)
+    positions, voltages = gcs_array.positions_and_voltages(pairs)
+    assert positions.T.tolist() == [[1.0, 2.0], [7.0, 8.0]]
+    assert voltages.T.tolist() == [[3.0, 4.0], [5.0, 6.0]]
 
 
 def test_an_array_cut_anywhere_is_refused():

@@ -330,3 +330,8 @@ def written(folder, compensator, number="double"):
     for name, text in code(compensator, number).items():
         (folder / name).write_text(text)
     return folder
+
+
+def plain_code(name):
+    """The C files of a plain compensator."""
+    return code(plain(), name=name)

@@ -1,8 +1,10 @@
 """Marks of files written by dehyst: a marked file may be replaced, any other file only by force.
 
 JSON begins with a format that begins with dehyst, HTML names its generator, SVG its creator, an FMU its generating
-tool. CSV has no place for a word that every reader skips: the first number is written with the exponent e0, which does
-not change it, and no other program writes one such number before numbers without.
+tool, a NumPy archive begins with an array of dehyst, WebAssembly with a section of it, its JavaScript with a comment,
+the metadata at the end of Parquet have a key of dehyst.
+CSV has no place for a word that every reader skips: the first number is written with the exponent e0, which does not
+change it, and no other program writes one such number before numbers without.
 """
 
 from __future__ import annotations
@@ -27,8 +29,14 @@ _SVG = re.compile(
     rb"<\?xml[^>]*>\s*<!DOCTYPE svg[^>]*>\s*<svg [^>]*>\s*<metadata>.{0,1000}?<dc:title>dehyst [^<]*</dc:title>",
     re.DOTALL,
 )
+_WASM = re.compile(rb"\x00asm\x01\x00\x00\x00\x00[\x80-\xff]*[\x00-\x7f]\x0cdehyst\.about")
+_SCRIPT = re.compile(rb"// dehyst: ")
 _FIRST = re.compile(rb"[^\r\n]*\r?\n-?\d+\.\d+e0(?:[,\t][^\r\n]*)?(?:\r?\n|$)")
 _OTHERS = re.compile(rb"[\d.]e0(?![\d])")
+# Name of the first array of a NumPy archive of dehyst, and where a ZIP archive has the name of its first file.
+ARCHIVE, _ZIP_NAME = "dehyst-output", 30
+# A Parquet file begins and ends so; its metadata, with the keys last, are before that end.
+_PARQUET, _PARQUET_KEY = b"PAR1", b"dehyst-fleet"
 _TOOL = re.compile(rb'generationTool="dehyst [^"]*"')
 
 
@@ -51,8 +59,11 @@ def written_by_dehyst(path: PathLike) -> bool:
     """Return whether a command of dehyst wrote this file."""
     head = _head(path)
     if head.startswith(b"PK\3\4"):
-        return _is_own_fmu(path)
-    return bool(_JSON.match(head) or _HTML.match(head) or _SVG.match(head) or _is_own_table(head))
+        return head[_ZIP_NAME:].startswith(f"{ARCHIVE}.npy".encode()) or _is_own_fmu(path)
+    if head.startswith(_PARQUET):
+        return _PARQUET_KEY in _tail(path)
+    patterns = (_JSON, _HTML, _SVG, _WASM, _SCRIPT)
+    return any(pattern.match(head) for pattern in patterns) or _is_own_table(head)
 
 
 def demand_replaceable(path: PathLike, *, force: bool = False) -> None:
@@ -122,6 +133,16 @@ def _head(path: PathLike) -> bytes:
         if not Path(path).is_file():
             return b""
         with Path(path).open("rb") as stream:
+            return stream.read(_HEAD)
+    except OSError:
+        return b""
+
+
+def _tail(path: PathLike) -> bytes:
+    """Return the last bytes of a file; none if it cannot be read."""
+    try:
+        with Path(path).open("rb") as stream:
+            stream.seek(max(0, stream.seek(0, 2) - _HEAD))
             return stream.read(_HEAD)
     except OSError:
         return b""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from string import Template
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._io.drafts import PathLike, draft_of, path_of, settle, settle_folder, unwritten
@@ -32,6 +33,7 @@ from dehyst.exports.start import ExportedStart
 
 __all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "sizes", "worst_case"]
 
+_Result = TypeVar("_Result")
 SOURCES = ("piezo.c", "dehyst.c")
 _HEADERS = ("piezo.h", "dehyst.h")
 _FILES = {*SOURCES, *_HEADERS, "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
@@ -151,52 +153,72 @@ def export(
     folder = path_of(directory)
     files = code(compensator, number, name)
     files |= {file: text_of(shipped(file), name) for file in ("check.c", "Makefile")} | {"LICENSE": shipped("LICENSE")}
+
+    def fill(draft: Path) -> Exported:
+        write_files(draft, files)
+        return _complete(draft, compensator, number, name, measure)
+
+    return fill_folder(folder, fill, force)._replace(folder=folder)
+
+
+def fill_folder(folder: Path, fill: Callable[[Path], _Result], force: bool) -> _Result:
+    """Write the `folder` of an export, whole or not at all; return what `fill`, called with a draft of it, returns.
+
+    With `force` an earlier export is replaced. Raise `FileFormatError` if the folder holds other files, or cannot be
+    written.
+    """
     target = folder.resolve()
     draft = draft_of(target)
     try:
         _demand_free(folder, force)
         draft.mkdir()
-        _write(draft, files)
-        measured = _complete(draft, compensator, number, name, measure)
+        result = fill(draft)
         _put(draft, target)
     except OSError as error:
         raise unwritten(folder, error) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-    return measured._replace(folder=folder)
+    return result
 
 
 def _complete(draft: Path, compensator: Compensator, number: Number, name: str, measure: bool) -> Exported:
     """Add the trace with its error bound and the README with the measured sizes, which need the other files."""
     trace = golden_trace(compensator)
-    _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
+    write_files(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
     result = Exported(draft, {}, worst_case(compensator), None, None if measure else _UNASKED)
     if measure:
         result = _measured(result, number, name)
     if number == "float":
         most = _UNMEASURED if result.error is None else _MARGIN * result.error
-        _write(draft, {"trace.h": trace_header(trace, _LEAST, most)})
-    _write(draft, {"README.md": _readme(compensator, number, trace, result, name)})
+        write_files(draft, {"trace.h": trace_header(trace, _LEAST, most)})
+    write_files(draft, {"README.md": _readme(compensator, number, trace, result, name)})
     return result
 
 
 def _measured(result: Exported, number: Number, name: str) -> Exported:
     """Add sizes and error by the compilers at hand, or the reason why they are missing."""
-    footprints, error, reason = {}, None, None
+    error, reason = None, None
     if number == "float":
         try:
             error = _float_error(result.folder, name)
         except FileFormatError as failure:
             reason = _reason(failure)
+    footprints, unmeasured = footprints_of(result.folder, number)
+    return result._replace(footprints=footprints, error=error, unmeasured=unmeasured or reason)
+
+
+def footprints_of(folder: Path, number: Number) -> tuple[dict[str, Footprint], str | None]:
+    """Return the bytes of an export in a `folder` by processor, and why they are missing, if they are."""
+    footprints, reason = {}, None
     for processor, (compiler, flags) in _PROCESSORS.items():
         # Its floating-point unit has floats only.
         if processor.startswith("Cortex-M4F") and number == "double":
             continue
         try:
-            footprints[processor] = sizes(result.folder, compiler, flags)
+            footprints[processor] = sizes(folder, compiler, flags)
         except FileFormatError as failure:
             reason = _reason(failure) if compiler == _COMPILER else reason
-    return result._replace(footprints=footprints, error=error, unmeasured=reason)
+    return footprints, reason
 
 
 def _reason(failure: FileFormatError) -> str:
@@ -250,7 +272,8 @@ def _put(draft: Path, target: Path) -> None:
     settle_folder(target.parent)
 
 
-def _write(folder: Path, files: dict[str, str]) -> None:
+def write_files(folder: Path, files: dict[str, str]) -> None:
+    """Write `files`, their texts by name, into a `folder`."""
     for name, text in files.items():
         with (folder / name).open("w", encoding="utf-8", newline="\n") as stream:
             stream.write(text)
@@ -314,13 +337,18 @@ def _error_words(number: Number, result: Exported) -> str:
 
 
 def _bytes(result: Exported) -> str:
-    if result.unmeasured is not None:
+    return bytes_table(result.footprints, result.unmeasured)
+
+
+def bytes_table(footprints: dict[str, Footprint], unmeasured: str | None) -> str:
+    """Return the bytes of an export by processor as Markdown, and why some are `unmeasured`."""
+    if unmeasured is not None:
         left_out = (
-            f"Not measured on this computer: {result.unmeasured}. To measure it later: "
+            f"Not measured on this computer: {unmeasured}. To measure it later: "
             "`dehyst.exports.sizes(folder, compiler)`."
         )
-        return left_out if not result.footprints else f"{left_out}\n\n{_table(result.footprints)}"
-    return _table(result.footprints)
+        return left_out if not footprints else f"{left_out}\n\n{_table(footprints)}"
+    return _table(footprints)
 
 
 def _table(footprints: dict[str, Footprint]) -> str:

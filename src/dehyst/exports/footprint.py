@@ -29,6 +29,21 @@ int main(void)
     for (;;) sent = piezo_step(&memory, wanted);
 }
 """
+_STAGE_PROGRAM = """#include "piezo.h"
+static piezo memory;
+volatile dehyst_real wanted, sent;
+int main(void)
+{
+    dehyst_real given[MODEL_AXES], got[MODEL_AXES];
+    int j;
+    if (piezo_begin(&memory) != DEHYST_OK) return 1;
+    for (;;) {
+        for (j = 0; j < MODEL_AXES; j++) given[j] = wanted;
+        piezo_step(&memory, given, got);
+        for (j = 0; j < MODEL_AXES; j++) sent = got[j];
+    }
+}
+"""
 _MEMORY = '#include "piezo.h"\nextern char memory[sizeof(piezo)];\nchar memory[sizeof(piezo)] = {0};\n'
 _FRAME = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?(\d+) bytes')
 _CALL = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
@@ -74,7 +89,8 @@ def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O
             if source.name != "check.c":
                 shutil.copy(source, folder)
         name = name_in(folder) or DEFAULT
-        (folder / "program.c").write_text(text_of(_PROGRAM, name))
+        several = "MODEL_AXES" in (folder / f"{name}.h").read_text(encoding="utf-8")
+        (folder / "program.c").write_text(text_of(_STAGE_PROGRAM if several else _PROGRAM, name))
         sources = sorted(path.name for path in folder.glob("*.c"))
         options = [*STRICT, *_BARE, *flags]
         graphs = _compile(folder, compiler, options, sources)

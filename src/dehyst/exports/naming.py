@@ -13,7 +13,7 @@ DEFAULT = "piezo"
 _RENAMED = ("piezo.c", "piezo.h", "check.c")
 _CODE_WORD = re.compile(r"(?<![\w.])(?<!->)[A-Za-z_]\w*")
 _NOT_CODE = re.compile(r'/\*.*?\*/|"(?:\\.|[^"\\])*"', re.DOTALL)
-_TITLE = re.compile(r"/\* The actuator '.*', made by dehyst ")
+_TITLE = re.compile(r"/\* The (?:actuator|stage) '.*', made by dehyst ")
 _NAME, _MOST = re.compile(r"[A-Za-z]\w*", re.ASCII), 40
 _KEYWORDS = (
     "alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl concept const consteval "

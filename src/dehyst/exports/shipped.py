@@ -9,9 +9,14 @@ from dehyst._errors import FileFormatError
 
 
 def shipped(name: str) -> str:
-    """Return a text file that comes with the package; an editable install has the core's in another folder."""
+    """Return a text file that comes with the package."""
+    return shipped_bytes(name).decode("utf-8")
+
+
+def shipped_bytes(name: str) -> bytes:
+    """Return a file that comes with the package; an editable install has the core's in another folder."""
     for root in sys.modules["dehyst"].__path__:
         path = Path(root) / "exports" / "templates" / name
         if path.is_file():
-            return path.read_text(encoding="utf-8")
+            return path.read_bytes()
     raise FileFormatError(f"exports/templates/{name}: not found beside the package; install dehyst again")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 
 from dehyst._errors import DehystError, RigError
 from dehyst.instruments.base import AbstractRig
+from dehyst.instruments.stage import AbstractStageRig
 
 _Options = dict[str, Any]
 _FORMS = (
@@ -71,8 +72,58 @@ def _checked(rig: AbstractRig, options: _Options) -> AbstractRig:
     )
 
 
+def open_stage_rig(
+    address: str,
+    axes: Sequence[str] | None = None,
+    *,
+    limits: Sequence[tuple[float, float]] | tuple[float, float] | None = None,
+    slew_rate: float | None = None,
+) -> AbstractStageRig:
+    """Open several axes of the rig at an address, over one connection.
+
+    Parameters
+    ----------
+    address : str
+        ``pi://host:port`` or ``pi://host:port/1,2,3``: a PI controller (GCS 2.0 over TCP).
+    axes : sequence of str, optional
+        Names of the axes, unless they are in the address.
+    limits : (float, float) or sequence of (float, float), optional
+        Allowed voltages [V], of all axes or of each; they are narrowed to those of the device.
+    slew_rate : float, optional
+        Largest abs(dv/dt) [V/s] of every axis; the device's where that is lower.
+
+    Raises
+    ------
+    RigError
+        If the address is not valid, names other axes, or no instrument with these axes answers there.
+    """
+    scheme, separator, rest = address.partition("://")
+    if not separator or scheme.lower() != "pi":
+        raise RigError(f"{address}: cannot play several axes together; need pi://host:port/1,2,3")
+    from dehyst.instruments.pi_stage import PiStageRig
+
+    host, port, path = _pi_address(rest)
+    named = [name for name in (path or "").split(",") if name]
+    if axes is not None and named and list(axes) != named:
+        raise RigError(f"{address}: names the axes {', '.join(named)}, but {', '.join(axes)} are requested; give one")
+    chosen = list(axes or named)
+    if len(chosen) < 2:
+        raise RigError(f"{address}: need two axes or more, as in pi://{host}:{port}/1,2,3")
+    return PiStageRig.connect(host, port, axes=chosen, limits=limits, slew_rate=slew_rate)
+
+
 def _pi(rest: str, options: _Options) -> AbstractRig:
-    from dehyst.instruments.pi import PORT, PiRig
+    from dehyst.instruments.pi import PiRig
+
+    host, port, axis = _pi_address(rest)
+    if axis and "," in axis:
+        raise RigError(f"pi://{rest}: names several axes, which only dehyst calibrate plays together; give one")
+    return PiRig.connect(host, port, axis=axis, **options)
+
+
+def _pi_address(rest: str) -> tuple[str, int, str | None]:
+    """Return host, port and axis, if one is named."""
+    from dehyst.instruments.pi import PORT
 
     try:
         parts = urlsplit(f"//{rest}")
@@ -82,7 +133,7 @@ def _pi(rest: str, options: _Options) -> AbstractRig:
     axis = parts.path.strip("/") or None
     if not host or parts.query or parts.fragment or (axis and "/" in axis):
         raise RigError(f"pi://{rest}: need pi://host:port, or pi://host:port/axis")
-    return PiRig.connect(host, PORT if port is None else port, axis=axis, **options)
+    return host, PORT if port is None else port, axis
 
 
 def _epics(prefix: str, options: _Options) -> AbstractRig:

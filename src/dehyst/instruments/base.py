@@ -7,9 +7,9 @@ import time
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from types import TracebackType
-from typing import Any, Self, TypeVar, final
+from typing import Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,8 @@ from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
 from dehyst.control.ramps import ramp_step
-from dehyst.instruments.driver_errors import driver_errors, finite, reading_of
-from dehyst.instruments.interrupts import shielded
+from dehyst.instruments.driver_errors import arrivals, driver_errors, finite, pieces, reading_of
+from dehyst.instruments.interrupts import retreated, retreating, shielded
 from dehyst.instruments.limits import check_excitation, common_limits
 from dehyst.instruments.samples import READBACK_TOLERANCE, Inspection, Listener, Reading, Samples
 from dehyst.instruments.sensor_watch import SensorWatch
@@ -30,15 +30,11 @@ from dehyst.waveforms import Excitation
 __all__ = ["AbstractRig", "Listener", "Reading", "Samples"]
 
 # The sensor watch refers to this share of the range at least: over a smaller excursion a reading may be constant.
-_LEAST_WATCHED = 0.25
+LEAST_WATCHED = 0.25
 # Seconds between two steps of a ramp; a host keeps no better time.
-_TICK = 0.01
+TICK = 0.01
 # Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
 _GENTLE = 1.0
-# First words of a note on an error that reports where the voltage was left.
-_NOTE = "The voltage"
-
-_Kind = TypeVar("_Kind", bound="np.generic[Any]")
 
 
 class AbstractRig(ABC):
@@ -163,10 +159,10 @@ class AbstractRig(ABC):
         rate = self.check(excitation)
         batches: list[Samples] = []
         span, (low, high) = self.limits.high - self.limits.low, excitation.voltage_range
-        inspection, sensor = Inspection(self.name, span), SensorWatch(max(high - low, _LEAST_WATCHED * span))
+        inspection, sensor = Inspection(self.name, span), SensorWatch(max(high - low, LEAST_WATCHED * span))
         with self.safely():
             self._ramp(float(excitation.voltage[0]))
-            for piece in self._pieces(excitation.voltage):
+            for piece in pieces(excitation.voltage, self.longest):
                 # Closed before the retreat: what a driver does at the end of a wave must not come after it.
                 with closing(self._piece(piece, rate, inspection)) as arriving:
                     for samples in arriving:
@@ -190,19 +186,8 @@ class AbstractRig(ABC):
     @contextmanager
     def safely(self) -> Iterator[None]:
         """Retreat after any error within, Ctrl-C too, and add a note on the voltage to the error."""
-        with shielded() as shield:
-            try:
-                # Twice: a signal may come between an error and the line that defers signals.
-                try:
-                    yield
-                except BaseException:
-                    shield.deferring = True
-                    raise
-            except BaseException as error:
-                if not any(note.startswith(_NOTE) for note in getattr(error, "__notes__", ())):
-                    # The cause of the error may prevent the retreat too.
-                    error.add_note(self._retreated().replace(f" ({error})", ""))
-                raise
+        with retreating(self):
+            yield
 
     @final
     def retreat(self) -> float:
@@ -212,8 +197,7 @@ class AbstractRig(ABC):
         """
         self._refuse_closed()
         with shielded(defer=True):
-            with driver_errors(self.name, "_halt"):
-                self._halt()
+            self._stop_wave()
             self._ramp(self.safe, self._last_voltage)
         return self.safe
 
@@ -227,7 +211,7 @@ class AbstractRig(ABC):
     @final
     def rows(self, count: int) -> NDArray[np.intp]:
         """Return which of `count` voltages each sample of a record belongs to; where pieces join, two share one."""
-        return np.concatenate(list(self._pieces(np.arange(count))))
+        return np.concatenate(list(pieces(np.arange(count), self.longest)))
 
     def nearest_rate(self, sample_rate: float) -> float:
         """Return the rate [Hz] nearest to `sample_rate` at which the device can play; by default `sample_rate`."""
@@ -261,9 +245,20 @@ class AbstractRig(ABC):
         time.sleep(seconds)
 
     def _ramp(self, end: float, fallback: float | None = None) -> None:
+        """Ramp as `_ramping` does."""
+        for _ in self._ramping(end, fallback):
+            self._wait(TICK)
+
+    def _stop_wave(self) -> None:
+        """Stop the wave, if one is playing; the voltage stays. Raise `DeviceError` if the device fails."""
+        with driver_errors(self.name, "_halt"):
+            self._halt()
+
+    def _ramping(self, end: float, fallback: float | None = None) -> Iterator[None]:
         """Ramp from the voltage that is read to `end`, within the slew rate and in steps of a hundredth of the range.
 
-        If it cannot be read, from `fallback`: a retreat must not fail because a sensor did.
+        Yields before each step, so that the caller waits a tick. If the voltage cannot be read, from `fallback`: a
+        retreat must not fail because a sensor did.
         """
         try:
             present = self._reading().voltage
@@ -277,9 +272,9 @@ class AbstractRig(ABC):
         low, high = self.limits.low, self.limits.high
         gentle = VoltageLimits(low, high, min(self.slew_rate, (high - low) / _GENTLE))
         while present != end:
-            present = ramp_step(end, present, gentle, _TICK)
+            present = ramp_step(end, present, gentle, TICK)
             # Before the first step too: a wave may have been stopped just now.
-            self._wait(_TICK)
+            yield
             with driver_errors(self.name, "_put"):
                 self._put(self.limits.nearest(present))
             self._last_voltage = present
@@ -298,30 +293,10 @@ class AbstractRig(ABC):
         with driver_errors(self.name, "_read"):
             return reading_of(self.name, self._read())
 
-    def _pieces(self, voltage: NDArray[_Kind]) -> Iterator[NDArray[_Kind]]:
-        """Yield the voltages (n,) in pieces that the device takes, each beginning where the one before ended."""
-        longest = self.longest or voltage.size
-        for start in range(0, max(1, voltage.size - 1), longest - 1):
-            yield voltage[start : start + longest]
-
     def _piece(self, voltage: Array, rate: float, inspection: Inspection) -> Generator[Samples, None, None]:
         """Play one piece and check its samples as they arrive."""
         inspection.begin(voltage)
-        with driver_errors(self.name, "_wave"):
-            wave = iter(self._wave(voltage, rate))
-        try:
-            while True:
-                with driver_errors(self.name, "_wave"):
-                    samples = next(wave, None)
-                    if samples is None:
-                        break
-                    admitted = inspection.admit(samples)
-                if admitted.time.size:
-                    yield admitted
-                    inspection.compare(admitted)
-        finally:
-            if isinstance(wave, Generator):
-                wave.close()
+        yield from arrivals(self.name, lambda: self._wave(voltage, rate), inspection.admit, inspection.compare)
         inspection.end()
 
     def _refuse_closed(self) -> None:
@@ -330,10 +305,4 @@ class AbstractRig(ABC):
 
     def _retreated(self) -> str:
         """Retreat if the link still works, and return the outcome as a sentence."""
-        try:
-            return f"{_NOTE} was brought to {self.retreat():.6g} V."
-        except Exception as error:  # a driver's library may raise anything; the first error is the one to report
-            with suppress(Exception):
-                self.close()
-            failure = f"{_NOTE} could not be brought to {self.safe:.6g} V ({error})"
-            return f"{failure}: the device holds, or plays to its end, what it has; see to it by hand."
+        return retreated(lambda: f"{self.retreat():.6g}", f"{self.safe:.6g}", self.close)

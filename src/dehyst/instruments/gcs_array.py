@@ -55,13 +55,15 @@ def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
     return GcsArray(sample_time, names, _numbers(body, columns, chr(separator)))
 
 
-def position_and_voltage(array: GcsArray) -> tuple[Array, Array]:
-    """Return the columns (n,) of position and voltage: by their names, else in the requested order."""
-    position, voltage = 0, 1
+def positions_and_voltages(array: GcsArray) -> tuple[Array, Array]:
+    """Return positions and voltages (n, axes) of pairs of columns: by their names, else in the requested order."""
     kinds = [("position" in name.lower(), "voltage" in name.lower()) for name in array.names]
-    if kinds[:2] == [(False, True), (True, False)]:
-        position, voltage = 1, 0
-    return array.columns[position], array.columns[voltage]
+    positions, voltages = [], []
+    for first in range(0, len(kinds), 2):
+        turned = kinds[first : first + 2] == [(False, True), (True, False)]
+        positions.append(array.columns[first + turned])
+        voltages.append(array.columns[first + (not turned)])
+    return np.column_stack(positions), np.column_stack(voltages)
 
 
 def _header(lines: Sequence[str]) -> dict[str, str]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any
+from typing import Any, Protocol
 
+# First words of a note on an error that reports where the voltage was left.
+_NOTE = "The voltage"
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
@@ -95,3 +97,39 @@ def shielded(*, defer: bool = False) -> Iterator[Shield]:
         raise
     shield.restore()
     shield.deliver()
+
+
+class _Retreating(Protocol):
+    def _retreated(self) -> str: ...
+
+
+@contextmanager
+def retreating(rig: _Retreating) -> Iterator[None]:
+    """Let a `rig` retreat after any error within, Ctrl-C too, and add the outcome to the error as a note."""
+    with shielded() as shield:
+        try:
+            # Twice: a signal may come between an error and the line that defers signals.
+            try:
+                yield
+            except BaseException:
+                shield.deferring = True
+                raise
+        except BaseException as error:
+            if not any(note.startswith(_NOTE) for note in getattr(error, "__notes__", ())):
+                # The cause of the error may prevent the retreat too.
+                error.add_note(rig._retreated().replace(f" ({error})", ""))
+            raise
+
+
+def retreated(retreat: Callable[[], str], safe: str, close: Callable[[], None], axes: str = "") -> str:
+    """Retreat if the link still works, else close it; return the outcome as a sentence.
+
+    `retreat` returns the voltages that it reached; `safe` are those to be reached, `axes` are words on several.
+    """
+    try:
+        return f"{_NOTE}{axes} was brought to {retreat()} V."
+    except Exception as error:  # a driver's library may raise anything; the first error is the one to report
+        with suppress(Exception):
+            close()
+        failure = f"{_NOTE}{axes} could not be brought to {safe} V ({error})"
+        return f"{failure}: the device holds, or plays to its end, what it has; see to it by hand."

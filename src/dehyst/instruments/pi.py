@@ -2,40 +2,26 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any, Self
 
-import numpy as np
-
-from dehyst._errors import DeviceError, LinkError
+from dehyst._errors import DeviceError
 from dehyst._types import Array
 from dehyst.instruments import gcs_syntax
 from dehyst.instruments.base import AbstractRig, Reading, Samples
-from dehyst.instruments.gcs_array import position_and_voltage, table
 from dehyst.instruments.gcs_client import GcsClient
 from dehyst.instruments.gcs_errors import STOPPED
 from dehyst.instruments.gcs_link import AbstractGcsLink, DeviceLink, TcpLink
 from dehyst.instruments.host_timed import HIGHEST_RATE, host_timed
 from dehyst.instruments.pi_discovery import WaveTraits, discover
+from dehyst.instruments.pi_waves import METRES, SHORTEST_POLL, PiClock, PiWaves, WaveAxis
 
 PORT = 50000
-# Controllers report positions in micrometres, timers in milliseconds.
-_METRES, _SECONDS = 1e-6, 1e-3
-# Wave table, and recorder tables of position and voltage.
-_WAVE, _POSITION, _VOLTAGE = 1, "1", "2"
-# Seconds between two polls of the recorder: less for a short wave, so that a dead sensor is detected in time.
-_SHORTEST_POLL, _POLL, _POLLS = 0.02, 0.1, 20
-# Most rows of one answer.
-_ROWS = 2000
-# A recorder without a new sample for this time [s], and for this many sample periods, has stopped.
-_PATIENCE = 5.0
-_PATIENT_SAMPLES = 20
+# A recorder without a new sample for this time [s] has stopped.
+PATIENCE = 5.0
 _STEPS_TO_STOP = 20
-# Time [s] between two readings within one tick of a clock.
-_TICK = 1e-9
 
 
 class PiRig(AbstractRig):
@@ -48,8 +34,8 @@ class PiRig(AbstractRig):
 
     Parameters
     ----------
-    link : AbstractGcsLink
-        Usually from `connect` or `of_device`.
+    link : AbstractGcsLink or GcsClient
+        Usually from `connect` or `of_device`; a client may be shared by the axes of a controller.
     axis : str, optional
         Needed if the controller has several.
     limits : (float, float), optional
@@ -66,18 +52,18 @@ class PiRig(AbstractRig):
 
     def __init__(
         self,
-        link: AbstractGcsLink,
+        link: AbstractGcsLink | GcsClient,
         *,
         axis: str | None = None,
         limits: tuple[float, float] | None = None,
         slew_rate: float | None = None,
-        patience: float = _PATIENCE,
+        patience: float = PATIENCE,
     ) -> None:
-        self._client = GcsClient(link)
+        self._client = link if isinstance(link, GcsClient) else GcsClient(link)
         traits = discover(self._client, axis, limits)
         self._waves, self._channel, self._generator = traits.waves, traits.channel, traits.generator
         self._patience = patience
-        self._began, self._shift, self._last_sample, self._last_time = time.monotonic(), 0.0, -np.inf, -np.inf
+        self._clock = PiClock(self._client)
         super().__init__(
             self._client.name,
             traits.limits,
@@ -105,7 +91,7 @@ class PiRig(AbstractRig):
         limits: tuple[float, float] | None = None,
         slew_rate: float | None = None,
         timeout: float = 5.0,
-        patience: float = _PATIENCE,
+        patience: float = PATIENCE,
     ) -> Self:
         """Connect to a controller by TCP; `timeout` [s] is the longest wait for an answer.
 
@@ -122,7 +108,7 @@ class PiRig(AbstractRig):
         axis: str | None = None,
         limits: tuple[float, float] | None = None,
         slew_rate: float | None = None,
-        patience: float = _PATIENCE,
+        patience: float = PATIENCE,
     ) -> Self:
         """Make a rig of a connected object that has `ReadGCSCommand` and `GcsCommandset`; `close` leaves it open."""
         return cls._open(DeviceLink(device), axis=axis, limits=limits, slew_rate=slew_rate, patience=patience)
@@ -135,19 +121,38 @@ class PiRig(AbstractRig):
             link.close()
             raise
 
+    @property
+    def waves(self) -> WaveTraits | None:
+        """How the controller plays and records waves; None if it cannot."""
+        return self._waves
+
+    @property
+    def wave_axis(self) -> WaveAxis:
+        """The axis as its wave generator needs it."""
+        return WaveAxis(self.axis, self._channel, self._generator, self.limits.low, self.limits.high)
+
+    def share(self, clock: PiClock) -> None:
+        """Read the time from the `clock` of several axes."""
+        self._clock = clock
+
+    def make_ready(self) -> None:
+        """Switch the servo off and stop the wave generator, before a wave."""
+        self._open_loop()
+        self._halt()
+
     def nearest_rate(self, sample_rate: float) -> float:
         """Return the rate [Hz] nearest to `sample_rate` of those that divide the servo's."""
         if self._waves is None:
             return min(sample_rate, HIGHEST_RATE)
-        return 1 / (self._divider(self._waves, sample_rate) * self._waves.servo_period)
+        return 1 / (self._waves.divider(sample_rate) * self._waves.servo_period)
 
     def _read(self) -> Reading:
-        now = self._now()
+        now = self._clock.now()
         (position,) = self._values("POS?", self.axis)
         # An answer without a key, so that a position that is one answer late cannot be taken for the voltage.
         self._client.set()
         (voltage,) = self._values("VOL?", self._channel)
-        return Reading(now, voltage, position * _METRES)
+        return Reading(now, voltage, position * METRES)
 
     def _put(self, voltage: float) -> None:
         self._open_loop()
@@ -159,15 +164,17 @@ class PiRig(AbstractRig):
         if self._waves is None:
             yield from host_timed(self, voltage, rate)
             return
-        divider = self._divider(self._waves, rate)
-        interval = divider * self._waves.servo_period
-        self._prepare(voltage, divider, self._waves)
-        start = max(self._now(), self._last_sample + interval)
-        self._client.set(gcs_syntax.command("WGO", self._generator, 1))
-        for first, position, volts in self._recorded(voltage.size, interval):
-            times: Array = start + interval * np.arange(first, first + volts.size, dtype=np.float64)
-            self._last_sample = float(times[-1])
-            yield Samples(times, volts, position * _METRES)
+        self.make_ready()
+        player = PiWaves(
+            self._client,
+            self._waves,
+            [self.wave_axis],
+            clock=self._clock,
+            patience=self._patience,
+            wait=self._wait,
+        )
+        for times, volts, displacement in player.play(voltage[:, None], rate):
+            yield Samples(times, volts[:, 0], displacement[:, 0])
         # Otherwise the controller takes no voltages.
         self._halt()
 
@@ -179,7 +186,7 @@ class PiRig(AbstractRig):
         for _ in range(_STEPS_TO_STOP):
             if not self._playing():
                 return
-            self._wait(_SHORTEST_POLL)
+            self._wait(SHORTEST_POLL)
         raise DeviceError(f"{self.name}: its wave generator was sent a stop and goes on; switch it off by hand")
 
     def _close(self) -> None:
@@ -197,91 +204,8 @@ class PiRig(AbstractRig):
             raise DeviceError(f"{self.name}: its servo does not go off; switch it off by hand")
         self._opened = True
 
-    def _prepare(self, voltage: Array, divider: int, waves: WaveTraits) -> None:
-        """Fill the wave table, and set up generator and recorder to play and record it once."""
-        self._open_loop()
-        self._halt()
-        points = [gcs_syntax.volts(float(value), self.limits.low, self.limits.high) for value in voltage]
-        for line in gcs_syntax.wave_points(_WAVE, points):
-            self._client.set(line)
-        generator = self._generator
-        self._client.set(gcs_syntax.command("WSL", generator, _WAVE))
-        self._client.set(gcs_syntax.command("WGC", generator, 1))
-        self._client.set(gcs_syntax.command("WTR", generator, divider, 0))
-        if "WOS" in self._client.commands:
-            # An offset that is set would be added to every voltage.
-            self._client.set(gcs_syntax.command("WOS", generator, 0))
-        self._client.set(gcs_syntax.command("RTR", divider))
-        self._client.set(gcs_syntax.command("DRC", _POSITION, self.axis, waves.options.position))
-        self._client.set(gcs_syntax.command("DRC", _VOLTAGE, self._channel, waves.options.voltage))
-        if "DRT" in self._client.commands:
-            # The default: the start of a wave starts the record.
-            self._client.set(gcs_syntax.command("DRT", 0, 0, 0))
-        if "WAV?" in self._client.commands:
-            self._refuse_length(voltage.size)
-
-    def _refuse_length(self, needed: int) -> None:
-        query = gcs_syntax.command("WAV?", _WAVE, 1)
-        length = self._client.query(query, lambda lines: gcs_syntax.parameter(lines, str(_WAVE), 1))
-        if length != needed:
-            raise DeviceError(f"{self.name}: its wave table holds {length:g} points, need {needed}; nothing was played")
-
-    def _recorded(self, count: int, interval: float) -> Iterator[tuple[int, Array, Array]]:
-        """Yield rows as they are recorded: the first one's number, positions [um] and voltages [V]."""
-        got = 0
-        poll = min(_POLL, max(_SHORTEST_POLL, count * interval / _POLLS))
-        patience = max(self._patience, _PATIENT_SAMPLES * interval)
-        latest = time.monotonic()
-        while got < count:
-            self._client.set()
-            ready = min(*self._counts("DRL?", _POSITION, _VOLTAGE), count)
-            if ready > got:
-                number = min(ready - got, _ROWS)
-                yield got, *self._rows(got, number, interval)
-                got, latest = got + number, time.monotonic()
-            else:
-                self._refuse_stopped(got, count, time.monotonic() - latest, patience)
-            if got < ready or got == count:
-                # More rows are ready, or all are read.
-                continue
-            self._wait(poll)
-
-    def _refuse_stopped(self, got: int, count: int, quiet: float, patience: float) -> None:
-        if quiet <= patience:
-            return
-        if not self._playing():
-            raise DeviceError(f"{self.name}: its wave generator stopped; {got} of {count} samples were recorded")
-        raise LinkError(
-            f"{self.name}: no new sample for {quiet:.3g} s, {got} of {count} came; check the data recorder and its "
-            "trigger"
-        )
-
-    def _rows(self, first: int, number: int, interval: float) -> tuple[Array, Array]:
-        query = gcs_syntax.command("DRR?", first + 1, number, _POSITION, _VOLTAGE)
-        array = self._client.query(query, lambda lines: table(lines, number, 2))
-        if abs(array.sample_time / interval - 1) > 1e-3:
-            raise DeviceError(
-                f"{self.name}: records every {array.sample_time:g} s, need {interval:g} s; check its servo update time"
-            )
-        return position_and_voltage(array)
-
-    def _now(self) -> float:
-        """Return the time [s] of the controller's clock, else of the host's; it never falls behind the last sample."""
-        timed = "TIM?" in self._client.commands
-        now = self._client.query("TIM?", gcs_syntax.timer) * _SECONDS if timed else time.monotonic() - self._began
-        self._shift = max(self._shift, self._last_sample - now)
-        # No two readings have the same time, though a clock's ticks may be longer than the time between them.
-        self._last_time = max(now + self._shift, self._last_time + _TICK)
-        return self._last_time
-
     def _playing(self) -> bool:
         return bool(self._count("WGO?", self._generator))
-
-    def _divider(self, waves: WaveTraits, rate: float) -> int:
-        """Return the number of servo periods a sample."""
-        exact = 1 / (rate * waves.servo_period)
-        below = max(1, int(exact))
-        return min((below, below + 1), key=lambda divider: abs(1 / (divider * waves.servo_period) - rate))
 
     def _count(self, word: str, key: str) -> int:
         return self._counts(word, key)[0]

@@ -20,12 +20,19 @@ class WaveTraits:
     """Properties of a controller that plays and records waves.
 
     `servo_period` [s]; waves are played and recorded in multiples of it. `longest`: samples that both a wave table and
-    two recorder tables hold. `options`: record options of position and voltage.
+    its recorder tables hold. `options`: record options of position and voltage. `tables`: number of recorder tables.
     """
 
     servo_period: float
     longest: int
     options: gcs_syntax.Options
+    tables: int
+
+    def divider(self, rate: float) -> int:
+        """Return the number of servo periods a sample, for the rate nearest to `rate` [Hz]."""
+        exact = 1 / (rate * self.servo_period)
+        below = max(1, int(exact))
+        return min((below, below + 1), key=lambda divider: abs(1 / (divider * self.servo_period) - rate))
 
 
 @dataclass(frozen=True)
@@ -152,7 +159,7 @@ def _waves(client: GcsClient) -> tuple[WaveTraits | None, str]:
     longest = int(min(points, recorded // tables))
     if not (0 < period <= 1 and longest >= 2):
         return None, f"has a servo update time of {period:g} s and tables of {longest} points (SPA?)"
-    return WaveTraits(period, longest, options), ""
+    return WaveTraits(period, longest, options, tables), ""
 
 
 def _parameter(client: GcsClient, number: int) -> float | None:

@@ -14,11 +14,11 @@ _DEAD = 0.2
 class SensorWatch:
     """A check of samples as they arrive: it raises when the reading is constant while the voltage moves.
 
-    `span`: range of the voltage [V].
+    `span`: range of the voltage [V]. `name`: of the sensor, in messages.
     """
 
-    def __init__(self, span: float) -> None:
-        self._enough = _DEAD * span
+    def __init__(self, span: float, name: str = "the sensor") -> None:
+        self._enough, self._name = _DEAD * span, name
         self._value: float | None = None
         self._low = self._high = 0.0
         self._moved = False
@@ -52,7 +52,7 @@ class SensorWatch:
         what += f"{self._high:.6g} V"
         if self._moved:
             raise SensorError(
-                f"the sensor hangs or is saturated: it {what}; shift its range, use less voltage (--limits), or look "
+                f"{self._name} hangs or is saturated: it {what}; shift its range, use less voltage (--limits), or look "
                 "at its cable"
             )
-        raise SensorError(f"the sensor does not move: it {what}; is it plugged in, switched on, the right channel?")
+        raise SensorError(f"{self._name} does not move: it {what}; is it plugged in, switched on, the right channel?")

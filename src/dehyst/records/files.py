@@ -1,4 +1,4 @@
-"""Reading of measurements in every format of `loaders`, and writing of CSV and HDF5."""
+"""Reading of measurements in every format of `loaders`, and writing of CSV, NPZ and HDF5."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import FileFormatError
+from dehyst._io.archives import packed
 from dehyst._io.drafts import PathLike, write_atomically
 from dehyst._io.marks import marked
 from dehyst._io.reading import named, reading_errors
@@ -193,17 +194,26 @@ def _load(path: Path, max_bytes: float, with_meta: bool) -> tuple[Table, hdf5.St
 
 
 def write_record(path: PathLike, record: Record) -> None:
-    """Write a `record` as CSV with the columns time_s, voltage_V and displacement_um, at full precision.
+    """Write a `record` at full precision: as CSV, or as a NumPy archive, which is read faster.
 
-    An existing file is replaced. The new file is a measurement, not an output: no command replaces it without --force.
-    `path` ends in .csv.
+    CSV has the columns time_s, voltage_V and displacement_um, a `path` that ends in .npz the arrays time_s, voltage_V
+    and displacement_m. An existing file is replaced. The new file is a measurement, not an output: no command replaces
+    it without --force.
+
+    Raises
+    ------
+    FileFormatError
+        It is no record, the suffix is not one of text or .npz, or the file cannot be written.
     """
     if not isinstance(record, Record):
         raise FileFormatError(
             f"record: got {type(record).__name__}, need a Record; give the path first, then the record"
         )
-    columns = {"time_s": record.time, "voltage_V": record.voltage, "displacement_um": record.displacement * 1e6}
-    write_atomically(path, "\n".join([*_lines(path, columns), ""]))
+    columns = {"time_s": record.time, "voltage_V": record.voltage}
+    if Path(path).suffix.lower() == ".npz":
+        write_atomically(path, packed({**columns, "displacement_m": record.displacement}))
+        return
+    write_atomically(path, "\n".join([*_lines(path, {**columns, "displacement_um": record.displacement * 1e6}), ""]))
 
 
 def write_hdf5(path: PathLike, record: Record) -> None:

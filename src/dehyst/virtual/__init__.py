@@ -14,5 +14,16 @@ from dehyst.virtual.bouc_wen import BoucWenActuator
 from dehyst.virtual.modelled import ModelledActuator
 from dehyst.virtual.plays import PlayActuator
 from dehyst.virtual.preisach import PreisachActuator
+from dehyst.virtual.stage import VirtualStage
+from dehyst.virtual.stage_bench import StageBench
 
-__all__ = ["BoucWenActuator", "ModelledActuator", "PlayActuator", "PreisachActuator", "VirtualActuator", "VirtualBench"]
+__all__ = [
+    "BoucWenActuator",
+    "ModelledActuator",
+    "PlayActuator",
+    "PreisachActuator",
+    "StageBench",
+    "VirtualActuator",
+    "VirtualBench",
+    "VirtualStage",
+]

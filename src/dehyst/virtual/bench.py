@@ -53,6 +53,8 @@ class VirtualBench:
         Seconds of the device in each second of the clock.
     noise, seed : float, int, optional
         Standard deviation [m] and seed of the sensor's noise; default: those of the actuator, or no noise.
+    place : callable, optional
+        Returns the present displacement [m] that the sensor looks at; default: the actuator's own.
 
     Attributes
     ----------
@@ -87,6 +89,7 @@ class VirtualBench:
         speed: float = 1.0,
         noise: float | None = None,
         seed: int | None = None,
+        place: Callable[[], float] | None = None,
     ) -> None:
         self._amplifier = Amplifier(actuator, VoltageLimits(*limits, slew_rate), servo_period)
         allowed = self._amplifier.limits
@@ -99,6 +102,7 @@ class VirtualBench:
         self._deviation = float(getattr(actuator, "noise", 0.0)) if noise is None else noise
         self._sensor = Sensor(self._deviation, int(getattr(actuator, "seed", 0)) if seed is None else seed)
         self._clock, self._speed, self._began = clock, speed, clock()
+        self._place = place or (lambda: self._amplifier.position)
         self._servo, self._wanted, self._error = False, 0.0, 0.0
         self._wave, self._played, self._first, self._period = np.zeros(0), 0, 0.0, servo_period
         self._record, self._rows = np.zeros((3, 0)), 0
@@ -202,6 +206,16 @@ class VirtualBench:
         `divider`: servo periods from one to the next. Raise `DeviceError` if one lies outside the limits, there are too
         many or none, another wave is played or the servo is on.
         """
+        v = self.admitted(wave, divider)
+        self._wave, self._played, self._first, self._period = v, 0, self._amplifier.at, divider * self.servo_period
+        self._record, self._rows = np.zeros((3, min(v.size, self.record_points))), 0
+        self.advance()
+
+    def admitted(self, wave: ArrayLike, divider: int = 1) -> Array:
+        """Return the voltages (n,) [V] that `start` would play; raises as it does, and plays nothing.
+
+        `wave` and `divider` as of `start`.
+        """
         self.advance()
         self._demand_open("start")
         v = vector(wave, "wave")
@@ -211,9 +225,7 @@ class VirtualBench:
             )
         if not self._amplifier.allows(v):
             raise DeviceError(f"start: got {v.min():.6g} to {v.max():.6g} V, need {self._amplifier.limits.words}")
-        self._wave, self._played, self._first, self._period = v, 0, self._amplifier.at, divider * self.servo_period
-        self._record, self._rows = np.zeros((3, min(v.size, self.record_points))), 0
-        self.advance()
+        return v
 
     def stop(self) -> None:
         """Stop the wave, or the moving output; the voltage stays. A servo holds the present displacement."""
@@ -232,6 +244,13 @@ class VirtualBench:
         stop = self._rows if count is None else min(self._rows, first + count)
         time, voltage, displacement = self._record[:, max(first, 0) : max(stop, 0)].copy()
         return time, voltage, displacement
+
+    def sensed(self, displacement: Array) -> Array:
+        """Return the sensor's reading (n,) [m] of displacements: `displacement` (n,) [m]."""
+        low, high = self.sensor_range or (-math.inf, math.inf)
+        if self.unplugged:
+            return np.full(displacement.size, low if math.isfinite(low) else 0.0)
+        return np.clip(self._sensor.read(displacement), low, high)
 
     def advance(self) -> None:
         """Bring the bench up to now: play the due samples of the wave, fill the recorder, let the actuator creep."""
@@ -266,7 +285,7 @@ class VirtualBench:
         self._played = due
         rows = slice(self._rows, min(due, self._record.shape[1]))
         count = max(0, rows.stop - rows.start)
-        self._record[:, rows] = np.stack([at, voltage, self._sensed(displacement)])[:, :count]
+        self._record[:, rows] = np.stack([at, voltage, self.sensed(displacement)])[:, :count]
         self._rows += count
 
     def _hold(self, now: float) -> None:
@@ -284,11 +303,4 @@ class VirtualBench:
             self._error = abs(error)
 
     def _reading(self) -> float:
-        return float(self._sensed(np.array([self._amplifier.position]))[0])
-
-    def _sensed(self, displacement: Array) -> Array:
-        """Return the sensor's reading of displacements (n,) [m]."""
-        low, high = self.sensor_range or (-math.inf, math.inf)
-        if self.unplugged:
-            return np.full(displacement.size, low if math.isfinite(low) else 0.0)
-        return np.clip(self._sensor.read(displacement), low, high)
+        return float(self.sensed(np.array([self._place()]))[0])

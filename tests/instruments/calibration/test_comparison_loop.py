@@ -13,7 +13,7 @@ from rehearsal import DEHYST, Served
 
 from dehyst import Actuator, FileFormatError, RecordError, read
 from dehyst._io.drafts import unwritten
-from dehyst.cli.calibrate import _left
+from dehyst.cli.output.instrument_errors import _left
 from dehyst.instruments import open_rig
 from dehyst.instruments.calibration import Plan, calibrate
 from dehyst.instruments.calibration.comparison_loop import agreement, cycles, replay

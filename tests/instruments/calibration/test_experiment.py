@@ -189,6 +189,22 @@ def test_it_retreats_from_what_stops_it_between_records(tmp_path):
     assert rig.instrument.voltage == 0
 
 
+def test_a_rig_that_cannot_begin_leaves_the_records_where_they_are(tmp_path):
+    rig = SimulatedRig(PlayActuator())
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(rig, tmp_path, watcher=Heard("loops", after=100))
+    before = sorted(path.name for path in (tmp_path / "records").iterdir())
+    other = SimulatedRig(PlayActuator(), limits=(10, 60))
+
+    def unplugged():
+        raise DeviceError("nobody is there")
+
+    other._stop_wave = unplugged
+    with pytest.raises(DeviceError):
+        calibrate(other, tmp_path, watcher=Heard())
+    assert sorted(path.name for path in (tmp_path / "records").iterdir()) == before
+
+
 def test_a_wave_that_was_left_playing_is_stopped_first(tmp_path):
     rig = SimulatedRig(PlayActuator())
     rig.instrument.start(np.linspace(0, 150, 5000), 100)

@@ -141,8 +141,9 @@ def _look_at_voltages(name, put):
 def _look_at_samples(name, found):
     """All that the emulator told are on disk."""
     if name in UNCOUNTED:
-        assert found.came > 500
-        assert found.on_disk >= found.came
+        # On a busy machine the last count may have been told long before the end.
+        assert found.came > 0
+        assert found.on_disk >= max(found.came, 500)
         return
     # What came last was written before it was counted.
     assert found.came is None or found.came <= found.on_disk

@@ -6,9 +6,10 @@ from hand_clock import Hand
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst.virtual import PlayActuator, VirtualBench
+from dehyst.virtual import PlayActuator, StageBench, VirtualBench, VirtualStage
 from dehyst.virtual.emulator import Controller
 from dehyst.virtual.emulator.gcs_controller import _DESCRIPTIONS
+from dehyst.virtual.stage import spread_coupling
 from examples import examples
 
 
@@ -283,3 +284,76 @@ def test_no_line_breaks_it_nor_leaves_the_limits(lines):
     assert controller.answer("ERR?") == "0\n"
     assert controller.instrument.log.lowest >= -20
     assert controller.instrument.log.highest <= 120
+
+
+class TestSeveralAxes:
+    """A controller of three axes: a channel and a wave generator each, one recorder."""
+
+    @pytest.fixture
+    def stage(self, hand):
+        actuators = [PlayActuator(plays=20, highest=high, noise=0) for high in (100.0, 120.0, 150.0)]
+        return StageBench(VirtualStage(actuators, np.eye(3) + spread_coupling(3, 0.04), noise=0), clock=hand)
+
+    @pytest.fixture
+    def controller(self, stage):
+        return Controller(stage)
+
+    def test_queries_answer_for_all_axes_or_for_those_named(self, controller):
+        assert controller.answer("SAI?") == "1 \n2 \n3\n"
+        assert controller.answer("VMA?") == "1=100 \n2=120 \n3=150\n"
+        assert controller.answer("VMA? 3 1") == "3=150 \n1=100\n"
+        assert controller.answer("TNR?") == "6\n"
+        assert controller.answer("WGO?") == "1=0 \n2=0 \n3=0\n"
+        assert error_after(controller, "SVA 4 1") == 15
+
+    def test_commands_take_several_axes(self, controller):
+        assert error_after(controller, "SVA 1 10 3 20") == 0
+        assert controller.answer("VOL?") == "1=10 \n2=0 \n3=20\n"
+        assert error_after(controller, "SVA 1 10 2") == 26
+        assert error_after(controller, "SVA 1 1 2 1 3 1 1 1") == 24
+
+    def test_of_a_command_with_an_unknown_axis_nothing_is_done(self, controller):
+        assert error_after(controller, "SVA 1 10 7 20") == 15
+        assert error_after(controller, "SVA 1 10 2 x") == 25
+        assert controller.answer("VOL? 1") == "1=0\n"
+
+    def test_generators_that_are_started_together_begin_together(self, controller, stage, hand):
+        for number in (1, 2, 3):
+            assert error_after(controller, f"WAV {number} X LIN 100 {10 * number} 0 100 0 0") == 0
+        settings = ("WSL 1 1 2 2 3 3", "WGC 1 1 2 1 3 1", "WTR 0 4 0", "RTR 4")
+        assert error_after(controller, *settings, "WGO 1 1 2 1 3 1") == 0
+        hand.wait(1.0)
+        assert controller.answer("DRL? 1 6") == "1=100 \n6=100\n"
+        rows = controller.answer("DRR? 1 100 2 4 6 1").split("# END_HEADER \n")[1].split("\n")
+        table = np.array([[float(word) for word in row.split()] for row in rows if row])
+        share = np.linspace(0, 1, 100)
+        np.testing.assert_allclose(table[:, :3], np.outer(share, [10, 20, 30]), atol=1e-9)
+        np.testing.assert_allclose(table[:, 3], 1e6 * stage.samples(0)[2], atol=1e-9)
+
+    def test_generators_of_different_rates_are_refused(self, controller):
+        for number in (1, 2):
+            assert error_after(controller, f"WAV {number} X LIN 100 10 0 100 0 0") == 0
+        assert error_after(controller, "WSL 1 1 2 2", "WGC 1 1 2 1", "WTR 1 4 0 2 5 0", "WGO 1 1 2 1") == 17
+        assert controller.answer("WGO?") == "1=0 \n2=0 \n3=0\n"
+
+    def test_a_wave_beyond_the_limits_of_its_axis_is_refused(self, controller, stage):
+        assert error_after(controller, "WAV 1 X LIN 100 140 0 100 0 0") == 0
+        assert error_after(controller, "WSL 1 1 3 1", "WGC 1 1 3 1", "WTR 0 4 0", "RTR 4", "WGO 1 1 3 1") == 17
+        assert not stage.playing
+        assert error_after(controller, "WGO 3 1") == 0
+
+    def test_stop_stops_all_axes(self, controller, stage, hand):
+        assert error_after(controller, "WAV 1 X LIN 1000 50 0 1000 0 0", "WSL 1 1 2 1", "WGC 1 1 2 1") == 0
+        assert error_after(controller, "WGO 1 1 2 1") == 0
+        hand.wait(0.01)
+        assert controller.single(9) == "3\n"
+        assert error_after(controller, "STP") == 10
+        assert not stage.playing
+
+    def test_each_axis_has_a_servo_of_its_own(self, controller, hand):
+        assert error_after(controller, "SVO 2 1", "MOV 2 5") == 0
+        for _ in range(200):
+            hand.wait(0.01)
+            controller.answer("POS?")
+        assert controller.answer("SVO?") == "1=0 \n2=1 \n3=0\n"
+        assert float(controller.answer("POS? 2")[2:]) == pytest.approx(5.0, abs=0.02)

@@ -129,7 +129,7 @@ def calibrate(
         Complete records in it are not played again, except one loop that must agree with them.
     plan : Plan, optional
     watcher : ProgressListener, optional
-        Receives the progress, like the result of `dehyst.cli.live.display`.
+        Receives the progress, like the result of `dehyst.cli.output.live.display`.
 
     Raises
     ------

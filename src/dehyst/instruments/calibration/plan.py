@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst.control import PathPlanner
@@ -87,6 +89,29 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
         PlannedStep("nominal", "homing, then a path of nine reversals by a constant ratio", path),
         PlannedStep("compensated", "homing, then the same path by the model; its voltages follow", path),
     )
+
+
+def entries(rig: AbstractRig, plan: Plan) -> list[dict[str, Any]]:
+    """Return the steps as JSON values: what is played, for how long, and within which voltages.
+
+    A step that depends on earlier records has no numbers. `rig` and `plan` as in `steps`, which may raise.
+    """
+    return [_entry(rig, step) for step in steps(rig, plan)]
+
+
+def _entry(rig: AbstractRig, step: PlannedStep) -> dict[str, Any]:
+    entry: dict[str, Any] = {"step": step.name, "what": step.words}
+    if (voltage := step.excitation) is None:
+        return entry
+    rate = rig.nearest_rate(voltage.sample_rate)
+    low, high = voltage.voltage_range
+    return entry | {
+        "samples": len(voltage),
+        "seconds": (len(voltage) - 1) / rate,
+        "lowest_V": low,
+        "highest_V": high,
+        "steepest_V_per_s": float(np.abs(np.diff(voltage.voltage)).max()) * rate,
+    }
 
 
 def _training_steps(excitations: ExcitationPlan, plan: Plan) -> Iterator[PlannedStep]:

@@ -76,14 +76,7 @@ class Session:
 
     def __init__(self, folder: PathLike, rig: AbstractRig, listener: ProgressListener) -> None:
         self.folder, self.rig, self._listener = Path(folder), rig, listener
-        self.records = self.folder / "records"
-        try:
-            self.records.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise FileFormatError(
-                f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
-            ) from error
-        self._claim()
+        self.records = claimed(self.folder, rig.identity, rig.axis)
         self._comparisons = self.records / "comparisons"
         self.salvaged = tuple(salvage(self.records))
         if self._comparisons.is_dir():
@@ -127,7 +120,8 @@ class Session:
             self.kept.append(name)
             self.sequence.append(stored)
             return stored
-        self._set_aside(path)
+        self._begin()
+        set_aside(path)
         record = self._play(path, name, excitation, wanted, stroke)
         if name in self.kept:
             self.kept.remove(name)
@@ -138,14 +132,16 @@ class Session:
         self.sequence.append(record)
         return record
 
+    def _begin(self) -> None:
+        """Retreat once, before anything is played or replaced: the wave of a killed process may still be playing."""
+        if not self.played and self.agreement is None:
+            self.rig.retreat()
+
     def _play(
         self, path: Path, name: str, excitation: Excitation, wanted: Array | None = None, stroke: float | None = None
     ) -> Record:
         """Play an excitation and record it to a file."""
         demand_disk_space(path.parent, len(excitation))
-        if not self.played and self.agreement is None:
-            # The wave of a killed process may still be playing.
-            self.rig.retreat()
         self._listener.step(name, excitation.duration)
         meta = {
             "identity": self.rig.identity,
@@ -181,7 +177,8 @@ class Session:
         loop = replay(excitation)
         if loop is None:
             return False
-        folder = _folder(self._comparisons)
+        folder = made_folder(self._comparisons)
+        self._begin()
         played = self._play(unused_path(folder / f"{loop.name}.h5"), loop.name, loop)
         rows = self.rig.rows(len(excitation)), self.rig.rows(len(loop))
         result = agreement(stored, excitation, played, *rows)
@@ -200,32 +197,6 @@ class Session:
         paths = [self.records / f"{name}.h5" for name in dict.fromkeys((*self.kept, *self.played))]
         return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
-    def _set_aside(self, path: Path) -> None:
-        """Move a file that is cut off, damaged or of another excitation to the folder `set-aside`."""
-        if os.path.lexists(path):
-            aside = unused_path(_folder(self.records / "set-aside") / path.name)
-            try:
-                path.rename(aside)
-            except OSError as error:
-                raise unwritten(aside, error) from error
-
-    def _claim(self) -> None:
-        """Claim the folder for this instrument; raises FileFormatError if it belongs to another one."""
-        path = self.folder / "campaign.json"
-        instrument: dict[str, Any] = {"rig": self.rig.identity, "axis": self.rig.axis}
-        if not os.path.lexists(path):
-            write_json(path, {"format": FORMAT, "version": 1, **instrument})
-            return
-        try:
-            owner = read_json(path)
-        except FileFormatError as error:
-            raise FileFormatError(f"{error}; or delete it, if the folder is one of this instrument") from error
-        if {key: owner.get(key) for key in instrument} != instrument:
-            raise FileFormatError(
-                f"{self.folder}: holds a calibration of {owner.get('rig')}, axis {owner.get('axis')}, and this is "
-                f"{instrument['rig']}, axis {instrument['axis']}; give another folder with -o"
-            )
-
     def _stored(self, path: Path, excitation: Excitation) -> Record | None:
         """Return the record in a file if it is complete, undamaged and of this excitation on this instrument."""
         try:
@@ -243,7 +214,46 @@ class Session:
         return hashlib.sha256(header + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
 
 
-def _folder(path: Path) -> Path:
+def claimed(folder: Path, rig: str, axis: str) -> Path:
+    """Make a `folder` for records and claim it for an instrument: its identity `rig` and its `axis` or axes.
+
+    Returns the folder of records. Raise `FileFormatError` if it cannot be made, or belongs to another instrument.
+    """
+    records = folder / "records"
+    try:
+        records.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileFormatError(
+            f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
+        ) from error
+    path = folder / "campaign.json"
+    instrument: dict[str, Any] = {"rig": rig, "axis": axis}
+    if not os.path.lexists(path):
+        write_json(path, {"format": FORMAT, "version": 1, **instrument})
+        return records
+    try:
+        owner = read_json(path)
+    except FileFormatError as error:
+        raise FileFormatError(f"{error}; or delete it, if the folder is one of this instrument") from error
+    if {key: owner.get(key) for key in instrument} != instrument:
+        raise FileFormatError(
+            f"{folder}: holds a calibration of {owner.get('rig')}, axis {owner.get('axis')}, and this is "
+            f"{rig}, axis {axis}; give another folder with -o"
+        )
+    return records
+
+
+def set_aside(path: Path) -> None:
+    """Move a file of records, if it exists, to the folder `set-aside` beside it; raises FileFormatError."""
+    if os.path.lexists(path):
+        aside = unused_path(made_folder(path.parent / "set-aside") / path.name)
+        try:
+            path.rename(aside)
+        except OSError as error:
+            raise unwritten(aside, error) from error
+
+
+def made_folder(path: Path) -> Path:
     """Return the folder of this name, made if it does not exist; raises FileFormatError."""
     try:
         path.mkdir(exist_ok=True)

@@ -125,11 +125,11 @@ def read_parquet(data: bytes, allowance: Allowance) -> list[Column]:
     return [
         column
         for name, values in zip(table.column_names, table.columns, strict=True)
-        for column in vectors(name, np.concatenate([_numbers(chunk) for chunk in values.chunks] or [np.empty(0)]))
+        for column in vectors(name, np.concatenate([arrow_numbers(chunk) for chunk in values.chunks] or [np.empty(0)]))
     ]
 
 
-def _numbers(chunk: Any) -> NDArray[np.float64]:
+def arrow_numbers(chunk: Any) -> NDArray[np.float64]:
     """Return the numbers of an Arrow array, NaN for missing ones; its own conversion to NumPy would import pandas."""
     valid, values = chunk.buffers()
     rows = slice(chunk.offset, chunk.offset + len(chunk))

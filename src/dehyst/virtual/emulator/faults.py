@@ -12,6 +12,7 @@ from dehyst._errors import ModelError
 from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.gcs_controller import Controller
 from dehyst.virtual.emulator.gcs_errors import GcsError
+from dehyst.virtual.stage_bench import StageBench
 
 FAULTS = {
     "drop": "the connection is lost",
@@ -65,7 +66,7 @@ class Fault:
         at = None if match["at"] is None else float(match["at"])
         return cls(match["name"], at if match["unit"] else None, None if match["unit"] else at)
 
-    def due(self, instrument: VirtualBench) -> bool:
+    def due(self, instrument: VirtualBench | StageBench) -> bool:
         """Return whether its time has come. `instrument` has the clock and the wave."""
         if self.seconds is not None:
             return instrument.now >= self.seconds
@@ -127,21 +128,23 @@ class Rehearsal:
         return answer
 
     def _apply(self, name: str, controller: Controller) -> None:
-        instrument = controller.instrument
+        # A sensor is that of the first axis.
+        first = controller.axes[0].bench
         if name == "silence":
             self._silent = True
         elif name in ("garble", "truncate"):
             self._corruption = name
         elif name == "error":
-            instrument.stop()
+            controller.instrument.stop()
             controller.error = GcsError.BROKEN_CABLE
         elif name == "saturate":
-            present = min(instrument.displacement(), 0.5 * instrument.stroke)
-            instrument.sensor_range = (present - 2 * instrument.stroke, present)
+            present = min(first.displacement(), 0.5 * first.stroke)
+            first.sensor_range = (present - 2 * first.stroke, present)
         elif name == "unplug":
-            instrument.unplugged = True
+            first.unplugged = True
         elif name == "stall":
-            instrument.stalled = True
+            for one in controller.axes:
+                one.bench.stalled = True
 
 
 def actual_limits(reported: tuple[float, float], faults: Iterable[Fault]) -> tuple[float, float]:

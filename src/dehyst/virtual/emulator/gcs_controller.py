@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+import numpy as np
 
 from dehyst._errors import DeviceError
+from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.gcs_errors import CommandError, GcsError, demand, demand_count, lines, numeral, real, whole
 from dehyst.virtual.emulator.gcs_parameters import Parameters
 from dehyst.virtual.emulator.gcs_recorder import Recorder
-from dehyst.virtual.emulator.gcs_waves import WaveGenerator, demand_generator
+from dehyst.virtual.emulator.gcs_waves import WaveGenerators, groups
+from dehyst.virtual.stage_bench import StageBench
 
 _LONGEST_LINE = 65536
 _IDENTITY = "dehyst,emulated piezo controller"
@@ -69,42 +74,53 @@ _DESCRIPTIONS = {
 }
 
 _Words = Sequence[str]
+Limits = tuple[float, float]
+
+
+class ControllerAxis:
+    """One axis of a controller: its name, its `bench`, the limits [V] it `reported`, and its `target` [m]."""
+
+    def __init__(self, name: str, bench: VirtualBench, reported: tuple[float, float]) -> None:
+        self.name, self.bench, self.reported, self.target = name, bench, reported, 0.0
 
 
 class Controller:
-    """One axis, one output channel, one wave generator around an instrument.
+    """Axes with an output channel and a wave generator each, and one data recorder, around an instrument.
 
     Parameters
     ----------
-    instrument : VirtualBench
+    instrument : VirtualBench or StageBench
     axis : str, optional
-        Name of the axis and of its channel.
-    reported_limits : (float, float), optional
-        Limits [V] that the controller reports; default: its actual limits.
+        Name of the only axis and of its channel; those of a stage are 1, 2, ...
+    reported_limits : (float, float) or sequence of (float, float), optional
+        Limits [V] that the controller reports, of its only axis or of each; default: its actual limits.
     serial : str, optional
         Serial number, in ASCII; default: the instrument's.
 
     Attributes
     ----------
+    axes : tuple of ControllerAxis
     error : GcsError
         The error that is latched until ERR?.
     """
 
     def __init__(
         self,
-        instrument: VirtualBench,
+        instrument: VirtualBench | StageBench,
         *,
         axis: str = "1",
-        reported_limits: tuple[float, float] | None = None,
+        reported_limits: Limits | Sequence[Limits] | None = None,
         serial: str | None = None,
     ) -> None:
-        self.instrument, self.axis, self.error = instrument, axis, GcsError.NONE
-        self.waves, self.recorder = WaveGenerator(instrument), Recorder(instrument, axis)
-        self._reported = reported_limits or instrument.limits
-        self._parameters = Parameters(instrument)
+        self.instrument, self.error = instrument, GcsError.NONE
+        self.axes = tuple(_axes(instrument, axis, reported_limits))
+        self.axis = self.axes[0].name
+        self._named = {one.name: one for one in self.axes}
+        self.waves = WaveGenerators(instrument, [one.bench for one in self.axes])
+        self.recorder = Recorder(instrument, _sources(instrument, self.axes))
+        self._parameters = Parameters(instrument, len(self.axes))
         self._serial = (serial or instrument.serial).replace(",", " ")
         self._identity = ",".join((_IDENTITY, self._serial, __version__))
-        self._target = 0.0
         self._actions = self._action_table()
         self._queries = self._query_table()
 
@@ -131,11 +147,11 @@ class Controller:
         """Return the answer to a command of one `byte`: #5 moving, #7 ready, #9 playing, #24 stop."""
         self.instrument.advance()
         if byte == 5:
-            return f"{int(self.instrument.moving):X}\n"
+            return f"{sum(one.bench.moving << number for number, one in enumerate(self.axes)):X}\n"
         if byte == 7:
             return "\xb1\n"
         if byte == 9:
-            return f"{int(self.instrument.playing)}\n"
+            return f"{sum(one.bench.playing << number for number, one in enumerate(self.axes)):X}\n"
         if byte == 24:
             self._stop([])
         return None
@@ -146,13 +162,13 @@ class Controller:
             "DRC": recorder.configure,
             "DRT": recorder.arm,
             "HLT": self._stop,
-            "MOV": lambda words: self._move(1e-6 * self._value(words)),
-            "MVR": lambda words: self._move(self._target + 1e-6 * self._value(words)),
+            "MOV": self._with_values(lambda one, value: _move(one, 1e-6 * value)),
+            "MVR": self._with_values(lambda one, value: _move(one, one.target + 1e-6 * value)),
             "RTR": recorder.slow,
             "STP": self._stop,
-            "SVA": lambda words: self._send(self._value(words)),
-            "SVO": self._svo,
-            "SVR": lambda words: self._send(self.instrument.voltage + self._value(words)),
+            "SVA": self._with_values(_send),
+            "SVO": self._with_values(_close_loop),
+            "SVR": self._with_values(lambda one, value: _send(one, one.bench.voltage + value)),
             "WAV": waves.write,
             "WCL": waves.clear,
             "WGC": waves.repeat,
@@ -162,10 +178,10 @@ class Controller:
         }
 
     def _query_table(self) -> dict[str, Callable[[_Words], str]]:
-        bench, waves, recorder = self.instrument, self.waves, self.recorder
+        waves, recorder = self.waves, self.recorder
         return {
             "*IDN?": lambda words: self._alone(words, self._identity),
-            "CST?": self._each(lambda: "DEHYST"),
+            "CST?": self._each(lambda _: "DEHYST"),
             "CSV?": lambda words: self._alone(words, "2.0"),
             "DRC?": lambda words: lines(*recorder.configured(words)),
             "DRL?": lambda words: lines(*recorder.lengths(words)),
@@ -175,49 +191,59 @@ class Controller:
             "HDR?": lambda words: self._alone(words, *recorder.help()),
             "HLP?": lambda words: self._alone(words, *_help()),
             "HPA?": lambda words: self._alone(words, *self._parameters.help()),
-            "MOV?": self._each(lambda: numeral(1e6 * self._target)),
-            "ONT?": self._each(lambda: str(int(bench.servo and bench.arrived))),
-            "POS?": self._each(lambda: numeral(1e6 * bench.displacement())),
-            "PUN?": self._each(lambda: "um"),
+            "MOV?": self._each(lambda one: numeral(1e6 * one.target)),
+            "ONT?": self._each(lambda one: str(int(one.bench.servo and one.bench.arrived))),
+            "POS?": self._each(lambda one: numeral(1e6 * one.bench.displacement())),
+            "PUN?": self._each(lambda _: "um"),
             "RTR?": lambda words: self._alone(words, str(recorder.divider)),
             "SAI?": self._sai,
             "SPA?": lambda words: lines(*self._parameters.values(words)),
             "SSN?": lambda words: self._alone(words, self._serial),
-            "SVA?": self._each(lambda: numeral(bench.target)),
-            "SVO?": self._each(lambda: str(int(bench.servo))),
-            "TIM?": lambda words: self._alone(words, numeral(1e3 * bench.now)),
-            "TMN?": self._each(lambda: numeral(0.0)),
-            "TMX?": self._each(lambda: numeral(1e6 * bench.stroke)),
+            "SVA?": self._each(lambda one: numeral(one.bench.target)),
+            "SVO?": self._each(lambda one: str(int(one.bench.servo))),
+            "TIM?": lambda words: self._alone(words, numeral(1e3 * self.instrument.now)),
+            "TMN?": self._each(lambda _: numeral(0.0)),
+            "TMX?": self._each(lambda one: numeral(1e6 * one.bench.stroke)),
             "TNR?": lambda words: self._alone(words, str(len(recorder.options))),
             "VER?": lambda words: self._alone(words, f"FW: {__version__}", f"GCS: {self._identity}"),
-            "VMA?": self._each(lambda: numeral(self._reported[1])),
-            "VMI?": self._each(lambda: numeral(self._reported[0])),
-            "VOL?": self._each(lambda: numeral(bench.voltage)),
+            "VMA?": self._each(lambda one: numeral(one.reported[1])),
+            "VMI?": self._each(lambda one: numeral(one.reported[0])),
+            "VOL?": self._each(lambda one: numeral(one.bench.voltage)),
             "WAV?": lambda words: lines(*waves.lengths(words)),
-            "WGC?": self._generator(lambda: str(waves.cycles)),
-            "WGO?": self._generator(lambda: str(int(bench.playing))),
-            "WSL?": self._generator(lambda: str(waves.selected)),
-            "WTR?": self._generator(lambda: f"{waves.divider} {waves.interpolation}"),
+            "WGC?": self._generator(lambda number: str(waves.settings[number].cycles)),
+            "WGO?": self._generator(lambda number: str(int(self.axes[number - 1].bench.playing))),
+            "WSL?": self._generator(lambda number: str(waves.settings[number].selected)),
+            "WTR?": self._generator(lambda number: waves.settings[number].rate),
         }
 
-    def _each(self, value: Callable[[], str]) -> Callable[[_Words], str]:
-        """Return a query of axes or channels, of which there is one."""
+    def _each(self, value: Callable[[ControllerAxis], str]) -> Callable[[_Words], str]:
+        """Return a query of axes or channels."""
 
         def query(words: _Words) -> str:
-            demand(all(word == self.axis for word in words), GcsError.AXIS)
-            return lines(*(f"{axis}={value()}" for axis in words or [self.axis]))
+            demand(all(word in self._named for word in words), GcsError.AXIS)
+            return lines(*(f"{axis}={value(self._named[axis])}" for axis in words or self._named))
 
         return query
 
-    def _generator(self, value: Callable[[], str]) -> Callable[[_Words], str]:
-        """Return a query of wave generators, of which there is one."""
+    def _generator(self, value: Callable[[int], str]) -> Callable[[_Words], str]:
+        """Return a query of wave generators."""
 
         def query(words: _Words) -> str:
-            for word in words:
-                whole(word, 1, 1)
-            return lines(*(f"1={value()}" for _ in words or "1"))
+            numbers = [whole(word, 1, len(self.axes)) for word in words]
+            return lines(*(f"{number}={value(number)}" for number in numbers or range(1, len(self.axes) + 1)))
 
         return query
+
+    def _with_values(self, action: Callable[[ControllerAxis, float], None]) -> Callable[[_Words], None]:
+        """Return a command {axis value}; its axes are done in order."""
+
+        def command(words: _Words) -> None:
+            pairs = groups(words, 2, len(self.axes))
+            demand(all(name in self._named for name, _ in pairs), GcsError.AXIS)
+            for name, value in [(name, real(word)) for name, word in pairs]:
+                action(self._named[name], value)
+
+        return command
 
     @staticmethod
     def _alone(words: _Words, *answer: str) -> str:
@@ -227,56 +253,90 @@ class Controller:
 
     def _sai(self, words: _Words) -> str:
         demand(not words or [word.upper() for word in words] == ["ALL"], GcsError.PARAMETER_COUNT)
-        return lines(self.axis)
+        return lines(*self._named)
 
     def _err(self, words: _Words) -> str:
         demand_count(words, 0)
         error, self.error = self.error, GcsError.NONE
         return lines(str(error.value))
 
-    def _value(self, words: _Words) -> float:
-        demand_count(words, 2)
-        demand(words[0] == self.axis, GcsError.AXIS)
-        return real(words[1])
-
-    def _send(self, voltage: float) -> None:
-        demand(not self.instrument.servo, GcsError.SERVO_ON)
-        demand(not self.instrument.playing, GcsError.WAVE_RUNNING)
-        demand(self.instrument.set_voltage(voltage), GcsError.VOLTAGE)
-
-    def _svo(self, words: _Words) -> None:
-        on = self._value(words)
-        demand(on in (0, 1), GcsError.PARAMETER_RANGE)
-        demand(not self.instrument.playing, GcsError.WAVE_RUNNING)
-        if bool(on) != self.instrument.servo:
-            self.instrument.servo = bool(on)
-            self._target = self.instrument.displacement()
-
-    def _move(self, target: float) -> None:
-        demand(self.instrument.servo, GcsError.SERVO_OFF)
-        # A target at the end of the range is allowed although micrometres are rounded.
-        demand(-1e-12 <= target <= self.instrument.stroke + 1e-12, GcsError.POSITION)
-        self.instrument.move(target)
-        self._target = target
-
     def _wgo(self, words: _Words) -> None:
-        demand_generator(words, 2)
-        mode = whole(words[1], 0, 1)
-        if not mode:
-            if self.instrument.playing:
-                self.instrument.stop()
-            return
-        demand(not self.instrument.servo, GcsError.WAVE_WITH_SERVO)
-        demand(not self.instrument.playing, GcsError.WAVE_RUNNING)
-        wave = self.waves.selected_wave()
-        self.recorder.begin(self.waves.divider)
-        self.instrument.start(wave, self.waves.divider)
+        pairs = groups(words, 2, len(self.axes))
+        modes = {whole(number, 1, len(self.axes)): whole(mode, 0, 1) for number, mode in pairs}
+        for number in [number for number, mode in modes.items() if not mode]:
+            bench = self.axes[number - 1].bench
+            if bench.playing:
+                bench.stop()
+        if started := [number for number, mode in modes.items() if mode]:
+            self._start(started)
+
+    def _start(self, numbers: Sequence[int]) -> None:
+        """Start these wave generators at one instant."""
+        benches = [self.axes[number - 1].bench for number in numbers]
+        demand(not any(bench.servo for bench in benches), GcsError.WAVE_WITH_SERVO)
+        demand(not any(one.bench.playing for one in self.axes), GcsError.WAVE_RUNNING)
+        waves = {number - 1: self.waves.selected_wave(number) for number in numbers}
+        dividers = {self.waves.settings[number].divider for number in numbers}
+        # One recorder records all axes.
+        demand(len(dividers) == 1, GcsError.PARAMETER_RANGE)
+        (divider,) = dividers
+        self.recorder.begin(divider)
+        if isinstance(self.instrument, StageBench):
+            self.instrument.start(waves, divider)
+        else:
+            self.instrument.start(waves[0], divider)
 
     def _stop(self, words: _Words) -> None:
-        demand(all(word == self.axis for word in words), GcsError.AXIS)
-        self.instrument.stop()
-        self._target = self.instrument.displacement()
+        demand(all(word in self._named for word in words), GcsError.AXIS)
+        for one in [self._named[word] for word in words] or self.axes:
+            one.bench.stop()
+            one.target = one.bench.displacement()
         self.error = GcsError.STOPPED
+
+
+def _axes(
+    instrument: VirtualBench | StageBench, axis: str, reported: Limits | Sequence[Limits] | None
+) -> list[ControllerAxis]:
+    """Return the axes of an instrument."""
+    single = isinstance(instrument, VirtualBench)
+    benches = [instrument] if isinstance(instrument, VirtualBench) else instrument.benches
+    names = [axis] if single else [str(number) for number in range(1, len(benches) + 1)]
+    table = np.array([bench.limits for bench in benches] if reported is None else reported).reshape(len(benches), 2)
+    return [
+        ControllerAxis(name, bench, (low, high))
+        for name, bench, (low, high) in zip(names, benches, table.tolist(), strict=True)
+    ]
+
+
+def _sources(
+    instrument: VirtualBench | StageBench, axes: Sequence[ControllerAxis]
+) -> Mapping[str, Callable[[], tuple[Array, Array, Array]]]:
+    """Return what the recorder records of each axis."""
+    if isinstance(instrument, VirtualBench):
+        return {axes[0].name: instrument.samples}
+    return {one.name: partial(instrument.samples, j) for j, one in enumerate(axes)}
+
+
+def _send(axis: ControllerAxis, voltage: float) -> None:
+    demand(not axis.bench.servo, GcsError.SERVO_ON)
+    demand(not axis.bench.playing, GcsError.WAVE_RUNNING)
+    demand(axis.bench.set_voltage(voltage), GcsError.VOLTAGE)
+
+
+def _close_loop(axis: ControllerAxis, on: float) -> None:
+    demand(on in (0, 1), GcsError.PARAMETER_RANGE)
+    demand(not axis.bench.playing, GcsError.WAVE_RUNNING)
+    if bool(on) != axis.bench.servo:
+        axis.bench.servo = bool(on)
+        axis.target = axis.bench.displacement()
+
+
+def _move(axis: ControllerAxis, target: float) -> None:
+    demand(axis.bench.servo, GcsError.SERVO_OFF)
+    # A target at the end of the range is allowed although micrometres are rounded.
+    demand(-1e-12 <= target <= axis.bench.stroke + 1e-12, GcsError.POSITION)
+    axis.bench.move(target)
+    axis.target = target
 
 
 def _help() -> list[str]:

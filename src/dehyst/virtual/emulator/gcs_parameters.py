@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.gcs_errors import GcsError, demand, numeral, whole
+from dehyst.virtual.stage_bench import StageBench
 
 SERVO_PERIOD, WAVE_POINTS, RECORD_POINTS, SLEW_RATE = 0x0E000200, 0x13000004, 0x16000200, 0x07000201
 
@@ -13,14 +14,14 @@ SERVO_PERIOD, WAVE_POINTS, RECORD_POINTS, SLEW_RATE = 0x0E000200, 0x13000004, 0x
 class Parameters:
     """The read-only parameters of an instrument, by number.
 
-    `instrument`: without a slew rate it has no such parameter.
+    `instrument`: without a slew rate it has no such parameter. `axes`: share the recorder's memory.
     """
 
-    def __init__(self, instrument: VirtualBench) -> None:
+    def __init__(self, instrument: VirtualBench | StageBench, axes: int = 1) -> None:
         self._table = {
             SERVO_PERIOD: (numeral(instrument.servo_period), "FLOAT", "Servo Update Time (s)"),
             WAVE_POINTS: (str(instrument.wave_points), "INT", "Max Wave Points"),
-            RECORD_POINTS: (str(instrument.record_points), "INT", "Data Recorder Max Points"),
+            RECORD_POINTS: (str(instrument.record_points * axes), "INT", "Data Recorder Max Points"),
         }
         if instrument.slew_rate is not None:
             self._table[SLEW_RATE] = (numeral(instrument.slew_rate), "FLOAT", "Open-Loop Slew Rate (V/s)")

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from dehyst._types import Array
 from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.gcs_errors import GcsError, demand, demand_count, lines, numeral, whole
+from dehyst.virtual.stage_bench import StageBench
 
 POSITION, VOLTAGE, NOTHING = 2, 16, 0
 NAMES = {NOTHING: "Nothing is recorded", POSITION: "Current Position of axis", VOLTAGE: "Voltage of output chn"}
+# Tables for each axis.
 TABLES = 2
+
+Sources = Mapping[str, Callable[[], tuple[Array, Array, Array]]]
 
 
 class Recorder:
@@ -18,9 +22,9 @@ class Recorder:
 
     Parameters
     ----------
-    instrument : VirtualBench
-    axis : str
-        Name of the axis, and of its output channel.
+    instrument : VirtualBench or StageBench
+    sources : mapping
+        For each name of an axis, which is that of its output channel too, a function that returns what was recorded.
 
     Attributes
     ----------
@@ -28,9 +32,11 @@ class Recorder:
         Rows that DRR? has returned so far.
     """
 
-    def __init__(self, instrument: VirtualBench, axis: str) -> None:
-        self._instrument, self._axis = instrument, axis
-        self.options = {1: POSITION, 2: VOLTAGE}
+    def __init__(self, instrument: VirtualBench | StageBench, sources: Sources) -> None:
+        self._instrument, self._from = instrument, sources
+        kinds = [(axis, kind) for axis in sources for kind in (POSITION, VOLTAGE)]
+        self.options = {table: kind for table, (_, kind) in enumerate(kinds, 1)}
+        self._axes = {table: axis for table, (axis, _) in enumerate(kinds, 1)}
         self.trigger = ("1", "0")
         self.divider, self._stride, self._period = 1, 1, instrument.servo_period
         self.rows_sent = 0
@@ -49,20 +55,20 @@ class Recorder:
     def configure(self, words: Sequence[str]) -> None:
         """Do DRC table source option."""
         demand_count(words, 3)
-        table = whole(words[0], 1, TABLES, GcsError.RECORD_TABLE)
-        demand(words[1] == self._axis, GcsError.AXIS)
+        table = self._table(words[0])
+        demand(words[1] in self._from, GcsError.AXIS)
         option = whole(words[2])
         demand(option in NAMES, GcsError.RECORD_OPTION)
-        self.options[table] = option
+        self.options[table], self._axes[table] = option, words[1]
 
     def configured(self, words: Sequence[str]) -> list[str]:
         """Answer DRC? [table]."""
-        return [f"{table}={self._axis} {self.options[table]}" for table in self._tables(words)]
+        return [f"{table}={self._axes[table]} {self.options[table]}" for table in self._tables(words)]
 
     def arm(self, words: Sequence[str]) -> None:
         """Do DRT table trigger value; a wave triggers the recorder in any case."""
         demand_count(words, 3)
-        whole(words[0], 0, TABLES, GcsError.RECORD_TABLE)
+        whole(words[0], 0, len(self.options), GcsError.RECORD_TABLE)
         whole(words[1], 0, 4)
         self.trigger = (words[1], words[2])
 
@@ -83,7 +89,7 @@ class Recorder:
         """Answer DRR? [first [count [table ...]]]: recorded rows from `first`, which is 1 or more."""
         first = whole(words[0], 1) if words else 1
         count = whole(words[1], 1) if len(words) > 1 else self.count
-        tables = [whole(word, 1, TABLES, GcsError.RECORD_TABLE) for word in words[2:]] or list(self.options)
+        tables = [self._table(word) for word in words[2:]] or list(self.options)
         available = self.count
         demand(first <= available, GcsError.NOT_RECORDED)
         stop = min(available, first - 1 + count)
@@ -101,21 +107,24 @@ class Recorder:
             "0=default setting",
             "1=any command that changes the output, and the start of a wave",
             "#Additional information",
-            f"{TABLES} record tables",
+            f"{len(self.options)} record tables",
             f"{self._instrument.record_points} datapoints per table",
             "end of help",
         ]
 
+    def _table(self, word: str) -> int:
+        return whole(word, 1, len(self.options), GcsError.RECORD_TABLE)
+
     def _tables(self, words: Sequence[str]) -> list[int]:
-        return [whole(word, 1, TABLES, GcsError.RECORD_TABLE) for word in words] or list(self.options)
+        return [self._table(word) for word in words] or list(self.options)
 
     def _column(self, table: int) -> Array:
-        time, voltage, displacement = (column[:: self._stride] for column in self._instrument.samples())
+        time, voltage, displacement = (column[:: self._stride] for column in self._from[self._axes[table]]())
         return {POSITION: displacement * 1e6, VOLTAGE: voltage, NOTHING: time * 0.0}[self.options[table]]
 
     def _header(self, tables: list[int], count: int) -> list[str]:
         suffix = {NOTHING: ""}
-        names = [NAMES[self.options[table]] + suffix.get(self.options[table], self._axis) for table in tables]
+        names = [NAMES[self.options[table]] + suffix.get(self.options[table], self._axes[table]) for table in tables]
         return [
             "# REM Recorded by an emulated controller of dehyst",
             "# VERSION = 1",

@@ -1,30 +1,48 @@
-"""Wave tables of an emulated controller: WAV, WSL, WGC, WTR and the wave that WGO plays."""
+"""Wave tables and generators of an emulated controller: WAV, WSL, WGC, WTR and the waves that WGO plays."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from dehyst._types import Array
 from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.gcs_errors import CommandError, GcsError, demand, demand_count, real, whole
+from dehyst.virtual.stage_bench import StageBench
 
 TABLES = 4
 # Points that one command line may bring.
 _LONGEST_SEGMENT = 4096
 
 
-class WaveGenerator:
-    """The settings and tables of the wave generator.
+@dataclass
+class GeneratorSettings:
+    """The settings of one wave generator: its table (0: none), cycles, divider and interpolation."""
 
-    `instrument`: the instrument whose limits and wave table size apply.
+    selected: int = 0
+    cycles: int = 0
+    divider: int = 1
+    interpolation: int = 1
+
+    @property
+    def rate(self) -> str:
+        """The answer to WTR?."""
+        return f"{self.divider} {self.interpolation}"
+
+
+class WaveGenerators:
+    """The wave tables, and the settings of a wave generator an axis.
+
+    `instrument`: whose wave table size applies. `benches`: that of each axis, whose limits apply.
     """
 
-    def __init__(self, instrument: VirtualBench) -> None:
-        self._instrument = instrument
-        self.tables: dict[int, Array] = {number: np.zeros(0) for number in range(1, TABLES + 1)}
-        self.selected, self.cycles, self.divider, self.interpolation = 0, 0, 1, 1
+    def __init__(self, instrument: VirtualBench | StageBench, benches: Sequence[VirtualBench]) -> None:
+        self._instrument, self._benches = instrument, benches
+        self._count = max(TABLES, len(benches))
+        self.tables: dict[int, Array] = {number: np.zeros(0) for number in range(1, self._count + 1)}
+        self.settings = {number: GeneratorSettings() for number in range(1, len(benches) + 1)}
         self._shapes: dict[str, Callable[[Sequence[str]], Array]] = {
             "PNT": self._points,
             "SIN_P": self._sine,
@@ -35,13 +53,13 @@ class WaveGenerator:
     def write(self, words: Sequence[str]) -> None:
         """Do WAV table X|& shape ...: write a table, or append to it."""
         demand(len(words) >= 4, GcsError.MISSING)
-        number, how, kind = whole(words[0], 1, TABLES), words[1].upper(), words[2].upper()
+        number, how, kind = whole(words[0], 1, self._count), words[1].upper(), words[2].upper()
         demand(how in ("X", "&") and kind in self._shapes, GcsError.PARAMETER_RANGE)
-        demand(self.selected != number or not self._instrument.playing, GcsError.WAVE_RUNNING)
+        for bench, settings in zip(self._benches, self.settings.values(), strict=True):
+            demand(settings.selected != number or not bench.playing, GcsError.WAVE_RUNNING)
         segment = self._shapes[kind](words[3:])
-        low, high = self._instrument.limits
-        if segment.min() < low or segment.max() > high:
-            self._instrument.log.refused += 1
+        if not any(low <= segment.min() and segment.max() <= high for low, high in (b.limits for b in self._benches)):
+            self._benches[0].log.refused += 1
             raise CommandError(GcsError.VOLTAGE)
         table = segment if how == "X" else np.concatenate([self.tables[number], segment])
         demand(table.size <= self._instrument.wave_points, GcsError.WAVE_TOO_LARGE)
@@ -50,39 +68,47 @@ class WaveGenerator:
     def clear(self, words: Sequence[str]) -> None:
         """Do WCL table."""
         demand_count(words, 1)
-        self.tables[whole(words[0], 1, TABLES)] = np.zeros(0)
+        self.tables[whole(words[0], 1, self._count)] = np.zeros(0)
 
     def lengths(self, words: Sequence[str]) -> list[str]:
         """Answer WAV? [table [1]]: number of points of each table."""
         demand_count(words, 0, 2)
         demand(len(words) < 2 or whole(words[1]) == 1, GcsError.PARAMETER_RANGE)
-        numbers = [whole(words[0], 1, TABLES)] if words else list(self.tables)
+        numbers = [whole(words[0], 1, self._count)] if words else list(self.tables)
         return [f"{number} 1={self.tables[number].size}" for number in numbers]
 
     def select(self, words: Sequence[str]) -> None:
-        """Do WSL generator table, where 0 is none."""
-        demand_generator(words, 2)
-        self.selected = whole(words[1], 0, TABLES)
+        """Do WSL {generator table}, where 0 is none."""
+        for number, table in self._pairs(words, self._count):
+            self.settings[number].selected = table
 
     def repeat(self, words: Sequence[str]) -> None:
-        """Do WGC generator cycles, where 0 is as many as the generator takes."""
-        demand_generator(words, 2)
-        self.cycles = whole(words[1])
+        """Do WGC {generator cycles}, where 0 is as many as the generator takes."""
+        for number, cycles in self._pairs(words):
+            self.settings[number].cycles = cycles
 
     def slow(self, words: Sequence[str]) -> None:
-        """Do WTR generator divider interpolation."""
-        demand_count(words, 3)
-        demand(whole(words[0]) in (0, 1), GcsError.PARAMETER_RANGE)
-        divider, interpolation = whole(words[1], 1, 10**6), whole(words[2], 0, 1)
-        self.divider, self.interpolation = divider, interpolation
+        """Do WTR {generator divider interpolation}; generator 0 is all of them."""
+        given = [
+            (whole(number, 0, len(self.settings)), whole(divider, 1, 10**6), whole(kind, 0, 1))
+            for number, divider, kind in groups(words, 3, len(self.settings))
+        ]
+        for number, divider, kind in given:
+            for settings in [self.settings[number]] if number else self.settings.values():
+                settings.divider, settings.interpolation = divider, kind
 
-    def selected_wave(self) -> Array:
-        """Return the voltages (n,) [V] that a start plays."""
-        demand(self.selected in self.tables and self.tables[self.selected].size > 0, GcsError.NO_WAVE_SELECTED)
-        table = self.tables[self.selected]
+    def selected_wave(self, number: int) -> Array:
+        """Return the voltages (n,) [V] that a start of generator `number` plays."""
+        settings = self.settings[number]
+        table = self.tables.get(settings.selected, np.zeros(0))
+        demand(table.size > 0, GcsError.NO_WAVE_SELECTED)
         most = self._instrument.wave_points // table.size
-        demand(self.cycles <= most, GcsError.WAVE_TOO_LARGE)
-        return np.tile(table, self.cycles or most)
+        demand(settings.cycles <= most, GcsError.WAVE_TOO_LARGE)
+        return np.tile(table, settings.cycles or most)
+
+    def _pairs(self, words: Sequence[str], most: int | None = None) -> list[tuple[int, int]]:
+        pairs = groups(words, 2, len(self.settings))
+        return [(whole(number, 1, len(self.settings)), whole(value, 0, most)) for number, value in pairs]
 
     def _points(self, words: Sequence[str]) -> Array:
         demand(len(words) >= 3, GcsError.MISSING)
@@ -128,7 +154,8 @@ def _phase(point: Array, length: int, centre: int) -> Array:
     return np.interp(inside, [0.0, centre, length], [0.0, 0.5, 1.0])
 
 
-def demand_generator(words: Sequence[str], count: int) -> None:
-    """Raise CommandError for a wave generator other than 1, or another number of arguments."""
-    demand_count(words, count)
-    whole(words[0], 1, 1)
+def groups(words: Sequence[str], size: int, most: int) -> list[Sequence[str]]:
+    """Return arguments in groups of `size`: one group at least, `most` at most; raises CommandError."""
+    demand_count(words, size, size * most)
+    demand(len(words) % size == 0, GcsError.MISSING)
+    return [words[first : first + size] for first in range(0, len(words), size)]

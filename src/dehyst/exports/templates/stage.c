@@ -1,0 +1,104 @@
+#include "piezo.h"
+
+/* axes */
+/* numbers */
+
+/* Return the sum of products, from the first axis to the last. */
+static dehyst_real dot(const dehyst_real row[MODEL_AXES], const dehyst_real values[MODEL_AXES])
+{
+    dehyst_real total = row[0] * values[0];
+    int j;
+    for (j = 1; j < MODEL_AXES; j++) total += row[j] * values[j];
+    return total;
+}
+
+/* Solve the rows of w = decoupling y of the clamped axes, whose w are known, for their y; the others keep theirs.
+ * Elimination without pivoting, in the order of the axes. */
+static void solve_reachable(const int known[MODEL_AXES], const dehyst_real reached[MODEL_AXES], dehyst_real y[MODEL_AXES])
+{
+    dehyst_real rows[MODEL_AXES][MODEL_AXES], right[MODEL_AXES], factor;
+    int axes[MODEL_AXES], size = 0, p, q, r, f;
+    for (p = 0; p < MODEL_AXES; p++)
+        if (known[p]) axes[size++] = p;
+    for (p = 0; p < size; p++) {
+        right[p] = reached[axes[p]];
+        for (f = 0; f < MODEL_AXES; f++)
+            if (!known[f]) right[p] -= decoupling[axes[p]][f] * y[f];
+        for (q = 0; q < size; q++) rows[p][q] = decoupling[axes[p]][axes[q]];
+    }
+    /* A compiler does not see that size is MODEL_AXES at most. */
+    for (p = 0; p < size; p++)
+        for (q = p + 1; q < size && q < MODEL_AXES; q++) {
+            factor = rows[q][p] / rows[p][p];
+            for (r = p; r < size; r++) rows[q][r] -= factor * rows[p][r];
+            right[q] -= factor * right[p];
+        }
+    for (p = size - 1; p >= 0; p--) {
+        for (q = p + 1; q < size && q < MODEL_AXES; q++) right[p] -= rows[p][q] * right[q];
+        right[p] /= rows[p][p];
+    }
+    for (p = 0; p < size; p++) y[axes[p]] = right[p];
+}
+
+void piezo_offer(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_real voltage[MODEL_AXES])
+{
+    dehyst_real corrected[MODEL_AXES], reached[MODEL_AXES];
+    int offered[MODEL_AXES], fresh, left, i, j;
+    for (j = 0; j < MODEL_AXES; j++) {
+        corrected[j] = displacement[j];
+        reached[j] = 0;
+        offered[j] = p->clamped[j] = 0;
+    }
+    do {
+        fresh = left = 0;
+        for (j = 0; j < MODEL_AXES; j++) {
+            dehyst_loop *loop = piezo_loop(p, j);
+            if (offered[j]) continue;
+            voltage[j] = dehyst_loop_offer(models[j], loop, dot(decoupling[j], corrected));
+            if (loop->offer == DEHYST_LIMITED || loop->offer == DEHYST_SLEWED) {
+                reached[j] = reached_by(p, j, voltage[j]);
+                p->clamped[j] = offered[j] = 1;
+                fresh = 1;
+            } else {
+                left = 1;
+            }
+        }
+        if (fresh && left) {
+            for (i = 0; i < MODEL_AXES; i++) corrected[i] = displacement[i];
+            solve_reachable(p->clamped, reached, corrected);
+        }
+    } while (fresh && left);
+}
+
+void piezo_commit(piezo *p, const dehyst_real voltage[MODEL_AXES])
+{
+    int j;
+    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_commit(models[j], piezo_loop(p, j), voltage[j]);
+}
+
+void piezo_step(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_real voltage[MODEL_AXES])
+{
+    piezo_offer(p, displacement, voltage);
+    piezo_commit(p, voltage);
+}
+
+void piezo_hold(piezo *p)
+{
+    int j;
+    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_commit(models[j], piezo_loop(p, j), piezo_loop(p, j)->sent);
+}
+
+void piezo_displacement(const piezo *p, dehyst_real displacement[MODEL_AXES])
+{
+    dehyst_real moved[MODEL_AXES];
+    int j;
+    for (j = 0; j < MODEL_AXES; j++) moved[j] = moved_by(p, j);
+    for (j = 0; j < MODEL_AXES; j++) displacement[j] = dot(coupling[j], moved);
+}
+
+void piezo_simulate(piezo *p, const dehyst_real voltage[MODEL_AXES], dehyst_real displacement[MODEL_AXES])
+{
+    int j;
+    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_play(models[j], piezo_loop(p, j), voltage[j]);
+    piezo_displacement(p, displacement);
+}

@@ -1,0 +1,48 @@
+/* Coupled axes of one body in a loop: wanted displacements [m] of all axes in, their voltages [V] out, one call every
+ * period. Axes are in the order of the model; arrays have one number for each, MODEL_AXES.
+ *
+ * No heap, no library, no globals but constants: a piezo holds all memory, and there may be many. Only piezo_begin can
+ * fail; every call takes bounded time. Two threads or interrupts must not use one piezo at the same time. */
+#ifndef PIEZO_H
+#define PIEZO_H
+
+#include "dehyst.h"
+
+/* sizes */
+
+/* axes */
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct piezo {
+/* members */
+    int clamped[MODEL_AXES]; /* whether each voltage on offer was changed by limits or slew rate */
+} piezo;
+
+/* Start from the exported states. Call it before every other function. If it does not return DEHYST_OK, do not use p. */
+dehyst_status piezo_begin(piezo *p);
+/* Compute the voltages to send now, which then count as sent. If a displacement is not a number, they are the last. */
+void piezo_step(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_real voltage[MODEL_AXES]);
+/* Compute the voltages to send; nothing moves until voltages are committed. An axis that is clamped misses its
+ * displacement; the others get the voltages with which they reach theirs all the same. */
+void piezo_offer(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_real voltage[MODEL_AXES]);
+/* End a period with the voltages that were really sent. */
+void piezo_commit(piezo *p, const dehyst_real voltage[MODEL_AXES]);
+/* End a period in which nothing was sent: the last voltages act on. */
+void piezo_hold(piezo *p);
+/* The body itself: compute its displacements after a period with these voltages. */
+void piezo_simulate(piezo *p, const dehyst_real voltage[MODEL_AXES], dehyst_real displacement[MODEL_AXES]);
+/* Compute the displacements of the body from all voltages that were sent; without the delay of a mass. */
+void piezo_displacement(const piezo *p, dehyst_real displacement[MODEL_AXES]);
+/* Return the loop of an axis, 0 to MODEL_AXES - 1: its counts of samples that were limited, slewed and refused. */
+dehyst_loop *piezo_loop(piezo *p, int axis);
+/* Copy a piezo. It points into itself: an assignment would not do. */
+void piezo_copy(piezo *to, const piezo *from);
+/* Correct the pointers of a piezo after its bytes were moved. */
+void piezo_point(piezo *p);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,65 @@
+/* Replays what Python computed with the same stage: prints what differs, and returns 0 if nothing does. */
+#include "piezo.h"
+#include "trace.h"
+
+#include <float.h>
+#include <math.h>
+#include <stdio.h>
+
+#define MOST_PRINTED 5
+
+/* Make the call of a row and write its result. */
+static void answer(const trace_row *row, piezo *loop, piezo *body, dehyst_real got[MODEL_AXES])
+{
+    dehyst_real given[MODEL_AXES];
+    int j;
+    for (j = 0; j < MODEL_AXES; j++) given[j] = (dehyst_real)row->given[j];
+    switch (row->what) {
+    case TRACE_STEP: piezo_step(loop, given, got); return;
+    case TRACE_OFFER: piezo_offer(loop, given, got); return;
+    case TRACE_COMMIT: piezo_commit(loop, given); piezo_displacement(loop, got); return;
+    case TRACE_HOLD: piezo_hold(loop); piezo_displacement(loop, got); return;
+    case TRACE_NONSENSE: given[0] = (dehyst_real)NAN; piezo_step(loop, given, got); return;
+    default: piezo_simulate(body, given, got); return;
+    }
+}
+
+static int counts_differ(piezo *loop)
+{
+    int j, differing = 0;
+    for (j = 0; j < MODEL_AXES; j++) {
+        const dehyst_loop *l = piezo_loop(loop, j);
+        if (l->limited == trace_limited[j] && l->slewed == trace_slewed[j]) continue;
+        printf("axis %d: got %lu limited, %lu slewed; want %lu, %lu\n", j, l->limited, l->slewed, trace_limited[j],
+               trace_slewed[j]);
+        differing++;
+    }
+    return differing;
+}
+
+int main(void)
+{
+    static piezo loop, body, copy;
+    int differing = 0, i, j;
+    if (piezo_begin(&loop) != DEHYST_OK || piezo_begin(&body) != DEHYST_OK) {
+        printf("piezo_begin: a state is none of its model\n");
+        return 1;
+    }
+    for (i = 0; i < TRACE_SIZE; i++) {
+        dehyst_real got[MODEL_AXES];
+        answer(trace + i, &loop, &body, got);
+        for (j = 0; j < MODEL_AXES; j++)
+            if (got[j] != trace[i].answer[j] && differing++ < MOST_PRINTED)
+                printf("row %d, axis %d: got %.17g, want %.17g\n", i, j, got[j], trace[i].answer[j]);
+        /* The rest must not depend on where a piezo lies in memory. */
+        if (i == TRACE_SIZE / 2) {
+            piezo_copy(&copy, &loop);
+            piezo_begin(&loop);
+            piezo_copy(&loop, &copy);
+        }
+    }
+    differing += counts_differ(&loop);
+    if (differing > 0 && FLT_EVAL_METHOD != 0) printf("this compiler computes in another precision\n");
+    printf("double: %d of %d answers differ from Python's\n", differing, TRACE_SIZE * MODEL_AXES);
+    return differing > 0;
+}

@@ -1,0 +1,241 @@
+"""How far to trust a stage: what its records leave open of the coupling, and whether a new record agrees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from dehyst._errors import RecordError
+from dehyst._types import Array
+from dehyst.identification import Recheck, check
+from dehyst.stages.coupling import BARELY, INSEPARABLE, coupling_by_plays, separate_motion
+from dehyst.stages.decoupling import apply
+from dehyst.stages.play_columns import PlayColumns
+from dehyst.stages.record import StageRecord
+from dehyst.stages.stage import Stage
+from dehyst.stages.summary import matrix_lines
+from dehyst.uncertainty import Insight, insight
+
+# Of the range of a voltage in a hundredth of the record: it moves if it moves by more.
+_MOVING, _WINDOWS = 0.02, 200
+# An axis moved alone if it did so for this share of the record.
+_ALONE = 0.03
+# Periods repeat together after so few of the slowest one.
+_MOST_TURNS, _SAME = 3, 0.01
+# A coupling that differs by more than this, and by so many standard errors, has changed.
+_CHANGED, _ERRORS = 0.005, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class StageInsight:
+    """How far to trust a stage.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    coupling, low, high : (axes, axes) array
+        The matrix of the stage, and the ends of the interval of each entry that the records allow.
+    level : float
+        Confidence level.
+    own_motion : (axes,) array
+        Share of the motion of each voltage that no other voltage explains.
+    insights : tuple of Insight
+        Of each actuator.
+    remarks : tuple of str
+        What the records leave open, and what to record next.
+    """
+
+    axes: tuple[str, ...]
+    coupling: Array
+    low: Array
+    high: Array
+    level: float
+    own_motion: Array
+    insights: tuple[Insight, ...]
+    remarks: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """Return the assessment of the coupling in lines."""
+        half = (self.high - self.low) / 2
+        head = f"Coupling, with half the interval of each entry that the records allow ({100 * self.level:g} %):"
+        return [head, *matrix_lines(self.axes, self.coupling, half), *(f"  - {remark}" for remark in self.remarks)]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {
+            "axes": list(self.axes),
+            "coupling": self.coupling.tolist(),
+            "lowest": self.low.tolist(),
+            "highest": self.high.tolist(),
+            "level": self.level,
+            "own_motion": self.own_motion.tolist(),
+            "remarks": list(self.remarks),
+            "insights": {axis: one.as_dict() for axis, one in zip(self.axes, self.insights, strict=True)},
+        }
+
+
+def stage_insight(stage: Stage, records: Sequence[StageRecord], *, level: float = 0.9, **options: Any) -> StageInsight:
+    """Assess a stage by the records it was identified from.
+
+    Parameters
+    ----------
+    stage : Stage
+    records : sequence of StageRecord
+    level : float, optional
+        Confidence level of the intervals.
+    **options
+        Of `dehyst.insight`, for each actuator.
+    """
+    _refuse_other_axes(stage, records)
+    columns = PlayColumns.of(records)
+    found, own = coupling_by_plays(columns), separate_motion(columns)
+    half = found.uncertainty * float(norm.ppf(0.5 + level / 2))
+    # The models follow the records closer than plays do: the interval is laid around their matrix.
+    low, high = stage.coupling - half, stage.coupling + half
+    insights = tuple(
+        insight(one, _decoupled(stage, records, j), level=level, **options) for j, one in enumerate(stage.actuators)
+    )
+    remarks = [*_alone(records), *_repeating(records), *_unknown(stage, half, own)]
+    return StageInsight(stage.axes, stage.coupling, low, high, level, own, insights, tuple(remarks))
+
+
+@dataclass(frozen=True, eq=False)
+class StageRecheck:
+    """Whether a stage is still true: a `Recheck` of each axis, and what has changed of the coupling.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    rechecks : tuple of Recheck
+        Of each actuator.
+    coupling, uncertainty : (axes, axes) array
+        The matrix by the new record and its standard errors.
+    changes : tuple of str
+        Sentences on entries of the matrix that have changed.
+    """
+
+    axes: tuple[str, ...]
+    rechecks: tuple[Recheck, ...]
+    coupling: Array
+    uncertainty: Array
+    changes: tuple[str, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether each actuator is still true, and the coupling too."""
+        return all(one.good for one in self.rechecks) and not self.changes
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {
+            "good": self.good,
+            "axes": {axis: one.as_dict() for axis, one in zip(self.axes, self.rechecks, strict=True)},
+            "coupling": self.coupling.tolist(),
+            "uncertainty": self.uncertainty.tolist(),
+            "changes": list(self.changes),
+        }
+
+
+def check_stage(stage: Stage, record: StageRecord, *, goal: float | None = None) -> StageRecheck:
+    """Check whether a stage is still true, by a new record: each actuator, and the coupling.
+
+    The coupling by plays of the new record counts as changed where it differs by more than 0.005 and by more than three
+    standard errors.
+
+    Parameters
+    ----------
+    stage : Stage
+    record : StageRecord
+    goal : float, optional
+        As in `dehyst.check`.
+    """
+    _refuse_other_axes(stage, [record])
+    rechecks = tuple(check(one, _decoupled(stage, [record], j)[0], goal=goal) for j, one in enumerate(stage.actuators))
+    columns, changes = PlayColumns.of([record]), list[str]()
+    if separate_motion(columns).min() < INSEPARABLE:
+        return StageRecheck(stage.axes, rechecks, stage.coupling, np.full_like(stage.coupling, np.inf), ())
+    found = coupling_by_plays(columns)
+    away = found.matrix - stage.coupling
+    for i, j in np.argwhere((np.abs(away) > _CHANGED) & (np.abs(away) > _ERRORS * found.uncertainty)).tolist():
+        changes.append(
+            f"coupling of {stage.axes[j]} into {stage.axes[i]}: {found.matrix[i, j]:+.4f} now, "
+            f"{stage.coupling[i, j]:+.4f} in the model; identify the stage again"
+        )
+    return StageRecheck(stage.axes, rechecks, found.matrix, found.uncertainty, tuple(changes))
+
+
+def _decoupled(stage: Stage, records: Sequence[StageRecord], j: int) -> list[Any]:
+    return [one.with_displacement(j, apply(stage.decoupling, one.displacement)[:, j]) for one in records]
+
+
+def _refuse_other_axes(stage: Stage, records: Sequence[StageRecord]) -> None:
+    for one in records:
+        if one.axes != stage.axes:
+            raise RecordError(
+                f"record '{one.name}': has the axes {', '.join(one.axes)}, the stage has {', '.join(stage.axes)}"
+            )
+
+
+def _alone(records: Sequence[StageRecord]) -> list[str]:
+    """Return which axes never moved while all others stood."""
+    alone, count = np.zeros(len(records[0].axes)), 0
+    for record in records:
+        moving = np.array(
+            [
+                np.ptp(part, axis=0) > _MOVING * np.ptp(record.voltage, axis=0)
+                for part in np.array_split(record.voltage, min(_WINDOWS, len(record) // 2))
+            ]
+        )
+        alone += (moving & (moving.sum(axis=1) == 1)[:, None]).sum(axis=0)
+        count += len(moving)
+    return [
+        f"axis {axis} never moved alone: its own error and its coupling are distinguished by the motions of the others "
+        "only; dehyst excite stage moves each axis alone first"
+        for axis, windows in zip(records[0].axes, alone, strict=True)
+        if windows < _ALONE * count
+    ]
+
+
+def _repeating(records: Sequence[StageRecord]) -> list[str]:
+    """Return which axes have periods that soon repeat together."""
+    remarks = []
+    for record in records:
+        periods = [_period(record.voltage[:, j]) for j in range(len(record.axes))]
+        for i in range(len(periods)):
+            for j in range(i):
+                ratio = max(periods[i], periods[j]) / max(min(periods[i], periods[j]), 1e-9)
+                turns = [q for q in range(1, _MOST_TURNS + 1) if abs(q * ratio - round(q * ratio)) < _SAME * q * ratio]
+                if turns and _together(record, i, j):
+                    remarks.append(
+                        f"record '{record.name}': axes {record.axes[j]} and {record.axes[i]} repeat together after "
+                        f"{turns[0]} periods of the slower one; give them periods whose ratio is no small fraction"
+                    )
+    return remarks
+
+
+def _period(voltage: Array) -> float:
+    """Return the samples of the strongest period."""
+    power = np.abs(np.fft.rfft((voltage - voltage.mean()) * np.hanning(len(voltage)))) ** 2
+    return len(voltage) / max(int(np.argmax(power[1:])) + 1, 1)
+
+
+def _together(record: StageRecord, i: int, j: int) -> bool:
+    """Return whether two axes move at the same time for most of the time that they move."""
+    moving = np.abs(np.diff(record.voltage[:, [i, j]], axis=0)) > 1e-6 * np.ptp(record.voltage[:, [i, j]], axis=0)
+    return float(moving.all(axis=1).sum()) > 0.8 * float(moving.any(axis=1).sum())
+
+
+def _unknown(stage: Stage, half: Array, own: Array) -> list[str]:
+    remarks = [
+        f"coupling of {stage.axes[j]} into {stage.axes[i]} is known to ±{half[i, j]:.2g} only"
+        for i, j in np.argwhere(half > _CHANGED).tolist()
+    ]
+    return remarks + [
+        f"axis {axis}: only {100 * share:.2g} % of the motion of its voltage is its own; record it alone"
+        for axis, share in zip(stage.axes, own, strict=True)
+        if share < BARELY
+    ]

@@ -1,0 +1,109 @@
+"""What each voltage moves on the other axes beside the coupling matrix: whether coupling is a matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._types import Array
+from dehyst.stages.axis_traces import AxisTraces
+from dehyst.stages.fit import CrossTalk
+from dehyst.stages.play_columns import PlayColumns, block_means
+
+# Parts of the records that are held out in turn, each of some spans.
+_FOLDS, _SPANS = 6, 24
+# What counts as coupling beyond a matrix: more than this share of the stroke (RMS) on time that was held out, by an
+# improvement of so many times its scatter.
+_LEAST, _CERTAIN = 4e-4, 3.0
+# Least power of a span, of the mean, and of the motion of a column, in its range.
+_LEAST_POWER, _STILL = 1e-3, 1e-2
+# Of the energy of the columns.
+_RIDGE = 1e-4
+# Columns of a block that count.
+_DIRECTIONS = 12
+
+
+def cross_talk(columns: PlayColumns, traces: Sequence[AxisTraces], coupling: Array, strokes: Array) -> CrossTalk:
+    """Return what the voltage of each axis predicts of the residual of the others, on time that was held out.
+
+    The rule: the plays of the voltage of axis j, bent by ramps, are fitted to the residual of axis i in five sixths of
+    the spans of the records, together with those of axis i itself. Coupling of j into i is more than a number if they
+    improve the prediction of the other spans by more than three standard errors of the improvement, and by more than
+    0.04 % of the stroke (RMS).
+    """
+    residual = np.concatenate(
+        [block_means(one.residual(coupling), every) for one, every in zip(traces, columns.samples, strict=True)]
+    )
+    spans = columns.groups(_SPANS)
+    count = residual.shape[1]
+    size, certainty = np.zeros((count, count)), np.zeros((count, count))
+    rows = np.isfinite(residual).all(axis=1)
+    for i in range(count):
+        for j in range(count):
+            if i != j:
+                base, more = columns.whitened[i][rows], columns.whitened[j][rows]
+                size[i, j], certainty[i, j] = held_out_gain(base, more, residual[rows, i] / strokes[i], spans[rows])
+    floor = np.where(np.eye(count, dtype=bool), 0.0, _LEAST)
+    beyond = (size > floor) & (certainty > _CERTAIN)
+    return CrossTalk(size, floor, certainty, beyond)
+
+
+def held_out_gain(base: Array, more: Array, target: Array, spans: NDArray[np.intp]) -> tuple[float, float]:
+    """Return by how much (RMS) further columns improve the prediction of spans held out, and how certain that is.
+
+    The certainty is the mean over the spans of the relative improvement, in its standard errors.
+
+    Of both, the first columns count, which move most. The level of each span is free: it is no motion that a voltage
+    causes. Spans in which the further columns do not move are left out; the others have the weight of what all
+    columns miss of them.
+    """
+    base, more = _without_levels(base[:, :_DIRECTIONS], spans), _without_levels(more[:, :_DIRECTIONS], spans)
+    target = _without_levels(target[:, None], spans)[:, 0]
+    both = np.hstack([base, more])
+    power = _power(target - both @ _fitted(both, target, np.ones(len(target))), spans)
+    weights = (power.mean() / np.maximum(power, _LEAST_POWER * power.mean()))[spans]
+    gains, shares, ratios = list[float](), list[float](), list[float]()
+    least = _STILL * np.ptp(more, axis=0).max(initial=0.0)
+    for fold in range(_FOLDS):
+        out = spans % _FOLDS == fold
+        if out.all() or not out.any():
+            continue
+        found = [_fitted(rows[~out], target[~out], weights[~out]) for rows in (base, both)]
+        errors = [(target[out] - rows[out] @ fitted) ** 2 for rows, fitted in zip((base, both), found, strict=True)]
+        for span in np.unique(spans[out]):
+            where = spans[out] == span
+            if np.ptp(more[out][where], axis=0).max() > least:
+                before, after = (float(error[where].mean()) for error in errors)
+                gains.append(before - after)
+                ratios.append((before - after) / max(before + after, 1e-300))
+                shares.append(float(weights[out][where].mean()))
+    if len(gains) < 2:
+        return 0.0, 0.0
+    mean = float(np.array(shares) @ gains) / sum(shares)
+    # Spans of large and of small motion count alike.
+    scatter = float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
+    return float(np.sqrt(max(mean, 0.0))), float(np.mean(ratios)) / max(scatter, 1e-12) if mean > 0 else 0.0
+
+
+def _without_levels(columns: Array, spans: NDArray[np.intp]) -> Array:
+    """Return columns (m, n) less their mean in each span."""
+    count = np.maximum(np.bincount(spans, minlength=_SPANS), 1)
+    means = np.column_stack([np.bincount(spans, one, minlength=_SPANS) / count for one in columns.T])
+    return np.asarray(columns - means[spans])
+
+
+def _power(left: Array, spans: NDArray[np.intp]) -> Array:
+    """Return the mean square of each span; of one without rows the mean of all."""
+    count = np.bincount(spans, minlength=_SPANS)
+    sums = np.bincount(spans, left**2, minlength=_SPANS)
+    return np.asarray(np.where(count > 0, sums / np.maximum(count, 1), np.mean(left**2)))
+
+
+def _fitted(rows: Array, target: Array, weights: Array) -> Array:
+    scales = np.sqrt((weights[:, None] * rows**2).sum(axis=0))
+    scaled = rows / np.where(scales > 0, scales, 1.0)
+    weighted = scaled * weights[:, None]
+    gram = weighted.T @ scaled + _RIDGE * np.eye(rows.shape[1])
+    return np.asarray(np.linalg.solve(gram, weighted.T @ target) / np.where(scales > 0, scales, 1.0))

@@ -1,0 +1,136 @@
+"""Voltages that show the coupling of a stage: its axes one after the other, then together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dehyst._errors import RecordError
+from dehyst._types import Array
+from dehyst._validation import keep
+from dehyst.stages.record import DEFAULT_AXES, axis_names
+from dehyst.waveforms import Sampling, descending_tops, homing
+
+# Periods of the axes moving together, in those of the first one: powers of the plastic number repeat never.
+RATIO = 1.3247179572447460
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StageExcitation:
+    """Voltages to play on all axes of a stage at once.
+
+    Attributes
+    ----------
+    voltage : (n, axes) array
+        [V].
+    sample_rate : float
+        [Hz].
+    axes : tuple of str
+    parts : tuple of (str, int, int)
+        What is played from one sample to the one before the other: "x alone", "together".
+    """
+
+    voltage: Array
+    sample_rate: float
+    axes: tuple[str, ...]
+    parts: tuple[tuple[str, int, int], ...]
+
+    def __post_init__(self) -> None:
+        keep(self, voltage=np.array(self.voltage, dtype=np.float64))
+
+    def __len__(self) -> int:
+        return len(self.voltage)
+
+    def __repr__(self) -> str:
+        return f"<StageExcitation: {len(self)} samples, {self.duration:.6g} s, {', '.join(p[0] for p in self.parts)}>"
+
+    @property
+    def time(self) -> Array:
+        """Time of each sample (n,) [s], from 0."""
+        return np.arange(len(self)) / self.sample_rate
+
+    @property
+    def duration(self) -> float:
+        """Time from the first sample to the last [s]."""
+        return (len(self) - 1) / self.sample_rate
+
+
+def stage_excitation(
+    highest: Sequence[float],
+    *,
+    drive: Sequence[Sampling] | Sampling | None = None,
+    steps: int = 10,
+    majors: int = 2,
+    cycles: int = 12,
+    axes: Sequence[str] | None = None,
+    seed: int = 0,
+) -> StageExcitation:
+    """Return descending tops on each axis in turn, the others at their base, then turns of all axes together.
+
+    Moving together, the axes turn at levels of their own, and their periods are powers of an irrational ratio: no
+    combination of states repeats.
+
+    Parameters
+    ----------
+    highest : (axes,) sequence of float
+        Highest voltage [V] of each axis.
+    drive : Sampling or sequence of Sampling, optional
+        How each axis is sampled: base, frequency, limits and slew rate; one sample rate for all.
+    steps, majors : int
+        Of `descending_tops`, for each axis alone.
+    cycles : int
+        Cycles of the first axis together with the others; 0: axes one after the other only.
+    axes : sequence of str, optional
+        Names of the axes; default: x, y, z.
+    seed : int
+        Of the levels at which the axes turn together.
+
+    Raises
+    ------
+    RecordError
+        As `descending_tops`, or if the axes have different sample rates.
+    """
+    count = len(highest)
+    names = axis_names(DEFAULT_AXES[:count] if axes is None else axes, count, "excitation", RecordError)
+    drives = [drive or Sampling()] * count if drive is None or isinstance(drive, Sampling) else list(drive)
+    if len(drives) != count or len({one.rate for one in drives}) > 1:
+        raise RecordError(f"drive: need one Sampling an axis, {count}, and one sample rate for all")
+    alone = [
+        descending_tops(top, steps=steps, majors=majors, drive=one) for top, one in zip(highest, drives, strict=True)
+    ]
+    together = [
+        _turns(top, _slower(one, RATIO**j), max(3, round(cycles / RATIO**j)), seed + j) if cycles else np.zeros(0)
+        for j, (top, one) in enumerate(zip(highest, drives, strict=True))
+    ]
+    most = max(map(len, together)) if cycles else 0
+    sizes = [len(one) for one in alone]
+    voltage = np.empty((sum(sizes) + most, count))
+    first, parts = 0, []
+    for j, one in enumerate(alone):
+        rest = [other.base if k < j else other.start for k, other in enumerate(drives)]
+        voltage[first : first + len(one)] = rest
+        voltage[first : first + len(one), j] = one.voltage
+        parts.append((f"{names[j]} alone", first, first + len(one)))
+        first += len(one)
+    if cycles:
+        for j, row in enumerate(together):
+            voltage[first:, j] = np.concatenate([row, np.full(most - len(row), row[-1])])
+        parts.append(("together", first, first + most))
+    return StageExcitation(voltage, drives[0].rate, names, tuple(parts))
+
+
+def _turns(highest: float, drive: Sampling, cycles: int, seed: int) -> Array:
+    """Return voltages between levels that fill the range, each half cycle of one duration."""
+    rng = np.random.default_rng([18, seed])
+    span = highest - drive.base
+    tops = drive.base + span * rng.permuted((np.arange(cycles) + 1.0) / cycles * 0.55 + 0.45)
+    lows = drive.base + span * rng.permuted((np.arange(cycles) + 0.5) / cycles * 0.4)
+    levels = [drive.base, *np.column_stack([tops, lows]).ravel()[:-1].tolist(), drive.base]
+    return homing(turns=levels, drive=drive).voltage
+
+
+def _slower(drive: Sampling, factor: float) -> Sampling:
+    """Return the sampling from the base, with another period and the same samples."""
+    return replace(drive, present=None, sample_rate=drive.rate, frequency=drive.frequency / factor)

@@ -1,0 +1,256 @@
+"""The compensator of a stage as C: the bits of Python, whichever axes are clamped."""
+
+import shutil
+import subprocess
+
+import compiled_exports
+import numpy as np
+import plain_records
+import pytest
+import structured_records
+from click.testing import CliRunner
+from compiled_exports import need
+
+from dehyst import FileFormatError, ModelError, Stage, StageCompensator
+from dehyst.cli import main
+from dehyst.exports import sizes
+from dehyst.exports.footprint import STRICT
+from dehyst.exports.shipped import shipped
+from dehyst.stages import export_stage
+from dehyst.stages.firmware import stage_code
+from dehyst.stages.golden import StageCall, stage_golden_trace
+
+pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+
+PERIOD = 1 / structured_records.RATE
+COUPLING = np.array([[1.0, 0.05, -0.03], [-0.06, 1.0, 0.04], [0.02, -0.045, 1.0]])
+# Steps of a program of its own, of random displacements; what it prints are the bits of its voltages.
+STEPS = 20_000
+DRIVER = """#include "stage.h"
+#include <stdio.h>
+#include <stdint.h>
+#include <string.h>
+
+int main(void)
+{
+    static stage body;
+    uint64_t x = 18, told = 14695981039346656037u, bits;
+    long t;
+    int j;
+    if (stage_begin(&body) != DEHYST_OK) return 1;
+    for (t = 0; t < STEPS; t++) {
+        dehyst_real wanted[STAGE_MODEL_AXES], volts[STAGE_MODEL_AXES];
+        for (j = 0; j < STAGE_MODEL_AXES; j++) {
+            x = x * 6364136223846793005u + 1442695040888963407u;
+            wanted[j] = middle[j] + half[j] * (2 * ((double)(x >> 11) * 0x1p-53) - 1);
+        }
+        stage_step(&body, wanted, volts);
+        for (j = 0; j < STAGE_MODEL_AXES; j++) {
+            memcpy(&bits, &volts[j], sizeof bits);
+            told = (told ^ bits) * 1099511628211u;
+            told = (told ^ (uint64_t)body.clamped[j]) * 1099511628211u;
+        }
+    }
+    printf("%016llx\\n", (unsigned long long)told);
+    return 0;
+}
+"""
+WORD = 2**64 - 1
+
+
+def plain_stage(**options):
+    actuators = tuple(plain_records.plant(count, seed=count) for count in (6, 10, 3))
+    limits = options.pop("limits", [(20.0, 180.0), (0.0, 150.0), (40.0, 200.0)])
+    return StageCompensator(Stage(actuators, COUPLING), limits=limits, **options)
+
+
+def wide_stage():
+    """Creep, graded elements and a transformer, and all parts together."""
+    kinds = ("creep", "graded, transformer", "all")
+    plants = [structured_records.plant(structured_records.STRUCTURES[kind]) for kind in kinds]
+    states = [one.state for one in plants]
+    stage = Stage(tuple(one.actuator for one in plants), COUPLING)
+    limits = [compiled_exports.LIMITS] * 3
+    return StageCompensator(stage, limits=limits, period=PERIOD, slew_rate=[None, 5e3, 8e3], states=states)
+
+
+def single_axis():
+    return StageCompensator(Stage((plain_records.plant(5),)), limits=[(0.0, 190.0)])
+
+
+STAGES = {
+    "plain": plain_stage,
+    "slewing": lambda: plain_stage(period=1e-3, slew_rate=[2e4, None, 4e4]),
+    "wide": wide_stage,
+    "one axis": single_axis,
+}
+
+
+@pytest.fixture(params=STAGES)
+def compensator(request):
+    return STAGES[request.param]()
+
+
+def make(folder, *targets):
+    done = subprocess.run(["make", "-s", *targets], cwd=folder, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_the_golden_trace_is_replayed_bit_for_bit(compensator, tmp_path):
+    need("gcc", "make")
+    export_stage(compensator, tmp_path / "c", measure=False)
+    status, words = make(tmp_path / "c", "check", "symbols")
+    assert status == 0, words
+    assert "double: 0 of" in words
+    assert "no symbol is needed from outside" in words
+
+
+def test_the_golden_trace_clamps_no_axis_some_and_all(compensator):
+    rows = [row for row in stage_golden_trace(compensator).rows if row.what is StageCall.STEP]
+    loop, patterns = compensator.afresh(), set()
+    for row in rows:
+        loop.step(row.given)
+        patterns.add(loop.clamped)
+    assert len(patterns) >= 2 ** len(loop.clamped)
+    assert set(StageCall) == {row.what for row in stage_golden_trace(compensator).rows}
+
+
+def told_by_python(compensator, middle, half):
+    """What DRIVER prints."""
+    loop, x, told = compensator.afresh(), 18, 14695981039346656037
+    for _ in range(STEPS):
+        wanted = []
+        for m, h in zip(middle, half, strict=True):
+            x = (x * 6364136223846793005 + 1442695040888963407) & WORD
+            wanted.append(m + h * (2 * ((x >> 11) * 2.0**-53) - 1))
+        volts = np.array(loop.step(wanted)).view(np.uint64).tolist()
+        for bits, clamped in zip(volts, loop.clamped, strict=True):
+            told = ((told ^ bits) * 1099511628211) & WORD
+            told = ((told ^ int(clamped)) * 1099511628211) & WORD
+    return f"{told:016x}"
+
+
+def test_random_steps_have_the_same_bits(compensator, tmp_path):
+    need("gcc")
+    reach = np.array([one.reach for one in compensator.compensators])
+    middle = (compensator.stage.coupling @ reach.mean(axis=1)).tolist()
+    half = (0.56 * np.ptp(reach, axis=1)).tolist()
+    constants = "".join(
+        f"static const double {name}[] = {{{', '.join(value.hex() for value in values)}}};\n"
+        for name, values in (("middle", middle), ("half", half))
+    )
+    for name, text in stage_code(compensator).items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "driver.c").write_text(DRIVER.replace("int main", f"{constants}\nint main"))
+    command = ["gcc", *STRICT, "-O2", f"-DSTEPS={STEPS}L", "driver.c", "stage.c", "dehyst.c", "-o", "driver"]
+    compiled_exports.must_run(command, tmp_path)
+    assert compiled_exports.must_run(["./driver"], tmp_path).strip() == told_by_python(compensator, middle, half)
+
+
+def test_the_core_is_the_one_that_python_runs():
+    files = stage_code(plain_stage())
+    assert set(files) == {"stage.c", "stage.h", "dehyst.c", "dehyst.h"}
+    assert all(files[name] == shipped(name) for name in ("dehyst.c", "dehyst.h"))
+
+
+def test_a_stage_and_an_actuator_fit_into_one_firmware(tmp_path):
+    need("gcc")
+    files = stage_code(plain_stage(), "scanner") | compiled_exports.plain_code("focus")
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "both.c").write_text(
+        '#include "scanner.h"\n#include "focus.h"\nint main(void)\n{\n'
+        "    static scanner s;\n    static focus f;\n    return scanner_begin(&s) || focus_begin(&f);\n}\n"
+    )
+    sources = sorted(name for name in (*files, "both.c") if name.endswith(".c"))
+    compiled_exports.must_run(["gcc", *STRICT, *sources, "-o", "both"], tmp_path)
+    compiled_exports.must_run(["./both"], tmp_path)
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [
+        ("x", "y", "z"),
+        ("1", "2", "3"),
+        ("do", "int", "x.y"),
+        ("x", "X", "z"),
+        ("int", "step", "loop"),
+        ("x", "x_step", "z"),
+    ],
+)
+def test_axes_of_any_names_compile(axes, tmp_path):
+    need("gcc", "make")
+    stage = Stage(plain_stage().stage.actuators, COUPLING, axes)
+    export_stage(StageCompensator(stage, limits=[(0.0, 200.0)] * 3), tmp_path / "c", measure=False, name="table")
+    assert make(tmp_path / "c", "check")[0] == 0
+
+
+def test_c_plus_plus_reads_the_header(tmp_path):
+    need("g++")
+    for name, text in stage_code(plain_stage()).items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "a.cpp").write_text('#include "stage.h"\nstage s;\nint main() { return stage_begin(&s); }\n')
+    compiled_exports.must_run(["g++", "-Wall", "-Wextra", "-Werror", "-c", "a.cpp"], tmp_path)
+
+
+def test_bytes_are_measured(tmp_path):
+    need("gcc")
+    exported = export_stage(plain_stage(), tmp_path / "c")
+    here = exported.footprints["this computer, -O2"]
+    assert exported.unmeasured is None
+    assert here == sizes(tmp_path / "c", "cc", ("-O2",))
+    assert 1000 < here.ram < 8000 < here.flash < 80_000
+    assert f"| this computer, -O2 | {here.flash} | {here.ram} |" in (tmp_path / "c" / "README.md").read_text()
+
+
+def test_an_earlier_export_is_replaced_only_by_force_and_other_files_never(tmp_path):
+    folder = tmp_path / "c"
+    export_stage(plain_stage(), folder, measure=False)
+    with pytest.raises(FileFormatError, match="holds an earlier export"):
+        export_stage(plain_stage(), folder, measure=False)
+    export_stage(plain_stage(), folder, measure=False, force=True)
+    (folder / "own.c").write_text("")
+    with pytest.raises(FileFormatError, match=r"holds other files \(own.c\)"):
+        export_stage(plain_stage(), folder, measure=False, force=True)
+
+
+@pytest.mark.parametrize("name", ["int", "dehyst_x", "2x", "a b"])
+def test_a_name_that_is_none_in_c_is_refused(name):
+    with pytest.raises(ModelError, match="name: got"):
+        stage_code(plain_stage(), name)
+
+
+def test_what_is_no_compensator_of_a_stage_is_refused():
+    with pytest.raises(ModelError, match="need a StageCompensator"):
+        stage_code(plain_stage().stage)
+
+
+class TestCommand:
+    """`dehyst export` of a stage file."""
+
+    @pytest.fixture
+    def file(self, tmp_path):
+        plain_stage().stage.save(tmp_path / "stage.json")
+        return tmp_path / "stage.json"
+
+    @staticmethod
+    def run(*words, status=0):
+        done = CliRunner().invoke(main, [str(word) for word in words])
+        assert done.exit_code == status, done.output
+        return done.output
+
+    def test_it_writes_a_folder_that_replays(self, file, tmp_path):
+        need("gcc", "make")
+        words = self.run("export", file, tmp_path / "c", "--limits", 0, 150, "--no-measure")
+        assert "a compensator of the axes x, y, z" in words
+        assert make(tmp_path / "c", "check")[0] == 0
+        shutil.rmtree(tmp_path / "c")
+
+    @pytest.mark.parametrize(
+        "options", [("--fmu",), ("--kind", "actuator"), ("--number", "float"), ("--preview",), ("--start", "x.csv")]
+    )
+    def test_what_is_for_single_actuators_is_refused(self, file, tmp_path, options):
+        (tmp_path / "x.csv").write_text("voltage_V\n0\n")
+        given = [tmp_path / "x.csv" if one == "x.csv" else one for one in options]
+        self.run("export", file, tmp_path / "c", *given, status=2)
+        assert not (tmp_path / "c").exists()

@@ -1,0 +1,189 @@
+"""Several axes calibrated over a socket: plan, records, stage, and a path that all axes follow together."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from emulated_stage import COUPLING, HIGHEST, rig_of, served, virtual_stage
+
+from dehyst import FileFormatError, Stage
+from dehyst.cli import main
+from dehyst.instruments import DeviceError
+from dehyst.records import read
+from dehyst.stages import StagePlan, calibrate_stage
+from dehyst.stages.calibration import STAGE_STEPS, stage_entries, stage_steps
+from dehyst.stages.tracking import StagePathPlanner
+
+PLAN = StagePlan(steps=6, cycles=8)
+
+
+class Listener:
+    """Notes what it is told."""
+
+    def __init__(self, stop=None):
+        self.steps, self.count, self._stop = [], 0, stop
+
+    def step(self, name, seconds=0.0):
+        self.steps.append(name)
+
+    def samples(self, samples, expected=None, stroke=None):
+        self.count += samples.time.size
+        if self._stop is not None and self.steps[-1] == self._stop and samples.voltage.max() > 30:
+            raise KeyboardInterrupt
+
+    def message(self, text):
+        pass
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    folder, listener = tmp_path_factory.mktemp("calibration"), Listener()
+    with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
+        result = calibrate_stage(rig, folder, plan=PLAN, watcher=listener)
+        ends = [one.voltage for one in bench.benches], [one.log.highest for one in bench.benches]
+    return result, folder, listener, ends
+
+
+def test_every_axis_follows_the_path_to_three_thousandths(calibrated):
+    result, *_ = calibrated
+    assert result.good
+    assert max(result.compensated.largest_percent) < 0.3
+    assert min(result.nominal.largest_percent) > 5
+    assert np.abs(result.fit.coupling - COUPLING).max() < 0.005
+    assert result.fit.is_matrix
+    # All axes move together through most of their strokes.
+    assert np.all(np.ptp(result.compensated.wanted, axis=0) > 0.65 * result.compensated.strokes)
+
+
+def test_voltages_stay_within_limits_and_end_at_safe_values(calibrated):
+    *_, (ends, highest) = calibrated
+    assert ends == [0.0] * 3
+    assert np.all(np.array(highest) <= HIGHEST)
+
+
+def test_stage_numbers_and_records_are_on_disk(calibrated):
+    result, folder, listener, _ = calibrated
+    stage = Stage.load(folder / "stage.json")
+    assert stage.axes == ("1", "2", "3")
+    np.testing.assert_array_equal(stage.coupling, result.stage.coupling)
+    numbers = json.loads((folder / "calibration.json").read_text())
+    assert numbers["compensated"]["2"]["largest_percent"] == result.compensated.largest_percent[1]
+    names = ["axes", "others", "nominal", "compensated"]
+    assert listener.steps == [*names[:2], "identify", *names[2:]]
+    assert set(listener.steps) < set(STAGE_STEPS)
+    assert set(numbers["sha256"]) == {f"{name}-{axis}.h5" for name in names for axis in "123"}
+    record = read(folder / "records" / "axes-2.h5")
+    assert record.meta["complete"] is True
+    np.testing.assert_array_equal(record.voltage, result.training.voltage[:, 1])
+
+
+def test_the_same_folder_is_used_again_with_its_records_moved_aside(calibrated, tmp_path):
+    _, folder, *_ = calibrated
+    with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
+        with pytest.raises(KeyboardInterrupt) as caught:
+            calibrate_stage(rig, folder, plan=PLAN, watcher=Listener("axes"))
+        assert [one.voltage for one in bench.benches] == [0.0] * 3
+    assert caught.value.__notes__ == ["The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."]
+    cut = read(folder / "records" / "axes-3.h5")
+    assert cut.meta["complete"] is False
+    assert len(list((folder / "records" / "set-aside").glob("*.h5"))) == 12
+    # The stage and its numbers are those of the last calibration that was complete.
+    assert Stage.load(folder / "stage.json")
+
+
+def test_a_folder_of_another_instrument_is_refused(calibrated):
+    _, folder, *_ = calibrated
+    with (
+        served() as (server, bench),
+        rig_of(server, "1,2") as rig,
+        pytest.raises(FileFormatError, match=r"holds a calibration of .*axis 1,2,3, and this is"),
+    ):
+        calibrate_stage(rig, folder, plan=PLAN)
+    assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
+
+
+def test_a_fault_brings_all_axes_back_and_keeps_the_samples(tmp_path):
+    with served("error@900", speed=4.0) as (server, bench), rig_of(server) as rig:
+        with pytest.raises(DeviceError):
+            calibrate_stage(rig, tmp_path, plan=PLAN)
+        assert [one.voltage for one in bench.benches] == [0.0] * 3
+    records = [read(tmp_path / "records" / f"axes-{axis}.h5") for axis in "123"]
+    assert len({len(record) for record in records}) == 1
+    assert len(records[0]) > 100
+    assert not any(record.meta["complete"] for record in records)
+
+
+class TestPlan:
+    """What is known before anything is sent."""
+
+    def test_axes_move_one_after_the_other_then_together(self):
+        with served() as (server, bench), rig_of(server) as rig:
+            steps = {step.name: step.voltage for step in stage_steps(rig, PLAN)}
+            assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
+        moving = np.abs(np.diff(steps["axes"], axis=0)) > 0
+        alone = [(moving[:, j] & (moving.sum(axis=1) == 1)).sum() for j in range(3)]
+        assert min(alone) > 1000
+        assert moving.all(axis=1).sum() > 1000
+        assert np.allclose(steps["axes"].max(axis=0), HIGHEST)
+        assert np.allclose(steps["nominal"].max(axis=0), HIGHEST)
+
+    def test_entries_say_how_long_it_plays(self):
+        with served() as (server, _), rig_of(server, limits=[(0, 50), (5, 60), (0, 150)], slew_rate=200.0) as rig:
+            entries = stage_entries(rig, PLAN)
+            steps = stage_steps(rig, PLAN)
+        assert [entry["step"] for entry in entries] == ["axes", "others", "nominal", "compensated"]
+        assert entries[0]["samples"] == len(steps[0].voltage)
+        assert entries[0]["lowest_V"] == [0.0, 5.0, 0.0]
+        assert all(max(entry["steepest_V_per_s"]) <= 200.0 * (1 + 1e-9) for entry in entries)
+
+    def test_a_path_has_the_samples_that_the_plan_says(self, calibrated):
+        result, *_ = calibrated
+        planned = StagePathPlanner.samples(200, 3)
+        assert len(result.compensated.wanted) == pytest.approx(planned - 200, abs=2)
+
+
+class TestCommand:
+    """`dehyst calibrate --axes` and `dehyst rig serve --axes`."""
+
+    @staticmethod
+    def run(*words, status=0):
+        done = CliRunner().invoke(main, [str(word) for word in words])
+        assert done.exit_code == status, done.output
+        return done.output
+
+    @pytest.mark.parametrize("address", ["{} --axes 1,2,3", "{}/1,2,3"])
+    def test_a_dry_run_sends_nothing(self, address, tmp_path):
+        with served() as (server, bench):
+            words = address.format(f"pi://127.0.0.1:{server.port}").split()
+            said = self.run("calibrate", *words, "--dry-run", "-o", tmp_path / "none")
+            assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
+        assert "nothing was sent" in said
+        assert "axis 2: 0 to 120 V" in said
+        assert "each axis alone, then all together" in said
+        assert not (tmp_path / "none").exists()
+
+    def test_a_dry_run_as_json(self):
+        with served() as (server, _):
+            said = self.run("calibrate", f"pi://127.0.0.1:{server.port}/1,3", "--dry-run", "--json")
+        plan = json.loads(said)
+        assert plan["axes"] == ["1", "3"]
+        assert plan["safe_V"] == [0.0, 0.0]
+        assert len(plan["steps"]) == 4
+
+    @pytest.mark.parametrize("options", [("--hold", 2), ("--axes", "1,1"), ("--axes", "1,7")])
+    def test_what_does_not_fit_is_refused(self, options, tmp_path):
+        with served() as (server, bench):
+            base = ("calibrate", f"pi://127.0.0.1:{server.port}", "-o", tmp_path)
+            words = options if "--axes" in options else ("--axes", "1,2", *options)
+            self.run(*base, *words, status=2)
+            assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
+
+    def test_an_emulated_controller_of_several_axes_is_served(self):
+        said = self.run("rig", "serve", "--axes", 2, "--actuator", "play,preisach", "--port", 0, "--seconds", 0)
+        assert "serving play,preisach, 0 to 200 V, on pi://127.0.0.1:" in said
+        assert "/1,2" in said
+        assert "axis 2: put out 0 to 0 V" in said
+
+    def test_as_many_actuators_as_axes_are_needed(self):
+        self.run("rig", "serve", "--axes", 3, "--actuator", "play,preisach", "--port", 0, "--seconds", 0, status=2)

@@ -1,0 +1,121 @@
+"""The identification of a stage: coupling, axes, and whether coupling is a matrix."""
+
+import coupled_stage
+import numpy as np
+import pytest
+
+import dehyst
+from dehyst.stages.coupling import coupling_by_plays
+from dehyst.stages.play_columns import PlayColumns
+
+OFF = ~np.eye(2, dtype=bool)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    training, _ = coupled_stage.excited()
+    held, found = coupled_stage.excited(7, steps=2)
+    first, stop = found.parts[-1][1:]
+    return dehyst.identify_stage(training, validate=held.part(first, stop, "held-out"))
+
+
+def test_matrix_and_held_out_record(fit):
+    assert np.abs(fit.coupling - coupled_stage.COUPLING)[OFF].max() < 0.002
+    held = [error for error in fit.errors if error.role == "validation"]
+    assert max(error.rms_percent for error in held) < 0.1
+    assert fit.is_matrix
+    assert fit.good
+    assert fit.stage.condition == fit.condition < 1.2
+    assert np.all(fit.rank_one_share > 0.999)
+    assert "Coupling is a matrix" in fit.summary()
+    assert fit.as_dict()["coupling"] == fit.stage.coupling.tolist()
+
+
+def test_exchanged_columns_of_displacements_are_not_usable():
+    training, _ = coupled_stage.excited(coupling=np.array([[1.0, 0.05], [0.04, 1.0]]))
+    turned = dehyst.StageRecord(training.time, training.voltage, training.displacement[:, ::-1], ("x", "y"), "turned")
+    found = dehyst.identify_stage(turned)
+    assert found.exchanged == ("x", "y")
+    assert not found.good
+    assert "are the columns of displacements exchanged?" in found.verdict
+
+
+def test_the_stage_follows_a_path_on_the_truth(fit):
+    """What the compensator plays on the true stage brings both axes where they are wanted."""
+    t = np.arange(0, 20, 0.02)
+    wanted = 1e-6 * np.column_stack([7 + 4 * np.sin(0.9 * t), 9 + 5 * np.sin(0.6 * t + 1)])
+    wanted[:100] *= np.linspace(0, 1, 100)[:, None]
+    start = fit.stage.actuators
+    states = [one.turned(0.0, rising=False) for one in start]
+    voltage = fit.stage.compensate(wanted, time=t, states=states).voltage
+    reached = coupled_stage.played(t, voltage, noise=0.0).displacement
+    settled = slice(300, None)
+    left = reached[settled] - wanted[settled]
+    assert np.all((left - left.mean(axis=0)).std(axis=0) < 1e-3 * np.array([16e-6, 20e-6]))
+
+
+@pytest.mark.parametrize("cycles", [0, 8])
+def test_axes_one_after_the_other_and_together(cycles):
+    training, _ = coupled_stage.excited(cycles=cycles)
+    found = coupling_by_plays(PlayColumns.of([training]))
+    assert np.abs(found.matrix - coupled_stage.COUPLING)[OFF].max() < 0.002
+    assert np.all(found.uncertainty[OFF] < 0.002)
+
+
+def test_axes_together_only():
+    training, found = coupled_stage.excited(cycles=16)
+    first, stop = found.parts[-1][1:]
+    result = coupling_by_plays(PlayColumns.of([training.part(first, stop)]))
+    assert np.abs(result.matrix - coupled_stage.COUPLING)[OFF].max() < 0.003
+
+
+def test_other_order_of_the_axes_gives_the_same_matrix():
+    training, _ = coupled_stage.excited()
+    found = coupling_by_plays(PlayColumns.of([training])).matrix
+    other = coupling_by_plays(PlayColumns.of([training.permuted([1, 0])])).matrix
+    assert np.allclose(found, other[::-1, ::-1], rtol=0, atol=1e-9)
+
+
+def test_coupling_with_hysteresis_is_found_out():
+    training, _ = coupled_stage.excited(bent=0.04)
+    fit = dehyst.identify_stage(training)
+    assert not fit.is_matrix
+    assert fit.cross_talk.beyond[1, 0]
+    assert not fit.cross_talk.beyond[0, 1]
+    assert "more than a matrix" in fit.verdict
+    assert any("coupling of x into y is more than a number" in remark for remark in fit.remarks)
+
+
+def test_axes_that_always_move_together_are_refused():
+    training, _ = coupled_stage.excited()
+    same = np.column_stack([training.voltage[:, 0], 1.2 * training.voltage[:, 0]])
+    record = coupled_stage.played(training.time, same)
+    with pytest.raises(dehyst.IdentifyError, match="one after the other"):
+        dehyst.identify_stage(record)
+
+
+def test_what_is_wrong_with_an_axis_names_that_axis():
+    training, _ = coupled_stage.excited()
+    noise = np.random.default_rng(1).normal(0, 5e-9, len(training))
+    x, y = training.displacement.T
+
+    def changed(voltage, *displacements):
+        return dehyst.StageRecord(training.time, voltage, np.column_stack(displacements), ("x", "y"), "changed")
+
+    still = np.column_stack([training.voltage[:, 0], np.full(len(training), 3.0)])
+    for record, words in (
+        (changed(training.voltage, x, 2e-6 + noise), "axis y: its displacement follows none of the voltages"),
+        (changed(training.voltage, x, x + 1e-6), "axes x and y: their displacements are the same"),
+        (changed(still, x, y), "axis y: its voltage is constant"),
+        (changed(training.voltage, np.full_like(x, 1e-6), y), "axis x: its displacement does not move"),
+    ):
+        with pytest.raises(dehyst.RecordError, match=words):
+            dehyst.identify_stage(record)
+
+
+def test_records_of_other_axes_are_refused():
+    training, _ = coupled_stage.excited()
+    with pytest.raises(dehyst.RecordError, match="same axes in the same order"):
+        dehyst.identify_stage([training, training.permuted([1, 0])])
+    with pytest.raises(dehyst.RecordError, match="need a StageRecord"):
+        dehyst.identify_stage(training.axis(0))

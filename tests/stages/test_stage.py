@@ -1,0 +1,225 @@
+"""A stage: simulation and compensation of coupled axes, and its file."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import dehyst
+from dehyst import Actuator, MaxwellSlip, Spring, Stage, StageCompensator
+from dehyst.stages import home_stage_before
+
+
+def actuator(scale=1.0, **options):
+    rho = np.array([0.3e-6, 1e-6, 2.5e-6]) * scale
+    kappa = np.array([4e5, 2e6, 3e6]) / scale
+    spring = Spring(np.array([0.0, 5e-6, 12e-6]) * scale, np.array([0.0, 35.0, 95.0]))
+    return Actuator(MaxwellSlip(rho, kappa), spring, limits=(-150.0, 200.0), **options)
+
+
+COUPLING = np.array([[1.0, 0.04, -0.02], [0.03, 1.0, 0.05], [-0.025, 0.06, 1.0]])
+
+
+def stage(coupling=COUPLING):
+    return Stage((actuator(), actuator(1.3), actuator(0.8)), coupling)
+
+
+def path(rng, n=300, size=3):
+    t = np.linspace(0, 1, n)[:, None]
+    turns = rng.uniform(1, 5, size)
+    return 1e-6 * (3.5 + 2.5 * np.sin(2 * np.pi * turns * t + rng.uniform(0, 6, size)))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**31))
+def test_simulating_what_was_compensated_gives_the_path(seed):
+    wanted, model = path(np.random.default_rng(seed)), stage()
+    command = model.compensate(wanted)
+    assert np.abs(model.simulate(command.voltage, extrapolate=True).displacement - wanted).max() < 1e-15
+
+
+def test_a_stage_without_coupling_equals_its_actuators_bit_for_bit():
+    wanted, model = path(np.random.default_rng(1)), stage(np.eye(3))
+    loop = StageCompensator(model, slew_rate=[2e4] * 3, period=1e-3)
+    stepped = np.array([loop.step(row) for row in wanted])
+    trace = model.simulate(stepped)
+    for j, one in enumerate(model.actuators):
+        single = dehyst.Compensator(one, slew_rate=2e4, period=1e-3)
+        assert np.array_equal(stepped[:, j], single.run(wanted[:, j]))
+        assert np.array_equal(trace.displacement[:, j], one.simulate(stepped[:, j]).displacement)
+        assert np.array_equal(model.compensate(wanted).voltage[:, j], one.compensate(wanted[:, j]).voltage)
+
+
+@pytest.mark.parametrize("order", [[2, 0, 1], [1, 0, 2]])
+def test_other_names_of_the_axes_change_nothing(order):
+    wanted, model = path(np.random.default_rng(2)), stage()
+    voltage = model.compensate(wanted).voltage
+    other = model.permuted(order).compensate(wanted[:, order]).voltage
+    assert np.allclose(voltage[:, order], other, rtol=0, atol=1e-10)
+
+
+def test_steps_equal_the_whole_path():
+    wanted, model = path(np.random.default_rng(3)), stage()
+    loop = StageCompensator(model)
+    stepped = np.array([loop.step(row) for row in wanted])
+    assert np.allclose(stepped, model.compensate(wanted).voltage, rtol=0, atol=1e-10)
+    assert np.allclose(loop.displacement, wanted[-1], rtol=0, atol=1e-15)
+
+
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+def test_a_clamped_axis_does_not_falsify_the_others():
+    """Axis x wants more than its limit allows: y and z follow, which they would not without correction."""
+    wanted, model = path(np.random.default_rng(4)), stage()
+    limits = [(-150.0, 22.0), (-150.0, 200.0), (-150.0, 200.0)]
+    loop = StageCompensator(model, limits=limits)
+    begin, voltage, clamped = loop.states, [], []
+    for row in wanted:
+        voltage.append(loop.step(row))
+        clamped.append(loop.clamped)
+    real = model.simulate(np.array(voltage), states=begin).displacement
+    missed = np.abs(real - wanted).max(axis=0)
+    held = np.array(clamped)
+    assert 0.1 < held[:, 0].mean() < 0.9
+    assert not held[:, 1:].any()
+    assert missed[0] > 1e-6
+    assert missed[1:].max() < 1e-15
+    parts = zip(model.actuators, limits, begin, strict=True)
+    single = [dehyst.Compensator(actuator, limit, state=state) for actuator, limit, state in parts]
+    uncorrected = np.column_stack([one.run(w) for one, w in zip(single, (wanted @ model.decoupling.T).T, strict=True)])
+    assert np.abs(model.simulate(uncorrected, states=begin).displacement - wanted).max(axis=0)[1] > 3e-8
+    assert [sum(one) for one in loop.clamps] == [int(held[:, 0].sum()), 0, 0]
+
+
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+def test_two_clamped_axes_leave_the_third_exact():
+    wanted, model = path(np.random.default_rng(5)), stage()
+    loop = StageCompensator(model, limits=[(-150.0, 22.0), (3.0, 15.0), None])
+    begin = loop.states
+    voltage = np.array([loop.step(row) for row in wanted])
+    missed = np.abs(model.simulate(voltage, states=begin).displacement - wanted).max(axis=0)
+    assert missed[:2].min() > 1e-7
+    assert missed[2] < 1e-15
+
+
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+@pytest.mark.parametrize("options", [{"limits": [(-150.0, 22.0), None, None]}, {"slew_rate": [None, 250.0, None]}])
+def test_a_clamped_whole_path_equals_its_steps(options):
+    wanted, model = path(np.random.default_rng(6)), stage()
+    loop = StageCompensator(model, period=1e-3, **options)
+    trace = loop.trajectory(wanted)
+    # The first sample of a path is not limited by the slew rate.
+    begin = {"states": model.compensate(wanted[:1]).states} if "slew_rate" in options else {}
+    slow = StageCompensator(model, period=1e-3, **options, **begin)
+    stepped = np.array([slow.step(row) for row in wanted])
+    assert trace.clamped.any()
+    assert not trace.followed
+    assert np.allclose(trace.voltage, stepped, rtol=0, atol=1e-7)
+    reached = model.simulate(trace.voltage, states=loop.states).displacement
+    assert np.allclose(trace.displacement, reached, rtol=0, atol=1e-13)
+    free = ~trace.clamped.any(axis=0)
+    assert trace.missed[free].max() < 1e-13
+    assert trace.warnings
+
+
+def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_be_played():
+    """A start of the model beyond the limits is replaced by that of loops within them, whatever was before."""
+    model, limits = stage(), (-40.0, 30.0)
+    loop = StageCompensator(model, limits=[limits] * 3)
+    for one, axis in zip(model.actuators, loop.compensators, strict=True):
+        for before in ([-100.0], [60.0, -10.0]):
+            played = one.simulate([*before, *np.tile(limits, 10)]).state
+            assert axis.state.displacement == pytest.approx(played.displacement, abs=1e-15)
+            assert np.allclose(axis.state.carts, played.carts, rtol=0, atol=1e-15)
+        assert axis.voltage == 30.0
+        assert axis.state.displacement < dehyst.Compensator(one, limits).state.displacement - 1e-8
+
+
+def test_a_clamped_step_warns_of_its_axis_and_of_what_is_wanted_of_it():
+    loop = StageCompensator(stage(), limits=[(-150.0, 22.0), None, None])
+    with pytest.warns(dehyst.ClampWarning) as caught:
+        for _ in range(3):
+            loop.step([6e-6, 3e-6, 2e-6])
+    assert [str(one.message).split(",")[0] for one in caught] == ["CLAMPED: axis x: 6 um wanted"]
+    other = StageCompensator(stage(), limits=[(-150.0, 22.0), None, None])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", dehyst.ClampWarning)
+        before = other.snapshot()
+        with pytest.raises(dehyst.ClampWarning):
+            other.step([6e-6, 3e-6, 2e-6])
+    assert [sum(one) for one in other.clamps] == [0, 0, 0]
+    assert all(np.array_equal(a.state.carts, b.state.carts) for a, b in zip(before, other.snapshot(), strict=True))
+
+
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+def test_an_offer_that_is_not_committed_changes_nothing():
+    wanted, model = path(np.random.default_rng(7)), stage()
+    options = {"limits": [(-150.0, 22.0), None, None], "slew_rate": [None, 250.0, None], "period": 1e-3}
+    loop, other = StageCompensator(model, **options), StageCompensator(model, **options)
+    for row in wanted:
+        loop.offer(row[::-1].copy())
+        assert np.array_equal(loop.step(row), other.step(row))
+    assert loop.clamps == other.clamps
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_after_a_homing_the_state_before_does_not_count(timed):
+    wanted, model = path(np.random.default_rng(8)), stage()
+    time = 1e-2 * np.arange(len(wanted)) if timed else None
+    options = {"limits": [(-60.0, 120.0)] * 3} | ({"slew_rate": [400.0] * 3, "period": 1e-2} if timed else {})
+    homed = home_stage_before(StageCompensator(model, **options), wanted, time=time)
+    voltage = np.vstack([homed.voltage, homed.path.voltage])
+    assert voltage.min() >= -60.0
+    assert voltage.max() <= 120.0
+    if timed:
+        assert (np.abs(np.diff(voltage, axis=0)) / np.diff(homed.time)[:, None]).max() <= 400.0 * (1 + 1e-9)
+        assert np.allclose(np.diff(homed.time[len(homed.voltage) :]), 1e-2)
+    for before in ([0.0], [-60.0, 120.0, 30.0], [100.0, -20.0]):
+        states = [one.simulate(before).state for one in model.actuators]
+        reached = model.simulate(voltage, time=homed.time, states=states).displacement[len(homed.voltage) :]
+        assert np.abs(reached - wanted).max() < 1e-13
+
+
+def test_what_one_axis_refuses_changes_no_axis():
+    model = stage()
+    loop = StageCompensator(model)
+    loop.step(path(np.random.default_rng(9))[0])
+    before, snapshot = loop.voltage, loop.snapshot()
+    other = StageCompensator(stage(np.eye(3))).snapshot()
+    for refused in (
+        lambda: loop.commit([1.0, 2.0, 1e9]),
+        lambda: loop.reset([None, None, 5]),
+        lambda: loop.restore([other[0], other[1], 5]),
+        lambda: loop.restore(snapshot[:2]),
+        lambda: loop.trajectory(np.zeros((0, 3))),
+    ):
+        with pytest.raises(dehyst.ModelError):
+            refused()
+        assert np.array_equal(loop.voltage, before)
+
+
+def test_a_file_keeps_every_bit(tmp_path):
+    model = stage().with_provenance(record="a.csv")
+    model.save(tmp_path / "stage.json")
+    again = Stage.load(tmp_path / "stage.json")
+    assert again.as_dict() == model.as_dict()
+    assert np.array_equal(again.coupling, model.coupling)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"format": "dehyst-actuator"}, "need 'dehyst-stage'"),
+        ({"version": 2}, "version 1"),
+        ({"extra": 1}, "unknown keys"),
+        ({"axes": ["x", "x", "z"]}, "different names"),
+        ({"coupling": [[1, 0], [0, 1]]}, "got 2 x 2 numbers for 3 axes"),
+        ({"coupling": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}, "need 1 for each axis"),
+        ({"coupling": [[1, 1, 0], [1, 1, 0], [0, 0, 1]]}, "condition"),
+        ({"actuators": []}, "need one Actuator"),
+    ],
+)
+def test_a_file_that_is_wrong_is_refused(change, words):
+    with pytest.raises(dehyst.ModelError, match=words):
+        Stage.from_dict({**stage().as_dict(), **change})

@@ -1,0 +1,34 @@
+"""Records of virtual stages with coupled axes."""
+
+import numpy as np
+
+from dehyst.stages import StageRecord, stage_excitation
+from dehyst.virtual import PlayActuator, PreisachActuator
+from dehyst.waveforms import Sampling
+
+COUPLING = np.array([[1.0, 0.04], [-0.03, 1.0]])
+HIGHEST = (100.0, 120.0)
+
+
+def actuators():
+    return PlayActuator(stroke=16e-6, highest=100.0, noise=0.0), PreisachActuator(
+        stroke=20e-6, highest=120.0, noise=0.0
+    )
+
+
+def played(time, voltage, seed=0, coupling=COUPLING, bent=0.0, noise=3e-9):
+    """Return a record of two axes after one cycle of both; `bent` is a part of the coupling by a wider loop."""
+    rise = np.sin(np.linspace(0, np.pi, 200)[:, None]) ** 2 * np.array(HIGHEST)
+    both, moved = np.vstack([rise, voltage]), []
+    for j, one in enumerate(actuators()):
+        moved.append(one.play(both[:, j], measured=False)[len(rise) :])
+    y = np.column_stack(moved) @ coupling.T
+    if bent:
+        wide = PlayActuator(stroke=16e-6, highest=100.0, width=0.95, noise=0.0)
+        y[:, 1] += bent * wide.play(both[:, 0], measured=False)[len(rise) :]
+    return StageRecord(time, voltage, y + np.random.default_rng(seed).normal(0, noise, y.shape))
+
+
+def excited(seed=0, *, steps=8, cycles=8, **options):
+    found = stage_excitation(HIGHEST, drive=Sampling(0.5, sample_rate=50.0), steps=steps, cycles=cycles, seed=seed)
+    return played(found.time, found.voltage, seed, **options), found

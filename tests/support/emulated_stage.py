@@ -1,0 +1,44 @@
+"""Emulated controllers of several axes, served over a socket."""
+
+from contextlib import contextmanager
+
+import numpy as np
+
+from dehyst.instruments import open_stage_rig
+from dehyst.virtual import PlayActuator, PreisachActuator, StageBench, VirtualStage
+from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
+from dehyst.virtual.emulator.faults import actual_limits
+from dehyst.virtual.stage import spread_coupling
+
+COUPLING = np.eye(3) + spread_coupling(3, 0.05)
+HIGHEST = (100.0, 120.0, 150.0)
+LIMITS = tuple((0.0, high) for high in HIGHEST)
+
+
+def virtual_stage(**options):
+    return VirtualStage(
+        [
+            PlayActuator(plays=60, highest=HIGHEST[0], stroke=16e-6),
+            PreisachActuator(highest=HIGHEST[1], stroke=20e-6),
+            PlayActuator(plays=60, highest=HIGHEST[2], stroke=12e-6, width=0.4),
+        ],
+        options.pop("coupling", COUPLING),
+        **options,
+    )
+
+
+@contextmanager
+def served(*faults, speed=20.0, stage=None, **options):
+    """A server of three axes, and the bench behind it."""
+    kinds = [Fault.parse(text) for text in faults]
+    limits = [actual_limits(one, kinds) for one in LIMITS]
+    bench = StageBench(stage or virtual_stage(), speed=speed, limits=limits, **options)
+    controller = Controller(bench, reported_limits=LIMITS)
+    with Server(controller, port=0, rehearsal=Rehearsal(kinds)) as server:
+        yield server, bench
+
+
+@contextmanager
+def rig_of(server, axes="1,2,3", **options):
+    with open_stage_rig(f"pi://127.0.0.1:{server.port}/{axes}", **options) as rig:
+        yield rig

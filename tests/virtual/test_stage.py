@@ -1,0 +1,161 @@
+"""A virtual stage and its bench: coupling by a matrix and with hysteresis, waves of all axes from one instant."""
+
+import numpy as np
+import pytest
+from hand_clock import Hand
+
+from dehyst import ModelError
+from dehyst.instruments import DeviceError
+from dehyst.virtual import PlayActuator, PreisachActuator, StageBench, VirtualStage
+from dehyst.virtual.stage import spread_coupling
+
+COUPLING = np.array([[1.0, 0.04], [-0.03, 1.0]])
+PERIOD = 5e-5
+
+
+def pair(**options):
+    return PlayActuator(plays=30, highest=100.0, **options), PreisachActuator(highest=120.0)
+
+
+def waves(samples=400):
+    turn = np.arange(samples) * 2 * np.pi / samples
+    return np.column_stack([50 * (1 - np.cos(turn)), 60 * (1 - np.cos(1.7 * turn))])
+
+
+def test_without_coupling_each_axis_is_its_actuator_bit_for_bit():
+    v = waves()
+    y = VirtualStage(pair(), np.eye(2)).play(v, measured=False)
+    for j, one in enumerate(pair()):
+        np.testing.assert_array_equal(y[:, j], one.play(v[:, j], measured=False))
+
+
+def test_displacements_are_the_matrix_times_those_of_the_actuators():
+    v = waves()
+    alone = np.column_stack([one.play(v[:, j], measured=False) for j, one in enumerate(pair())])
+    y = VirtualStage(pair(), COUPLING).play(v, measured=False)
+    np.testing.assert_allclose(y, alone @ COUPLING.T, rtol=0, atol=1e-18)
+
+
+def test_a_voltage_goes_on_from_the_last_one():
+    v, once, twice = waves(), VirtualStage(pair(), COUPLING), VirtualStage(pair(), COUPLING)
+    parts = np.vstack([twice.play(v[:150], measured=False), twice.play(v[150:], measured=False)])
+    np.testing.assert_array_equal(once.play(v, measured=False), parts)
+    twice.relax()
+    np.testing.assert_array_equal(twice.play(v, measured=False)[:150], parts[:150])
+
+
+def test_hysteretic_coupling_is_no_matrix():
+    v = waves()
+    v[:, 1] = 0
+    matrix, bent = (
+        VirtualStage(pair(), COUPLING, hysteretic=table).play(v, measured=False)
+        for table in (np.zeros((2, 2)), [[0, 0], [0.05, 0]])
+    )
+    np.testing.assert_array_equal(matrix[:, 0], bent[:, 0])
+
+    def left(y):
+        """What no number times the first axis explains of the second."""
+        columns = np.column_stack([y[:, 0], np.ones(len(y))])
+        return np.abs(y[:, 1] - columns @ np.linalg.lstsq(columns, y[:, 1], rcond=None)[0]).max()
+
+    assert left(matrix) < 1e-15
+    assert left(bent) > 1e-8
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"coupling": np.eye(3)}, "coupling: got 3 x 3 numbers for 2 axes"),
+        ({"coupling": 2 * np.eye(2)}, "need 1 for each axis"),
+        ({"coupling": np.eye(2), "hysteretic": np.eye(3)}, "hysteretic: got 3 x 3"),
+        ({"coupling": np.eye(2), "seconds": [PlayActuator()]}, "seconds: got 1, need 2"),
+    ],
+)
+def test_what_does_not_fit_is_refused(change, words):
+    with pytest.raises(ModelError, match=words):
+        VirtualStage(pair(), **change)
+
+
+def test_a_voltage_of_other_axes_is_refused():
+    with pytest.raises(ModelError, match="got 3 columns, need 2"):
+        VirtualStage(pair(), COUPLING).play(np.zeros((5, 3)))
+
+
+def test_spread_coupling_has_no_two_entries_alike():
+    table = spread_coupling(3, 0.04)
+    off = np.abs(table[~np.eye(3, dtype=bool)])
+    assert not np.diag(table).any()
+    assert len(set(off)) == 6
+    assert 0.02 <= off.min() <= off.max() <= 0.04
+
+
+def test_equal_stages_have_equal_serial_numbers():
+    one, same = VirtualStage(pair(), COUPLING), VirtualStage(pair(), COUPLING, noise=0, seed=3)
+    assert one.serial == same.serial
+    assert one.serial != VirtualStage(pair(), np.eye(2)).serial
+
+
+def bench(hand, **options):
+    return StageBench(VirtualStage(pair(), COUPLING, noise=0), clock=hand, **options)
+
+
+@pytest.mark.parametrize("pause", [0.0131, 0.003, 10.0])
+def test_a_recorded_wave_is_what_the_stage_does_with_its_voltages(pause):
+    hand, v = Hand(), waves()
+    stage = bench(hand)
+    stage.start({0: v[:, 0], 1: v[:, 1]}, divider=7)
+    while stage.playing:
+        hand.wait(pause)
+        stage.advance()
+    expected = VirtualStage(pair(), COUPLING, noise=0).play(v, measured=False)
+    for j in range(2):
+        time, voltage, displacement = stage.samples(j)
+        np.testing.assert_allclose(time, 7 * PERIOD * np.arange(len(v)), rtol=1e-12, atol=1e-15)
+        np.testing.assert_array_equal(voltage, v[:, j])
+        # The sums of an actuator's own relays depend on the number of samples in their last digits.
+        np.testing.assert_allclose(displacement, expected[:, j], rtol=1e-14, atol=1e-19)
+    # What is read afterwards is the last sample.
+    assert [one.displacement() for one in stage.benches] == [stage.samples(j)[2][-1] for j in range(2)]
+
+
+def test_an_axis_that_stands_is_recorded_too():
+    hand, v = Hand(), waves()
+    stage = bench(hand)
+    stage.benches[1].set_voltage(30.0)
+    stage.start({0: v[:, 0]})
+    hand.wait(1.0)
+    stage.advance()
+    _, voltage, displacement = stage.samples(1)
+    assert set(voltage) == {30.0}
+    assert np.ptp(displacement) == pytest.approx(0.03 * np.ptp(stage.samples(0)[2]), rel=1e-3)
+
+
+def test_of_waves_one_of_which_is_refused_none_is_played():
+    hand, v = Hand(), waves()
+    stage = bench(hand, limits=[(0, 120), (0, 100)])
+    with pytest.raises(DeviceError, match="start: got"):
+        stage.start({0: v[:, 0], 1: v[:, 1]})
+    assert not stage.playing
+    assert [one.log.highest for one in stage.benches] == [0.0, 0.0]
+    assert stage.benches[1].log.refused == 1
+
+
+def test_a_second_wave_needs_the_first_to_end():
+    hand, v = Hand(), waves()
+    stage = bench(hand)
+    stage.start({0: v[:, 0]})
+    with pytest.raises(DeviceError, match="a wave is being played"):
+        stage.start({1: v[:, 1]})
+    stage.stop()
+    assert not stage.playing
+    stage.start({1: v[:, 1]})
+    assert stage.playing
+
+
+def test_a_sensor_follows_the_other_axis():
+    hand = Hand()
+    stage = bench(hand)
+    before = stage.benches[1].displacement()
+    stage.benches[0].set_voltage(100.0)
+    moved = stage.benches[1].displacement() - before
+    assert moved == pytest.approx(-0.03 * PlayActuator().stroke, rel=0.25)
