@@ -1,0 +1,1 @@
+"""A synthetic fleet: its records, and its truth."""

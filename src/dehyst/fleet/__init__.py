@@ -1,0 +1,26 @@
+"""Fleets: thousands of records identified at once, one table of the results, and what it shows."""
+
+from dehyst.fleet.dataset import Dataset, Task, open_dataset
+from dehyst.fleet.drift import Ageing, Drifts, drifts_of
+from dehyst.fleet.findings import Findings, findings_of
+from dehyst.fleet.options import FleetOptions
+from dehyst.fleet.outliers import Outlier
+from dehyst.fleet.run import identify_fleet
+from dehyst.fleet.table import Fleet, actuators, load
+
+__all__ = [
+    "Ageing",
+    "Dataset",
+    "Drifts",
+    "Findings",
+    "Fleet",
+    "FleetOptions",
+    "Outlier",
+    "Task",
+    "actuators",
+    "drifts_of",
+    "findings_of",
+    "identify_fleet",
+    "load",
+    "open_dataset",
+]

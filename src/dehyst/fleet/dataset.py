@@ -1,0 +1,218 @@
+"""The index of a dataset: where each record lies, and its keys, found without loading any measurement."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from dehyst._errors import FileFormatError
+from dehyst._io.drafts import PathLike
+from dehyst._io.reading import named, reading_errors
+from dehyst.fleet.needed import pyarrow_parquet, zarr
+from dehyst.records.formats.columns import listed
+from dehyst.records.formats.loaders import LOADERS
+
+# Names of the key where none is asked for.
+RECORD = "record"
+
+
+class Place(NamedTuple):
+    """Where a record lies: `kind` is "parquet", "zarr" or "file"; `part` is the row group or the group."""
+
+    kind: str
+    path: str
+    part: str = ""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One record of a dataset: its `position`, its `keys` by name, and its `place`."""
+
+    position: int
+    keys: Mapping[str, Any]
+    place: Place
+
+    @property
+    def name(self) -> str:
+        """The name of the record: its keys."""
+        return "/".join(str(value) for value in self.keys.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {"position": self.position, "keys": dict(self.keys), "place": list(self.place)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Task:
+        """Rebuild from `data`, which `as_dict` returned."""
+        return cls(int(data["position"]), dict(data["keys"]), Place(*data["place"]))
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """The records of a dataset.
+
+    `path`: its absolute path. `by`: the names of the keys. `tasks`: in the dataset's order. `digest`: of its name, and
+    of keys and places of its records; their content has digests of its own.
+    """
+
+    path: Path
+    by: tuple[str, ...]
+    tasks: tuple[Task, ...] = field(repr=False)
+    digest: str
+
+    def __len__(self) -> int:
+        return len(self.tasks)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A sentence if records have the same keys."""
+        names = Counter(task.name for task in self.tasks)
+        if len(names) == len(self.tasks):
+            return ()
+        (name, count), *_ = names.most_common(1)
+        total = sum(count for count in names.values() if count > 1)
+        return (
+            f"{total} of {len(self)} records share their keys ({', '.join(self.by)}) with another, as {name} ({count} "
+            "records); add a key in which they differ",
+        )
+
+
+def open_dataset(path: PathLike, by: Sequence[str] = ()) -> Dataset:
+    """Return the index of a Parquet file, a Zarr store or a folder of files.
+
+    Parameters
+    ----------
+    path : path
+        A Parquet file: each row group is one record. A Zarr store: each group with arrays is one. A folder: each file
+        that `dehyst.read` opens is one, and each row group of its Parquet files.
+    by : sequence of str
+        Names of the keys. In Parquet they are columns, constant within a row group; in Zarr attributes of the group or
+        the parts of its path; in a folder the sub-folders and the file's name, or parts of the name between "_".
+        Default: one key, "record".
+
+    Raises
+    ------
+    FileFormatError
+        No such dataset, no record in it, or keys that it does not have.
+    MissingExtraError
+        If pyarrow or zarr is not installed.
+    """
+    target, wanted = named(path).absolute(), tuple(by)
+    if len(set(wanted)) < len(wanted) or not all(wanted):
+        raise FileFormatError(f"by: got {', '.join(by)!r}, need different names of keys, as 'serial,session'")
+    if not target.exists():
+        raise FileFormatError(f"{path}: no such dataset; give a Parquet file, a Zarr store or a folder of records")
+    with reading_errors(target, "dataset"):
+        found = list(_places(target, wanted))
+    if not found:
+        raise FileFormatError(f"{path}: holds no record; need Parquet row groups, Zarr groups or files of records")
+    tasks = tuple(Task(k, keys, place) for k, (keys, place) in enumerate(found))
+    state = hashlib.sha256(target.name.encode(errors="surrogateescape"))
+    for task in tasks:
+        relative = task.place.path.removeprefix(str(target))
+        state.update(json.dumps([dict(task.keys), task.place.kind, relative, task.place.part]).encode())
+    return Dataset(target, wanted or (RECORD,), tasks, state.hexdigest())
+
+
+def _places(target: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], Place]]:
+    """Yield keys and place of each record."""
+    if target.is_file():
+        if target.suffix.lower() != ".parquet":
+            raise FileFormatError(f"{target}: is no dataset; give a .parquet file, a Zarr store or a folder")
+        yield from _row_groups(target, by)
+    elif any((target / name).exists() for name in ("zarr.json", ".zgroup", ".zmetadata")):
+        yield from _groups(target, by)
+    else:
+        yield from _files(target, by)
+
+
+def _row_groups(path: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], Place]]:
+    """Yield the row groups of a Parquet file: keys come from the statistics, else from the key columns alone."""
+    file = pyarrow_parquet().ParquetFile(path)
+    try:
+        names = file.schema_arrow.names
+        if missing := [name for name in by if name not in names]:
+            raise FileFormatError(
+                f"{path}: has no column {listed(tuple(missing))} for --by; it holds {listed(tuple(names))}"
+            )
+        leaves = [file.metadata.schema.column(k).path for k in range(file.metadata.num_columns)]
+        for group in range(file.metadata.num_row_groups):
+            keys = {name: _constant(file, group, name, leaves.index(name)) for name in by}
+            yield keys or {RECORD: group}, Place("parquet", str(path), str(group))
+    finally:
+        file.close()
+
+
+def _constant(file: Any, group: int, name: str, column: int) -> Any:
+    """Return the one value of a key column in a row group."""
+    statistics = file.metadata.row_group(group).column(column).statistics
+    if statistics is not None and statistics.has_min_max and not statistics.null_count:
+        values = {statistics.min, statistics.max}
+    else:
+        values = set(file.read_row_group(group, columns=[name], use_threads=False).column(0).unique().to_pylist())
+    if len(values) != 1 or None in values:
+        shown = ", ".join(sorted(map(repr, values))[:3])
+        raise FileFormatError(
+            f"row group {group}: column '{name}' has the values {shown}, need one; write each record as a row group of "
+            "its own"
+        )
+    return plain_key(values.pop())
+
+
+def plain_key(value: Any) -> Any:
+    """Return a key as a JSON value: text, number or truth."""
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    return value if isinstance(value, str | int | float | bool) else str(value)
+
+
+def _groups(path: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], Place]]:
+    """Yield the groups of a Zarr store that hold arrays."""
+    store = zarr().open_group(str(path), mode="r")
+    groups = sorted({name.rpartition("/")[0] for name, item in store.members(max_depth=None) if hasattr(item, "shape")})
+    for name in groups:
+        attributes = dict(store.attrs if not name else store[name].attrs)
+        parts = tuple(part for part in name.split("/") if part)
+        yield _keys_of(parts, by, name or path.stem, attributes), Place("zarr", str(path), name)
+
+
+def _files(folder: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], Place]]:
+    """Yield the files below a folder that `dehyst.read` opens, by name; hidden ones are left out."""
+    for path in sorted(folder.rglob("*")):
+        relative = path.relative_to(folder)
+        hidden = any(part.startswith(".") for part in relative.parts)
+        if hidden or path.suffix.lower() not in LOADERS or not path.is_file():
+            continue
+        if path.suffix.lower() == ".parquet" and by and _has_columns(path, by):
+            yield from _row_groups(path, by)
+            continue
+        parts = (*relative.parent.parts, relative.stem)
+        yield _keys_of(parts, by, relative.with_suffix("").as_posix(), {}), Place("file", str(path))
+
+
+def _has_columns(path: Path, names: tuple[str, ...]) -> bool:
+    try:
+        return set(names) <= set(pyarrow_parquet().read_schema(path).names)
+    except (OSError, ValueError):
+        return False
+
+
+def _keys_of(parts: tuple[str, ...], by: tuple[str, ...], whole: str, attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of a record by its attributes, else by the parts of its path, else by those of its name."""
+    if not by:
+        return {RECORD: whole}
+    pairs = dict(part.split("=", 1) for part in parts if "=" in part) | dict(attributes)
+    if all(name in pairs for name in by):
+        return {name: plain_key(pairs[name]) for name in by}
+    pieces = parts if len(parts) == len(by) else (*parts[:-1], *parts[-1].split("_")) if parts else ()
+    if len(pieces) != len(by):
+        raise FileFormatError(
+            f"{whole}: has {len(pieces)} parts, but --by names {len(by)} keys ({', '.join(by)}); need a sub-folder or "
+            "a part of the name between '_' for each"
+        )
+    return dict(zip(by, pieces, strict=True))

@@ -1,0 +1,263 @@
+"""Ageing of a fleet: what keeping the oldest model of a serial costs at its later sessions."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from dehyst._errors import FileFormatError, IdentifyError
+from dehyst._text import counted
+from dehyst._types import Array, Mask
+from dehyst.fleet.loops import played
+from dehyst.fleet.order import Order
+from dehyst.fleet.table import Fleet
+from dehyst.identification.checking.history import DECISION, ControlChart
+from dehyst.model import Actuator
+
+# A goal [% of the stroke] by default, and the part of it that is the least standard deviation of the charts.
+GOAL, _LEAST = 1.0, 0.1
+_SHOWN = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Ageing:
+    """One serial over its sessions.
+
+    Attributes
+    ----------
+    serial : str or number
+    sessions : tuple
+        Those with a model, the oldest first.
+    costs : (n - 1,) array
+        Largest difference [% of the stroke] between the oldest model and each later one, on the same path.
+    signed : (n - 1,) array
+        Change of the stroke of that path [%].
+    chart : ControlChart
+        Averages (EWMA) and cumulative sums (CUSUM) of the costs in excess of what is usual in the fleet.
+    goal : float
+        [% of the stroke].
+    usual : float
+        Largest cost [% of the stroke] that is still usual in the fleet: three deviations above the median.
+    """
+
+    serial: Any
+    sessions: tuple[Any, ...]
+    costs: Array
+    signed: Array
+    chart: ControlChart
+    goal: float
+    usual: float
+
+    @property
+    def alarms(self) -> Mask:
+        """Whether average or sum of the costs is above its limit, at each later session (n - 1,); low costs are not."""
+        return np.asarray((self.chart.average > self.chart.limits) | (self.chart.above > DECISION))
+
+    @property
+    def outside(self) -> bool:
+        """Whether that is so at the last session, and its cost is unusual: one bad record in the past is no ageing."""
+        return bool(self.alarms[-1]) and float(self.costs[-1]) > self.usual
+
+    @property
+    def recalibrate(self) -> bool:
+        """Whether the last cost is above the goal, or the costs are out of their limits."""
+        return float(self.costs[-1]) > self.goal or self.outside
+
+    @property
+    def words(self) -> str:
+        """What has happened."""
+        inside = np.flatnonzero(~self.alarms)
+        since = self.sessions[2 + int(inside[-1]) if inside.size else 1] if self.outside else None
+        chart = f"; out of its limits since {since}" if self.outside else ""
+        return (
+            f"{self.serial}: keeping the model of {self.sessions[0]} costs {self.costs[-1]:.2g} % of the stroke at "
+            f"{self.sessions[-1]}, stroke {self.signed[-1]:+.2g} %{chart}"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {
+            "serial": self.serial,
+            "sessions": list(self.sessions),
+            "cost_percent": self.costs.tolist(),
+            "stroke_change_percent": self.signed.tolist(),
+            "ewma": self.chart.average.tolist(),
+            "limit": self.chart.limits.tolist(),
+            "cusum": self.chart.above.tolist(),
+            "outside": self.outside,
+            "recalibrate": self.recalibrate,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Drifts:
+    """All serials with two sessions or more.
+
+    `ageing`: one for each. `goal`, `usual` [% of the stroke]: the allowed cost, and the median of the first ones.
+    `measured`, `spread` [% of the stroke]: robust deviation of the first ones, and that of the charts, a tenth of the
+    goal at least. `over`: key of the sessions; `order`: how they are sorted; `ends`: the oldest and the newest.
+    `remarks`: sentences about models that are left out.
+    """
+
+    ageing: tuple[Ageing, ...]
+    goal: float
+    usual: float
+    measured: float
+    spread: float
+    over: str
+    order: str
+    ends: tuple[Any, Any]
+    remarks: tuple[str, ...]
+
+    @property
+    def recalibrate(self) -> tuple[Ageing, ...]:
+        """Serials to recalibrate, the most costly first."""
+        return tuple(sorted((one for one in self.ageing if one.recalibrate), key=lambda one: -one.costs[-1]))
+
+    def lines(self) -> list[str]:
+        """Return a text to read."""
+        due = self.recalibrate
+        lines = [
+            f"{counted(len(self.ageing), 'serial')} with two sessions or more: keeping the oldest model usually costs "
+            f"{self.usual:.2g} % of the stroke",
+            f"order of {self.over}: {self.order}; oldest {self.ends[0]}, newest {self.ends[1]}",
+            f"limits: from a deviation of {self.spread:.2g} % {self._origin}",
+            f"to recalibrate: {len(due)} (above the goal of {self.goal:g} %, or out of limits)",
+        ]
+        more = [f"  and {len(due) - _SHOWN} more, see --json"] if len(due) > _SHOWN else []
+        return [*lines, *(f"  {one.words}" for one in due[:_SHOWN]), *more]
+
+    @property
+    def _origin(self) -> str:
+        if self.spread > self.measured:
+            return f"(a tenth of the goal; that of the fleet is {self.measured:.2g} %)"
+        return "(that of the fleet)"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {
+            "goal_percent": self.goal,
+            "usual_percent": self.usual,
+            "measured_spread_percent": self.measured,
+            "spread_percent": self.spread,
+            "over": self.over,
+            "order": self.order,
+            "oldest": self.ends[0],
+            "newest": self.ends[1],
+            "warnings": list(self.remarks),
+            "recalibrate": [one.serial for one in self.recalibrate],
+            "serials": [one.as_dict() for one in self.ageing],
+        }
+
+
+def drifts_of(fleet: Fleet, *, by: str, over: str, goal: float = GOAL) -> Drifts:
+    """Compare the models of each serial over its sessions.
+
+    Parameters
+    ----------
+    fleet : Fleet
+    by, over : str
+        Columns: what is one actuator, and what orders its sessions, as `Order`. Of several models with the same two
+        values, the last one of the table is that of the session.
+    goal : float
+        Cost [% of the stroke] above which a serial is to be recalibrated.
+
+    Raises
+    ------
+    FileFormatError
+        If the table has no rows or no such columns, or no serial has two sessions with a model.
+    IdentifyError
+        If `by` and `over` are the same, or the goal is no finite number above 0.
+    """
+    _check(fleet, by, over, goal)
+    sessions = [row[over] for row in fleet.rows if row["outcome"] == "identified"]
+    order = Order.of(sessions)
+    found, remarks = list(_costs(fleet, by, over, order)), _repeated(fleet, by, over)
+    if not found:
+        words = "; ".join(("nothing to compare", *remarks))
+        raise FileFormatError(f"{fleet.path}: no '{by}' has two values of '{over}' with a model; {words}")
+    # What noise and repeatability cost: the first comparison of each serial, most of which have not aged.
+    first = np.array([costs[0] for _, _, costs, _ in found])
+    usual = float(np.median(first))
+    measured = 1.4826 * float(np.median(np.abs(first - usual)))
+    spread = max(measured, _LEAST * goal)
+    ageing = tuple(
+        Ageing(serial, dates, costs, signed, _chart(costs, usual, spread), goal, usual + 3 * spread)
+        for serial, dates, costs, signed in found
+    )
+    ends = min(sessions, key=order.key), max(sessions, key=order.key)
+    return Drifts(ageing, goal, usual, measured, spread, over, order.name, ends, remarks)
+
+
+def _check(fleet: Fleet, by: str, over: str, goal: float) -> None:
+    if not (isfinite(goal) and goal > 0):
+        raise IdentifyError(f"goal: got {goal:g} %, need a finite number above 0, as {GOAL:g}")
+    if by == over:
+        raise IdentifyError(f"over: got '{over}', as by; need another key, that of the sessions of one '{by}'")
+    if not fleet.rows:
+        raise FileFormatError(f"{fleet.path}: holds no rows; identify a dataset with records first")
+    if missing := [name for name in (by, over) if name not in fleet.rows[0]]:
+        raise FileFormatError(f"{fleet.path}: has no column '{missing[0]}'; its keys are {', '.join(fleet.by)}")
+
+
+def _repeated(fleet: Fleet, by: str, over: str) -> tuple[str, ...]:
+    """Return a sentence if models share actuator and session."""
+    counts = Counter((row[by], row[over]) for row in fleet.rows if row["outcome"] == "identified")
+    repeated = {pair: count for pair, count in counts.items() if count > 1}
+    if not repeated:
+        return ()
+    (serial, session), count = next(iter(repeated.items()))
+    return (
+        f"{sum(repeated.values())} models share {by} and {over} with another, as {serial}/{session} ({count} models); "
+        "of each such session the last one of the table is taken",
+    )
+
+
+def _chart(costs: Array, usual: float, spread: float) -> ControlChart:
+    return ControlChart.of("cost", np.arange(float(costs.size)), costs, (costs - usual) / spread)
+
+
+def _costs(fleet: Fleet, by: str, over: str, order: Order) -> Iterator[tuple[Any, tuple[Any, ...], Array, Array]]:
+    """Yield serial, sessions, costs and changes of the stroke [%] of each serial with two sessions or more."""
+    paths: dict[Any, dict[Any, Actuator]] = defaultdict(dict)
+    counts = _counts(fleet, by)
+    for row, actuator in fleet.models():
+        group = paths[row[by]]
+        group[row[over]] = actuator
+        counts[row[by]] -= 1
+        # The models of a serial are dropped once it is complete.
+        if not counts[row[by]]:
+            del paths[row[by]]
+            if len(group) > 1:
+                yield row[by], *_compared(sorted(group.items(), key=lambda one: order.key(one[0])))
+
+
+def _counts(fleet: Fleet, by: str) -> dict[Any, int]:
+    counts: dict[Any, int] = defaultdict(int)
+    for row in fleet.rows:
+        counts[row[by]] += row["outcome"] == "identified"
+    return counts
+
+
+def _compared(group: list[tuple[Any, Actuator]]) -> tuple[tuple[Any, ...], Array, Array]:
+    oldest = group[0][1]
+    costs, signed = [], []
+    for _, later in group[1:]:
+        limits = _common(oldest, later)
+        kept, now = played(oldest, limits), played(later, limits)
+        stroke = float(np.ptp(now))
+        off = now - kept
+        # The zero of the sensor is no part of the cost.
+        costs.append(100 * float(np.ptp(off)) / 2 / stroke)
+        signed.append(100 * (stroke - float(np.ptp(kept))) / stroke)
+    return tuple(session for session, _ in group), np.array(costs), np.array(signed)
+
+
+def _common(first: Actuator, second: Actuator) -> tuple[float, float]:
+    (a, b), (c, d) = first.voltage_range, second.voltage_range
+    return max(a, c), min(b, d)

@@ -1,0 +1,123 @@
+"""The page of a fleet: distributions, what to look at, what has no model, and duplicates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dehyst._io.drafts import PathLike, write_atomically
+from dehyst._text import counted
+from dehyst._types import Array
+from dehyst.fleet.findings import Findings, identified
+from dehyst.fleet.outliers import QUANTITIES
+from dehyst.report.charts import Axis, Chart, Series
+from dehyst.report.html import Charts, bullets, document, escape, number, reproduction, table
+
+# Rows of a table on the page, and bars of a histogram.
+_MOST, _BARS = 200, 40
+# Of a histogram from and to these quantiles, so that one outlier does not squeeze the others.
+_ENDS = (0.002, 0.998)
+
+
+def write_fleet_page(path: PathLike, findings: Findings, *, command: str | None = None) -> None:
+    """Write one HTML file that loads nothing from outside.
+
+    `findings`: what a table shows. `command`: that made it. Raise `FileFormatError` if `path` cannot be written.
+    """
+    fleet = findings.fleet
+    counts = ", ".join(f"{count} {outcome}" for outcome, count in findings.counts.items())
+    total = counted(len(fleet), "record")
+    parts = [
+        f"<h1>{escape(fleet.path.stem)}</h1>\n<p>{escape(f'{total}: {counts}.')}</p>",
+        _distributions(findings),
+        _map(findings),
+        _listed(findings),
+        _without_model(findings),
+        bullets("Same samples", [escape(" = ".join(group)) for group in findings.duplicates[:_MOST]]),
+        reproduction(command),
+    ]
+    write_atomically(path, document(f"{fleet.path.stem}: fleet", [part for part in parts if part]))
+
+
+def _distributions(findings: Findings) -> Charts | str:
+    charts = []
+    for k, quantity in enumerate(QUANTITIES):
+        values = findings.values(k)
+        if values.size > 1:
+            x, y = _histogram(values)
+            series = Series("records", x, y, "measured")
+            axes = Axis(quantity.name, quantity.unit), Axis("records", "")
+            charts.append(Chart(quantity.name, "", f"histogram of {quantity.name}", *axes, (series,)))
+    if not charts:
+        return ""
+    caption = "Records over each quantity; of many records the outermost 0.2 % on either side are in the tables only."
+    return Charts("Distributions", caption, tuple(charts))
+
+
+def _histogram(values: Array) -> tuple[Array, Array]:
+    """Return the outline of a histogram."""
+    low, high = np.quantile(values, _ENDS[0], method="lower"), np.quantile(values, _ENDS[1], method="higher")
+    inner = values[(values >= low) & (values <= high)]
+    counts, edges = np.histogram(inner, bins=min(_BARS, max(5, values.size // 5)))
+    x = np.repeat(edges, 2)
+    return x, np.concatenate([[0.0], np.repeat(counts.astype(np.float64), 2), [0.0]])
+
+
+def _map(findings: Findings) -> Charts | str:
+    rows = identified(findings.fleet)
+    if len(rows) < 2:
+        return ""
+    width, error = (next(q for q in QUANTITIES if q.name == name) for name in ("width at 50 %", "RMS error"))
+    listed = set(findings.listed)
+    names = [findings.fleet.name(row) for row in rows]
+    far = np.array([name in listed for name in names])
+    x = np.array([float(row["stroke_um"]) for row in rows])
+    charts = []
+    for quantity in (width, error):
+        y = np.array([quantity.value(row) for row in rows])
+        series = (
+            Series("records", x[~far], y[~far], "measured", kind="points"),
+            Series(
+                "to look at",
+                x[far],
+                y[far],
+                "simulated",
+                kind="points",
+                names=tuple(name for name in names if name in listed),
+            ),
+        )
+        shown = tuple(one for one in series if one.x.size)
+        charts.append(
+            Chart(
+                f"{quantity.name} over stroke",
+                "",
+                f"{quantity.name} over stroke",
+                Axis("stroke", "um"),
+                Axis(quantity.name, quantity.unit),
+                shown,
+            )
+        )
+    return Charts("Each record", "Point at a record to look at, to read its name.", tuple(charts))
+
+
+def _listed(findings: Findings) -> str:
+    if not findings.listed:
+        return ""
+    rows = [
+        (one.record, f"{one.quantity} ({one.unit})", number(one.value), number(one.median), number(one.score, 2))
+        for one in findings.outliers
+    ]
+    rows += [(name, "the model misses the record", "", "", "") for name in findings.inaccurate]
+    more = f"<p>{len(rows) - _MOST} more: see dehyst fleet report --json.</p>" if len(rows) > _MOST else ""
+    head = ("record", "quantity", "value", "fleet's median", "z")
+    title = f"<h2>To look at</h2>\n<p>{counted(len(findings.listed), 'record')}, the farthest from the fleet first.</p>"
+    return f"{title}\n{table(head, rows[:_MOST], 2)}\n{more}"
+
+
+def _without_model(findings: Findings) -> str:
+    if not findings.refused:
+        return ""
+    rows = [
+        (str(len(names)), reason, f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}")
+        for reason, names in findings.refused
+    ]
+    return f"<h2>Without a model</h2>\n{table(('records', 'reason', 'which'), rows[:_MOST], 3)}"

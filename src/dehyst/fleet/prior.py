@@ -1,0 +1,249 @@
+"""A prior from a fleet: its shape, with gain and width of their own for records with few or noisy data."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dehyst._errors import DehystError, IdentifyError
+from dehyst._types import Array
+from dehyst._version import __version__
+from dehyst.fleet.options import FleetOptions
+from dehyst.identification import identify
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.identification.validation import Protocol, errors_of
+from dehyst.model import Actuator, Fit, MaxwellSlip, Outcome, RecordErrors, Spring
+from dehyst.model.readiness import USELESS
+from dehyst.records import Record
+from dehyst.records.metrics import rms
+
+if TYPE_CHECKING:
+    from dehyst.fleet.table import Fleet
+
+# Models that make a prior, at least; part by which their grids may differ.
+_FEWEST, _SAME = 5, 1e-3
+# A record is tried with the prior if its noise exceeds this part of the stroke, or it has fewer cycles or samples.
+_NOISY, _CYCLES, _SAMPLES = 1e-3, 4, 600
+# Least width of a loop, of that of the prior, and how close to a level spring the width may bring its steepest part.
+_NARROWEST, _STEEPEST = 0.2, 0.95
+# What the prior must do better by, so that noise does not choose.
+_WORTH = 0.98
+_COLUMNS = ("breakaway", "stiffness", "knots", "spring")
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Normalised coefficients of a plain actuator: displacements in strokes, forces in volts.
+
+    `breakaway`, `stiffness` (N,): thresholds, and stiffness times the stroke. `knots`, `spring` (M,): of the spring.
+    `delay` [s]. `records`: how many models it is the median of.
+    """
+
+    breakaway: Array
+    stiffness: Array
+    knots: Array
+    spring: Array
+    delay: float
+    records: int
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Shape:
+        """Rebuild from `as_dict`."""
+        columns = {name: np.array(data[name], dtype=np.float64) for name in _COLUMNS}
+        return cls(**columns, delay=float(data["delay_s"]), records=int(data["records"]))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        columns = {name: getattr(self, name).tolist() for name in _COLUMNS}
+        return {**columns, "delay_s": self.delay, "records": self.records}
+
+    @property
+    def widest(self) -> float:
+        """The largest width with which the spring still rises everywhere."""
+        slope = float((np.diff(self.spring) / np.diff(self.knots)).min())
+        return 1 + _STEEPEST * slope / (2 * self._friction)
+
+    @property
+    def _friction(self) -> float:
+        return float(self.stiffness @ self.breakaway)
+
+    def actuator(self, stroke: float, width: float, **more: Any) -> Actuator:
+        """Return the actuator of a stroke [m] and a width of its loop, 1 being the prior's; its ends stay."""
+        tilt = (width - 1) * self._friction * (1 - 2 * self.knots)
+        return Actuator(
+            MaxwellSlip(self.breakaway * stroke, width * self.stiffness / stroke),
+            Spring(self.knots * stroke, self.spring + tilt),
+            delay=self.delay,
+            **more,
+        )
+
+
+def shape_of(fleet: Fleet) -> dict[str, Any]:
+    """Return the median shape of the plain models of a fleet, as JSON; raise `IdentifyError` if they are too few."""
+    groups: dict[tuple[int, int], list[Array]] = defaultdict(list)
+    delays = []
+    for _, actuator in fleet.models():
+        if not actuator.wide:
+            count, coefficients = _normalised(actuator)
+            groups[count, coefficients.size].append(coefficients)
+            delays.append(actuator.delay)
+    (count, _), rows = max(groups.items(), key=lambda one: len(one[1]), default=((0, 0), []))
+    # Longer elements are another grid.
+    same = [row for row in rows if np.allclose(row[:count], np.median(rows, axis=0)[:count], rtol=_SAME, atol=0)]
+    if len(same) < _FEWEST:
+        raise IdentifyError(
+            f"{fleet.path}: has {len(same)} plain models of one grid, a prior needs {_FEWEST}; identify more records "
+            "with --structure plain"
+        )
+    middle = np.median(same, axis=0)
+    knots, spring = np.split(middle[2 * count :], 2)
+    shape = Shape(middle[:count], middle[count : 2 * count], knots, spring, float(np.median(delays)), len(same))
+    return shape.as_dict()
+
+
+def _normalised(actuator: Actuator) -> tuple[int, Array]:
+    slip, spring = actuator.slip, actuator.spring
+    if not isinstance(slip, MaxwellSlip):
+        raise IdentifyError(f"{actuator.name}: graded elements have no shape of a plain fleet")
+    low, stroke = float(spring.displacement[0]), float(np.ptp(spring.displacement))
+    parts = slip.breakaway / stroke, slip.stiffness * stroke, (spring.displacement - low) / stroke, spring.voltage
+    return len(slip), np.concatenate(parts)
+
+
+def identified_with_prior(record: Record, options: FleetOptions) -> tuple[Fit, dict[str, Any]]:
+    """Return the record's own fit, or that of the prior's shape where it predicts a held-out part better.
+
+    Also returns what the row shows: which was kept, and both held-out errors.
+    """
+    shape = Shape.from_dict(options.prior or {})
+    own, refusal = _own(record, options)
+    if own is not None and not _is_weak(record):
+        return own, {"prior": "not tried"}
+    ours, theirs = _evidence(record, options, shape)
+    row = {"held_out_own_percent": ours, "held_out_prior_percent": theirs}
+    limit = USELESS if own is None else -np.inf if ours is None else _WORTH * ours
+    lent = _fit(record, shape) if theirs is not None and theirs < limit else None
+    if lent is not None:
+        return lent, {**row, "prior": "kept"}
+    if own is None:
+        raise refusal or IdentifyError(f"{record.name}: neither an own model nor the fleet's shape explains it")
+    return own, {**row, "prior": "not kept"}
+
+
+def _own(record: Record, options: FleetOptions) -> tuple[Fit | None, DehystError | None]:
+    try:
+        fit = identify(record, throw=False, **options.identification)
+    except DehystError as error:
+        return None, error
+    return (None, None) if fit.actuator is None else (fit, None)
+
+
+def _is_weak(record: Record) -> bool:
+    few = len(record) < _SAMPLES or len(record.cycles()) < _CYCLES
+    return few or record.noise > _NOISY * record.stroke
+
+
+def _evidence(record: Record, options: FleetOptions, shape: Shape) -> tuple[float | None, float | None]:
+    """Return both held-out errors as `_held_out` does; none if the comparison fails: no fault of the record."""
+    try:
+        return _held_out(record, options, shape)
+    except Exception:  # a record is refused for what its own identification finds only
+        return None, None
+
+
+def _held_out(record: Record, options: FleetOptions, shape: Shape) -> tuple[float | None, float | None]:
+    """Return the RMS errors [% of the stroke] of own and prior's models where they were not trained.
+
+    About the first and the last quarter of the record are held out in turn. Without both errors there is no evidence.
+    """
+    own: list[float] = []
+    prior: list[float] = []
+    for trained, held in _folds(record):
+        with suppress(DehystError):
+            prior.append(_errors(fitted(trained, shape), held, record.stroke, "validation").rms)
+            own.append(_errors(_own_actuator(trained, options), held, record.stroke, "validation").rms)
+    if not prior:
+        return None, None
+    percent = 100 / record.stroke
+    ours = percent * rms(np.array(own)) if len(own) == len(prior) else None
+    return ours, percent * rms(np.array(prior))
+
+
+def _folds(record: Record) -> Iterator[tuple[Record, Record]]:
+    """Yield what is trained on and what is held out, both with one cycle at least."""
+    size, ends = len(record), [cycle.stop - 1 for cycle in record.cycles()]
+    for first in (True, False):
+        goal = (0.25 if first else 0.75) * size
+        # No record has one sample: what lies beyond a cycle that ends with the record cannot be sliced.
+        for end in sorted((end for end in ends if end < size - 1), key=lambda end, goal=goal: abs(end - goal)):  # type: ignore[misc]
+            parts = record.slice(0, end + 1), record.slice(end, size)
+            if all(part.cycles() for part in parts):
+                yield parts[::-1] if first else parts
+                break
+
+
+def _own_actuator(record: Record, options: FleetOptions) -> Actuator:
+    return identify(record, **options.identification).actuator  # type: ignore[no-any-return]
+
+
+def _errors(actuator: Actuator, record: Record, stroke: float, role: str) -> RecordErrors:
+    return errors_of(actuator, prepare(record), Protocol(role, actuator.delay, None, False, stroke))[0]
+
+
+def _fit(record: Record, shape: Shape) -> Fit | None:
+    """Return the fit of the prior's shape to the whole record; None if it cannot be fitted."""
+    try:
+        actuator = fitted(record, shape)
+    except DehystError:
+        return None
+    error = _errors(actuator, record, float(np.ptp(actuator.spring.displacement)), "training")
+    outcome = Outcome.IDENTIFIED if error.largest_percent <= USELESS else Outcome.INACCURATE
+    return Fit(actuator.with_provenance(outcome=outcome.name), outcome, (error,))
+
+
+def fitted(record: Record, shape: Shape) -> Actuator:
+    """Return the actuator of the prior's shape whose simulation misses a record least: its gain, width and zero.
+
+    Simulated from below, and compared once the record has been through its whole range; noise of the displacement does
+    not bias it.
+    """
+    from scipy.optimize import minimize_scalar
+
+    piece = record.delayed(shape.delay) if shape.delay else record
+    begin = max(int(np.argmax(piece.voltage)), int(np.argmin(piece.voltage)))
+    counted = slice(begin if begin < len(piece) // 2 else 0, None)
+    y = piece.displacement[counted]
+
+    def fit(width: float) -> tuple[float, float, float]:
+        """Return the RMS error, the stroke and the zero at a width."""
+        model = shape.actuator(1.0, width)
+        start = model.turned(0.0, rising=False, extrapolate=True)
+        u = model.simulate(piece.voltage, state=start, extrapolate=True).displacement[counted]
+        # y = stroke u + zero
+        (stroke, zero), *_ = np.linalg.lstsq(np.column_stack([u, np.ones_like(u)]), y, rcond=None)
+        return float(np.sqrt(np.mean((y - stroke * u - zero) ** 2))), float(stroke), float(zero)
+
+    scale = float(np.ptp(record.displacement)) or 1.0
+    best = minimize_scalar(
+        lambda width: fit(width)[0] / scale,
+        bounds=(_NARROWEST, shape.widest),
+        method="bounded",
+        options={"xatol": 1e-4},
+    )
+    width = float(best.x)
+    _, stroke, _ = fit(width)
+    if not stroke > 0:
+        raise IdentifyError(f"{record.name}: the displacement does not follow the voltage as the fleet's shape does")
+    origin = {"prior_records": shape.records, "stroke_m": stroke, "width": width}
+    return shape.actuator(
+        stroke,
+        width,
+        limits=record.voltage_range,
+        name=record.name,
+        provenance={"program": f"dehyst {__version__}", "method": "fleet", **origin},
+    )

@@ -1,0 +1,269 @@
+"""A run over a fleet: what is left to do, who does it, and the table at the end."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from dehyst._errors import FileFormatError, IdentifyError
+from dehyst._io.drafts import PathLike
+from dehyst._io.reading import named
+from dehyst._text import counted
+from dehyst._types import Progress
+from dehyst.fleet.columns import COLUMNS, MODEL
+from dehyst.fleet.content import STAMP, digest_of, is_current, stamp_of
+from dehyst.fleet.dataset import Dataset, Task, open_dataset
+from dehyst.fleet.engine import Done, processors
+from dehyst.fleet.options import FleetOptions
+from dehyst.fleet.prior import shape_of
+from dehyst.fleet.reader import Reader
+from dehyst.fleet.shards import Shards
+from dehyst.fleet.supervisor import Supervisor
+from dehyst.fleet.table import Fleet, load, write_table
+from dehyst.fleet.task import lost_row
+
+
+def identify_fleet(
+    dataset: PathLike,
+    output: PathLike,
+    *,
+    by: Sequence[str] = (),
+    options: FleetOptions | None = None,
+    prior: PathLike | None = None,
+    jobs: int | None = None,
+    dask: str | None = None,
+    time_limit: float | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    remark: Callable[[str], None] | None = None,
+) -> Fleet:
+    """Identify every record of a dataset and write one table, one row a record.
+
+    Parameters
+    ----------
+    dataset : path
+        See `open_dataset`.
+    output : path
+        The table, .parquet. While it is made, one file a record is kept in a folder beside it, of its name with
+        ".parts".
+    by : sequence of str
+        Names of the keys.
+    options : FleetOptions, optional
+    prior : path, optional
+        The table of an identified fleet: records with few or noisy data may take its shape.
+    jobs : int, optional
+        Number of processes; default: that of the processors.
+    dask : str, optional
+        "local", or the address of a scheduler, as "tcp://host:8786".
+    time_limit : float, optional
+        Seconds a record may take.
+    resume : bool
+        Go on with a run that did not end, or complete its table. Rows of records whose samples have changed are
+        computed again.
+    progress : callable, optional
+        Is called with a line of words some times a second.
+    remark : callable, optional
+        Is called with a sentence if records share their keys, or have changed since the run that is resumed.
+
+    Returns
+    -------
+    Fleet
+
+    Raises
+    ------
+    FileFormatError
+        The dataset or the output cannot be used; shards are there and `resume` is not given; shards or table to resume
+        are of another dataset, other options or another version.
+    IdentifyError
+        An option is impossible.
+    MissingExtraError
+        A library of the extra `fleet` is not installed.
+    RigError
+        The scheduler is lost.
+    """
+    target, report = Path(output).absolute(), progress or (lambda _: None)
+    _check(jobs, time_limit, dask, target)
+    if named(dataset).resolve() == target.resolve():
+        raise FileFormatError(f"{output}: is the dataset; give another name for the table")
+    report("reading the index")
+    found = open_dataset(dataset, by)
+    options = _with_prior(options or FleetOptions(), prior)
+    digest = options.digest(found.digest)
+    if reserved := [name for name in found.by if name in (*COLUMNS, MODEL, "keys")]:
+        raise FileFormatError(f"by: the name '{reserved[0]}' is that of a result; rename that column")
+    shards = Shards.beside(target, digest)
+    earlier = _earlier(target, digest, len(found)) if resume and not shards.folder.exists() else None
+    if earlier is not None and _is_complete(earlier, found):
+        return earlier
+    shards.prepare(len(found), options.as_dict(), resume=resume)
+    if earlier is not None:
+        _adopt(earlier, found, shards)
+    run = _Run(found, options, shards, report, resume)
+    for sentence in (*found.remarks, *run.remarks):
+        report("")
+        (remark or (lambda _: None))(sentence)
+    try:
+        run.finish(_engine(dask, jobs, time_limit, run.head))
+    except Exception:
+        shards.remove_empty()
+        raise
+    about = {"digest": digest, "content": run.content(), "options": options.as_dict()}
+    write_table(target, found.by, run.rows(), about)
+    if not run.lost:
+        shards.remove()
+    report("")
+    return load(target)
+
+
+class _Run:
+    """Tasks of a run that are done, left and lost."""
+
+    def __init__(self, dataset: Dataset, options: FleetOptions, shards: Shards, report: Progress, resume: bool) -> None:
+        self.dataset, self.shards, self._report = dataset, shards, report
+        self.head = {"options": options.as_dict(), "folder": str(shards.folder), "digest": shards.digest}
+        self.head["dataset"] = str(dataset.path)
+        self.changed: list[Task] = []
+        reader = Reader()
+        self.left = [task for task in dataset.tasks if not (resume and self._is_done(task, options, reader))]
+        self.lost: dict[int, str] = {}
+        self._began, self._done, self._shown = time.monotonic(), 0, 0.0
+
+    def _is_done(self, task: Task, options: FleetOptions, reader: Reader) -> bool:
+        """Return whether a record has its row; remove a row of other samples."""
+        row = self.shards.read(task)
+        if row is None or is_current(row, task, options, reader):
+            return row is not None
+        self.changed.append(task)
+        self.shards.discard(task)
+        return False
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A sentence if records have changed since the run that is resumed."""
+        if not self.changed:
+            return ()
+        count = counted(len(self.changed), "record")
+        return (f"{count} changed since the run that is resumed, as {self.changed[0].name}: computed again",)
+
+    def finish(self, engine: Callable[[list[Task]], Generator[Done | None, None, None]]) -> None:
+        """Let an engine do what is left."""
+        if not self.left:
+            return
+        self._show()
+        with closing(engine(self.left)) as ended:
+            for done in ended:
+                if done is not None:
+                    self._done += 1
+                    if done.reason:
+                        self.lost[done.task.position] = done.reason
+                if time.monotonic() - self._shown > _OFTEN:
+                    self._show()
+
+    def content(self) -> str:
+        """Return the hash of what the files of all records were when they were read."""
+        return digest_of((self.shards.read(task) or {}).get(STAMP) for task in self.dataset.tasks)
+
+    def rows(self) -> Iterator[Mapping[str, Any]]:
+        """Yield the row of each record, in the dataset's order."""
+        for task in self.dataset.tasks:
+            row = self.shards.read(task)
+            yield (
+                lost_row(task, self.lost.get(task.position, "its shard is missing or damaged")) if row is None else row
+            )
+
+    def _show(self) -> None:
+        self._shown = time.monotonic()
+        total, left = len(self.dataset), len(self.left) - self._done
+        words = f"{total - left} of {counted(total, 'record')}"
+        if self._done:
+            rate = self._done / (self._shown - self._began)
+            words += f", {rate:.3g} a second, {duration(left / rate)} left"
+        lost = f", {len(self.lost)} lost" if self.lost else ""
+        self._report(f"{words}{lost}")
+
+
+# Seconds between two calls of the progress.
+_OFTEN = 0.2
+
+
+def duration(seconds: float) -> str:
+    """Write a duration in two units at most."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"
+
+
+def _engine(
+    dask: str | None, jobs: int | None, time_limit: float | None, head: Mapping[str, Any]
+) -> Callable[[list[Task]], Generator[Done | None, None, None]]:
+    if dask is not None:
+        from dehyst.fleet.dask_engine import DaskEngine
+
+        return DaskEngine(head, dask, jobs).run
+    return Supervisor(head, jobs or processors(), time_limit).run
+
+
+def _check(jobs: int | None, time_limit: float | None, dask: str | None, output: Path) -> None:
+    if jobs is not None and jobs < 1:
+        raise IdentifyError(f"jobs: got {jobs}, need 1 at least")
+    if time_limit is not None and not time_limit > 0:
+        raise IdentifyError(f"time_limit: got {time_limit:g} s, need seconds above 0")
+    if time_limit is not None and dask is not None:
+        raise IdentifyError("time_limit: Dask cannot end a task; leave time_limit or dask out")
+    if output.suffix.lower() != ".parquet":
+        raise FileFormatError(f"{output}: a table of a fleet is Parquet; give a name that ends in .parquet")
+    if not output.parent.is_dir():
+        raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
+
+
+def _with_prior(options: FleetOptions, prior: PathLike | None) -> FleetOptions:
+    return options if prior is None else replace(options, prior=shape_of(load(prior)))
+
+
+def refuse_inside(dataset: Path, output: Path) -> None:
+    """Raise `FileFormatError` if the next index of the dataset would take the table for a record.
+
+    For commands, which are repeated; a script may write its table into a folder of its own once.
+    """
+    if dataset.resolve() in output.resolve().parents:
+        raise FileFormatError(
+            f"{output}: lies in the dataset {dataset}, whose next index would take the table for a record; write it "
+            "outside"
+        )
+
+
+def _earlier(output: Path, digest: str, count: int) -> Fleet | None:
+    """Return the table of an earlier run with the same dataset, options and version; None if there is no table."""
+    if not output.exists():
+        return None
+    fleet = load(output)
+    if fleet.about.get("digest") != digest or len(fleet) != count:
+        raise FileFormatError(
+            f"{output}: is a table of another dataset, other options or another version; repeat the command of that "
+            "run, name another table, or leave --resume out to replace this one"
+        )
+    return fleet
+
+
+def _is_complete(fleet: Fleet, dataset: Dataset) -> bool:
+    """Return whether a table has all rows, and no file of the dataset has changed since."""
+    content = digest_of(stamp_of(task.place) for task in dataset.tasks)
+    return fleet.about.get("content") == content and all(row["outcome"] != "lost" for row in fleet.rows)
+
+
+def _adopt(fleet: Fleet, dataset: Dataset, shards: Shards) -> None:
+    """Make shards of the rows of a table, but for those without samples to compare."""
+    for task, (row, model) in zip(dataset.tasks, fleet.texts(), strict=True):
+        if row["outcome"] != "lost" and row["sha256"]:
+            columns = {name: row[name] for name in COLUMNS}
+            # A row whose model is damaged is computed again.
+            with suppress(ValueError):
+                held = {MODEL: json.loads(model)} if model else {}
+                shards.write(task, {"keys": dict(task.keys), **columns, **held})

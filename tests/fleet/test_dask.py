@@ -1,0 +1,121 @@
+"""Dask: a cluster on this machine, and a scheduler and workers as processes of their own, some of them killed."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dehyst.fleet import identify_fleet, load
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("distributed", reason="needs Dask: pip install 'dehyst[fleet]'")
+from command_line import DEHYST
+from fleet_records import alive, children, descendants, kill, until, write_parquet
+
+pytestmark = pytest.mark.slow
+BY, COUNT = ("serial", "session"), 24
+MEASURED = ("cpu_s", "wall_s", "memory_MB")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_parquet(tmp_path_factory.mktemp("fleet") / "d.parquet", COUNT, lambda k: None if k == 5 else {})
+
+
+@pytest.fixture(scope="module")
+def expected(dataset):
+    identify_fleet(dataset, dataset.with_name("m.parquet"), by=BY, jobs=2)
+    return rows(dataset.with_name("m.parquet"))
+
+
+def rows(path):
+    return [{name: value for name, value in row.items() if name not in MEASURED} for row in load(path).rows]
+
+
+def client(dataset, output, *more):
+    words = ["fleet", "identify", str(dataset), "-o", str(output), "--by", ",".join(BY), *more]
+    return subprocess.Popen([*DEHYST, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def shards(output):
+    return list(output.with_name(f"{output.name}.parts").glob("*/*.json"))
+
+
+def workers_of(pid):
+    """The worker processes of a local cluster."""
+    return [one for one in children(pid) if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes()]
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """A function that starts a scheduler and two workers; it returns the processes and the address."""
+    begun = []
+
+    def begin(name):
+        file, silent = tmp_path / f"{name}.json", {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        dask = [sys.executable, "-m", "dask"]
+        words = ["--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
+        begun.append(subprocess.Popen([*dask, "scheduler", *words], **silent))
+        assert until(lambda: file.exists() and file.read_text().endswith("}"), 120)
+        address = json.loads(file.read_text())["address"]
+        words = ["--nthreads", "1", "--no-dashboard", "--local-directory", str(tmp_path)]
+        begun.extend(subprocess.Popen([*dask, "worker", address, *words], **silent) for _ in range(2))
+        return begun[-3:], address
+
+    yield begin
+    for process in begun:
+        for pid in descendants(process.pid):
+            kill(pid)
+        process.kill()
+        process.wait()
+
+
+def test_a_cluster_on_this_machine_gives_the_same_rows_though_workers_die(dataset, expected, tmp_path):
+    output = tmp_path / "m.parquet"
+    process = client(dataset, output, "--dask", "local", "--jobs", "2")
+    assert until(lambda: len(shards(output)) >= 3, 180)
+    for pid in workers_of(process.pid)[:1]:
+        kill(pid)
+    _, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    assert rows(output) == expected
+
+
+def test_a_killed_client_leaves_no_worker_and_resumes(dataset, expected, tmp_path):
+    output = tmp_path / "m.parquet"
+    process = client(dataset, output, "--dask", "local", "--jobs", "2")
+    assert until(lambda: len(shards(output)) >= 3, 180)
+    left = descendants(process.pid)
+    kill(process.pid)
+    process.communicate()
+    assert until(lambda: not any(map(alive, left)), 60)
+    again = client(dataset, output, "--dask", "local", "--jobs", "2", "--resume")
+    _, errors = again.communicate(timeout=300)
+    assert again.returncode == 0, errors
+    assert rows(output) == expected
+
+
+def test_a_scheduler_that_is_killed_ends_with_its_reason_and_resume_goes_on(dataset, expected, tmp_path, cluster):
+    output, (processes, address) = tmp_path / "m.parquet", cluster("first")
+    process = client(dataset, output, "--dask", address)
+    assert until(lambda: len(shards(output)) >= 3, 180)
+    processes[0].kill()
+    began = time.monotonic()
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 2, errors
+    assert time.monotonic() - began < 110
+    assert "the connection to Dask's scheduler is lost; what is done is kept" in errors and "Traceback" not in errors
+    _, address = cluster("second")
+    again = client(dataset, output, "--dask", address, "--resume")
+    _, errors = again.communicate(timeout=300)
+    assert again.returncode == 0, errors
+    assert rows(output) == expected
+
+
+def test_no_scheduler_answers(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr("dehyst.fleet.dask_engine._PATIENCE", 2)
+    with pytest.raises(OSError, match="no Dask scheduler with a worker"):
+        identify_fleet(dataset, tmp_path / "m.parquet", by=BY, dask="tcp://127.0.0.1:9")
