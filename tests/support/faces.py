@@ -4,10 +4,14 @@ FACES = {
     name: text.split()
     for name, text in {
         "dehyst": """
-            Actuator ClampWarning Command Compensator Creep DehystError Dynamics FileFormatError Fit GradedSlip
+            Actuator Bank ClampWarning Command Compensator Creep DehystError Dynamics FileFormatError Fit GradedSlip
             IdentifyError MaxwellSlip MissingExtraError ModelError Motion Outcome Physical Record RecordError
-            RecordErrors RigError SmoothSlip Snapshot Spring State Structure Trace Transformer VoltageLimits __version__
-            calibrate check compare export export_fmu identify insight read shortest_homing wave_table write_record
+            RecordErrors RigError SmoothSlip Snapshot Spring Stage StageCompensator StageFit StageRecord State Structure
+            Trace Transformer VoltageLimits __version__ calibrate check compare export export_fmu export_wasm identify
+            identify_stage insight read read_stage shortest_homing wave_table write_record
+        """,
+        "banks": """
+            Bank BankClamps BankState
         """,
         "baselines": """
             BASELINES BoucWen Duhem GeneralizedPrandtlIshlinskii GoldfarbCelanovic KrasnoselskiiPokrovskii Linear
@@ -21,14 +25,18 @@ FACES = {
             TrackedPath VoltageLimits WaveTable home_before home_before_voltage shortest_homing start_at wave_table
         """,
         "exports": """
-            Exported Footprint SourceOnlyWarning export export_fmu sizes worst_case
+            Exported Footprint SourceOnlyWarning export export_fmu export_wasm sizes wasm_module worst_case
+        """,
+        "fleet": """
+            Ageing Dataset Drifts Findings Fleet FleetOptions Outlier Task actuators drifts_of findings_of
+            identify_fleet load open_dataset
         """,
         "identification": """
             Change CheckHistory Deadline Method Norm Recheck Standing check identify state_after
         """,
         "instruments": """
-            HIGHEST_RATE AbstractRig DeviceError LinkError Listener Reading RigError Samples SensorError host_timed
-            open_rig
+            HIGHEST_RATE AbstractRig AbstractStageRig DeviceError LinkError Listener Reading RigError Samples
+            SensorError StageListener StageSamples host_timed open_rig open_stage_rig
         """,
         "instruments.calibration": """
             Calibration Plan ProgressListener calibrate
@@ -43,6 +51,11 @@ FACES = {
         "report": """
             render write_calibration write_check_history write_comparison write_insight write_record_page write_report
         """,
+        "stages": """
+            ExportedStage HomedStage Stage StageCalibration StageCompensator StageExcitation StageFit StageInsight
+            StagePlan StageRecheck StageRecord StageTrace calibrate_stage check_stage export_stage
+            home_stage_before identify_stage read_stage stage_excitation stage_insight write_stage_report
+        """,
         "studies.paper": """
             Paper
         """,
@@ -50,7 +63,8 @@ FACES = {
             FirstRise Insight RestStates insight state_from_first_rise
         """,
         "virtual": """
-            BoucWenActuator ModelledActuator PlayActuator PreisachActuator VirtualActuator VirtualBench
+            BoucWenActuator ModelledActuator PlayActuator PreisachActuator StageBench VirtualActuator VirtualBench
+            VirtualStage
         """,
         "virtual.emulator": """
             Controller Fault Ioc Rehearsal Server serve_ioc
@@ -58,6 +72,9 @@ FACES = {
         "waveforms": """
             Excitation Leg Lissajous MotionLimits Raster Sampling Scan ScanPath Spiral Steps Triangle descending_tops
             homing minor_loop raised_cosine reversal_curves staircase
+        """,
+        "workbench": """
+            serve
         """,
     }.items()
 }
@@ -67,4 +84,5 @@ DRIVERS = {
     "dehyst.instruments.epics": ["EpicsRig", "PvNames"],
     "dehyst.instruments.nidaqmx": ["NiRig"],
     "dehyst.instruments.pi": ["PiRig"],
+    "dehyst.instruments.pi_stage": ["PiStageRig"],
 }

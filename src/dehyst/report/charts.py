@@ -37,7 +37,7 @@ class Axis:
 class Series:
     """A curve or a cloud of points: x and y (n,), in the units of the axes; NaN breaks a curve.
 
-    `exact` says that x needs more than 16 bits, as the time of a long record does. `names` are those of single points.
+    `exact`: whether x needs more than 16 bits, as the time of a long record does. `names`: those of single points.
     """
 
     name: str
@@ -120,9 +120,7 @@ class ChartData:
 
     def json(self) -> str:
         """Return all of it as JSON that can stand inside a page."""
-        text = json.dumps({"columns": self._columns, "charts": self._charts}, separators=(",", ":"), allow_nan=False)
-        # Nothing inside may end the element, whatever a name contains.
-        return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+        return in_page({"columns": self._columns, "charts": self._charts})
 
     def _series(self, one: Series) -> dict[str, Any]:
         stored = {
@@ -142,6 +140,13 @@ class ChartData:
             self._places[key] = len(self._columns)
             self._columns.append(_stored(np.asarray(values, dtype=np.float64), exact))
         return self._places[key]
+
+
+def in_page(data: Mapping[str, Any]) -> str:
+    """Return data as JSON that can stand inside a page."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    # Nothing inside may end the element, whatever a name contains.
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _stored(values: Array, exact: bool) -> dict[str, Any]:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dehyst.model import Actuator, Expectation, Fit, Readiness, RecordErrors
+from dehyst._views.lines import percent
+from dehyst.model import Actuator, Fit, Readiness, RecordErrors
 from dehyst.model.fit_summary import label
 from dehyst.report.charts import Axis, Chart, Series
 from dehyst.report.html import Charts, Row, escape, length, number, spelled, table
@@ -23,22 +24,19 @@ def verdict(fit: Fit) -> str:
         word = Readiness.NOT_USABLE.value.capitalize()
         return f'<p class="outcome red" role="status"><strong>{word}</strong> {escape(spelled(fit.outcome.value))}</p>'
     word = expected.readiness.value.capitalize()
-    share = number(100 * expected.largest / expected.stroke, 2)
-    headline = f"<b>{share} % of the stroke <small>or {escape(length(expected.largest))}</small></b>"
-    rest = [f"is the largest error to expect on a path like the records, RMS {_share(expected.rms, expected)}"]
-    rest[0] += f" (from {expected.basis}; the goal is {expected.goal:g} %)."
-    rest.append(f"The records are missed by {_share(expected.measured, expected)} RMS;")
-    rest.append(f"the sensor's noise is {_share(expected.noise, expected)}.")
+    errors = (expected.largest, expected.rms, expected.measured, expected.noise)
+    largest, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
+    sentences = (
+        f"is the largest error to expect on a path like the records, RMS {rms} (from {expected.basis}; the goal is "
+        f"{expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
+        f"{spelled(fit.outcome.value)}"
+    )
     why = "".join(f"<li>{escape(spelled(one[0].upper() + one[1:]))}.</li>" for one in expected.why_not_ready)
     return (
-        f'<div class="outcome {_COLOURS[expected.readiness]}" role="status"><strong>{word}</strong>{headline}\n'
-        f"{escape(' '.join(rest))} {escape(spelled(fit.outcome.value))}"
-        f"{f'<ul>{why}</ul>' if why else ''}</div>"
+        f'<div class="outcome {_COLOURS[expected.readiness]}" role="status"><strong>{word}</strong>'
+        f"<b>{largest} of the stroke <small>or {escape(length(expected.largest))}</small></b>\n"
+        f"{escape(sentences)}{f'<ul>{why}</ul>' if why else ''}</div>"
     )
-
-
-def _share(error: float, expected: Expectation) -> str:
-    return f"{number(100 * error / expected.stroke, 2)} %"
 
 
 def errors_table(errors: Sequence[RecordErrors]) -> str:

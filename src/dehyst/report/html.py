@@ -7,15 +7,15 @@ import hashlib
 import html
 import math
 import re
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from dehyst._io.marks import GENERATOR
 from dehyst._text import escaped
-from dehyst.report.charts import Chart, ChartData, legend
+from dehyst.report.charts import Chart, ChartData, in_page, legend
 from dehyst.report.plots import length_unit
 
 Row: TypeAlias = "Sequence[str | tuple[str, str]]"
@@ -23,6 +23,7 @@ Row: TypeAlias = "Sequence[str | tuple[str, str]]"
 MINUS = "\N{MINUS SIGN}"
 _FOLDER = Path(__file__).with_name("page")
 _FEWEST_CONTENTS = 4
+_IMPORT = re.compile(r"^import .*\n", re.MULTILINE)
 # The policy forbids the browser any request, whatever a name or a sentence contains.
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
@@ -47,34 +48,87 @@ class Charts:
         return figure(self.title, self.caption, panels, wide=self.wide)
 
 
-def document(title: str, parts: Iterable[str | Charts]) -> str:
+@dataclass(frozen=True, eq=False)
+class Applet:
+    """A section that computes by WebAssembly inside the page.
+
+    Attributes
+    ----------
+    body : str
+        HTML, with the heading.
+    scripts : tuple of str
+        JavaScript modules that become one: their imports of each other are taken out.
+    style : str
+        CSS.
+    name : str
+        The id of the element that holds the data.
+    data : mapping
+        JSON that the scripts read.
+    """
+
+    body: str
+    scripts: tuple[str, ...]
+    style: str
+    name: str
+    data: Mapping[str, Any]
+
+    @property
+    def source(self) -> str:
+        """The one module."""
+        return _IMPORT.sub("", "\n".join(self.scripts))
+
+
+def document(title: str, parts: Iterable[str | Charts | Applet]) -> str:
     """Assemble parts to a page that loads nothing from outside; a longer one gets a list of contents."""
-    data = ChartData()
-    body = "\n".join(part if isinstance(part, str) else part.html(data) for part in parts if part)
+    data, shown = ChartData(), [part for part in parts if part]
+    body = "\n".join(_html(part, data) for part in shown)
+    applets = [part for part in shown if isinstance(part, Applet)]
+    scripts = [*([asset("charts.js")] if data else []), *(one.source for one in applets)]
     policy, script = _POLICY, ""
-    if data:
-        # The one script that may run is named by its hash.
-        source = _asset("charts.js")
-        digest = base64.b64encode(hashlib.sha256(source.encode()).digest()).decode()
-        policy = f"{_POLICY}; script-src 'sha256-{digest}'"
-        script = (
-            f'<script type="application/json" id="chart-data">{data.json()}</script>\n<script>{source}</script>\n'
-            '<noscript><p class="muted">The charts are drawn by a script inside this page; it is switched off.</p>'
-            "</noscript>\n"
+    if scripts:
+        # The scripts that may run are named by their hashes.
+        allowed = [f"'sha256-{_digest(source)}'" for source in scripts] + ["'wasm-unsafe-eval'"] * bool(applets)
+        policy = f"{_POLICY}; script-src {' '.join(allowed)}"
+        script = "".join(
+            [
+                f"{_stored('chart-data', data.json())}<script>{scripts[0]}</script>\n" if data else "",
+                *(
+                    f'{_stored(one.name, in_page(one.data))}<script type="module">{one.source}</script>\n'
+                    for one in applets
+                ),
+                '<noscript><p class="muted">The charts are drawn by a script inside this page; it is switched off.</p>'
+                "</noscript>\n",
+            ]
         )
+    style = "".join([asset("page.css"), *(one.style for one in applets)])
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         f'<meta name="generator" content="{GENERATOR}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(title)}</title>\n<style>{_asset('page.css')}</style>\n</head>\n<body>\n<main>\n"
+        f"<title>{escape(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n<main>\n"
         f"{_with_contents(body)}\n</main>\n{script}</body>\n</html>\n"
     )
 
 
+def _html(part: str | Charts | Applet, data: ChartData) -> str:
+    if isinstance(part, str):
+        return part
+    return part.html(data) if isinstance(part, Charts) else part.body
+
+
+def _stored(name: str, text: str) -> str:
+    return f'<script type="application/json" id="{name}">{text}</script>\n'
+
+
+def _digest(source: str) -> str:
+    return base64.b64encode(hashlib.sha256(source.encode()).digest()).decode()
+
+
 @cache
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """Return a file of the folder page."""
     return (_FOLDER / name).read_text(encoding="utf-8")
 
 

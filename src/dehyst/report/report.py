@@ -14,6 +14,7 @@ from dehyst.report.comparison_section import comparison_sections
 from dehyst.report.fit_section import assumptions, constants, errors_table, remaining_error, structures, verdict
 from dehyst.report.html import bullets, document, escape, length, number, spelled, table
 from dehyst.report.parts_section import made_of, numbers, slip_and_spring
+from dehyst.report.path_section import path_trial
 from dehyst.report.record_charts import before_and_after, loops, residuals
 from dehyst.report.tracking_section import followed_sections
 from dehyst.report.uncertainty_section import sections
@@ -102,6 +103,7 @@ def render(
         loops(fit),
         residuals(fit),
         remaining_error(fit),
+        path_trial(fit),
         *structures(fit),
         errors_table(fit.errors),
         assumptions(fit, actuator),

@@ -1,0 +1,173 @@
+"""The folder of a workbench: records, models, voltages, and the script of the commands that made them."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from dehyst._errors import FileFormatError
+from dehyst._io.drafts import draft_of, is_draft, unwritten, write_atomically
+from dehyst._io.json_files import read_json, write_json
+from dehyst._io.marks import make_own_folder
+
+FORMAT = "dehyst-workbench"
+STATE, SCRIPT, LOCK, RIG_LOG = "workbench.json", "commands.sh", ".lock", "rig.log"
+UPLOADS, RECORDS, MODELS, REPORTS = "uploads", "records", "models", "reports"
+PATHS, VOLTAGES, EXPORTS, CALIBRATIONS = "paths", "voltages", "exports", "calibrations"
+_PLACES = (UPLOADS, RECORDS, MODELS, REPORTS, PATHS, VOLTAGES, EXPORTS, CALIBRATIONS)
+_HEADER = """#!/bin/sh
+# The commands of this workbench. In a new folder with its uploads/, paths/ and records/*.h5 they give the same files.
+cd "$(dirname "$0")" || exit
+mkdir -p {places}
+"""
+# What a name of a file may hold, and its length.
+_OTHERS, _LONGEST = re.compile(r"[^\w.+-]+"), 80
+_SUFFIX = re.compile(r"(\.\w{1,9})?")
+
+
+class Folder:
+    """A folder that belongs to one workbench.
+
+    Parameters
+    ----------
+    path : Path
+        New, empty, or of a workbench before.
+
+    Raises
+    ------
+    FileFormatError
+        It holds other files, cannot be written, or another workbench uses it now.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = make_own_folder(path, STATE, FORMAT, option="FOLDER").resolve()
+        if not (self.path / STATE).exists():
+            self.save({})
+        self._lock = _locked(self.path)
+        for name in _PLACES:
+            (self.path / name).mkdir(exist_ok=True)
+        self._promised: set[str] = set()
+        self._script = self.path / SCRIPT
+        if not self._script.exists():
+            write_atomically(self._script, _HEADER.format(places=" ".join(_PLACES)))
+
+    def close(self) -> None:
+        """Let another workbench use the folder."""
+        self._lock.close()
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        """Write the state, completely or not at all."""
+        write_json(self.path / STATE, {"format": FORMAT, "version": 1, **state})
+
+    def saved(self) -> dict[str, Any]:
+        """Return the state of the workbench before."""
+        return read_json(self.path / STATE)
+
+    def new(self, place: str, name: str, suffix: str = "") -> str:
+        """Return a relative path that does not exist yet, with the letters of a name that files may have.
+
+        It is returned once, also if its file is written much later.
+        """
+        stem = _OTHERS.sub("-", name).strip("-.")[:_LONGEST] or "unnamed"
+        suffix = suffix if _SUFFIX.fullmatch(suffix) else ""
+        names = (f"{place}/{stem}{'' if k == 1 else f'-{k}'}{suffix}" for k in range(1, 1_000_000))
+        found = next(one for one in names if one not in self._promised and not (self.path / one).exists())
+        self._promised.add(found)
+        return found
+
+    def inside(self, relative: str) -> Path:
+        """Return a file or folder that the page may read; raises FileFormatError for anything else."""
+        parts = relative.split("/")
+        known = relative == SCRIPT or parts[0] in _PLACES
+        if not known or "\\" in relative or "\0" in relative or any(part.startswith(".") or not part for part in parts):
+            raise FileFormatError(f"{relative}: is not a file of this workbench; choose one of its list")
+        path = self.path / relative
+        # A link may lead elsewhere.
+        if not path.resolve().is_relative_to(self.path) or not path.exists():
+            raise FileFormatError(f"{relative}: is not a file of this workbench; choose one of its list")
+        return path
+
+    def files(self) -> Iterator[dict[str, Any]]:
+        """Yield each file of the list: path, bytes and kind."""
+        # Somebody may delete what is shown.
+        there = [place for place in _PLACES if (self.path / place).is_dir()]
+        for place in (*there, None):
+            for path in sorted((self.path / place).iterdir()) if place else [self._script]:
+                if not path.name.startswith(".") and not is_draft(path.name) and path.exists():
+                    size = path.stat().st_size if path.is_file() else None
+                    kind = place.removesuffix("s") if place else "script"
+                    yield {"path": path.relative_to(self.path).as_posix(), "bytes": size, "kind": kind}
+
+    def commands(self) -> list[str]:
+        """Return the lines of the script after its header."""
+        if not self._script.exists():
+            return []
+        lines = self._script.read_text(encoding="utf-8").split("\n")
+        return [line for line in lines[_HEADER.count("\n") :] if line]
+
+    def note(self, words: Sequence[str]) -> None:
+        """Append a command to the script."""
+        self._append(shlex.join(["dehyst", *words]).replace("\n", " "))
+
+    def remark(self, words: str) -> None:
+        """Append a comment to the script."""
+        self._append(f"# {' '.join(words.split())}")
+
+    def _append(self, line: str) -> None:
+        with self._script.open("a", encoding="utf-8") as script:
+            script.write(f"{line}\n")
+
+    def receive(self, relative: str) -> Upload:
+        """Return an upload in progress, which becomes the file when it is complete."""
+        return Upload(self.path / relative)
+
+
+class Upload:
+    """A file that arrives in parts; without `complete` nothing of it remains."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._draft = path, draft_of(path)
+        self._stream: BinaryIO = self._draft.open("xb")
+        self.size = 0
+
+    def __enter__(self) -> Upload:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+        self._draft.unlink(missing_ok=True)
+
+    def add(self, part: bytes) -> None:
+        """Append a part; raises FileFormatError if the disk is full."""
+        try:
+            self._stream.write(part)
+        except OSError as error:
+            raise unwritten(self._path, error) from error
+        self.size += len(part)
+
+    def complete(self) -> None:
+        """Give the file its name."""
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._draft.replace(self._path)
+
+
+def _locked(folder: Path) -> BinaryIO:
+    """Return the open lock of a folder; raises FileFormatError if another process has it."""
+    lock = (folder / LOCK).open("ab")
+    try:
+        import fcntl
+    except ImportError:  # Windows: two workbenches in one folder are not prevented
+        return lock
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        lock.close()
+        raise FileFormatError(
+            f"{folder}: another workbench uses this folder; open its page, or give another"
+        ) from error
+    return lock

@@ -1,0 +1,86 @@
+// Numbers as text, and the ticks of an axis. `ticks`, `written` and `digits` are as in the report's charts.js.
+const MINUS = "\u2212";
+
+export function digits(step, more = 0) {
+  return Math.max(0, Math.min(12, more - Math.floor(Math.log10(step) + 1e-9)));
+}
+
+export function written(value, decimals) {
+  const text = Math.abs(value) >= 1e6 ? value.toExponential(3) : value.toFixed(decimals);
+  return /^-0(\.0*)?$/.test(text) ? text.slice(1) : text.replaceAll("-", MINUS);
+}
+
+export function ticks(low, high, most) {
+  const rough = (high - low) / Math.max(most, 1);
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const factor = [1, 2, 2.5, 5, 10].find((one) => one * power >= rough * (1 - 1e-9)) ?? 10;
+  const step = factor * power;
+  const values = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) values.push(k * step);
+  return { values, decimals: digits(step, factor === 2.5 ? 1 : 0) };
+}
+
+// The lowest and the highest finite value of arrays, with a margin of `pad` of their distance.
+export function extent(columns, pad = 0) {
+  let low = Infinity;
+  let high = -Infinity;
+  for (const values of columns) {
+    for (let i = 0; i < values.length; i += 1) {
+      const value = values[i];
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+  }
+  if (!(low < high)) {
+    const middle = Number.isFinite(low) ? low : 0;
+    const half = Math.max(1e-3 * Math.abs(middle), 1);
+    return [middle - half, middle + half];
+  }
+  return [low - pad * (high - low), high + pad * (high - low)];
+}
+
+// A number with three significant digits, without an exponent where people do not expect one.
+export function short(value, significant = 3) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "\u2013";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  if (size >= 1e7 || size < 1e-4) return value.toExponential(significant - 1).replaceAll("-", MINUS);
+  const decimals = Math.max(0, significant - 1 - Math.floor(Math.log10(size)));
+  const text = value.toFixed(decimals);
+  return (text.includes(".") ? text.replace(/\.?0+$/, "") : text).replaceAll("-", MINUS);
+}
+
+export const range = (pair, unit, significant = 4) =>
+  pair?.length === 2 ? `${short(pair[0], significant)} to ${short(pair[1], significant)} ${unit}` : `\u2013 ${unit}`;
+
+export const percent = (value) => `${short(value, value >= 10 ? 3 : 2)} %`;
+
+// A length given in micrometres, in the unit in which it is read most easily.
+export function length(um) {
+  if (!Number.isFinite(um)) return "\u2013";
+  return Math.abs(um) < 1 ? `${short(um * 1e3)} nm` : `${short(um)} \u00b5m`;
+}
+
+export const whole = (value) => Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u202f");
+
+export function duration(seconds) {
+  if (!Number.isFinite(seconds)) return "\u2013";
+  if (seconds < 100) return `${short(seconds)} s`;
+  const minutes = Math.floor(seconds / 60);
+  const rest = Math.round(seconds - 60 * minutes);
+  return rest === 60 ? `${minutes + 1} min 0 s` : `${minutes} min ${rest} s`;
+}
+
+export function bytes(count) {
+  if (!Number.isFinite(count)) return "\u2013";
+  if (count < 1000) return `${count} bytes`;
+  return count < 1e6 ? `${short(count / 1e3)} kB` : `${short(count / 1e6)} MB`;
+}
+
+// What a person typed into a field: a number (a decimal comma is one too), null if empty, NaN if neither.
+export function parsed(text) {
+  const clean = text.trim().replaceAll(MINUS, "-").replaceAll("\u202f", "");
+  if (clean === "") return null;
+  const number = Number(/^[-+]?\d*,\d+(e[-+]?\d+)?$/i.test(clean) ? clean.replace(",", ".") : clean);
+  return Number.isFinite(number) ? number : NaN;
+}

@@ -1,0 +1,69 @@
+// The bar that stays in sight while a rig is connected: what it does, and the stop.
+import { byId, h, say, show } from "./dom.js";
+import { percent, short } from "./numbers.js";
+import { session, watch } from "./state.js";
+import { bindStopKey, canMove, stop } from "./stop.js";
+
+export const WORDS = {
+  connecting: "connecting",
+  connected: "connected, not armed",
+  armed: "armed",
+  playing: "playing",
+  calibrating: "calibrating",
+  stopping: "stopping",
+  lost: "lost",
+};
+const parts = {};
+
+export function buildRigBar() {
+  parts.button = h("button", { type: "button", class: "stop", onclick: press, "aria-keyshortcuts": "Escape" }, "STOP", h("small", {}, "Esc"));
+  parts.name = h("b", {});
+  parts.status = h("span", { class: "rig-status", role: "status" });
+  parts.values = h("span", { class: "rig-values" });
+  parts.progress = h("progress", { max: "1", "aria-label": "Progress of the rig", hidden: true });
+  parts.answer = h("p", { class: "rig-answer", role: "alert" });
+  byId("rig-bar").append(h("div", { class: "rig-words" }, parts.name, parts.status, parts.values, parts.progress), parts.answer, parts.button);
+  bindStopKey(press);
+  watch("state", refresh);
+  watch("live", (live) => values(live.v?.at(-1), live.y?.at(-1)));
+  watch("connection", () => refresh(session.state));
+}
+
+async function press() {
+  parts.button.classList.add("pressed");
+  try {
+    say(parts.answer, await stop());
+  } catch (error) {
+    say(parts.answer, error.message);
+  } finally {
+    parts.button.classList.remove("pressed");
+  }
+}
+
+function refresh({ rig }) {
+  show(byId("rig-bar"), rig.status !== "none");
+  if (rig.status === "none") {
+    say(parts.answer, "");
+    return;
+  }
+  byId("rig-bar").dataset.status = rig.status;
+  say(parts.name, [rig.name, rig.axis && `axis ${rig.axis}`].filter(Boolean).join(", ") || rig.address || "Rig");
+  const gone = session.connected ? "" : " (the server does not answer; STOP still works)";
+  say(parts.status, `${WORDS[rig.status] ?? rig.status}${rig.step ? `: ${rig.step}` : ""}${gone}`);
+  values(rig.voltage, rig.displacement_um);
+  const share = rig.progress;
+  show(parts.progress, typeof share === "number");
+  if (typeof share === "number") {
+    parts.progress.value = share;
+    parts.progress.title = percent(100 * share);
+  }
+  if (!canMove(rig)) say(parts.answer, (rig.words ?? []).slice(-2).join(" "));
+}
+
+function values(voltage, displacement) {
+  const shown = [
+    Number.isFinite(voltage) && `${short(voltage, 4)} V`,
+    Number.isFinite(displacement) && `${short(displacement, 4)} \u00b5m`,
+  ].filter(Boolean);
+  say(parts.values, shown.join(" \u00b7 "));
+}

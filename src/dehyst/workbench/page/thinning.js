@@ -1,0 +1,167 @@
+// Thins a curve to what a raster of pixels can show, in the order of the path.
+//
+// `frame` maps values to pixels, px = (x - x0) kx and py = (y - y0) ky, on an area of width x height pixels. The result
+// is a list of vertices (`px`, `py`, used up to `count`); a vertex whose `pen` is 0 begins a new stroke.
+const NEAR = 8; // cells: a step this short is left out where both of its ends are inked already
+const FULL = 2; // visits after which a cell counts as inked
+const TABLE = 1 << 17;
+
+class Vertices {
+  constructor(room) {
+    this.px = new Float32Array(room);
+    this.py = new Float32Array(room);
+    this.pen = new Uint8Array(room);
+    this.count = 0;
+  }
+
+  add(x, y, pen) {
+    if (this.count === this.px.length) this.grow();
+    this.px[this.count] = x;
+    this.py[this.count] = y;
+    this.pen[this.count] = pen;
+    this.count += 1;
+  }
+
+  grow() {
+    for (const name of ["px", "py", "pen"]) {
+      const wider = new this[name].constructor(2 * this[name].length);
+      wider.set(this[name]);
+      this[name] = wider;
+    }
+  }
+}
+
+// Where a point lies of an area: 0 inside, otherwise bits for left, right, above and below.
+const side = (x, y, width, height) =>
+  (x < 0 ? 1 : x > width ? 2 : 0) | (y < 0 ? 4 : y > height ? 8 : 0);
+
+let inked = new Uint8Array(0);
+const drawn = new Int32Array(TABLE);
+
+// A loop or any other path: one vertex a pixel cell that it enters; a step that is drawn already is left out. Only each
+// `stride`-th sample is looked at.
+export function thinPath(x, y, frame, stride = 1) {
+  const { x0, kx, y0, ky, width, height } = frame;
+  const across = Math.ceil(width) + 1;
+  const cells = across * (Math.ceil(height) + 1);
+  if (inked.length < cells) inked = new Uint8Array(cells);
+  else inked.fill(0, 0, cells);
+  drawn.fill(-1);
+  const out = new Vertices(4096);
+  let held = false; // is there a previous point?
+  let px = 0;
+  let py = 0;
+  let cell = -1;
+  let where = 0;
+  let down = false; // is the previous point the last vertex?
+  for (let i = 0; i < x.length; i += stride) {
+    const nx = (x[i] - x0) * kx;
+    const ny = (y[i] - y0) * ky;
+    if (!(nx - nx === 0 && ny - ny === 0)) {
+      held = false;
+      down = false;
+      continue;
+    }
+    const there = side(nx, ny, width, height);
+    const at = there === 0 ? (ny | 0) * across + (nx | 0) : -1;
+    if (held && at >= 0 && at === cell) continue;
+    if (held && (where & there) === 0 && !known(cell, at, across)) {
+      if (!down) out.add(px, py, 0);
+      out.add(nx, ny, 1);
+      down = true;
+    } else {
+      down = false;
+      if (!held && there === 0) {
+        out.add(nx, ny, 0);
+        down = true;
+      }
+    }
+    if (at >= 0 && inked[at] < 255) inked[at] += 1;
+    px = nx;
+    py = ny;
+    cell = at;
+    where = there;
+    held = true;
+  }
+  return out;
+}
+
+// Is the step between two cells on the canvas already?
+function known(from, to, across) {
+  if (from < 0 || to < 0) return false;
+  if (inked[from] > FULL && inked[to] > FULL) {
+    const level = Math.abs((from % across) - (to % across));
+    const upright = Math.abs(((from / across) | 0) - ((to / across) | 0));
+    if (level <= NEAR && upright <= NEAR) return true;
+  }
+  const low = from < to ? from : to;
+  const high = from < to ? to : from;
+  const key = (Math.imul(low, 0x9e3779b1) ^ Math.imul(high, 0x85ebca6b)) | 0;
+  const slot = (key ^ (key >>> 15)) & (TABLE - 1);
+  if (drawn[slot] === key) return true;
+  drawn[slot] = key;
+  return false;
+}
+
+// A curve over a rising abscissa: first, lowest, highest and last of each column of pixels.
+export function thinTime(x, y, frame) {
+  const { x0, kx, y0, ky, width } = frame;
+  const from = Math.max(0, before(x, x0) - 1);
+  const to = Math.min(x.length, before(x, x0 + width / kx) + 1);
+  const out = new Vertices(4 * Math.ceil(width) + 16);
+  let pen = 0;
+  for (let i = from; i < to; ) {
+    const column = Math.floor((x[i] - x0) * kx);
+    let [low, high, end] = [i, i, i];
+    let next = i + 1;
+    for (; next < to && (x[next] - x0) * kx < column + 1; next += 1) {
+      if (!(y[low] <= y[next])) low = next;
+      if (!(y[high] >= y[next])) high = next;
+      end = next;
+    }
+    const picks = low < high ? [i, low, high, end] : [i, high, low, end];
+    for (let k = 0; k < 4; k += 1) {
+      const one = picks[k];
+      if (k > 0 && one === picks[k - 1]) continue;
+      const ny = (y[one] - y0) * ky;
+      if (ny - ny === 0) {
+        out.add((x[one] - x0) * kx, ny, pen);
+        pen = 1;
+      } else {
+        pen = 0;
+      }
+    }
+    i = next;
+  }
+  return out;
+}
+
+// The number of the first of rising values that is not below `value`.
+export function before(values, value) {
+  let [low, high] = [0, values.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (values[middle] < value) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+// The sample nearest to a pixel within `reach` pixels, or -1; over a rising abscissa only near columns are searched.
+export function nearest(x, y, frame, at, reach, rising) {
+  const { x0, kx, y0, ky } = frame;
+  const from = rising ? before(x, x0 + (at.x - reach) / kx) : 0;
+  const to = rising ? before(x, x0 + (at.x + reach) / kx) : x.length;
+  let best = reach * reach;
+  let found = -1;
+  for (let i = from; i < to; i += 1) {
+    const dx = (x[i] - x0) * kx - at.x;
+    const dy = (y[i] - y0) * ky - at.y;
+    const away = dx * dx + dy * dy;
+    if (away < best) {
+      best = away;
+      found = i;
+    }
+  }
+  return found < 0 ? null : { index: found, away: best };
+}

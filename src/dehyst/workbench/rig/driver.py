@@ -1,0 +1,324 @@
+"""What drives the rig, in the main thread of its process: commands one by one, and the retreat when it must stop."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from dehyst._errors import DehystError, RigError
+from dehyst.instruments import AbstractRig, open_rig
+from dehyst.instruments.samples import READBACK_TOLERANCE
+from dehyst.workbench.rig.live_feed import LiveFeed
+from dehyst.workbench.rig.outlet import Outlet
+from dehyst.workbench.rig.requests import Request, number, pair, text
+from dehyst.workbench.rig.tasks import Task, calibrating, planned, playing
+from dehyst.workbench.rig.watchdog import Stopped, Watchdog
+
+# Seconds between two readings of a rig at rest, and longest wait for a command.
+_PERIOD, _TICK = 0.1, 0.02
+# Readings in a row that must fail before a rig that is not armed counts as lost.
+_LOST_AFTER = 3
+# Begin of the note that AbstractRig adds to an error if the retreat failed too.
+_NOT_SAFE = "The voltage could not be brought"
+
+
+class RigDriver:
+    """A rig, its state, and what the server may ask of it. All of it but `take` runs in the main thread.
+
+    Nothing sends a voltage unless armed, and arming repeats limits and slew rate in force.
+
+    Parameters
+    ----------
+    watchdog : Watchdog
+    outlet : Outlet
+
+    Attributes
+    ----------
+    address : str or None
+        Of the connected rig.
+    rig : AbstractRig or None
+    """
+
+    def __init__(self, watchdog: Watchdog, outlet: Outlet) -> None:
+        self.rig: AbstractRig | None = None
+        self.address: str | None = None
+        self._watchdog, self._outlet = watchdog, outlet
+        self._feed = LiveFeed(outlet.live, outlet.progress, watchdog.check)
+        self._waiting: SimpleQueue[Request] = SimpleQueue()
+        self._status, self._busy = "none", ""
+        self._read_at, self._failures, self._fresh = 0.0, 0, True
+        self._commands: dict[str, Callable[[Request], None]] = {
+            "connect": self._connect,
+            "arm": self._arm,
+            "plan": self._plan,
+            "play": self._play,
+            "calibrate": self._calibrate,
+            "disarm": self._disarm,
+            "disconnect": self._disconnect,
+        }
+
+    def take(self, request: Request) -> None:
+        """Accept a request of the server, in any thread; refuse it with an error if it cannot be done now."""
+        if "alive" in request:
+            self._watchdog.alive()
+            return
+        command = request.get("do")
+        if command == "stop":
+            self._watchdog.trip("the stop was pressed")
+        elif not isinstance(command, str) or command not in self._commands:
+            known = ", ".join([*self._commands, "stop"])
+            self._outlet.error(f"do: got {str(command)[:60]!r}, need one of {known}")
+        elif not self._busy:
+            self._waiting.put(request)
+        elif command in ("disarm", "disconnect"):
+            self._watchdog.trip(f"{command} was requested")
+            self._waiting.put(request)
+        else:
+            self._outlet.error(f"{command}: the rig is busy ({self._busy}); wait until it is done, or stop it first")
+
+    def run(self) -> None:
+        """Serve until the process is to end; leave the rig closed, its voltage safe if it was armed."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.showwarning = lambda message, *_, **__: self._outlet.state(words=[str(message)])
+            while not (self._watchdog.ends and self._watchdog.reason is None):
+                self._guarded_turn()
+            self._close()
+            if self._status != "lost":
+                self._show("none")
+
+    def _guarded_turn(self) -> None:
+        try:
+            self._turn()
+        except Stopped:
+            # The signal may come between any two lines; the next turn retreats.
+            pass
+        # Also what a driver raises to end the program: not before the voltage is safe.
+        except BaseException as error:
+            self._watchdog.trip(f"the rig's process failed ({reason_of(error)})")
+
+    def _turn(self) -> None:
+        if self._watchdog.reason is not None:
+            self._stop(self._watchdog.reason)
+            return
+        try:
+            request = self._waiting.get(timeout=_TICK)
+        except Empty:
+            self._look()
+            return
+        self._do(request)
+
+    def _do(self, request: Request) -> None:
+        self._busy = request["do"]
+        try:
+            self._commands[request["do"]](request)
+        # A driver, its library or a file may raise anything; the voltage is safe all the same.
+        except Exception as error:
+            self._fail(error)
+        finally:
+            self._busy = ""
+
+    def _connect(self, request: Request) -> None:
+        if self.rig is not None:
+            raise RigError("connect: a rig is connected; disconnect it first")
+        address, limits, slew = text(request, "address"), pair(request, "limits"), number(request, "slew")
+        self._show("connecting", address=address, error=None, words=[], plan=None, result=None)
+        self.rig = rig = open_rig(address, limits=limits, slew_rate=slew)
+        self.address, self._failures, self._fresh = address, 0, True
+        self._show(
+            "connected",
+            name=rig.name,
+            axis=rig.axis,
+            limits=[rig.limits.low, rig.limits.high],
+            slew=rig.slew_rate,
+            safe=rig.safe,
+        )
+
+    def _arm(self, request: Request) -> None:
+        rig = self._connected()
+        limits, slew = pair(request, "limits"), number(request, "slew")
+        if limits != (rig.limits.low, rig.limits.high) or slew != rig.slew_rate:
+            raise RigError(
+                f"arm: got the limits {limits} V and {slew} V/s, but {rig.limits.low!r} to {rig.limits.high!r} V and "
+                f"{rig.slew_rate!r} V/s are in force; confirm those, or connect with others"
+            )
+        self._feed.reading(reading := rig.read())
+        slack = READBACK_TOLERANCE * (rig.limits.high - rig.limits.low)
+        if abs(reading.voltage - rig.limits.nearest(reading.voltage)) > slack:
+            raise RigError(
+                f"arm: the rig stands at {reading.voltage:.6g} V, but {rig.limits.words} is allowed; bring it there "
+                "by hand, or connect with wider limits if device and actuator allow it"
+            )
+        self._watchdog.arm(ramp_seconds(rig))
+        self._show("armed", error=None, words=[])
+
+    def _plan(self, request: Request) -> None:
+        self._outlet.state(plan=planned(self._connected(), request), error=None)
+
+    def _play(self, request: Request) -> None:
+        rig = self._armed()
+        self._work("playing", playing(rig, request, self._feed, first=self._fresh))
+
+    def _calibrate(self, request: Request) -> None:
+        rig = self._armed()
+        self._work("calibrating", calibrating(rig, str(self.address), request, self._feed))
+
+    def _armed(self) -> AbstractRig:
+        rig = self._connected()
+        if not self._watchdog.armed:
+            raise RigError("the rig is not armed, nothing was sent; confirm limits and slew rate first")
+        return rig
+
+    def _work(self, status: str, task: Task) -> None:
+        """Do what sends voltages; `Stopped` leaves it after the base class has retreated."""
+        self._show(status, error=None, words=[], result=None)
+        self._watchdog.active, self._fresh = True, False
+        try:
+            result = task()
+        finally:
+            self._watchdog.active = False
+            self._feed.end()
+        self._show("armed", result=result, words=[])
+
+    def _disarm(self, _: Request) -> None:
+        self._connected()
+        self._watchdog.trip("it was disarmed")
+
+    def _disconnect(self, _: Request) -> None:
+        if self._watchdog.armed:
+            self._stop("it was disconnected")
+            if self.rig is None:
+                # Lost meanwhile: that must stay visible.
+                return
+        self._close()
+        self._show("none", address=None, name=None, axis=None, limits=None, slew=None, safe=None, plan=None)
+
+    def _stop(self, reason: str) -> None:
+        """Retreat if armed, disarm, and forget what was requested before."""
+        self._watchdog.acknowledge()
+        try:
+            self._forget_requests()
+            sentence = f"Stopped: {reason}."
+            if self._watchdog.armed:
+                self._show("stopping", words=[sentence])
+                self._retreat([sentence])
+            elif self.rig is not None:
+                self._outlet.state(words=[sentence, "Nothing was armed, and the voltage was not moved."])
+        finally:
+            self._watchdog.settle()
+
+    def _retreat(self, words: list[str]) -> None:
+        """Bring the voltage to the safe one, disarm, and send the outcome after `words`."""
+        rig = self.rig
+        if rig is None:
+            self._watchdog.disarm()
+            return
+        try:
+            voltage = rig.retreat()
+        # Whatever a driver raises, also to end the program: the outcome is a sentence.
+        except BaseException as error:
+            self._lose(f"{_NOT_SAFE} to {rig.safe:.6g} V ({reason_of(error)}).", words)
+            return
+        self._watchdog.disarm()
+        self._show("connected", voltage=voltage, words=[*words, f"The voltage was brought to {voltage:.6g} V."])
+
+    def _fail(self, error: Exception) -> None:
+        """Send an error. If it came while a voltage was sent, the base class has retreated: disarm."""
+        sentence = reason_of(error)
+        notes = list(getattr(error, "__notes__", ()))
+        stopped = [] if self._watchdog.reason is None else [f"Stopped: {self._watchdog.reason}."]
+        self._outlet.error(sentence)
+        self._outlet.state(error=sentence)
+        if self.rig is None:
+            self._show("none")
+        elif not self._watchdog.armed or self._status == "armed":
+            self._outlet.state(words=notes)
+        elif any(note.startswith(_NOT_SAFE) for note in notes):
+            self._lose(" ".join(notes), stopped)
+            self._watchdog.settle()
+        else:
+            self._retreat([sentence, *stopped])
+            self._watchdog.settle()
+
+    def _lose(self, outcome: str, words: list[str]) -> None:
+        """Give up a rig whose voltage cannot be brought anywhere; send where it was last."""
+        last, now = self._feed.last, time.monotonic()
+        known = "Its voltage was never read."
+        if last is not None:
+            known = f"Its voltage was last seen at {last.voltage:.6g} V, {now - self._feed.seen_at:.1f} s ago."
+        advice = "The device holds, or plays to its end, what it has; see to it by hand."
+        self._close()
+        self._show("lost", words=[*words, outcome, known, *([] if "see to it by hand" in outcome else [advice])])
+
+    def _look(self) -> None:
+        """Read a rig at rest, ten times a second."""
+        if self.rig is None or time.monotonic() - self._read_at < _PERIOD:
+            return
+        self._watchdog.active = True
+        try:
+            self._look_now()
+            self._failures = 0
+        except Stopped:
+            raise
+        # Also what a driver raises to end the program.
+        except BaseException as error:
+            self._unreadable(reason_of(error))
+        finally:
+            self._watchdog.active = False
+            self._read_at = time.monotonic()
+
+    def _unreadable(self, reason: str) -> None:
+        self._failures += 1
+        if self._watchdog.armed:
+            self._outlet.state(error=reason)
+            self._watchdog.trip(f"the rig cannot be read: {reason}")
+        elif self._failures >= _LOST_AFTER:
+            self._outlet.state(error=reason)
+            self._lose("It cannot be read any more.", [])
+
+    def _look_now(self) -> None:
+        if self.rig is not None:
+            self._feed.reading(self.rig.read())
+
+    def _connected(self) -> AbstractRig:
+        if self.rig is None:
+            raise RigError("no rig is connected; connect one first")
+        return self.rig
+
+    def _show(self, status: str, **change: Any) -> None:
+        self._status = self._feed.status = status
+        self._outlet.state(status=status, **change)
+
+    def _forget_requests(self) -> None:
+        """Refuse what waits; a disconnection is done after the stop."""
+        kept: list[Request] = []
+        with suppress(Empty):
+            while True:
+                request = self._waiting.get_nowait()
+                if request["do"] == "disconnect":
+                    kept.append(request)
+                elif request["do"] != "disarm":
+                    self._outlet.error(f"{request['do']}: was not begun, because of the stop")
+        for request in kept:
+            self._waiting.put(request)
+
+    def _close(self) -> None:
+        self._watchdog.disarm()
+        if self.rig is not None:
+            with suppress(Exception):
+                self.rig.close()
+        self.rig = self.address = None
+
+
+def reason_of(error: BaseException) -> str:
+    """Return the message of an `error`, with its type unless it is one of dehyst."""
+    return str(error) if isinstance(error, DehystError) else f"{type(error).__name__}: {error}"
+
+
+def ramp_seconds(rig: AbstractRig) -> float:
+    """Return the time [s] of a ramp of `rig` through its whole range."""
+    return max(1.0, (rig.limits.high - rig.limits.low) / rig.slew_rate)

@@ -1,0 +1,210 @@
+"""The server's end of the rig process: it starts the process, sends commands and passes its messages on."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import socket
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from dehyst._errors import LinkError
+from dehyst.workbench.rig.rescue import command_of
+
+Message = dict[str, Any]
+# Bytes of the longest message, and bytes that may wait to be written.
+_LONGEST, _MOST_WAITING = 1 << 22, 1 << 16
+# Seconds that a command may wait to be written, and that the process has to retreat and end.
+_PATIENCE, _RETREAT = 5.0, 60.0
+_ARMED = ("armed", "playing", "calibrating", "stopping")
+_ALIVE = b'{"alive": true}\n'
+_NO_RIG: Message = {"name": None, "axis": None, "limits": None, "slew": None, "safe": None, "plan": None, "step": None}
+
+
+class RigLink:
+    """A link to the process that holds the rig.
+
+    The process is in a session of its own: signals to the server's group or terminal do not reach it. It ends by
+    itself, after a retreat, when this one ends in any way. If it ends while armed, without a retreat, a fresh process
+    connects to the rig and retreats.
+
+    Parameters
+    ----------
+    on_message : callable
+        Called in the event loop with each message: a dict whose "kind" is "rig", "live" or "error". It must not block.
+    origins : sequence of str
+        Origins of the page, which may press the emergency stop: ``["http://127.0.0.1:8000", "http://localhost:8000"]``.
+    errors : Path, optional
+        File that receives the standard error of the process; by default nothing does.
+
+    Attributes
+    ----------
+    stop : dict
+        Port and key of the emergency stop: the same for all processes that this link starts.
+    """
+
+    def __init__(
+        self, on_message: Callable[[Message], None], *, origins: Sequence[str] = (), errors: Path | None = None
+    ) -> None:
+        self._on_message, self._origins, self._errors = on_message, list(origins), errors
+        self._listening = _bound(0)
+        self.stop: dict[str, Any] = {"port": self._port, "key": secrets.token_urlsafe(32)}
+        self._process: asyncio.subprocess.Process | None = None
+        self._reader: asyncio.Task[None] | None = None
+        self._state: Message = {}
+
+    @property
+    def _port(self) -> int:
+        return int(self._listening.getsockname()[1]) if self._listening.fileno() >= 0 else int(self.stop["port"])
+
+    @property
+    def running(self) -> bool:
+        """Whether the process runs."""
+        return self._process is not None
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the process, if it runs."""
+        return None if self._process is None else self._process.pid
+
+    async def start(self) -> None:
+        """Start the process, if it does not run; raise `LinkError` if it cannot be started."""
+        if self._process is not None:
+            return
+        listening = self._listening.fileno()
+        command = [sys.executable, "-m", "dehyst.workbench.rig.process", "--stop-fd", str(listening)]
+        self._state = {}
+        self._process = await self._started(command, pass_fds=(listening,))
+        self._write({"stop_key": self.stop["key"], "origins": self._origins})
+        self._reader = asyncio.create_task(self._read(self._process), name="rig link")
+
+    async def send(self, command: Message) -> None:
+        """Send a command such as ``{"do": "arm", "limits": [0, 100], "slew": 100}``.
+
+        Raises
+        ------
+        LinkError
+            If the process does not run, or takes no commands.
+        """
+        process = self._process
+        if process is None or process.stdin is None:
+            raise LinkError("the rig's process does not run; connect the rig again")
+        self._write(command)
+        try:
+            await asyncio.wait_for(process.stdin.drain(), _PATIENCE)
+        except (TimeoutError, OSError) as error:
+            raise LinkError(f"the rig's process takes no commands ({error or 'timeout'}); connect again") from error
+
+    def alive(self) -> None:
+        """Forward a sign of life of the page; does nothing if the process does not run."""
+        stdin = None if self._process is None else self._process.stdin
+        if stdin is None or stdin.is_closing():
+            return
+        if stdin.transport.get_write_buffer_size() < _MOST_WAITING:
+            stdin.write(_ALIVE)
+
+    async def close(self) -> None:
+        """Let the process retreat and end; wait for that, a minute at most, and never kill it."""
+        process, reader = self._process, self._reader
+        if process is not None and process.stdin is not None:
+            process.stdin.close()
+        if reader is not None:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(asyncio.shield(reader), _RETREAT)
+        self._listening.close()
+
+    def _write(self, message: Message) -> None:
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.write(json.dumps(message, allow_nan=False).encode() + b"\n")
+
+    async def _started(self, command: Sequence[str], pass_fds: Sequence[int] = ()) -> asyncio.subprocess.Process:
+        errors = asyncio.subprocess.DEVNULL if self._errors is None else self._errors.open("ab")
+        try:
+            return await asyncio.create_subprocess_exec(
+                *command,
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,
+                pass_fds=tuple(pass_fds),
+                limit=_LONGEST,
+            )
+        except OSError as error:
+            raise LinkError(f"the rig's process cannot be started ({error}); is there memory left?") from error
+        finally:
+            if not isinstance(errors, int):
+                errors.close()
+
+    async def _read(self, process: asyncio.subprocess.Process) -> None:
+        """Pass messages on until the process, and a fresh one that replaces it, have ended."""
+        await self._pass_on(process)
+        status = await process.wait()
+        state = self._state
+        if status and state.get("status") in _ARMED:
+            await self._rescue(f"the rig's process ended, with status {status}, before the voltage was safe")
+        self._process = None
+        self._listening = _renewed(self._listening)
+        self.stop["port"] = self._port
+        words = self._state.get("words", [])
+        final = "lost" if self._state.get("status") == "lost" else "none"
+        self._hand_over({"kind": "rig", "status": final, **_NO_RIG, "words": words})
+
+    async def _rescue(self, reason: str) -> None:
+        address, limits, slew = (self._state.get(name) for name in ("address", "limits", "slew"))
+        if not isinstance(address, str) or not isinstance(limits, list) or slew is None:
+            return
+        self._hand_over({"kind": "rig", "status": "stopping", "words": [f"Stopped: {reason}."]})
+        with suppress(LinkError):
+            fresh = await self._started(command_of(address, (limits[0], limits[1]), slew, reason, waits=False))
+            await self._pass_on(fresh)
+            await fresh.wait()
+
+    async def _pass_on(self, process: asyncio.subprocess.Process) -> None:
+        while process.stdout is not None:
+            try:
+                line = await process.stdout.readline()
+            except ValueError:
+                # Longer than any message: the rest is no message either.
+                continue
+            if not line:
+                return
+            with suppress(ValueError):
+                message = json.loads(line)
+                if isinstance(message, dict):
+                    self._hand_over(message)
+
+    def _hand_over(self, message: Message) -> None:
+        if message.get("kind") == "rig":
+            if "stop" in message:
+                message = {**message, "stop": dict(self.stop)}
+            self._state.update(message)
+        try:
+            self._on_message(message)
+        # A fault of the receiver must not leave the pipe unread.
+        except Exception as error:
+            trouble = {"message": "a message of the rig's process was not taken", "exception": error}
+            asyncio.get_running_loop().call_exception_handler(trouble)
+
+
+def _bound(port: int) -> socket.socket:
+    """Return a socket at this port of 127.0.0.1 that refuses connections until a process listens."""
+    bound = socket.socket()
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    bound.bind(("127.0.0.1", port))
+    return bound
+
+
+def _renewed(listening: socket.socket) -> socket.socket:
+    """Return a socket at the same port that nobody listens at; the same one if that fails."""
+    if listening.fileno() < 0:
+        return listening
+    port = listening.getsockname()[1]
+    listening.close()
+    try:
+        return _bound(port)
+    except OSError:
+        return _bound(0)

@@ -1,0 +1,165 @@
+"""The watchdog of the rig process: it interrupts the main thread, and replaces it if it hangs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import FrameType
+
+from dehyst.instruments import AbstractRig
+
+# Longest time [s] without a sign of life while armed.
+HEARTBEAT = 0.6
+# Seconds between two looks of the watchdog; and a look that comes later than this is not held against the page.
+_LOOK, _LATE = 0.02, 0.1
+# Late looks in a row that are left out.
+_LEFT_OUT = 3
+# Seconds that the main thread has to stop at the next batch of samples, all of them recorded, before a signal does it.
+_NEXT_BATCH = 0.25
+# A main thread that neither stops nor retreats for this time [s] hangs; one in a retreat, for this and the ramp's.
+_HANGS, _HANGS_IN_RETREAT = 3.0, 30.0
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Sent by this process to its own main thread; with a session of its own it has no terminal that could send it.
+_NUDGE = signal.SIGHUP
+
+
+class Stopped(BaseException):
+    """What the main thread is doing is to end, for a reason; no driver's `except Exception` catches it."""
+
+
+class Watchdog:
+    """Reasons to stop, and the means to reach the main thread; made in the main thread.
+
+    `trip` may be called from every thread and from signal handlers. The main thread calls `check` where it may stop,
+    and `settle` when the voltage is safe.
+
+    Parameters
+    ----------
+    hung : callable
+        Called with a sentence, in the watchdog's thread, if the main thread hangs while armed. It does not return.
+
+    Attributes
+    ----------
+    reason : str or None
+        Why it must stop, until it has.
+    ends : bool
+        Whether the process is to end then.
+    armed : bool
+        Whether voltages may be sent, and signs of life are needed.
+    active : bool
+        Whether the main thread does something that a `Stopped` may interrupt.
+    ramp : float
+        Time [s] of the longest ramp to the safe voltage.
+    """
+
+    def __init__(self, hung: Callable[[str], None]) -> None:
+        self.reason: str | None = None
+        self.ends = self.armed = self.active = False
+        self.ramp = 1.0
+        self._hung, self._parent = hung, os.getppid()
+        self._acknowledged = self._nudging = self._retreated = False
+        self._alive_at = self._tripped_at = self._nudged_at = 0.0
+        self._main = threading.main_thread().ident or 0
+
+    def start(self) -> None:
+        """Handle signals, and begin to watch."""
+        for number in _SIGNALS:
+            signal.signal(number, self._handle)
+        threading.Thread(target=self._watch, name="watchdog", daemon=True).start()
+
+    def arm(self, ramp: float) -> None:
+        """Require signs of life from now on; `ramp` [s] is the time of the longest ramp to the safe voltage."""
+        self.ramp, self._alive_at, self.armed = ramp, time.monotonic(), True
+
+    def disarm(self) -> None:
+        """Require no signs of life any more."""
+        self.armed = False
+
+    def alive(self) -> None:
+        """Take note of a sign of life."""
+        self._alive_at = time.monotonic()
+
+    def trip(self, reason: str, *, ends: bool = False) -> None:
+        """Stop for a `reason`; the first one counts. With `ends` the process ends then."""
+        # Plain assignments in this order: a signal handler may interrupt any line.
+        self.ends = self.ends or ends
+        if self.reason is None:
+            self._tripped_at = time.monotonic()
+            self.reason = reason
+
+    def check(self) -> None:
+        """Raise `Stopped` if there is a reason that was not raised yet."""
+        if self.reason is not None and not self._acknowledged:
+            self._acknowledged = True
+            raise Stopped(self.reason)
+
+    def acknowledge(self) -> None:
+        """Raise no `Stopped` any more: the main thread knows of the reason."""
+        self._acknowledged = True
+
+    def settle(self) -> None:
+        """Forget the reason: the voltage is safe, or nothing more can be done."""
+        self.reason = None
+        self._acknowledged = self._retreated = False
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if number == _NUDGE and self._nudging:
+            self._nudging = False
+        else:
+            self.trip(f"the rig's process received {signal.Signals(number).name}", ends=True)
+        if self.active and self._waited >= _NEXT_BATCH:
+            self.check()
+
+    @property
+    def _waited(self) -> float:
+        """Seconds since the trip."""
+        return 0.0 if self.reason is None else time.monotonic() - self._tripped_at
+
+    def _watch(self) -> None:
+        looked, late = time.monotonic(), 0
+        while True:
+            time.sleep(_LOOK)
+            now = time.monotonic()
+            # If this thread did not run, neither did the one that reads the signs of life: let it read first.
+            late = late + 1 if now - looked > _LATE else 0
+            looked = now
+            if not 0 < late <= _LEFT_OUT:
+                self._look(now)
+
+    def _look(self, now: float) -> None:
+        if self.armed and now - self._alive_at > HEARTBEAT:
+            self.trip(f"the page gave no sign of life for {HEARTBEAT:g} s")
+        if os.getppid() != self._parent:
+            self.trip("the workbench ended", ends=True)
+        if self.reason is None:
+            return
+        if self.active and not self._acknowledged and self._waited >= _NEXT_BATCH:
+            self._nudge(now)
+        self._retreated = self._retreated or self._retreating
+        if self._waited > (_HANGS_IN_RETREAT + self.ramp if self._retreated else _HANGS):
+            self._give_up()
+
+    def _nudge(self, now: float) -> None:
+        if now - self._nudged_at > _NEXT_BATCH:
+            self._nudged_at, self._nudging = now, True
+            signal.pthread_kill(self._main, _NUDGE)
+
+    @property
+    def _retreating(self) -> bool:
+        """Whether the main thread is in a retreat."""
+        frame = sys._current_frames().get(self._main)
+        while frame is not None:
+            if frame.f_code is AbstractRig.retreat.__code__:
+                return True
+            frame = frame.f_back
+        return False
+
+    def _give_up(self) -> None:
+        if self.armed:
+            self._hung(f"the rig's driver does not return since {self._waited:.1f} s; {self.reason}")
+        elif self.ends:
+            os._exit(0)

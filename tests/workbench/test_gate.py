@@ -1,0 +1,293 @@
+"""Nothing passes the gate but the page itself: no foreign host, page, token or path, and no random request."""
+
+import http.client
+import json
+import random
+import string
+import time
+
+import httpx
+import pytest
+from websockets.exceptions import InvalidHandshake, InvalidStatus
+from websockets.sync.client import connect
+from workbench_client import served
+
+ROUTES = [
+    ("GET", "/"),
+    ("GET", "/api/state"),
+    ("PUT", "/api/records?name=x.csv"),
+    ("POST", "/api/models"),
+    ("GET", "/files/commands.sh"),
+    ("GET", "/page/index.html"),
+    ("DELETE", "/api/records/r1"),
+]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    with served(tmp_path_factory.mktemp("gate") / "bench", "--max-size", "0.5") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def client(bench):
+    with bench.client() as opened:
+        yield opened
+
+
+def cookie(client):
+    return "; ".join(f"{name}={value}" for name, value in client.cookies.items())
+
+
+@pytest.mark.parametrize(("method", "path"), ROUTES)
+def test_without_the_cookie_nothing_is_answered(bench, method, path):
+    answer = httpx.request(method, bench.base + path, headers={"Origin": bench.base})
+    assert answer.status_code == 403
+    assert "dehyst workbench printed" in answer.text
+
+
+@pytest.mark.parametrize(("method", "path"), ROUTES)
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "evil.example"},
+        {"Host": "127.0.0.1"},
+        {"Host": "127.0.0.1.evil.example:8754"},
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Origin": "https://127.0.0.1"},
+    ],
+    ids=str,
+)
+def test_a_foreign_host_or_page_is_refused_even_with_the_cookie(bench, client, method, path, headers):
+    given = {"Origin": bench.base, "Cookie": cookie(client), **headers}
+    assert httpx.request(method, bench.base + path, headers=given).status_code == 403
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_what_a_browser_sends_for_another_site_is_refused(bench, client, site):
+    given = {"Cookie": cookie(client), "Sec-Fetch-Site": site}
+    assert httpx.get(f"{bench.base}/api/state", headers=given).status_code == 403
+    assert httpx.get(f"{bench.base}/files/commands.sh", headers=given).status_code == 403
+
+
+def test_what_changes_something_needs_an_origin(bench, client):
+    given = {"Cookie": cookie(client)}
+    assert httpx.post(f"{bench.base}/api/models", headers=given, json={}).status_code == 403
+    assert httpx.get(f"{bench.base}/api/state", headers=given).status_code == 200
+
+
+@pytest.mark.parametrize("token", ["", "x", "A" * 43, "%00", "é"])
+def test_a_wrong_token_gives_no_cookie(bench, token):
+    answer = httpx.get(f"{bench.base}/", params={"token": token})
+    assert answer.status_code == 403
+    assert not answer.cookies
+
+
+def test_the_cookie_is_hidden_from_scripts_and_from_other_sites(bench):
+    answer = httpx.get(bench.link)
+    assert answer.status_code == 303
+    words = answer.headers["set-cookie"]
+    assert words.startswith(f"dehyst-{bench.port}=")
+    assert "HttpOnly" in words
+    assert "SameSite=Strict" in words
+    assert bench.token not in words
+
+
+def test_the_token_counts_for_the_page_only(bench):
+    for method, path in ROUTES[1:]:
+        joined = f"{path}{'&' if '?' in path else '?'}token={bench.token}"
+        assert httpx.request(method, bench.base + joined, headers={"Origin": bench.base}).status_code == 403
+
+
+def test_twice_the_same_header_is_refused(bench, client):
+    for name, value in (("Origin", "http://evil.example"), ("Host", "evil.example")):
+        connection = http.client.HTTPConnection("127.0.0.1", bench.port)
+        connection.putrequest("GET", "/api/state", skip_host=True)
+        for one, words in (("Host", f"127.0.0.1:{bench.port}"), ("Cookie", cookie(client)), (name, value)):
+            connection.putheader(one, words)
+        connection.endheaders()
+        assert connection.getresponse().status in (400, 403)
+        connection.close()
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [{}, {"Origin": "http://evil.example"}, {"Origin": "null"}, {"Cookie": "dehyst=1"}],
+    ids=str,
+)
+def test_a_socket_from_elsewhere_is_refused(bench, client, headers):
+    given = dict(headers)
+    if "Origin" in headers:
+        given["Cookie"] = cookie(client)
+    origin = given.pop("Origin", None)
+    with (
+        pytest.raises((InvalidStatus, InvalidHandshake)),
+        connect(f"ws://127.0.0.1:{bench.port}/api/events", origin=origin, additional_headers=given),
+    ):
+        pass
+
+
+def test_the_socket_of_the_page_gets_the_state(bench, client):
+    url = f"ws://127.0.0.1:{bench.port}/api/events"
+    with connect(url, origin=bench.base, additional_headers={"Cookie": cookie(client)}) as socket:
+        message = json.loads(socket.recv(timeout=10))
+        assert message["kind"] == "state"
+        for junk in ("", "{", "[]", '{"kind": "alive"}', '{"kind": 1}', "x" * 60_000):
+            socket.send(junk)
+        assert client.get("/api/state").status_code == 200
+
+
+def test_the_policy_lets_the_page_load_from_here_only(client):
+    headers = client.get("/").headers
+    policy = headers["content-security-policy"]
+    assert policy.startswith("default-src 'self'")
+    assert "unsafe-inline" not in policy
+    assert "frame-ancestors 'none'" in policy
+    assert headers["x-content-type-options"] == "nosniff"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "../../etc/passwd",
+        "..%2f..%2fetc%2fpasswd",
+        "%2e%2e/%2e%2e/etc/passwd",
+        "records/../../secret.txt",
+        "/etc/passwd",
+        "//etc/passwd",
+        "workbench.json",
+        ".lock",
+        "records/.hidden",
+        "records\\..\\secret.txt",
+        "records%00.csv",
+        "",
+        ".",
+        "records/link",
+    ],
+)
+def test_no_path_leads_out_of_the_folder(bench, path):
+    (bench.folder.parent / "secret.txt").write_text("secret")
+    (bench.folder / "records" / ".hidden").write_text("secret")
+    link = bench.folder / "records" / "link"
+    if not link.is_symlink():
+        link.symlink_to(bench.folder.parent / "secret.txt")
+    with bench.client() as fresh:
+        connection = http.client.HTTPConnection("127.0.0.1", bench.port)
+        connection.request("GET", f"/files/{path}", headers={"Cookie": cookie(fresh)})
+        answer = connection.getresponse()
+        body = answer.read()
+        connection.close()
+    assert answer.status in (303, 307, 400, 403, 404)
+    assert b"secret" not in body.replace(b"secret.txt", b"")
+    assert b"root:" not in body
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../../x.csv", "/etc/x.csv", "..\\..\\x.csv", ".hidden", "a" * 5000, "\n", "x.csv/../../y", "con?.csv", "ä.csv"],
+)
+def test_an_uploads_name_stays_in_the_folder(bench, client, name):
+    before = {path.name for path in bench.folder.parent.iterdir()}
+    answer = client.put("/api/records", params={"name": name}, content=b"time_s,voltage_V,displacement_um\n0,1,2\n")
+    assert answer.status_code == 200, answer.text
+    assert {path.name for path in bench.folder.parent.iterdir()} == before
+    source = next(one for one in client.get("/api/state").json()["records"] if one["id"] == answer.json()["id"])
+    assert (bench.folder / source["source"]).resolve().parent == (bench.folder / "uploads").resolve()
+
+
+def test_an_upload_that_is_too_large_leaves_nothing(bench, client):
+    before = sorted(path.name for path in (bench.folder / "uploads").iterdir())
+
+    def parts():
+        for _ in range(10):
+            yield b"x" * 100_000
+
+    for content in (b"x" * 1_000_000, parts()):
+        answer = client.put("/api/records", params={"name": "large.csv"}, content=content)
+        assert answer.status_code == 413
+        assert "0.5 MB" in answer.json()["error"]
+        assert "--max-size" in answer.json()["error"]
+    assert sorted(path.name for path in (bench.folder / "uploads").iterdir()) == before
+
+
+def test_an_empty_or_malformed_upload_is_refused_with_a_sentence(bench, client):
+    assert client.put("/api/records", params={"name": "empty.csv"}, content=b"").status_code == 400
+    rubbish = [random.Random(k).randbytes(2000) for k in range(4)]
+    for k, content in enumerate([b"\x00" * 100, b"PK\x03\x04rubbish", *rubbish]):
+        for suffix in ("csv", "npz", "h5", "exe"):
+            answer = client.put("/api/records", params={"name": f"{k}.{suffix}"}, content=content)
+            assert answer.status_code == 200
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        records = client.get("/api/state").json()["records"]
+        if all(one["status"] != "reading" for one in records):
+            break
+        time.sleep(0.1)
+    refused = [one for one in records if one["name"].isdigit()]
+    assert len(refused) == 24
+    assert {one["status"] for one in refused} == {"refused"}
+    assert all(len(one["error"]) > 10 and "Traceback" not in one["error"] for one in refused)
+
+
+@pytest.mark.parametrize(
+    "body", [b"{", b"[]", b"1", b'"x"', b"[" * 100_000, b"\xff\xfe", b'{"train": NaN}', b'{"options": "\\ud800"}']
+)
+def test_a_body_that_is_no_object_is_refused(bench, client, body):
+    for path in ("/api/models", "/api/models/m1/path", "/api/records/r1/read"):
+        answer = client.post(path, content=body)
+        assert answer.status_code == 400
+        assert "no JSON" in answer.json()["error"]
+
+
+@pytest.mark.parametrize("what", ["arm", "plan", "calibrate", "play", "stop", "disarm", "disconnect", "fly", "connect"])
+def test_a_rig_that_is_not_there_is_asked_for_nothing(client, what):
+    for body in ({}, {"limits": [0, 1], "slew": 1}, {"file": "commands.sh"}, {"address": "my_rig.py:make"}):
+        answer = client.post(f"/api/rig/{what}", json=body)
+        assert answer.status_code == 400
+        assert len(answer.json()["error"]) > 10
+
+
+def test_a_thousand_random_requests_do_no_harm(bench, client):
+    dice = random.Random(17)
+    words = [
+        *[
+            "models",
+            "records",
+            "voltages",
+            "files",
+            "api",
+            "page",
+            "jobs",
+            "rig",
+            "r1",
+            "m1",
+            "v1",
+            "j1",
+            "data",
+            "path",
+            "end",
+            ".",
+            "..",
+            "%2e",
+        ],
+        "",
+        "*",
+    ]
+    with bench.client() as fresh:
+        for _ in range(1000):
+            path = "/" + "/".join(dice.choices(words, k=dice.randint(0, 5)))
+            junk = "".join(dice.choices(string.printable, k=dice.randint(0, 60))).encode()
+            body = dice.choice(
+                [junk, b"{}", b'{"train": ["r1"]}', b'{"options": 3}', b'{"points": [[1, 2], ["x", {}]]}']
+            )
+            method = dice.choice(["GET", "POST", "PUT", "DELETE", "PATCH", "HEAD", "OPTIONS", "TRACE"])
+            try:
+                answer = fresh.request(method, path, content=body, follow_redirects=False)
+            except httpx.InvalidURL:
+                continue
+            assert answer.status_code < 500, (method, path, body)
+    state = client.get("/api/state")
+    assert state.status_code == 200
+    assert bench.process.poll() is None

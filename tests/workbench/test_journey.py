@@ -1,0 +1,265 @@
+"""From a record to a voltage and an export, by requests as the page sends them; and the script does the same again."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from io import BytesIO
+
+import numpy as np
+import pytest
+from command_line import DEHYST
+from workbench_client import done, entry, served, until, upload
+
+from dehyst import Actuator, read
+from dehyst.records import read_table
+
+CORNERS = [[0.0, 2.0], [0.5, 9.0], [1.0, 3.0]]
+
+
+def floats(answer, columns):
+    assert answer.status_code == 200, answer.text
+    return np.frombuffer(answer.content, "<f4").reshape(columns, -1).astype(float)
+
+
+def identified(client, records, **request):
+    answer = client.post("/api/models", json={"train": records, **request})
+    assert answer.status_code == 200, answer.text
+    key = answer.json()["id"]
+    state = until(client, lambda state: entry(state, "models", key)["status"] != "identifying")
+    return entry(state, "models", key)
+
+
+@pytest.fixture(scope="module")
+def visited(tmp_path_factory, loops):
+    """A workbench after the whole journey: its folder, its last state, and what was asked for on the way."""
+    folder = tmp_path_factory.mktemp("journey") / "bench"
+    with served(folder) as running, running.client() as client:
+        record = upload(client, loops)
+        model = identified(client, [record["id"]], options={"structure": "paper", "name": "my stage"})
+        base = f"/api/models/{model['id']}"
+        path = done(client, client.post(f"{base}/path", json={"points": CORNERS, "rate": 1000, "limits": [0, 100]}))
+        scan = {"kind": "triangle", "low": 3, "high": 7, "frequency": 5}
+        done(client, client.post(f"{base}/path", json={"scan": scan, "rate": 1000, "name": "scan"}))
+        exports = {
+            kind: done(client, client.post(f"{base}/export", json={"kind": kind, "scan": scan, "rate": 1000}))[0]
+            for kind in ("c", "fmu", "wave_table")
+        }
+        assessed = done(client, client.post(f"{base}/insight", json={}))[1]
+        voltage = path[1]["voltages"][0]
+        answers = {
+            "record": floats(client.get(f"/api/records/{record['id']}/data"), 3),
+            "heads": client.get(f"{base}/traces").json()["records"],
+            "trace": floats(client.get(f"{base}/traces/0"), 4),
+            "fit": client.get(f"{base}/fit").json(),
+            "voltage": floats(client.get(f"/api/voltages/{voltage['id']}/data"), 4),
+            "archive": client.get("/files/exports/my-stage-c").content,
+            "report": client.get("/files/reports/my-stage.html"),
+        }
+        yield folder, assessed, {"record": record, "model": model, "path": path[0], "exports": exports}, answers
+
+
+def test_a_record_is_what_the_file_holds(visited, loops):
+    _, _, entries, answers = visited
+    record = read(loops)
+    assert entries["record"]["status"] == "ready"
+    assert entries["record"]["samples"] == len(record)
+    assert entries["record"]["rate_hz"] == pytest.approx(500)
+    columns = record.time, record.voltage, record.displacement * 1e6
+    np.testing.assert_allclose(answers["record"], columns, rtol=1e-6, atol=1e-6)
+
+
+def test_a_model_has_a_verdict_a_range_and_traces(visited):
+    folder, _, entries, answers = visited
+    model = entries["model"]
+    assert (model["status"], model["verdict"]["readiness"]) == ("ready", "READY")
+    assert model["verdict"]["largest_percent"] < 1
+    assert answers["fit"]["verdict"]["largest_percent"] == model["verdict"]["largest_percent"]
+    actuator = Actuator.load(folder / model["file"])
+    assert model["range_v"] == list(actuator.voltage_range)
+    assert model["range_um"] == [1e6 * end for end in actuator.reach]
+    (head,), (_, _, measured, simulated) = answers["heads"], answers["trace"]
+    assert (head["name"], head["role"], head["samples"]) == ("loops", "training", measured.size)
+    rms = float(np.sqrt(np.mean((measured - simulated) ** 2)))
+    assert 100 * rms / (model["range_um"][1] - model["range_um"][0]) == pytest.approx(
+        model["table"][0]["rms_percent"], rel=0.1
+    )
+
+
+def test_a_voltage_leads_along_the_path_within_the_limits(visited):
+    folder, state, entries, answers = visited
+    assert entries["path"]["status"] == "done"
+    voltage = state["voltages"][0]
+    assert 0 <= voltage["range_v"][0] < voltage["range_v"][1] <= 100
+    assert any("home" in words for words in voltage["words"])
+    table = read_table(folder / voltage["file"])
+    volts = {column.name: column.data for column in table.columns}
+    assert volts["voltage_V"].size == voltage["samples"] == answers["voltage"].shape[1]
+    path = volts["displacement_um"][volts["phase"] == 2]
+    corners = np.array(CORNERS)
+    np.testing.assert_allclose(path, np.interp(np.arange(path.size) * 1e-3, *corners.T), atol=1e-6)
+
+
+def test_exports_are_made_and_a_folder_comes_as_an_archive(visited):
+    folder, state, entries, answers = visited
+    assert {kind: job["status"] for kind, job in entries["exports"].items()} == dict.fromkeys(
+        ("c", "fmu", "wave_table"), "done"
+    )
+    names = zipfile.ZipFile(BytesIO(answers["archive"])).namelist()
+    assert {"my-stage-c/piezo.c", "my-stage-c/piezo.h"} <= set(names)
+    listed = {file["path"] for file in state["files"]}
+    assert {"models/my-stage.json", "exports/my-stage.fmu", "exports/my-stage-cycle.csv", "commands.sh"} <= listed
+    assert all((folder / path).exists() for path in listed)
+
+
+def test_a_report_is_shown_without_the_rights_of_the_page(visited):
+    *_, answers = visited
+    report = answers["report"]
+    assert report.headers["content-type"].startswith("text/html")
+    policy = report.headers["content-security-policy"]
+    assert policy.startswith("sandbox")
+    assert "allow-same-origin" not in policy
+
+
+def test_an_assessment_is_summed_up(visited):
+    _, state, *_ = visited
+    insight = state["models"][0]["insight"]
+    assert "known" in insight["known"]["sentence"]
+    assert insight["homing"]["turns_V"]
+
+
+def test_the_script_makes_the_same_files_again(visited, tmp_path):
+    folder, state, *_ = visited
+    shutil.copytree(folder / "uploads", tmp_path / "again" / "uploads")
+    # A path that was drawn is an input too, and the script says so.
+    assert "uploads/, paths/" in "".join((folder / "commands.sh").read_text().splitlines(keepends=True)[:2])
+    shutil.copytree(folder / "paths", tmp_path / "again" / "paths")
+    shutil.copy(folder / "commands.sh", tmp_path / "again")
+    program = tmp_path / "bin" / "dehyst"
+    program.parent.mkdir()
+    program.write_text(f"#!/bin/sh\nexec {sys.executable} -c 'from dehyst.cli import main; main()' \"$@\"\n")
+    program.chmod(0o755)
+    ended = subprocess.run(
+        ["sh", "commands.sh"],
+        cwd=tmp_path / "again",
+        env={"PATH": f"{program.parent}:/usr/bin:/bin"},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert ended.returncode in (0, 1), ended.stderr
+    for file in state["files"]:
+        if file["kind"] in ("record", "voltage") or file["path"] == "models/my-stage.json":
+            first, second = ((place / file["path"]).read_bytes() for place in (folder, tmp_path / "again"))
+            assert first == second, file["path"]
+
+
+def test_everything_is_there_after_a_kill_and_a_new_start(tmp_path, loops):
+    folder = tmp_path / "bench"
+    with served(folder) as running, running.client() as client:
+        record = upload(client, loops)
+        model = identified(client, [record["id"]], options={"structure": "paper"})
+        time.sleep(1)
+        running.process.send_signal(signal.SIGKILL)
+        running.process.wait()
+    with served(folder) as running, running.client() as client:
+        state = client.get("/api/state").json()
+        assert state["records"] == [record]
+        assert state["models"][0]["verdict"] == model["verdict"]
+        assert upload(client, loops)["id"] not in (record["id"], model["id"])
+
+
+def test_two_workbenches_do_not_share_a_folder(bench):
+    second = subprocess.run(
+        [*DEHYST, "workbench", str(bench.folder), "--no-browser", "--port", "0"],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert second.returncode == 2
+    assert "another workbench uses this folder" in second.stderr
+
+
+def test_a_folder_with_other_files_is_refused(tmp_path):
+    (tmp_path / "thesis.tex").write_text("mine")
+    ended = subprocess.run(
+        [*DEHYST, "workbench", str(tmp_path), "--no-browser"], check=False, capture_output=True, text=True
+    )
+    assert ended.returncode == 2
+    assert "holds other files (thesis.tex)" in ended.stderr
+
+
+def test_a_file_without_units_is_refused_with_options_that_read_it(bench, tmp_path):
+    rows = "".join(f"{k / 100},{k % 50},{(k % 50) / 10}\n" for k in range(400))
+    (tmp_path / "scope.csv").write_text("zeit/s,monitor,weg\n" + rows)
+    with bench.client() as client:
+        record = upload(client, tmp_path / "scope.csv")
+        assert record["status"] == "refused"
+        assert record["error"]
+        hint = record["hint"]["options"]
+        assert hint
+        answer = client.post(
+            f"/api/records/{record['id']}/read", json={"options": {"columns": "time:s,voltage:V,displacement:um"}}
+        )
+        assert answer.status_code == 200, answer.text
+        state = until(client, lambda state: entry(state, "records", record["id"])["status"] != "reading")
+        assert entry(state, "records", record["id"])["status"] == "ready"
+
+
+def test_an_identification_can_be_finished_early_or_stopped(bench, loops):
+    with bench.client() as client:
+        record = upload(client, loops)
+        answer = client.post("/api/models", json={"train": [record["id"]], "options": {"structure": "auto"}})
+        key = answer.json()["id"]
+        until(client, lambda state: entry(state, "models", key)["provisional"])
+        assert client.post(f"/api/models/{key}/end", json={}).status_code == 200
+        state = until(client, lambda state: entry(state, "models", key)["status"] != "identifying")
+        assert entry(state, "models", key)["status"] == "ready"
+        answer = client.post("/api/models", json={"train": [record["id"]], "options": {"structure": "auto"}})
+        key = answer.json()["id"]
+        for _ in range(2):
+            client.post(f"/api/models/{key}/end", json={})
+        state = until(client, lambda state: entry(state, "models", key)["status"] != "identifying")
+        assert entry(state, "models", key)["status"] == "cancelled"
+
+
+def test_a_workbench_that_ends_leaves_no_command_behind(tmp_path, loops):
+    folder = tmp_path / "bench"
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with served(folder) as running, running.client() as client:
+            record = upload(client, loops)
+            key = client.post("/api/models", json={"train": [record["id"]]}).json()["id"]
+            until(client, lambda state: entry(state, "models", key)["provisional"])  # noqa: B023
+            running.process.send_signal(number)
+            running.process.wait(20)
+        deadline = time.monotonic() + 20
+        while workers(folder) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert workers(folder) == []
+
+
+def workers(folder):
+    """Return the processes that run a command in a folder."""
+    listed = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True, check=True).stdout
+    pids = [line.split()[0] for line in listed.splitlines() if "dehyst.cli.worker" in line]
+    return [pid for pid in pids if works_in(pid, folder)]
+
+
+def works_in(pid, folder):
+    ended = subprocess.run(["readlink", f"/proc/{pid}/cwd"], check=False, capture_output=True, text=True)
+    return ended.stdout.strip() == str(folder.resolve())
+
+
+def test_a_request_that_makes_no_sense_is_answered_with_a_sentence(bench, loops):
+    with bench.client() as client:
+        record = upload(client, loops)
+        for body in ({}, {"train": []}, {"train": ["r99"]}, {"train": [record["id"]], "options": {"shell": "rm"}}):
+            answer = client.post("/api/models", json=body)
+            assert answer.status_code == 400
+            assert len(json.loads(answer.text)["error"]) > 10
+        both = {"train": [record["id"]], "validate": [record["id"]]}
+        assert "to train and to validate" in client.post("/api/models", json=both).json()["error"]
+        assert client.post("/api/models/m99/path", json={"points": CORNERS}).status_code == 400

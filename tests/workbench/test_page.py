@@ -1,0 +1,297 @@
+"""Journeys of a person at the page, in Debian's chromium, against a real server."""
+
+import re
+import time
+
+import numpy as np
+import places
+import pytest
+from matplotlib.image import imread
+from workbench_client import served
+from workbench_page import CHROMIUM, chromium, emulator, visit
+from workbench_tour import PICTURES, played
+
+from dehyst.records import read_table
+
+pytest.importorskip("playwright.sync_api", reason="needs playwright")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
+LIMITS, SLEW = (0, 100), 500
+# Pixels of a block in which pictures are compared.
+BLOCK = 20
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as opened:
+        yield opened
+
+
+@pytest.fixture
+def person(browser, bench):
+    with visit(browser, bench) as visitor:
+        yield visitor
+        assert visitor.complaints == []
+        assert visitor.elsewhere == []
+
+
+@pytest.fixture(scope="module")
+def bench_with_model(tmp_path_factory, browser, loops):
+    """A workbench whose folder has a model already."""
+    with served(tmp_path_factory.mktemp("page") / "bench") as running:
+        with visit(browser, running) as visitor:
+            visitor.drop(loops)
+            visitor.identify(structure="paper")
+        yield running
+
+
+@pytest.fixture
+def owner(browser, bench_with_model):
+    with visit(browser, bench_with_model) as visitor:
+        visitor.sees("1 ready")
+        yield visitor
+        assert visitor.complaints == []
+        assert visitor.elsewhere == []
+
+
+def colours(canvas):
+    """How many colours the canvases of a figure show."""
+    return canvas.evaluate(
+        """element => {
+            const canvases = element.tagName === "CANVAS" ? [element] : [...element.querySelectorAll("canvas")];
+            const seen = new Set();
+            for (const one of canvases) {
+                if (!one.width || !one.height) continue;
+                const pixels = one.getContext("2d").getImageData(0, 0, one.width, one.height).data;
+                for (const pixel of new Uint32Array(pixels.buffer)) seen.add(pixel);
+            }
+            return seen.size;
+        }"""
+    )
+
+
+def test_a_new_user_gets_a_voltage_in_under_ten_clicks_and_two_minutes(person, loops):
+    began = time.monotonic()
+    person.drop(loops)
+    person.sees("3.000 in", within="#records")
+    person.identify()
+    person.click("button", "Make a voltage")
+    person.sees("The path can be followed", within="#path")
+    person.write_voltage()
+    name, content = person.download("link", "Download CSV")
+    assert name == "loops.csv"
+    assert content.startswith(b"time_s,")
+    assert person.clicks < 10
+    assert time.monotonic() - began < 120
+
+
+def test_a_dropped_record_is_drawn_and_understood(person, loops):
+    content = loops.read_text()
+    person.page.evaluate(
+        """([name, text]) => {
+            const transfer = new DataTransfer();
+            transfer.items.add(new File([text], name));
+            for (const kind of ["dragenter", "dragover", "drop"]) {
+                const event = new DragEvent(kind, { dataTransfer: transfer, bubbles: true, cancelable: true });
+                document.body.dispatchEvent(event);
+            }
+        }""",
+        ["dropped.csv", content],
+    )
+    person.sees("dropped", within="#record-list")
+    person.sees("0 to 100 V|to 100 V", within="#records")
+    person.until("() => document.querySelectorAll('#records canvas').length > 0")
+    assert colours(person.page.locator("#records .stage")) > 3
+
+
+def test_an_identification_shows_its_progress_and_can_be_cancelled(person, loops):
+    person.drop(loops)
+    person.sees("3.000 in", within="#records")
+    person.click("button", "Identify a model")
+    person.sees("a first model exists", within="#running")
+    person.click("button", "Cancel", within="#running")
+    person.sees("Cancelled", within="#running")
+    assert person.page.locator("#model-body").is_hidden()
+
+
+def test_an_identification_can_be_finished_with_the_best_so_far(person, loops):
+    person.drop(loops)
+    person.sees("3.000 in", within="#records")
+    person.click("button", "Identify a model")
+    person.sees("a first model exists", within="#running")
+    person.click("button", "Finish with the best so far", within="#running")
+    person.sees("is the largest error to expect", within="#model")
+
+
+def test_a_drawn_path_is_written_by_the_server(owner, bench_with_model):
+    owner.step("Path")
+    owner.page.get_by_label("Draw points").check()
+    owner.sees("The path can be followed", within="#path")
+    owner.write_voltage()
+    card = owner.page.locator("#voltage-list > li").first.inner_text()
+    _, content = owner.download("link", "Download CSV", within="#voltage-list")
+    file = max((bench_with_model.folder / "voltages").iterdir(), key=lambda path: path.stat().st_mtime)
+    assert file.read_bytes() == content
+    table = {column.name: column.data for column in read_table(file).columns}
+    assert table["voltage_V"].min() >= 0
+    assert table["voltage_V"].max() <= 100
+    assert f"{table['voltage_V'].size:,}".replace(",", " ")[-3:] in card
+
+
+def test_what_the_page_plans_is_what_the_server_writes(owner, bench_with_model):
+    """The page computes in WebAssembly, the server by the command: on the path they agree."""
+    owner.step("Path")
+    owner.page.get_by_label("A scan").check()
+    owner.sees("The path can be followed", within="#path")
+    planned = owner.page.locator("#plan-words").inner_text()
+    low, high = (float(one) for one in re.search(r"([\d.]+) to ([\d.]+) V", planned).groups())
+    owner.write_voltage()
+    file = max((bench_with_model.folder / "voltages").iterdir(), key=lambda path: path.stat().st_mtime)
+    table = {column.name: column.data for column in read_table(file).columns}
+    on_path = table["voltage_V"][table["phase"] == table["phase"].max()] if "phase" in table else table["voltage_V"]
+    assert float(on_path.max()) == pytest.approx(high, rel=0.02)
+    assert float(on_path.min()) == pytest.approx(low, abs=2)
+
+
+@pytest.mark.parametrize("kind", ["raster", "spiral", "lissajous", "steps", "triangle"])
+def test_each_scan_can_be_followed_as_it_is_suggested(owner, kind):
+    owner.step("Path")
+    owner.page.get_by_label("A scan").check()
+    owner.page.get_by_label("Scan", exact=True).select_option(kind)
+    owner.until("(kind) => document.querySelector('#scan-kind').value === kind", kind)
+    owner.sees("The path can be followed", within="#plan-words")
+    owner.write_voltage()
+
+
+def test_a_path_that_cannot_be_planned_has_no_verdict(owner):
+    owner.step("Path")
+    owner.page.get_by_label("A scan").check()
+    owner.sees("The path can be followed", within="#plan-words")
+    owner.fill(re.compile("^Highest voltage"), "abc", within="#path")
+    owner.sees("has no voltage yet", within="#plan-words")
+    assert "can be followed" not in owner.page.locator("#plan-words").inner_text()
+    owner.fill(re.compile("^Highest voltage"), "100", within="#path")
+    owner.sees("The path can be followed", within="#plan-words")
+
+
+def test_exports_and_the_script_can_be_downloaded(owner):
+    owner.step("Export")
+    for name, suffix in (("C99", "-c.zip"), ("FMU", ".fmu"), ("WebAssembly", ".wasm")):
+        card = owner.page.locator("#export li").filter(has=owner.page.get_by_role("heading", name=name))
+        card.get_by_role("button").first.click()
+        owner.page.locator("#files").get_by_text(re.compile(rf"exports/loops.*{suffix.split('.')[0]}")).first.wait_for()
+    owner.sees(r"exports/loops\.wasm", within="#files")
+    name, content = owner.download("link", "exports/loops.wasm", within="#files")
+    assert content[:4] == b"\0asm"
+    name, content = owner.download("link", "Model (JSON)")
+    assert content.lstrip().startswith(b"{")
+    assert "dehyst identify records/loops.npz" in owner.page.locator("#script").inner_text()
+    assert name == "loops.json"
+
+
+def test_a_reload_loses_nothing(owner):
+    owner.step("Model")
+    owner.sees("is the largest error to expect", within="#model")
+    owner.page.reload()
+    owner.sees("1 ready")
+    owner.step("Model")
+    owner.sees("is the largest error to expect", within="#model")
+    assert colours(owner.page.locator("#model-body")) > 3
+
+
+def test_two_tabs_and_two_windows_show_the_same(browser, person, bench, loops):
+    second = person.tab()
+    second.goto(bench.base)
+    person.drop(loops)
+    second.locator("#record-list").get_by_text("loops").first.wait_for()
+    with visit(browser, bench) as elsewhere:
+        elsewhere.sees("loops", within="#record-list")
+        # A page that still fetches a record which is removed is told so, on its console too.
+        for page in (person.page, second, elsewhere.page):
+            page.locator("#records").get_by_label(re.compile("of loops, .* samples")).first.wait_for(state="attached")
+        elsewhere.click("button", re.compile("^Remove loops"))
+        second.locator("#record-list > li").wait_for(state="detached")
+    person.page.locator("#record-list > li").wait_for(state="detached")
+
+
+def test_a_calibration_on_the_emulator_brings_a_model(person, bench):
+    with emulator("--speed", "20", "--limits", "0", "100") as address:
+        person.connect(address, LIMITS, SLEW)
+        person.fill(re.compile("^Loops a second"), "2", within="#rig-calibration")
+        person.fill(re.compile("^Further rounds"), "0", within="#rig-calibration")
+        person.click("button", "Show the plan")
+        person.sees("major loops", within="#rig-plan")
+        person.arm(LIMITS, SLEW)
+        person.click("button", "Calibrate", within="#rig-calibration")
+        person.sees("^calibrating", within="#rig-bar")
+        person.sees("^armed", within="#rig-bar")
+        person.click("button", "Disconnect")
+        person.page.locator("#rig-bar").wait_for(state="hidden")
+    person.step("Model")
+    person.sees("is the largest error to expect", within="#model")
+    assert list((bench.folder / "calibrations").glob("*/report.html"))
+    assert "# moves the actuator: dehyst calibrate" in (bench.folder / "commands.sh").read_text()
+
+
+def test_the_plan_of_a_calibration_scrolls_in_a_small_window(person):
+    person.connect("sim://play", LIMITS, SLEW)
+    person.click("button", "Show the plan")
+    person.sees("major loops", within="#rig-plan")
+    person.page.set_viewport_size({"width": 400, "height": 800})
+    assert person.page.evaluate("() => document.documentElement.scrollWidth - innerWidth") <= 0
+    person.click("button", "Disconnect")
+    person.page.locator("#rig-bar").wait_for(state="hidden")
+
+
+def test_the_stop_ends_a_wave_and_its_samples_are_kept(owner, bench_with_model):
+    owner.step("Path")
+    owner.page.get_by_label("A scan").check()
+    owner.fill(re.compile("^Cycles"), "0.1", within="#source-scan")
+    owner.sees("The path can be followed", within="#path")
+    owner.write_voltage()
+    with emulator("--limits", "0", "100") as address:
+        owner.connect(address, LIMITS, SLEW)
+        owner.arm(LIMITS, SLEW)
+        newest = owner.page.locator("#rig-play option").last.get_attribute("value")
+        owner.page.locator("#rig-play select").select_option(newest)
+        owner.click("button", "Play", within="#rig-play", exact=True)
+        owner.sees("^playing", within="#rig-bar")
+        owner.until("() => document.querySelector('#rig-bar progress').value > 0.05")
+        owner.page.keyboard.press("Escape")
+        owner.sees("Stop received", within="#rig-bar")
+        owner.sees("connected, not armed", within="#rig-bar")
+        owner.sees("brought to 0 V", within="#rig-words")
+        owner.click("button", "Disconnect")
+        owner.page.locator("#rig-bar").wait_for(state="hidden")
+    played = list((bench_with_model.folder / "records").glob("*-played.h5"))
+    assert len(played) == 1
+    owner.step("Records")
+    owner.sees("played", within="#record-list")
+    from dehyst import read
+
+    record = read(played[0])
+    assert record.meta["complete"] is False
+    assert len(record) > 10
+    assert np.abs(record.voltage).max() <= 100 + 1e-6
+
+
+def test_the_tutorial_can_be_followed_and_has_its_pictures(browser, tmp_path):
+    assert played(tmp_path, browser) == []
+    assert {path.stem for path in tmp_path.glob("*.png")} == set(PICTURES)
+    text = (places.DOCS / "tutorials" / "workbench.md").read_text()
+    assert re.findall(r"\(workbench/(\w+)\.png\)", text) == list(PICTURES)
+    kept = places.DOCS / "tutorials" / "workbench"
+    # Two runs differ by 0.001 at most, two pictures of the tutorial by 0.07; letters of another font lie between.
+    old = [name for name in PICTURES if difference(kept / f"{name}.png", tmp_path / f"{name}.png") > 0.03]
+    assert old == [], "run make pictures"
+
+
+def difference(first, second):
+    """Mean difference of two pictures' brightness, 0 to 1, in blocks in which single letters count little."""
+    blocks = [brightness(path) for path in (first, second)]
+    return np.abs(blocks[0] - blocks[1]).mean()
+
+
+def brightness(path):
+    grey = imread(path)[..., :3].mean(axis=-1)
+    rows, columns = (size // BLOCK for size in grey.shape)
+    return grey[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK).mean(axis=(1, 3))

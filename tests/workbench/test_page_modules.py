@@ -1,0 +1,285 @@
+"""The page's modules that draw and compute, run by node: thinning, inking, paths, numbers."""
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import places
+import pytest
+
+PAGE = places.SOURCES / "workbench" / "page"
+HEAD = """
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { inkLines } from "./raster.js";
+import { before, nearest, thinPath, thinTime } from "./thinning.js";
+import { inserted, moved, parsedPath, removed, sampled } from "./path_points.js";
+import { bytes, duration, extent, length, parsed, percent, range, short, ticks, whole } from "./numbers.js";
+const column = (name) => {
+  const bytes = readFileSync(new URL(name, import.meta.url));
+  return new Float32Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length));
+};
+const print = (value) => console.log(JSON.stringify(value));
+"""
+# Values to pixels: 0 to 100 V and -12 to 12 um on 400 x 300 pixels.
+FRAME = "const frame = { x0: 0, kx: 4, y0: 12, ky: -12.5, width: 400, height: 300 };"
+
+
+@pytest.fixture(scope="module")
+def modules(tmp_path_factory):
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed: the page's modules cannot be run (Debian: nodejs)")
+    folder = tmp_path_factory.mktemp("modules") / "page"
+    shutil.copytree(PAGE, folder)
+    (folder / "package.json").write_text('{"type": "module"}')
+    return folder
+
+
+@pytest.fixture
+def run(modules):
+    def node(program, **columns):
+        for name, values in columns.items():
+            np.asarray(values, dtype="<f4").tofile(modules / name)
+        (modules / "program.js").write_text(HEAD + FRAME + program)
+        done = subprocess.run(
+            ["node", "program.js"], cwd=modules, capture_output=True, text=True, check=False, timeout=120
+        )
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout) if done.stdout else None
+
+    return node
+
+
+def loops(samples, noise, cycles=40):
+    phase = np.linspace(0, 2 * np.pi * cycles, samples)
+    height = 0.3 + 0.7 * np.abs(np.sin(phase / 37))
+    random = np.random.default_rng(samples)
+    voltage = 50 + 49 * height * np.sin(phase)
+    return voltage, 10 * height * np.sin(phase - 0.2) + random.normal(0, 1, samples) * noise
+
+
+COVERAGE = """
+const [x, y] = [column("x"), column("y")];
+const all = { px: x.map((v) => v * 4), py: y.map((v) => (v - 12) * -12.5), count: x.length };
+all.pen = new Uint8Array(x.length).fill(1);
+all.pen[0] = 0;
+const entire = inkLines(all, 400, 300, 1, 1.4).slice(0, 120000);
+const thin = thinPath(x, y, frame);
+const part = inkLines(thin, 400, 300, 1, 1.4).slice(0, 120000);
+const near = (ink, at, reach) => {
+  for (let dy = -reach; dy <= reach; dy += 1) {
+    for (let dx = -reach; dx <= reach; dx += 1) if (ink[at + dx + 400 * dy]) return true;
+  }
+  return false;
+};
+let [lost, added, inked] = [0, 0, 0];
+for (let i = 0; i < 120000; i += 1) {
+  if (entire[i] === 255) inked += 1;
+  if (entire[i] === 255 && !near(part, i, 1)) lost += 1;
+  if (part[i] === 255 && !near(entire, i, 1)) added += 1;
+}
+print({ lost, added, inked, vertices: thin.count });
+"""
+
+
+@pytest.mark.parametrize(("samples", "noise"), [(2_000, 0.0), (50_000, 0.0), (200_000, 0.05), (200_000, 0.3)])
+def test_a_thinned_path_inks_the_pixels_of_the_entireone(run, samples, noise):
+    x, y = loops(samples, noise)
+    counts = run(COVERAGE, x=x, y=y)
+    assert counts["inked"] > 3000
+    assert counts["added"] == 0
+    assert counts["lost"] <= 0.001 * counts["inked"]
+    assert counts["vertices"] < 120_000
+
+
+def test_a_path_that_repeats_itself_costs_no_more(run):
+    x, y = loops(20_000, 0.0, cycles=4)
+    program = 'const [x, y] = [column("x"), column("y")]; print(thinPath(x, y, frame).count);'
+    once = run(program, x=x, y=y)
+    assert run(program, x=np.tile(x, 20), y=np.tile(y, 20)) < 1.5 * once
+
+
+def test_a_path_is_cut_at_missing_values_and_outside(run):
+    run("""
+        const thin = thinPath([10, 20, NaN, 30, 40, -50, -60, -60, 50], [0, 1, 1, 2, 3, 3, 3, 50, 0], frame);
+        const strokes = [...thin.pen.slice(0, thin.count)].filter((pen) => pen === 0).length;
+        assert.equal(strokes, 3);
+        assert.equal(thinPath([], [], frame).count, 0);
+        assert.equal(thinPath([NaN], [1], frame).count, 0);
+    """)
+
+
+def test_a_curve_over_time_keeps_the_extremes_of_each_column(run):
+    time = np.linspace(0, 100, 100_000)
+    y = np.random.default_rng(3).normal(0, 2, time.size)
+    drawn = run(
+        """
+        const [x, y] = [column("x"), column("y")];
+        const thin = thinTime(x, y, frame);
+        print({ px: [...thin.px.slice(0, thin.count)], py: [...thin.py.slice(0, thin.count)] });
+        """,
+        x=time,
+        y=y,
+    )
+    px, py = np.array(drawn["px"]), np.array(drawn["py"])
+    assert px.size <= 4 * 402
+    assert np.all(np.diff(np.floor(px)) >= 0)
+    pixels = (y.astype(np.float32).astype(float) - 12) * -12.5
+    columns = np.floor(time.astype(np.float32).astype(float) * 4)
+    for column in (0, 17, 200, 399):
+        mine = py[np.floor(px) == column]
+        assert mine.min() == pytest.approx(pixels[columns == column].min(), abs=1e-3)
+        assert mine.max() == pytest.approx(pixels[columns == column].max(), abs=1e-3)
+
+
+def test_only_the_part_in_view_is_drawn_with_its_neighbours(run):
+    run("""
+        const x = Float32Array.from({ length: 1000 }, (_, i) => i);
+        const near = { ...frame, x0: 500, kx: 40 };
+        const thin = thinTime(x, x.map(() => 0), near);
+        assert.ok(thin.count <= 14 && thin.px[0] < 0 && thin.px[thin.count - 1] >= 400, String(thin.count));
+        assert.equal(before(x, 10.5), 11);
+        assert.equal(before(x, -1), 0);
+        assert.equal(before(x, 5000), 1000);
+    """)
+
+
+@pytest.mark.parametrize("rising", [False, True])
+def test_the_nearest_sample_is_found(run, rising):
+    random = np.random.default_rng(5)
+    x = np.sort(random.uniform(0, 100, 4000)) if rising else random.uniform(0, 100, 4000)
+    y = random.uniform(-12, 12, 4000)
+    at = random.uniform([0, 0], [400, 300], (20, 2))
+    found = run(
+        f"""
+        const [x, y, at] = [column("x"), column("y"), column("at")];
+        const places = Array.from({{ length: 20 }}, (_, k) => ({{ x: at[2 * k], y: at[2 * k + 1] }}));
+        assert.equal(nearest([1e9], [0], frame, {{ x: 0, y: 0 }}, 40, {str(rising).lower()}), null);
+        print(places.map((one) => nearest(x, y, frame, one, 40, {str(rising).lower()})?.index ?? -1));
+        """,
+        x=x,
+        y=y,
+        at=at,
+    )
+    pixels = np.column_stack([4 * x, (y - 12) * -12.5])
+    for spot, index in zip(at, found, strict=True):
+        assert index == np.argmin(np.hypot(*(pixels - spot).T))
+
+
+def test_a_path_through_points_is_sampled_as_the_server_does(run):
+    points = [[0, 2], [0.2501, 9], [0.25011, 4], [1.0, 3]]
+    got = run(f"const {{ time, wanted }} = sampled({points}, 1000); print([[...time], [...wanted]]);")
+    time = np.arange(1001) / 1000
+    assert got[0] == pytest.approx(time)
+    assert got[1] == pytest.approx(np.interp(time, *np.array(points).T), abs=1e-12)
+
+
+def test_points_stay_in_their_order(run):
+    run("""
+        const points = [[0, 1], [1, 2], [2, 3]];
+        assert.deepEqual(moved(points, 1, [5, 7], 0.01)[1], [1.99, 7]);
+        assert.deepEqual(moved(points, 0, [5, 7], 0.01)[0], [0, 7]);
+        assert.deepEqual(moved(points, 2, [9, 7], 0.01)[2], [9, 7]);
+        assert.deepEqual(inserted(points, [1.5, 4], 0.01), { points: [[0, 1], [1, 2], [1.5, 4], [2, 3]], index: 2 });
+        assert.equal(inserted(points, [1.001, 4], 0.01).index, -1);
+        assert.equal(inserted(points, [-1, 4], 0.01).index, -1);
+        assert.deepEqual(removed(points, 1), [[0, 1], [2, 3]]);
+        assert.equal(removed(points, 0), points);
+        const two = [[0, 1], [1, 2]];
+        assert.equal(removed(two, 1), two);
+        assert.throws(() => sampled(points, 0.1), /fewer than two samples/);
+        assert.throws(() => sampled(points, 1e9), /at most/);
+    """)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time_s,displacement_um\n0,1\n0.5,2\n1,1.5\n",
+        "# a comment\ntime_ms;weg_nm\n0;1000\n500;2000\n1000;1500\n",
+        '"Time [ms]";"Position (um)"\n1000,0;1,0\n1500,0;2,0\n2000,0;1,5\n',
+        "0 1\n0.5 2\n1 1.5",
+        "voltage_V,time_s,displacement_m\r\n9,0,1e-6\r\n9,0.5,2e-6\r\n9,1,1.5e-6\r\n",
+    ],
+)
+def test_a_path_is_read_from_text(run, text):
+    assert run(f"print(parsedPath({json.dumps(text)}));") == [
+        pytest.approx(row) for row in [[0, 1], [0.5, 2], [1, 1.5]]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "is empty"),
+        ("a,b\n1,2\n", "need one of time and one of displacement"),
+        ("time_s,displacement_um\n0,1\n0,2\n", "does not rise"),
+        ("time_s,displacement_um\n0,1\n1,x\n", "need a number"),
+        ("time_s,displacement_um\n0,1\n", "need two at least"),
+    ],
+)
+def test_a_text_that_is_no_path_is_refused_with_the_reason(run, text, sentence):
+    run(f"assert.throws(() => parsedPath({json.dumps(text)}), /{sentence}/);")
+
+
+def test_numbers_are_written_for_people(run):
+    run("""
+        const values = [0, 0.5, 1234.5, -3.25, 1e-9, null];
+        const texts = ["0", "0.5", "1235", "\\u22123.25", "1.00e\\u22129", "\\u2013"];
+        assert.deepEqual(values.map((one) => short(one)), texts);
+        assert.equal(percent(0.887), "0.89 %");
+        assert.equal(length(0.0085), "8.5 nm");
+        assert.equal(length(45.8), "45.8 \\u00b5m");
+        assert.equal(whole(1000000), "1\\u202f000\\u202f000");
+        assert.deepEqual([12.34, 119.7, 60 * 3].map(duration), ["12.3 s", "2 min 0 s", "3 min 0 s"]);
+        assert.equal(bytes(33e6), "33 MB");
+        assert.equal(bytes(null), "\u2013");
+        assert.equal(range([-123.1, -73.64], "\\u00b5m"), "\\u2212123.1 to \\u221273.64 \\u00b5m");
+        const typed = ["1,5", "1e3", " \\u22122 ", "", "x", "1,000,000"];
+        assert.deepEqual(typed.map(parsed), [1.5, 1000, -2, null, NaN, NaN]);
+        assert.deepEqual(extent([[1, 3], [NaN, 2]]), [1, 3]);
+        assert.deepEqual(extent([[5, 5]]), [4, 6]);
+        const { values: places } = ticks(0, 1, 5);
+        assert.deepEqual(places.map((one) => one.toFixed(1)), ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
+    """)
+
+
+def test_a_line_is_inked_along_its_entirelength(run):
+    ink = run("""
+        const line = { px: [10, 390], py: [20, 280], pen: [0, 1], count: 2 };
+        const ink = inkLines(line, 400, 300, 1, 1.4);
+        const rows = [];
+        for (let column = 11; column < 390; column += 1) {
+          let best = 0;
+          let at = -1;
+          for (let row = 0; row < 300; row += 1) {
+            const cover = ink[column + 400 * row];
+            if (cover > best) [best, at] = [cover, row];
+          }
+          rows.push([best, at]);
+        }
+        print(rows);
+    """)
+    cover, rows = np.array(ink).T
+    assert cover.min() > 200
+    middle = 20 + (np.arange(11, 390) + 0.5 - 10) * 260 / 380
+    assert np.abs(rows + 0.5 - middle).max() <= 1
+
+
+def test_a_million_samples_are_thinned_in_a_frame(run):
+    x, y = loops(1_000_000, 0.02, cycles=300)
+    best = run(
+        """
+        const [x, y] = [column("x"), column("y")];
+        const times = Array.from({ length: 8 }, () => {
+          const began = performance.now();
+          inkLines(thinPath(x, y, frame), 400, 300, 1, 1.4);
+          return performance.now() - began;
+        });
+        print(Math.min(...times));
+        """,
+        x=x,
+        y=y,
+    )
+    assert best < 150

@@ -1,0 +1,356 @@
+"""The rig process at its pipes: what it refuses, what it plays, and that no reader can hold it up."""
+
+import fcntl
+import json
+import time
+
+import numpy as np
+import pytest
+from observed_rig import LIMITS, SLEW, ObservedController, held, on_disk, triangle
+
+from dehyst import read
+from dehyst.instruments import open_rig
+from dehyst.instruments.calibration.plan import Plan, entries
+
+
+@pytest.fixture
+def holder(tmp_path):
+    with held(tmp_path) as holder:
+        yield holder
+
+
+@pytest.fixture
+def simulated(holder):
+    holder.connect("sim://play", slew=2000.0)
+    return holder
+
+
+def answered(holder, count):
+    """Wait for so many errors, and return them."""
+    holder.until(lambda: len([one for one in holder.messages if one["kind"] == "error"]) >= count)
+    return holder.errors_sent()
+
+
+def refused(holder, **command):
+    """Send a command, and return the error that it gets."""
+    before = len(holder.errors_sent())
+    holder.send(**command)
+    return answered(holder, before + 1)[-1]
+
+
+def play(holder, file, name="wave"):
+    holder.send(do="play", file=str(file), record=str(holder.folder / f"{name}.h5"))
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        (b"{broken\n", "not JSON"),
+        (b"\xff\xfe\n", "not JSON"),
+        (b"[" * 50_000 + b"\n", "not JSON"),
+        (b"[1, 2]\n", "need an object"),
+        (b'"stop"\n', "need an object"),
+        (b'{"do": "fly"}\n', "need one of connect, arm"),
+        (b'{"do": ["play"]}\n', "need one of"),
+        (b"{}\n", "need one of"),
+        (b'{"do": "play", "x": "' + b"a" * 2_000_000 + b'"}\n', "more than 65536 bytes"),
+    ],
+)
+def test_a_line_that_is_no_command_is_refused_and_the_next_one_obeyed(holder, line, why):
+    holder.raw(line)
+    assert why in answered(holder, 1)[0]
+    holder.connect("sim://play")
+    assert holder.state["status"] == "connected"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        {"do": "connect", "address": 5},
+        {"do": "connect", "address": "sim://play", "limits": [0]},
+        {"do": "connect", "address": "sim://play", "limits": ["0", "9"]},
+        {"do": "connect", "address": "sim://play", "limits": [100, 0]},
+        {"do": "connect", "address": "sim://play", "slew": True},
+        {"do": "connect", "address": "sim://nothing"},
+        {"do": "connect", "address": "pi://127.0.0.1:1"},
+        {"do": "arm", "limits": [0, 1], "slew": 1},
+        {"do": "plan"},
+    ],
+)
+def test_a_command_with_impossible_fields_is_refused(holder, command):
+    assert refused(holder, **command)
+    holder.connect("sim://play")
+    assert holder.state["status"] == "connected"
+
+
+@pytest.mark.parametrize(
+    "confirmation",
+    [
+        {},
+        {"limits": list(LIMITS)},
+        {"limits": [0.0, 200.0], "slew": SLEW},
+        {"limits": [-1.0, 100.0], "slew": SLEW},
+        {"limits": list(LIMITS), "slew": 99.99},
+        {"limits": list(LIMITS), "slew": None},
+        {"limits": None, "slew": SLEW},
+    ],
+)
+def test_arming_needs_the_limits_and_the_slew_rate_in_force(confirmation, tmp_path):
+    with ObservedController() as controller, held(tmp_path) as holder:
+        holder.connect(controller.address)
+        assert "arm: got" in refused(holder, do="arm", **confirmation)
+        assert holder.state["status"] == "connected"
+
+
+@pytest.mark.parametrize("command", [{"do": "play"}, {"do": "calibrate", "folder": "out"}])
+def test_nothing_moves_a_voltage_unless_armed(command, tmp_path):
+    with ObservedController() as controller, held(tmp_path) as holder:
+        holder.connect(controller.address)
+        command |= {"file": str(triangle(tmp_path)), "record": str(tmp_path / "wave.h5")}
+        assert "not armed" in refused(holder, **command)
+        for do in ("stop", "disarm"):
+            holder.state["words"] = []
+            holder.send(do=do)
+            holder.until(lambda: holder.state["words"][1:] == ["Nothing was armed, and the voltage was not moved."])
+        holder.send(do="plan")
+        holder.until(lambda: holder.state["plan"] is not None)
+        assert not controller.put_out()[1].any()
+        assert not list(tmp_path.glob("*.h5*"))
+
+
+def test_a_rig_that_stands_outside_the_limits_is_not_armed(tmp_path):
+    with ObservedController() as controller, held(tmp_path) as holder:
+        controller._bench.set_voltage(150.0)
+        holder.connect(controller.address)
+        assert "stands at 150 V" in refused(holder, do="arm", limits=list(LIMITS), slew=SLEW)
+        assert controller.voltage == 150.0
+
+
+def test_a_voltage_outside_the_limits_is_refused_before_it_moves(tmp_path):
+    with ObservedController() as controller, held(tmp_path) as holder:
+        holder.connect(controller.address)
+        holder.arm()
+        before = len(holder.errors_sent())
+        play(holder, triangle(tmp_path, highest=101.0))
+        assert "10 to 100.99 V, but" in answered(holder, before + 1)[-1]
+        play(holder, tmp_path / "no such file.csv")
+        assert "no such file" in answered(holder, before + 2)[-1]
+        assert holder.state["status"] == "armed"
+        assert not controller.put_out()[1].any()
+
+
+def test_the_plan_is_that_of_the_command(simulated):
+    simulated.send(do="plan", frequency=5, rounds=1, goal=0.5)
+    simulated.until(lambda: simulated.state["plan"])
+    with open_rig("sim://play", limits=LIMITS, slew_rate=2000.0) as rig:
+        expected = entries(rig, Plan(frequency=5.0, rounds=1, goal=0.5))
+    assert simulated.state["plan"]["steps"] == json.loads(json.dumps(expected))
+    assert simulated.state["plan"]["seconds"] == sum(entry.get("seconds", 0) for entry in expected)
+    assert "rounds" in refused(simulated, do="plan", rounds=1.5)
+    assert "frequency" in refused(simulated, do="plan", frequency=-1)
+
+
+def test_a_wave_is_played_and_recorded_and_the_rig_stays_armed(simulated, tmp_path):
+    simulated.arm()
+    play(simulated, triangle(tmp_path, seconds=2.0))
+    simulated.until(lambda: simulated.state.get("result"))
+    assert simulated.state["result"] == {"kind": "record", "file": str(tmp_path / "wave.h5"), "samples": 2001}
+    assert simulated.state["status"] == "armed"
+    record = read(tmp_path / "wave.h5")
+    assert len(record) == 2001
+    assert record.meta["complete"] is True
+    assert record.meta["identity"].startswith("simulated play")
+
+
+def test_a_record_that_is_there_is_not_replaced(simulated, tmp_path):
+    simulated.arm()
+    (tmp_path / "wave.h5").write_bytes(b"mine")
+    play(simulated, triangle(tmp_path, seconds=2.0))
+    assert "no record is overwritten" in answered(simulated, 1)[0]
+    assert (tmp_path / "wave.h5").read_bytes() == b"mine"
+
+
+def test_while_a_wave_plays_other_commands_are_refused(tmp_path):
+    with ObservedController() as controller, held(tmp_path) as holder:
+        holder.connect(controller.address)
+        holder.arm()
+        holder.play()
+        for do in ("play", "calibrate", "connect", "arm", "plan"):
+            assert "the rig is busy (play)" in refused(holder, do=do)
+        assert holder.state["status"] == "playing"
+
+
+def test_live_data_come_ten_times_a_second_thinned_with_what_is_wanted(tmp_path):
+    with ObservedController() as controller, held(tmp_path) as holder:
+        holder.connect(controller.address)
+        holder.arm()
+        holder.play()
+        began = time.monotonic()
+        holder.until(lambda: time.monotonic() > began + 2.0)
+        playing = [one for one in holder.messages if one["kind"] == "live" and one["status"] == "playing"]
+        # What was read at rest, just before the wave, belongs to no step.
+        live = [one for one in playing if one["step"] is not None]
+        assert live in (playing, playing[1:])
+        assert 10 <= len(live) <= 25
+        assert all(len(one["t"]) == len(one["v"]) == len(one["y"]) == len(one["expected"]) <= 200 for one in live)
+        assert {one["step"] for one in live} == {"triangle-9-90"}
+        shares = [one["share"] for one in live]
+        assert shares == sorted(shares)
+        assert 0 < shares[-1] < 0.5
+
+
+def test_a_pipe_that_nobody_reads_does_not_hold_up_the_wave(tmp_path):
+    """Signs of life go on; live data fill the pipe; then the pipe is closed, and the voltage is brought back."""
+    with ObservedController() as controller, held(tmp_path, deaf=True) as holder:
+        fcntl.fcntl(holder.process.stdout, fcntl.F_SETPIPE_SZ, 4096)
+        holder.alive(True)
+        holder.send(do="connect", address=controller.address, limits=LIMITS, slew=SLEW)
+        holder.send(do="arm", limits=LIMITS, slew=SLEW)
+        play(holder, triangle(tmp_path, seconds=3.0))
+        assert controller.wait_for((tmp_path / "wave.h5").exists)
+        assert controller.wait_for(lambda: on_disk(tmp_path) == 3001)
+        assert controller.told == 3001
+        away = controller.voltage
+        assert away > 1.0
+        play(holder, triangle(tmp_path), "second")
+        assert controller.wait_for(lambda: controller.told > 4000)
+        lost = time.monotonic()
+        holder.process.stdin.close()
+        assert controller.wait_for(holder.gone, 10.0)
+        assert controller.safe_at() - lost < 10.0
+        assert on_disk(tmp_path, "second") == controller.told - 3001
+
+
+def test_a_reader_that_closes_the_pipe_does_not_hold_up_the_wave(tmp_path):
+    with ObservedController() as controller, held(tmp_path, deaf=True) as holder:
+        holder.process.stdout.close()
+        holder.alive(True)
+        holder.send(do="connect", address=controller.address, limits=LIMITS, slew=SLEW)
+        holder.send(do="arm", limits=LIMITS, slew=SLEW)
+        play(holder, triangle(tmp_path, seconds=2.0))
+        assert controller.wait_for(lambda: on_disk(tmp_path) == 2001)
+        holder.alive(False)
+        assert controller.wait_for(lambda: abs(controller.voltage) < 1e-9, 5.0)
+
+
+def test_a_calibration_without_signs_of_life_stops_and_keeps_its_samples(tmp_path):
+    with ObservedController() as controller, held(tmp_path) as holder:
+        holder.connect(controller.address, slew=2000.0)
+        holder.arm()
+        holder.send(do="calibrate", folder=str(tmp_path / "out"), frequency=5)
+        holder.until(lambda: holder.state.get("step") == "look" and controller.told > 300)
+        assert holder.state["status"] == "calibrating"
+        lost = time.monotonic()
+        holder.alive(False)
+        holder.until(lambda: holder.state["status"] == "connected")
+        assert holder.state["words"][0] == "Stopped: the page gave no sign of life for 0.6 s."
+        assert controller.safe_at() - lost < 10.0
+        record = read(tmp_path / "out" / "records" / "look.h5")
+        assert len(record) == controller.told
+        assert record.meta["complete"] is False
+
+
+def test_a_stop_while_a_calibration_computes_ends_it(simulated, tmp_path):
+    simulated.arm()
+    simulated.send(do="calibrate", folder=str(tmp_path / "out"), frequency=5)
+    simulated.until(lambda: simulated.state.get("step") == "identify")
+    pressed = time.monotonic()
+    assert simulated.press() == 200
+    simulated.until(lambda: simulated.state["status"] == "connected")
+    assert time.monotonic() - pressed < 10.0
+    assert simulated.state["words"][0] == "Stopped: the emergency stop was pressed."
+    assert not (tmp_path / "out" / "model.json").exists()
+
+
+@pytest.mark.slow
+def test_a_calibration_writes_what_the_command_writes(simulated, tmp_path):
+    simulated.arm()
+    simulated.send(do="calibrate", folder=str(tmp_path / "out"), frequency=5, rounds=1)
+    simulated.until(lambda: simulated.state.get("result"), 300.0)
+    result = simulated.state["result"]
+    assert result["kind"] == "calibration"
+    assert result["good"] is True
+    assert result["compensated_percent"] < result["nominal_percent"]
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert written == {"records", "campaign.json", "model.json", "calibration.json", "report.html"}
+    assert "dehyst calibrate sim://play" in (tmp_path / "out" / "report.html").read_text()
+    assert result["command"].endswith("--limits 0.0 100.0 --slew 2000.0 --frequency 5.0 --rounds 1 --goal 1.0")
+    assert simulated.state["status"] == "armed"
+
+
+def test_a_folder_with_results_of_others_is_refused(simulated, tmp_path):
+    simulated.arm()
+    (tmp_path / "model.json").write_text("{}")
+    assert "holds model.json" in refused(simulated, do="calibrate", folder=str(tmp_path))
+    assert simulated.state["status"] == "armed"
+
+
+def test_a_driver_that_prints_does_not_break_the_protocol(holder, tmp_path):
+    (tmp_path / "loud.py").write_text(
+        "from dehyst.instruments import open_rig\n"
+        "def make(**options):\n"
+        '    print(\'{"kind": "live"}\' * 1000)\n'
+        "    return open_rig('sim://play', **options)\n"
+    )
+    holder.connect(f"{tmp_path / 'loud.py'}:make", slew=1000.0)
+    assert holder.state["status"] == "connected"
+    assert not [one for one in holder.messages if one["kind"] == "live" and "v" not in one]
+
+
+def test_a_driver_that_fails_at_rest_disarms(holder, tmp_path):
+    (tmp_path / "moody.py").write_text(
+        "from pathlib import Path\n"
+        "from dehyst.instruments.simulated import SimulatedRig\n"
+        "from dehyst.virtual import PlayActuator\n"
+        "class Moody(SimulatedRig):\n"
+        "    def _read(self):\n"
+        "        if Path(__file__).with_name('moody').exists():\n"
+        "            raise SystemExit('no more')\n"
+        "        return super()._read()\n"
+        "def make(**options):\n"
+        "    return Moody(PlayActuator(), **options)\n"
+    )
+    holder.connect(f"{tmp_path / 'moody.py'}:make", slew=1000.0)
+    holder.arm()
+    (tmp_path / "moody").touch()
+    holder.until(lambda: holder.state["status"] in ("lost", "connected"))
+    words = " ".join(holder.state["words"])
+    assert words.startswith("Stopped: the rig cannot be read: SystemExit: no more. The voltage could not be brought")
+    assert holder.state["status"] == "lost"
+
+
+def test_a_driver_that_holds_pythons_lock_is_not_held_against_the_page(holder, tmp_path):
+    """No thread runs meanwhile; the signs of life that came are read before the watchdog judges."""
+    (tmp_path / "selfish.py").write_text(
+        "import ctypes\n"
+        "from pathlib import Path\n"
+        "from dehyst.instruments.simulated import SimulatedRig\n"
+        "from dehyst.virtual import PlayActuator\n"
+        "class Selfish(SimulatedRig):\n"
+        "    def _read(self):\n"
+        "        if (flag := Path(__file__).with_name('hold')).exists():\n"
+        "            flag.unlink()\n"
+        "            ctypes.PyDLL(None).usleep(1_000_000)\n"
+        "        return super()._read()\n"
+        "def make(**options):\n"
+        "    return Selfish(PlayActuator(), **options)\n"
+    )
+    holder.connect(f"{tmp_path / 'selfish.py'}:make", slew=1000.0)
+    holder.arm()
+    (tmp_path / "hold").touch()
+    began = time.monotonic()
+    holder.until(lambda: time.monotonic() > began + 2.0)
+    assert not (tmp_path / "hold").exists()
+    assert holder.state["status"] == "armed"
+    (tmp_path / "hold").touch()
+    holder.alive(False)
+    holder.until(lambda: holder.state["status"] == "connected", 5.0)
+
+
+def test_a_record_is_that_of_the_voltage(simulated, tmp_path):
+    simulated.arm()
+    file = triangle(tmp_path, seconds=1.0)
+    play(simulated, file)
+    simulated.until(lambda: simulated.state.get("result"))
+    wanted = np.loadtxt(file, delimiter=",", skiprows=1)[:, 1]
+    assert np.abs(read(tmp_path / "wave.h5").voltage - wanted).max() < 1e-9

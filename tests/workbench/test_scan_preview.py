@@ -1,0 +1,60 @@
+"""The path of a scan as the page draws it: that of the command line."""
+
+import numpy as np
+import pytest
+from command_line import run
+
+from dehyst._errors import DehystError
+from dehyst.model import Actuator, MaxwellSlip, Spring
+from dehyst.records import read_table
+from dehyst.workbench.scan_preview import requested, scan_columns
+
+SCANS = (
+    {"kind": "triangle", "low": 2, "high": 8, "frequency": 5, "cycles": 3, "rising": 0.3},
+    {"kind": "raster", "low": 2, "high": 8, "frequency": 10, "lines": 4, "axis": "y", "y_low": 3, "y_high": 6},
+    {"kind": "spiral", "low": 2, "high": 8, "frequency": 2, "revolutions": 3, "constant": "angular"},
+    {"kind": "lissajous", "low": 2, "high": 8, "frequency": 2, "ratio": [3, 2], "phase": 30},
+    {"kind": "steps", "levels": [2, 6, 4], "dwell": 0.1, "edge": 0.02},
+)
+
+
+@pytest.mark.parametrize("scan", SCANS, ids=[scan["kind"] for scan in SCANS])
+def test_the_drawn_path_is_the_one_that_is_compensated(tmp_path, scan):
+    model, output = tmp_path / "model.json", tmp_path / "v.csv"
+    Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 12e-6], [0, 100])).save(model)
+    words = ["--scan", scan["kind"], "--sample-rate", 1000, "--start", "bottom", "--no-home"]
+    for name, value in scan.items():
+        flag = f"--{name.replace('_', '-')}"
+        if name == "levels":
+            words += [flag, ",".join(map(str, value))]
+        elif name != "kind":
+            words += [flag, *(value if isinstance(value, list) else [value])]
+    run("compensate", model, *words, "--limits", 0, 100, "-o", output)
+    table = read_table(output)
+    time, wanted = scan_columns(scan, 1000)
+    written = table.columns[table.names.index("displacement_um")].data
+    assert time == pytest.approx(np.arange(written.size) / 1000)
+    assert wanted == pytest.approx(written, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("scan", "rate", "sentence"),
+    [
+        ({"kind": "circle"}, 1000, "need one of triangle"),
+        ({"kind": "triangle", "low": 2, "high": 8}, 1000, "lacks an option"),
+        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1, "lines": 3}, 1000, "one too many"),
+        ({"kind": "triangle", "low": 8, "high": 2, "frequency": 1}, 1000, "the lower one first"),
+        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1}, "x", "need a number"),
+        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1, "cycles": 1000}, 1e5, "need 2000000 at most"),
+        ([], 1000, "need one of triangle"),
+    ],
+)
+def test_what_is_no_scan_is_refused_with_the_reason(scan, rate, sentence):
+    with pytest.raises(DehystError, match=sentence):
+        scan_columns(scan, rate)
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000])
+def test_a_query_that_is_no_object_is_refused(text):
+    with pytest.raises(DehystError, match="no JSON"):
+        requested(text)

@@ -1,0 +1,370 @@
+"""The session without processes or a browser: what follows from what, with commands that answer as they are told."""
+
+import asyncio
+import json
+
+import pytest
+
+from dehyst import Actuator, FileFormatError, MaxwellSlip, Spring
+from dehyst.workbench.command import Finished
+from dehyst.workbench.events import Events
+from dehyst.workbench.folder import Folder
+from dehyst.workbench.requests import RequestError, identify_words, path_words, read_words, written_path
+from dehyst.workbench.session import SessionError, WorkbenchSession
+
+SHOWN = {
+    "samples": 100,
+    "duration_s": 1.0,
+    "sample_rate_Hz": 99.0,
+    "noise_nm": 2.0,
+    "voltage_V": [0, 100],
+    "displacement_um": [0, 10],
+    "columns": {"voltage": "U", "displacement": "s"},
+    "scales": {"voltage": "100 V/V"},
+    "problems": ["The record is short."],
+}
+VERDICT = {
+    "readiness": "READY",
+    "sentence": "Ready: ...",
+    "largest_percent": 0.5,
+    "rms_percent": 0.1,
+    "largest_m": 5e-8,
+    "noise_m": 1e-9,
+    "basis": "validation records",
+    "goal_percent": 1.0,
+    "reasons": [],
+}
+FIT = {"sentence": "Identified.", "verdict": VERDICT, "errors": [], "repairs": [], "remarks": []}
+
+
+class Told:
+    """A command that waits until it is let go, or sent a signal."""
+
+    def __init__(self, words, folder, progress, answer):
+        self.words, self.progress, self.answer = words, progress, answer
+        self.free, self.signals = asyncio.Event(), []
+
+    async def run(self):
+        await self.free.wait()
+        return self.answer(self)
+
+    def finish(self):
+        self.signals.append("finish")
+        self.free.set()
+
+    def stop(self):
+        self.signals.append("stop")
+        self.free.set()
+
+
+class Stage:
+    """A session whose commands are told what to answer."""
+
+    def __init__(self, path):
+        self.commands, self.changes = [], 0
+        self.session = WorkbenchSession(Folder(path), self.changed, self.command)
+
+    def changed(self):
+        self.changes += 1
+
+    def command(self, words, folder, progress):
+        made = Told(words, folder, progress, lambda _: Finished(0, SHOWN))
+        self.commands.append(made)
+        return made
+
+    async def next(self, answer=None):
+        """Let the last command end."""
+        command = self.commands[-1]
+        if answer is not None:
+            command.answer = lambda _: answer
+        command.free.set()
+        await self.session.jobs.settled()
+
+    async def record(self, name="loops.csv"):
+        entry = self.session.add_record(f"uploads/{name}", name)
+        await self.next()
+        return entry
+
+    async def model(self, answer, **request):
+        record = await self.record()
+        entry = self.session.identify({"train": [record.id], **request})
+        await self.next(answer)
+        return entry
+
+
+def played(steps):
+    """Run the steps of a test in an event loop of their own."""
+
+    def test(tmp_path):
+        async def run():
+            stage = Stage(tmp_path / "bench")
+            try:
+                await steps(stage)
+            finally:
+                for command in stage.commands:
+                    command.free.set()
+                await stage.session.close()
+
+        asyncio.run(run())
+
+    test.__name__, test.__doc__ = steps.__name__, steps.__doc__
+    return test
+
+
+@played
+async def test_a_record_is_ready_with_what_was_understood(stage):
+    entry = await stage.record()
+    assert (entry.status, entry.samples, entry.voltage) == ("ready", 100, [0, 100])
+    assert entry.words == ["voltage from 'U', 100 V/V", "displacement from 's'", "The record is short."]
+    assert stage.session.state()["log"] == ["dehyst show uploads/loops.csv -o records/loops.npz --force --json"]
+    assert stage.changes > 1
+
+
+@played
+async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
+    entry = stage.session.add_record("uploads/a.csv", "a.csv")
+    await stage.next(
+        Finished(2, None, ["dehyst: no voltage", "Check units, then try:", "  dehyst show a.csv --voltage U:V --json"])
+    )
+    assert (entry.status, entry.error) == ("refused", "no voltage")
+    assert entry.hint == {"options": {"voltage": "U:V"}}
+    assert stage.session.state()["log"] == []
+    stage.session.read_record(entry.id, {"voltage": "U:V"})
+    await stage.next()
+    assert (entry.status, entry.error, entry.options) == ("ready", None, {"voltage": "U:V"})
+
+
+@played
+async def test_a_record_that_a_model_is_from_is_not_read_otherwise(stage):
+    entry = await stage.model(Finished(2, None, ["dehyst: no loop"]))
+    assert (entry.status, entry.error) == ("failed", "no loop")
+    with pytest.raises(SessionError, match="upload the file again"):
+        stage.session.read_record(entry.train[0], {"time": "t"})
+
+
+@played
+async def test_a_model_without_a_verdict_has_failed(stage):
+    entry = await stage.model(Finished(1, {**FIT, "verdict": None, "sentence": "No model."}))
+    assert (entry.status, entry.error) == ("failed", "No model.")
+    with pytest.raises(SessionError, match="is not ready"):
+        stage.session.insight(entry.id)
+
+
+@played
+async def test_the_first_end_asks_for_the_best_so_far_the_second_stops(stage):
+    record = await stage.record()
+    entry = stage.session.identify({"train": [record.id]})
+    await asyncio.sleep(0)
+    command = stage.commands[-1]
+    command.finish = lambda: command.signals.append("finish")
+    stage.session.end(entry.id)
+    assert (command.signals, entry.status, entry.early) == (["finish"], "identifying", True)
+    command.answer = lambda _: Finished(-15, None)
+    stage.session.end(entry.id)
+    await stage.session.jobs.settled()
+    assert (command.signals, entry.status) == (["finish", "stop"], "cancelled")
+    with pytest.raises(SessionError, match="is not being identified"):
+        stage.session.end(entry.id)
+
+
+@played
+async def test_two_commands_run_at_a_time_and_a_waiting_one_can_be_cancelled(stage):
+    for name in ("a.csv", "b.csv", "c.csv"):
+        stage.session.add_record(f"uploads/{name}", name)
+    await asyncio.sleep(0.01)
+    jobs = list(stage.session.jobs.entries.values())
+    assert [job.progress for job in jobs] == ["", "", "waiting for its turn"]
+    stage.session.cancel(jobs[2].id)
+    for command in stage.commands[:2]:
+        command.free.set()
+    await stage.session.jobs.settled()
+    assert [job.status for job in jobs] == ["done", "done", "cancelled"]
+    assert [one.status for one in stage.session.records.values()] == ["ready", "ready", "refused"]
+    assert len(stage.session.state()["log"]) == 2
+
+
+@played
+async def test_deleting_an_entry_ends_what_is_made_for_it(stage):
+    entry = stage.session.add_record("uploads/a.csv", "a.csv")
+    await asyncio.sleep(0)
+    stage.session.delete(entry.id)
+    await stage.session.jobs.settled()
+    assert stage.commands[-1].signals == ["stop"]
+    assert stage.session.state()["records"] == []
+    with pytest.raises(SessionError, match="there is none"):
+        stage.session.delete(entry.id)
+
+
+@played
+async def test_a_calibration_brings_its_model(stage):
+    place = stage.session.folder.path / "calibrations" / "rig"
+    place.mkdir()
+    Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100)).save(place / "model.json")
+    entry = stage.session.add_calibrated("calibrations/rig", {"fit": FIT})
+    assert (entry.status, entry.file, entry.range_v) == ("ready", "calibrations/rig/model.json", [0.0, 100.0])
+    assert entry.verdict["largest_um"] == pytest.approx(0.05)
+
+
+def test_what_ran_when_a_workbench_ended_was_cancelled(tmp_path):
+    async def first():
+        stage = Stage(tmp_path / "bench")
+        record = await stage.record()
+        stage.session.add_record("uploads/b.csv", "b.csv")
+        stage.session.identify({"train": [record.id]})
+        stage.session._save()
+        stage.session.folder.close()
+        for command in stage.commands:
+            command.free.set()
+
+    async def second():
+        stage = Stage(tmp_path / "bench")
+        state = stage.session.state()
+        assert [one["status"] for one in state["records"]] == ["ready", "refused"]
+        assert [one["status"] for one in state["models"]] == ["cancelled"]
+        assert (await stage.record()).id not in {one["id"] for kind in ("records", "models") for one in state[kind]}
+        await stage.session.close()
+
+    asyncio.run(first())
+    asyncio.run(second())
+
+
+@pytest.mark.parametrize(
+    "damage", [{"records": [{"id": 3}]}, {"models": "x"}, {"last": "x"}, {"voltages": [None]}, {"records": 5}], ids=str
+)
+def test_a_damaged_state_is_refused_with_its_name(tmp_path, damage):
+    Folder(tmp_path / "bench").close()
+    (tmp_path / "bench" / "workbench.json").write_text(
+        json.dumps({"format": "dehyst-workbench", "version": 1, **damage})
+    )
+    folder = Folder(tmp_path / "bench")
+    try:
+        with pytest.raises(FileFormatError, match=r"workbench\.json: is damaged"):
+            WorkbenchSession(folder)
+    finally:
+        folder.close()
+
+
+def test_no_value_becomes_an_option():
+    words = read_words("uploads/a.csv", "records/a.npz", {"voltage": "--output=/etc/passwd"})
+    assert words[-1] == "--voltage=--output=/etc/passwd"
+    scan = {"kind": "triangle", "low": 1, "high": 2.5, "rounding": "cosine"}
+    words = path_words("m.json", "v.csv", {"scan": scan, "rate": 1e3, "limits": [-5, 5], "slew": 10}, None)
+    assert words[2:7] == ["--scan", "triangle", "--sample-rate=1000", "--low=1", "--high=2.5"]
+    assert words[-5:] == ["--limits", "-5.0", "5.0", "--slew", "10.0"]
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"scan": {"kind": "rm"}},
+        {"scan": {"kind": "triangle", "output": "x"}},
+        {"scan": {"kind": "triangle", "low": "1; rm"}},
+        {"scan": {"kind": "triangle", "low": True}},
+        {"scan": {"kind": "triangle", "rounding": "--force"}},
+        {"scan": {"kind": "steps", "levels": ["a"]}},
+        {"scan": "triangle"},
+        {"scan": {"kind": "triangle"}, "limits": [5, -5]},
+        {"scan": {"kind": "triangle"}, "limits": [0, float("nan")]},
+        {"scan": {"kind": "triangle"}, "slew": "1"},
+        {"scan": {"kind": "triangle", "low": 10**400}},
+    ],
+    ids=str,
+)
+def test_a_scan_with_other_words_is_refused(request_):
+    with pytest.raises(RequestError):
+        path_words("m.json", "v.csv", request_, None)
+
+
+@pytest.mark.parametrize(
+    ("points", "rate"),
+    [
+        ([], 1e3),
+        ([[0, 1]], 1e3),
+        ([[0, 1], [0, 2]], 1e3),
+        ([[0, 1], [1, float("nan")]], 1e3),
+        ([[0, 1, 2], [1, 2, 3]], 1e3),
+        ("abc", 1e3),
+        ([[0, "x"], [1, 2]], 1e3),
+        ([[0, 1], [1, 2]], 0),
+        ([[0, 1], [1, 2]], None),
+        ([[0, 1], [1e9, 2]], 1e6),
+    ],
+    ids=str,
+)
+def test_points_that_make_no_path_are_refused(tmp_path, points, rate):
+    with pytest.raises(RequestError):
+        written_path(tmp_path / "path.csv", points, rate)
+    assert not (tmp_path / "path.csv").exists()
+
+
+def test_names_stay_in_the_folder_and_never_replace(tmp_path):
+    folder = Folder(tmp_path / "bench")
+    try:
+        for name in ("../../x", ".", "a/b", "\0", "x" * 1000, "my stage (2)"):
+            place = folder.new("models", name, ".json")
+            assert place.startswith("models/")
+            assert (folder.path / place).resolve().parent == folder.path / "models"
+            (folder.path / place).write_text("{}")
+            assert folder.new("models", name, ".json") != place
+        with pytest.raises(FileFormatError):
+            folder.inside("models/../workbench.json")
+    finally:
+        folder.close()
+
+
+def test_two_that_arrive_together_get_two_names(tmp_path):
+    folder = Folder(tmp_path / "bench")
+    try:
+        names = [folder.new("uploads", "loops", suffix) for suffix in (".csv", ".csv", ".c\nv", "./x", ".")]
+        assert names == [
+            "uploads/loops.csv",
+            "uploads/loops-2.csv",
+            "uploads/loops",
+            "uploads/loops-2",
+            "uploads/loops-3",
+        ]
+    finally:
+        folder.close()
+
+
+def test_a_page_that_does_not_read_gets_the_newest_state_only():
+    async def run():
+        states = iter(range(100))
+        events = Events(lambda: {"revision": next(states)})
+        page = events.page()
+        first = await anext(page)
+        for _ in range(20):
+            events.changed()
+            for k in range(10):
+                events.send({"kind": "live", "k": k})
+            await asyncio.sleep(0.06)
+        rest = []
+        with pytest.raises(TimeoutError):
+            while True:
+                rest.append(json.loads(await asyncio.wait_for(anext(page), 1)))
+        assert json.loads(first)["state"]["revision"] == 0
+        assert [one["state"]["revision"] for one in rest if one["kind"] == "state"] == [1]
+        assert 40 < len(rest) < 60
+
+    asyncio.run(run())
+
+
+def test_an_upload_that_ends_early_leaves_nothing(tmp_path):
+    folder = Folder(tmp_path / "bench")
+    try:
+        with pytest.raises(RuntimeError), folder.receive("uploads/a.csv") as upload:
+            upload.add(b"half")
+            raise RuntimeError
+        assert list((folder.path / "uploads").iterdir()) == []
+    finally:
+        folder.close()
+
+
+def test_identify_has_its_outputs_and_validation_last():
+    from dehyst.workbench.entries import ModelEntry
+
+    entry = ModelEntry("m1", "stage", "models/stage.json", options={"structure": "paper", "time_limit": None})
+    words = identify_words(entry, ["records/a.npz"], ["records/b.npz"], "reports/stage.html")
+    assert words[:2] == ["identify", "records/a.npz"]
+    assert words[-3:] == ["--structure=paper", "--validate", "records/b.npz"]
+    assert "models/stage.npz" in words
