@@ -15,8 +15,8 @@ from command_line import TIMEOUT, run
 
 import dehyst
 from dehyst import Actuator
-from dehyst.cli import terminal
 from dehyst.cli.identify import BestSoFar, identify
+from dehyst.cli.output import terminal
 from dehyst.cli.studies import paper
 from dehyst.identification import Deadline
 from dehyst.records import read, write_record

@@ -13,7 +13,7 @@ from summaries import anatomy
 import dehyst
 from dehyst._text import counted
 from dehyst.cli import main
-from dehyst.cli.option_words import in_words_of, options_of
+from dehyst.cli.output.option_words import in_words_of, options_of
 from dehyst.cli.scans import in_options
 from dehyst.cli.start import begin_within, start_words
 from dehyst.control import PossibleStart

@@ -105,7 +105,8 @@ def commands(group=dehyst.cli.registry.main, names=()):
 
 
 READ = {"records", "validate", "model", "voltage_file", "trajectory", "protocol", "file", "join"}
-FOLDERS = {"demo", "paper", "calibrate", "export", "check"}
+READ |= {"dataset", "prior", "table"}
+FOLDERS = {"demo", "paper", "calibrate", "export", "check", "workbench"}
 
 
 def writing():

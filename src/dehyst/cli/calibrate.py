@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst.cli.axes.calibrate import calibrate_axes
 from dehyst.cli.common import (
     PATH,
     command_line,
@@ -20,13 +18,13 @@ from dehyst.cli.common import (
     limits_option,
     refuse_replacing,
 )
+from dehyst.cli.output.instrument_errors import note_narrower, reported_errors
+from dehyst.cli.output.terminal import echo, echo_json, note
 from dehyst.cli.record_files import size_option
-from dehyst.cli.terminal import echo, echo_json, note
 
 if TYPE_CHECKING:
     from dehyst.instruments import AbstractRig
     from dehyst.instruments.calibration import Calibration, Plan
-    from dehyst.waveforms import Excitation
 
 
 REPORT = "report.html"
@@ -40,8 +38,13 @@ REPORT = "report.html"
     type=PATH,
     default=Path("dehyst-calibration"),
     show_default=True,
-    help="Folder for records, model and report. Complete records in it are not played again, "
+    help="Folder for records, model and report. Complete records of one axis in it are not played again, "
     "except one loop that must agree with them.",
+)
+@click.option(
+    "--axes",
+    metavar="1,2,3",
+    help="Calibrate these axes of one body together: coupling, model and path of all axes.  [default: one axis]",
 )
 @limits_option("the device's", "Range of the voltage.")
 @click.option("--slew", type=float, metavar="V/S", help="Largest slew rate.  [default: the whole range in 0.1 s]")
@@ -67,6 +70,7 @@ REPORT = "report.html"
 def calibrate(
     rig: str,
     output: Path,
+    axes: str | None,
     limits: tuple[float, float] | None,
     slew: float | None,
     dry_run: bool,
@@ -75,20 +79,26 @@ def calibrate(
 ) -> None:
     """Home, excite, record, identify, compensate and measure the actuator on RIG.
 
-    RIG: pi://HOST:PORT, epics://PREFIX, sim://play, or FILE.py:FUNCTION, which returns a rig of your own.
+    RIG: pi://HOST:PORT, epics://PREFIX, sim://play, or FILE.py:FUNCTION, which returns a rig of your own. Several axes
+    of one controller: pi://HOST:PORT/1,2,3, or --axes 1,2,3.
 
-    Ctrl-C brings the voltage to a safe value; the same command continues from the records on disk.
+    Ctrl-C brings the voltage to a safe value; the same command continues from the records on disk, or with --axes
+    begins again.
     """
+    if axes is not None or _several(rig):
+        calibrate_axes(rig, output, axes, (limits, slew), options, dry_run=dry_run, as_json=as_json)
+        return
     from dehyst.instruments import open_rig
     from dehyst.instruments.calibration import Plan
+    from dehyst.instruments.voltage_file import read_voltage
 
     max_bytes = options.pop("max_bytes")
-    given = tuple(_excitation(path, max_bytes) for path in options.pop("protocol"))
+    given = tuple(read_voltage(path, max_bytes=max_bytes).excitation for path in options.pop("protocol"))
     plan = Plan(protocol=given, **options)
     if not dry_run:
         _refuse_replacing(output)
-    with _reported_errors(output), open_rig(rig, limits=limits, slew_rate=slew) as instrument:
-        _note_narrower(instrument, limits, slew)
+    with reported_errors(output), open_rig(rig, limits=limits, slew_rate=slew) as instrument:
+        note_narrower(instrument, limits, slew)
         if dry_run:
             _print_plan(instrument, plan, as_json)
             return
@@ -107,53 +117,16 @@ def _refuse_replacing(folder: Path) -> None:
         refuse_replacing(*(folder / name for name in (*RESULTS, REPORT)))
 
 
-def _excitation(path: Path, max_bytes: float) -> Excitation:
-    """Read a voltage to play from a file with evenly spaced times."""
-    import numpy as np
-
-    from dehyst._errors import FileFormatError
-    from dehyst.records import read_table
-    from dehyst.records.files import time_of
-    from dehyst.waveforms import Excitation
-
-    table = read_table(path, max_bytes=max_bytes)
-    voltage = table.column("voltage")
-    time = time_of(table, voltage.size, None, None)
-    steps = np.diff(time)
-    if not steps.size or float(np.ptp(steps)) > 1e-3 * float(np.median(steps)):
-        raise FileFormatError(f"{path}: the times are not evenly spaced; write it with dehyst excite, or resample it")
-    return Excitation(path.stem, voltage, 1 / float(np.median(steps)))
-
-
-def _note_narrower(rig: AbstractRig, limits: tuple[float, float] | None, slew: float | None) -> None:
-    """Print where the device allows less than was requested."""
-    allowed = rig.limits
-    if limits is not None and (allowed.low, allowed.high) != limits:
-        note(f"{limits[0]:g} to {limits[1]:g} V was given, the device allows {allowed.words}")
-    if slew is not None and rig.slew_rate < slew:
-        note(f"{slew:g} V/s was given, the device allows {rig.slew_rate:.6g} V/s")
+def _several(rig: str) -> bool:
+    """Return whether an address names several axes."""
+    return rig.lower().startswith("pi://") and "," in rig.rpartition("/")[2]
 
 
 def _print_plan(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
     """Print what would be sent."""
-    import numpy as np
+    from dehyst.instruments.calibration.plan import entries
 
-    from dehyst.instruments.calibration.plan import steps
-
-    entries = []
-    for step in steps(rig, plan):
-        entry: dict[str, Any] = {"step": step.name, "what": step.words}
-        if (voltage := step.excitation) is not None:
-            rate = rig.nearest_rate(voltage.sample_rate)
-            low, high = voltage.voltage_range
-            entry |= {
-                "samples": len(voltage),
-                "seconds": (len(voltage) - 1) / rate,
-                "lowest_V": low,
-                "highest_V": high,
-                "steepest_V_per_s": float(np.abs(np.diff(voltage.voltage)).max()) * rate,
-            }
-        entries.append(entry)
+    planned = entries(rig, plan)
     allowed = {
         "rig": rig.name,
         "axis": rig.axis,
@@ -162,10 +135,10 @@ def _print_plan(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
         "safe_V": rig.safe,
     }
     if as_json:
-        echo_json({**allowed, "steps": entries})
+        echo_json({**allowed, "steps": planned})
         return
     echo(f"{rig.name}, axis {rig.axis}: {rig.limits.words}, at most {rig.slew_rate:.6g} V/s; nothing was sent")
-    for entry in entries:
+    for entry in planned:
         numbers = ""
         if "samples" in entry:
             numbers = (
@@ -173,12 +146,12 @@ def _print_plan(rig: AbstractRig, plan: Plan, as_json: bool) -> None:
                 f"{entry['highest_V']:.6g} V, up to {entry['steepest_V_per_s']:.4g} V/s; "
             )
         echo(f"  {entry['step']:12s}{numbers}{entry['what']}")
-    seconds = sum(entry.get("seconds", 0.0) for entry in entries)
+    seconds = sum(entry.get("seconds", 0.0) for entry in planned)
     echo(f"up to {seconds:.0f} s of playing in all, and further recordings that are suggested on the way")
 
 
 def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
-    from dehyst.cli.live import display
+    from dehyst.cli.output.live import display
     from dehyst.instruments.calibration import calibrate as run
     from dehyst.instruments.calibration.plan import STEPS
     from dehyst.report import write_calibration
@@ -188,54 +161,6 @@ def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
         live.step("report")
         write_calibration(output / REPORT, calibration, command=command_line())
         return calibration
-
-
-@contextmanager
-def _reported_errors(output: Path) -> Iterator[None]:
-    """Print what happened to voltage and samples, instead of a traceback, when an instrument or the user stops it."""
-    from dehyst._errors import DehystError
-
-    with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_, **__: note(str(message))
-        try:
-            yield
-        except (DehystError, KeyboardInterrupt, SystemExit) as error:
-            reason = str(error) if isinstance(error, DehystError) else f"stopped by {_stopper(error)}"
-            for line in (reason, *getattr(error, "__notes__", ()), *_left(output, error)):
-                note(line)
-            sys.exit(_status(error))
-
-
-def _stopper(error: BaseException) -> str:
-    """Name what stopped it: Ctrl-C, or a signal."""
-    if isinstance(error, KeyboardInterrupt):
-        return "Ctrl-C"
-    try:
-        return signal.Signals(_status(error) - 128).name
-    except ValueError:
-        return "a request to exit"
-
-
-def _left(output: Path, error: BaseException) -> Iterator[str]:
-    """Yield where samples are, and whether the same command continues, as sentences."""
-    from dehyst._errors import RigError
-
-    records = output / "records"
-    if any(records.glob("*.h5*")):
-        # A full disk may have room later; a folder of another instrument remains one.
-        temporary = isinstance(error, RigError) or isinstance(error.__cause__, OSError)
-        again = not isinstance(error, Exception) or temporary
-        yield f"what was recorded is in {records}" + ("; the same command goes on from there" if again else "")
-
-
-def _status(error: BaseException) -> int:
-    from dehyst._errors import DeviceError, LinkError, SensorError
-
-    if isinstance(error, KeyboardInterrupt):
-        return 130
-    if isinstance(error, SystemExit):
-        return error.code if isinstance(error.code, int) else 1
-    return 1 if isinstance(error, LinkError | DeviceError | SensorError) else 2
 
 
 def _kept(calibration: Calibration) -> Iterator[str]:

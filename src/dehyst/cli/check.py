@@ -11,8 +11,9 @@ import click
 
 from dehyst._text import escaped
 from dehyst.cli.common import PATH, echo_files, force_option, json_option, read_model, refuse_replacing
+from dehyst.cli.output.terminal import echo, echo_json, note, worded
 from dehyst.cli.record_files import columns_options, read_records
-from dehyst.cli.terminal import echo, echo_json, note, worded
+from dehyst.cli.stages import axes_option, check_axes, is_stage
 
 if TYPE_CHECKING:
     from dehyst.identification import CheckHistory, Recheck
@@ -37,14 +38,25 @@ _PICTURE, _SHOWN = "history.svg", 10
     metavar="FOLDER",
     help="Keep the check here, print the earlier ones of this model, and draw them (history.svg).",
 )
+@axes_option("those of the records")
 @force_option
 @columns_options
 @json_option
-def check(model: Path, records: Path, goal: float | None, history: Path | None, as_json: bool, **columns: Any) -> None:
+def check(
+    model: Path,
+    records: Path,
+    goal: float | None,
+    history: Path | None,
+    axes: str | None,
+    as_json: bool,
+    **columns: Any,
+) -> None:
     """Check whether a MODEL is still true of its actuator, by a new RECORD: the error now, and what has changed.
 
     The status is 0 if the model is still true, 1 if not.
     """
+    if is_stage(model):
+        check_axes(model, records, goal, axes, as_json, columns, print_check)
     from dehyst.identification import CheckHistory
     from dehyst.identification import check as run
     from dehyst.identification.checking.history import demand_folder

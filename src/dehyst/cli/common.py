@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.option_words import in_words_of, options_of
-from dehyst.cli.terminal import echo, echo_json, guarded_streams, note, worded
+from dehyst.cli.output.option_words import in_words_of, options_of
+from dehyst.cli.output.terminal import echo, echo_json, guarded_streams, note, worded
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

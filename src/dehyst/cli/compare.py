@@ -20,8 +20,8 @@ from dehyst.cli.common import (
     refuse_replacing,
     report_option,
 )
+from dehyst.cli.output.terminal import echo, echo_json, progress_line
 from dehyst.cli.record_files import columns_options, read_records
-from dehyst.cli.terminal import echo, echo_json, progress_line
 
 if TYPE_CHECKING:
     from dehyst.baselines import ModelComparison

@@ -21,11 +21,12 @@ from dehyst.cli.common import (
     slew_option,
     write_output,
 )
+from dehyst.cli.output.terminal import progress_line
 from dehyst.cli.played_voltage import WantedPath, path_columns, path_voltages
 from dehyst.cli.record_files import COLUMNS, column_of, columns_options, table_of, time_of_table
 from dehyst.cli.scans import NAMES, errors_in_options, named_scan, scan_options
+from dehyst.cli.stages import axes_option, compensate_axes, is_stage
 from dehyst.cli.start import Request, given_start, home_option, start_option
-from dehyst.cli.terminal import progress_line
 from dehyst.cli.wave_table import refuse_cycles, tabulate
 from dehyst.cli.zero import outside_reach, refuse_astray, scan_from_zero, zero_of_path, zero_option
 
@@ -73,6 +74,7 @@ _HOME = (
     metavar="UM",
     help="With --cycle: error left by the start-up.  [default: 1e-4 of the stroke]",
 )
+@axes_option("those of the records")
 @force_option
 @start_option
 @columns_options
@@ -82,6 +84,7 @@ def compensate(
     trajectory: Path | None,
     output: Path,
     scan: str | None,
+    axes: str | None,
     **options: Any,
 ) -> None:
     """Compute the voltage that makes the actuator follow a TRAJECTORY or a --scan; adds voltage_V, within limits.
@@ -93,6 +96,9 @@ def compensate(
 
     if (trajectory is None) == (scan is None):
         raise ModelError(f"compensate: got {'neither' if scan is None else 'both'} of TRAJECTORY and --scan, need one")
+    if is_stage(model):
+        with errors_in_options():
+            compensate_axes(model, trajectory, output, scan, axes, options)
     _refuse_unused(scan, options)
     table = options.pop("cycle")
     inputs = [path for path in (model, trajectory, options["start"]) if isinstance(path, Path)]

@@ -18,9 +18,10 @@ from dehyst.cli.common import (
     refuse_replacing,
     write_output,
 )
-from dehyst.cli.terminal import echo, echo_json, note, worded
+from dehyst.cli.output.terminal import echo, echo_json, note, worded
 
 if TYPE_CHECKING:
+    from dehyst.stages import StageExcitation
     from dehyst.waveforms import Excitation, Sampling
 
 # A negative voltage is not an option.
@@ -142,6 +143,57 @@ def staircase(highest: float, steps: int, hold: float, ramp: float | None, back:
     )
 
 
+@excite.command("stage", context_settings=_NEGATIVE)
+@click.argument("highest", nargs=-1, required=True, type=float)
+@click.option("--names", metavar="X,Y", help="Names of the axes.  [default: x,y,z]")
+@click.option("--steps", type=int, default=10, show_default=True, help="Tops of each axis alone.")
+@click.option("--majors", type=int, default=2, show_default=True, help="Cycles to its highest before.")
+@click.option("--cycles", type=int, default=12, show_default=True, help="Cycles of the first axis with the others.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the levels at which axes turn together.")
+@_play_options
+def stage(
+    highest: tuple[float, ...], names: str | None, steps: int, majors: int, cycles: int, seed: int, **options: Any
+) -> None:
+    """Write voltages of a stage, its HIGHEST of each axis: one axis after the other, then all together."""
+    from dehyst.stages import stage_excitation
+
+    refuse_overwriting([], options["output"])
+
+    def make(frequency: float) -> StageExcitation:
+        return stage_excitation(
+            highest,
+            drive=_drive(options, frequency),
+            steps=steps,
+            majors=majors,
+            cycles=cycles,
+            axes=None if names is None else names.split(","),
+            seed=seed,
+        )
+
+    given = options["frequency"]
+    tried = [make(frequency) for frequency in ((given,) if given is not None else _FREQUENCIES)]
+    found = next((one for one in tried if one.duration <= _LONGEST * (len(highest) + 1)), tried[-1])
+    refuse_replacing(options["output"])
+    columns = {f"v{axis}_V": found.voltage[:, j] for j, axis in enumerate(found.axes)}
+    write_output(options["output"], {"time_s": found.time, **columns})
+    parts = ", ".join(f"{name} {(stop - first) / found.sample_rate:.4g} s" for name, first, stop in found.parts)
+    if options["as_json"]:
+        echo_json(
+            {
+                "kind": "stage",
+                "samples": len(found),
+                "seconds": found.duration,
+                "sample_rate_Hz": found.sample_rate,
+                "parts": [{"name": name, "first": first, "stop": stop} for name, first, stop in found.parts],
+                "output": str(options["output"]),
+            }
+        )
+        return
+    size = f"{len(found)} samples, {found.duration:.6g} s at {found.sample_rate:.6g} Hz"
+    echo(f"stage: {size}: {parts}: {options['output']}")
+    echo("Play one cycle on all axes before, so that the record begins within the loops.")
+
+
 @excite.command("homing", context_settings=_NEGATIVE)
 @click.argument("highest", type=float, required=False)
 @click.option(
@@ -206,7 +258,7 @@ def _write(make: Callable[[Sampling], Excitation], options: dict[str, Any]) -> N
 def _slow_enough(make: Callable[[Sampling], Excitation], options: dict[str, Any]) -> tuple[Excitation, float]:
     """Return the slowest excitation that takes under two minutes or, if none does, hardly longer than the fastest."""
     possible = [(make(_drive(options, frequency)), frequency) for frequency in _FREQUENCIES]
-    # A warning says that the slew rate makes legs longer.
+    # With a warning the slew rate lengthens legs.
     possible = [one for one in possible if not one[0].warnings] or possible
     longest = max(_LONGEST, _HARDLY * min(excitation.duration for excitation, _ in possible))
     return next(one for one in possible if one[0].duration <= longest)

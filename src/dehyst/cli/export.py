@@ -1,4 +1,4 @@
-"""`dehyst export`: a model as C for a microcontroller, or as an FMU."""
+"""`dehyst export`: a model as C for a microcontroller, as WebAssembly, or as an FMU."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst.cli.axes.export import export_axes, footprint_rows
 from dehyst.cli.common import PATH, conclude, json_option, limits_option, read_model, refuse_overwriting
+from dehyst.cli.stages import is_stage
 from dehyst.cli.start import given_start, start_or_top_option, start_words
 from dehyst.records.formats.file_content import MOST
 
@@ -26,7 +28,7 @@ _NEAR = 0.01
 
 @click.command()
 @click.argument("model", type=PATH)
-@click.argument("directory", metavar="DIR|FMU", type=PATH)
+@click.argument("directory", metavar="DIR|FMU|WASM", type=PATH)
 @click.option(
     "--number",
     type=click.Choice(["double", "float"]),
@@ -48,9 +50,7 @@ _NEAR = 0.01
     default=True,
     help="Compile it and report its size and the error of floats; takes seconds.  [default: measure]",
 )
-@click.option(
-    "--force", is_flag=True, help="Replace an earlier export or, for an FMU, a file that dehyst did not write."
-)
+@click.option("--force", is_flag=True, help="Replace an earlier export or, for a file, one that dehyst did not write.")
 @click.option(
     "--fmu",
     type=click.Choice(["2.0", "3.0"]),
@@ -83,13 +83,27 @@ def export(
 ) -> None:
     """Write a MODEL's compensator as C into DIR: files, numbers, a README, and a trace that `make check` replays.
 
-    With --fmu, write it or its actuator as an FMU for co-simulation.
+    A stage is written as C only, with all its axes and their coupling.
+
+    With --fmu, write it or its actuator as an FMU for co-simulation. To a name that ends in .wasm, write it as
+    WebAssembly, and beside it the JavaScript module that calls it.
     """
     from dehyst.control import Compensator
     from dehyst.exports import export as run
 
+    if is_stage(model):
+        if fmu is not None or kind is not None or directory.suffix in (".fmu", ".wasm"):
+            raise click.UsageError("a stage is exported as C; give a folder, and leave out --fmu and --kind")
+        if number != "double" or preview:
+            raise click.UsageError("--number float and --preview are for single actuators; leave them out")
+        bounds = {"limits": limits, "slew": slew, "period": period}
+        export_axes(model, directory, start, bounds, name=name, measure=measure, force=force, as_json=as_json)
+        return
     if fmu is None and directory.suffix == ".fmu":
         raise click.UsageError(f"{directory}: got a name that ends in .fmu without --fmu; give --fmu or another folder")
+    as_wasm = directory.suffix == ".wasm"
+    if as_wasm:
+        _demand_of_wasm(model, directory, fmu, number, name, measure)
     _demand_of_fmu(fmu, kind, number, name, measure, limited=limits is not None or slew is not None or preview)
     actuator = read_model(model)
     begin, remarks = given_start(actuator, start, limits, MOST)
@@ -103,6 +117,12 @@ def export(
         result, line, more = _write_fmu(compensator, state, directory, fmu, kind or "compensator", force)
         result["warnings"] = remarks = [*remarks, *more]
         conclude(as_json, result, [line, _begin_words(compensator, actuator, begin, kind)], remarks)
+        return
+    if as_wasm:
+        result, line = _write_wasm(compensator, directory, force)
+        remarks += _limit_warnings(compensator, state)
+        lines = [line, _begin_words(compensator, actuator, begin)]
+        conclude(as_json, {**result, "warnings": remarks}, lines, remarks)
         return
     named = {} if name is None else {"name": name}
     exported = run(compensator, directory, number, force=force, measure=measure, **named)
@@ -134,6 +154,29 @@ def _demand_of_fmu(
         raise click.UsageError(
             "--kind actuator has neither limits nor a preview: leave out --limits, --slew, --preview"
         )
+
+
+def _demand_of_wasm(model: Path, path: Path, fmu: str | None, number: str, name: str | None, measure: bool) -> None:
+    """Refuse options that are not of WebAssembly, and files that an export would replace."""
+    from dehyst.exports.wasm import wasm_files
+
+    if fmu is not None:
+        raise click.UsageError(f"{path}: got a name that ends in .wasm with --fmu; give one of them")
+    if name is not None or not measure or number != "double":
+        raise click.UsageError("--name, --no-measure and --number apply to C: leave them out")
+    refuse_overwriting([model], *wasm_files(path))
+
+
+def _write_wasm(compensator: Compensator, path: Path, force: bool) -> tuple[dict[str, Any], str]:
+    """Write WebAssembly; return its result as JSON values, and as a line."""
+    from dehyst.exports import export_wasm
+    from dehyst.exports.wasm import wasm_files
+
+    export_wasm(compensator, path, force=force)
+    _, script, types = wasm_files(path)
+    size = path.stat().st_size
+    result = {"wasm": str(path), "script": str(script), "types": str(types), "bytes": size, **_begins(compensator)}
+    return result, f"{path}: a compensator in WebAssembly, {size} bytes; {script} calls it, {types} has its types"
 
 
 def _write_fmu(
@@ -208,11 +251,7 @@ def _numbers(exported: Exported) -> dict[str, Any]:
 
 def _table(exported: Exported) -> list[str]:
     worst = exported.operations
-    rows = [f"{'bytes':<40}{'flash':>8}{'RAM':>8}{'stack':>8}"] if exported.footprints else []
-    rows += [
-        f"{name:<40}{size.flash:>8}{size.ram:>8}{'-' if size.stack is None else size.stack:>8}"
-        for name, size in exported.footprints.items()
-    ]
+    rows = footprint_rows(exported.footprints)
     rows.append(
         f"a step: at most {worst.arithmetic} additions, subtractions and multiplications, {worst.divisions} divisions, "
         f"{worst.comparisons} comparisons"

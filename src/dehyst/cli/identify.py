@@ -23,9 +23,10 @@ from dehyst.cli.common import (
     refuse_overwriting,
     refuse_replacing,
 )
-from dehyst.cli.printing import print_fit
+from dehyst.cli.output.printing import print_fit
+from dehyst.cli.output.terminal import echo_json, note, progress_line, worded
 from dehyst.cli.record_files import COLUMNS, columns_options, read_records
-from dehyst.cli.terminal import echo_json, note, progress_line, worded
+from dehyst.cli.stages import axes_option, identify_axes, neighbour_remarks
 from dehyst.cli.zero import zero_option, zeroed
 
 if TYPE_CHECKING:
@@ -46,6 +47,9 @@ _WORDS = "dehyst: Ctrl-C: completing the best model so far; press it again to st
     help="Held-out records, simulated only; all names up to the next option.",
 )
 @click.option("--report", type=PATH, help="Write a self-contained HTML report here.")
+@click.option(
+    "--traces", type=PATH, metavar="FILE.npz", help="Write measured and simulated displacement of all records here."
+)
 @click.option(
     "--method", type=click.Choice(["record", "breakpoints", "antisymmetric"]), default="record", show_default=True
 )
@@ -96,6 +100,7 @@ _WORDS = "dehyst: Ctrl-C: completing the best model so far; press it again to st
     help="End the search for a structure then, and complete the best model so far.",
 )
 @click.option("--no-drift", is_flag=True, help="Do not estimate and remove the drift of a record.")
+@axes_option()
 @zero_option("Displacement that becomes 0: bottom, first sample or mean of the first RECORD.")
 @force_option
 @columns_options
@@ -105,8 +110,10 @@ def identify(
     output: Path | None,
     validate: tuple[Path, ...],
     report: Path | None,
+    traces: Path | None,
     time_limit: float | None,
     no_drift: bool,
+    axes: str | None,
     zero: str | float | None,
     as_json: bool,
     **options: Any,
@@ -114,13 +121,19 @@ def identify(
     """Identify an actuator from RECORDs of voltage and displacement.
 
     Within about a second the output holds a first, provisional model. From then on Ctrl-C ends the search: the best
-    model so far is completed and written, and the exit status is 1. A second Ctrl-C stops at once.
+    model so far is completed and written, and the exit status is 1. A second Ctrl-C stops at once. With --axes there is
+    no model before all axes are identified: Ctrl-C writes nothing.
     """
+    if axes is not None:
+        settings = {name: value for name, value in options.items() if name not in COLUMNS}
+        settings |= {"drift": not no_drift, "time_limit": time_limit}
+        _refuse_for_axes(traces, zero)
+        identify_axes(records, validate, axes, (output, report), settings, options, as_json)
     from dehyst.identification import Deadline
     from dehyst.identification import identify as run
     from dehyst.uncertainty import insight as assess
 
-    refuse_overwriting([*records, *validate], output, report)
+    refuse_overwriting([*records, *validate], output, report, traces)
     deadline = Deadline(time_limit)
     best, progress = BestSoFar(deadline, output), progress_line()
     progress("reading")
@@ -137,12 +150,17 @@ def identify(
             first_model=best.keep,
             **settings,
         )
-    refuse_replacing(output, report)
+    fit = replace(fit, remarks=(*fit.remarks, *neighbour_remarks(fit, records, options)))
+    refuse_replacing(output, report, traces)
     fit = replace(fit, repairs=worded(fit.repairs), remarks=worded(fit.remarks), checks=_worded_checks(fit.checks))
     if output is not None and fit.actuator is not None:
         fit.actuator.save(output)
     if fit.actuator is None:
         best.remove()
+    if traces is not None:
+        from dehyst.model.trace_file import write_traces
+
+        write_traces(traces, fit.traces)
     if report is not None:
         from dehyst.report import write_report
 
@@ -159,6 +177,15 @@ def identify(
         where = "was printed" if output is None or fit.actuator is None else f"is in {output}"
         note(f"stopped by Ctrl-C; the best model so far {where}")
     sys.exit(0 if fit.good and not deadline.ended else 1)
+
+
+def _refuse_for_axes(traces: Path | None, zero: str | float | None) -> None:
+    """Refuse options that records of several axes do not have."""
+    from dehyst._errors import IdentifyError
+
+    for flag, value in {"--traces": traces, "--zero": zero}.items():
+        if value is not None:
+            raise IdentifyError(f"{flag}: got it with --axes, which does not take it; leave it out")
 
 
 def _worded_checks(checks: tuple[Check, ...]) -> tuple[Check, ...]:

@@ -20,10 +20,11 @@ from dehyst.cli.common import (
     report_option,
     write_output,
 )
-from dehyst.cli.printing import print_insight
+from dehyst.cli.output.printing import print_insight
+from dehyst.cli.output.terminal import echo_json, note, progress_line
 from dehyst.cli.record_files import columns_options, path_of, read_records
+from dehyst.cli.stages import axes_option, insight_axes, is_stage
 from dehyst.cli.start import Request
-from dehyst.cli.terminal import echo_json, note, progress_line
 from dehyst.cli.zero import outside_reach, zero_of_path, zero_option
 
 
@@ -46,6 +47,7 @@ from dehyst.cli.zero import outside_reach, zero_of_path, zero_option
 @click.option("--repeats", type=int, default=100, show_default=True, help="Resampled records; 0: no intervals.")
 @click.option("-o", "--output", type=PATH, help="Write the trajectory with its band here (CSV).")
 @report_option
+@axes_option("those of the records")
 @force_option
 @columns_options
 @json_option
@@ -57,6 +59,7 @@ def insight(
     zero: str | float | None,
     output: Path | None,
     report: Path | None,
+    axes: str | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -66,6 +69,12 @@ def insight(
     """
     from dehyst._errors import ModelError
     from dehyst.uncertainty import insight as run
+
+    if is_stage(model):
+        if any(value is not None for value in (trajectory, wanted, zero, output, report)):
+            raise ModelError("--trajectory, -o, --report: got one with a stage, which does not take it; leave it out")
+        insight_axes(model, records, axes, {**options, "as_json": as_json})
+        return
 
     if output is not None and trajectory is None:
         raise ModelError("-o: got no trajectory, need one to write its prediction band; give --trajectory")

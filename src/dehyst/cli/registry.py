@@ -12,24 +12,27 @@ from dehyst.cli.compare import compare
 from dehyst.cli.compensate import compensate
 from dehyst.cli.excite import excite
 from dehyst.cli.export import export
+from dehyst.cli.fleet import fleet
 from dehyst.cli.identify import identify
 from dehyst.cli.insight import insight
+from dehyst.cli.output.terminal import echo
 from dehyst.cli.rig import rig
 from dehyst.cli.show import show
 from dehyst.cli.simulate import simulate
 from dehyst.cli.studies import demo, paper
-from dehyst.cli.terminal import echo
+from dehyst.cli.workbench import workbench
 
 # What to do first, for `dehyst` alone.
 _FIRST_STEPS = """\
 dehyst demo                                     see it work on a virtual actuator
+dehyst workbench                                all of it on a page in the browser
 dehyst identify loops.csv -o model.json         fit a model to your loops
-dehyst insight model.json loops.csv             how far to trust it
 dehyst compensate model.json path.csv -o v.csv  the voltages for a path
 dehyst --help                                   all commands, in the order of work"""
 _JOURNEY = {
     "Try it": {
         "demo": "The whole way on a virtual actuator",
+        "workbench": "The whole way in a browser, with your records or an instrument",
         "paper": "Repeat the paper's experiment on a virtual actuator",
     },
     "Record": {
@@ -42,6 +45,7 @@ _JOURNEY = {
         "identify": "Fit a model to recorded loops",
         "insight": "How far to trust a model, and what to record next",
         "check": "Whether a model is still true, by a new record",
+        "fleet": "Thousands of records at once: identify, report, drift",
         "compare": "Compare with other published models on your records",
     },
     "Use the model": {
@@ -76,6 +80,7 @@ for command in (
     compensate,
     excite,
     export,
+    fleet,
     rig,
     identify,
     show,
@@ -83,6 +88,7 @@ for command in (
     demo,
     insight,
     paper,
+    workbench,
 ):
     main.add_command(command)
 for heading in _JOURNEY.values():

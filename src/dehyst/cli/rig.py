@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.terminal import echo
+from dehyst.cli.output.terminal import echo
 
 if TYPE_CHECKING:
-    from dehyst.virtual import VirtualBench
+    from dehyst.virtual import StageBench, VirtualActuator, VirtualBench
     from dehyst.virtual.emulator import Fault, Server
 
 
@@ -41,7 +41,32 @@ def rig() -> None:
     default="play",
     show_default=True,
     metavar="play|creep|preisach|boucwen|MODEL.json",
-    help="Actuator to drive: a virtual one that is not an instance of any model, or a model file.",
+    help="Actuator to drive: a virtual one that is not an instance of any model, or a model file; with --axes one for "
+    "all axes, or one for each (play,preisach,boucwen).",
+)
+@click.option(
+    "--axes",
+    type=click.IntRange(1, 6),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Axes of one body, a channel and a wave generator each, whose displacements are coupled.",
+)
+@click.option(
+    "--coupling",
+    type=Finite(min=0, max=30),
+    default=4.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="With --axes: largest displacement of one axis by another.",
+)
+@click.option(
+    "--hysteretic",
+    type=Finite(min=0, max=30),
+    default=0.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="With --axes: more coupling, by elements whose loops have another shape than those of the actuators.",
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Interface to listen on; 0.0.0.0 is all.")
 @click.option("--port", type=click.IntRange(0, 65535), default=50000, show_default=True, help="0: any that is free.")
@@ -81,6 +106,9 @@ def rig() -> None:
 @click.option("--epics", metavar="PREFIX", help="Also serve the same instrument by EPICS Channel Access.")
 def serve(
     actuator: str,
+    axes: int,
+    coupling: float,
+    hysteretic: float,
     host: str,
     port: int,
     faults: tuple[str, ...],
@@ -92,52 +120,109 @@ def serve(
 
     At the end it prints the voltages that it has put out.
     """
+    from dehyst._errors import RigError
+    from dehyst.virtual import VirtualBench
     from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
 
     rehearsed = [Fault.parse(text) for text in faults]
-    instrument, reported = _instrument(actuator, rehearsed, **options)
+    instrument: VirtualBench | StageBench
+    if axes == 1:
+        instrument, reported = _instrument(actuator, rehearsed, **options)
+        ranges = [reported]
+    else:
+        instrument, ranges = _stage(_names(actuator, axes), rehearsed, coupling, hysteretic, **options)
     lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, report=lambda words: echo(f"fault: {words}"))
-    controller = Controller(instrument, reported_limits=reported)
+    controller = Controller(instrument, reported_limits=ranges)
     server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
     if epics is not None:
+        if not isinstance(instrument, VirtualBench):
+            raise RigError("--epics: serves one axis; leave out --epics or --axes")
         _serve_epics(instrument, epics, lock)
     with _stop_by_signal(server):
-        echo(f"serving {actuator}, {reported[0]:g} to {reported[1]:g} V, on pi://{host}:{server.port}")
+        words = ", ".join(dict.fromkeys(f"{low:g} to {high:g} V" for low, high in ranges))
+        path = "" if axes == 1 else "/" + ",".join(one.name for one in controller.axes)
+        echo(f"serving {actuator}, {words}, on pi://{host}:{server.port}{path}")
         sys.stdout.flush()
         server.serve(seconds)
-    echo(f"{_tally(instrument)}, {controller.recorder.rows_sent} samples reported")
+    for one in controller.axes:
+        echo(
+            ("" if axes == 1 else f"axis {one.name}: ")
+            + _tally(one.bench)
+            + (f", {controller.recorder.rows_sent} samples reported" if one is controller.axes[-1] else "")
+        )
 
 
 def _instrument(
-    actuator: str,
-    faults: list[Fault],
-    *,
-    limits: tuple[float, float] | None,
-    slew: float | None,
-    speed: float,
-    noise: float | None,
-    wave_points: int,
+    actuator: str, faults: list[Fault], *, limits: tuple[float, float] | None, **options: Any
 ) -> tuple[VirtualBench, tuple[float, float]]:
     """Return the virtual bench, and the limits [V] that it reports."""
-    from dehyst.model import Actuator
-    from dehyst.virtual import ModelledActuator, VirtualBench
+    from dehyst.virtual import VirtualBench
     from dehyst.virtual.emulator.faults import actual_limits
+
+    driven, own = _driven(actuator)
+    reported = limits or own
+    return VirtualBench(driven, limits=actual_limits(reported, faults), **_bench_options(**options)), reported
+
+
+def _stage(
+    actuators: list[str],
+    faults: list[Fault],
+    coupling: float,
+    hysteretic: float,
+    *,
+    limits: tuple[float, float] | None,
+    **options: Any,
+) -> tuple[StageBench, list[tuple[float, float]]]:
+    """Return the virtual bench of several axes, and the limits [V] that it reports of each."""
+    import numpy as np
+
+    from dehyst.virtual import StageBench, VirtualStage
+    from dehyst.virtual.emulator.faults import actual_limits
+    from dehyst.virtual.stage import spread_coupling
+
+    driven = [_driven(name) for name in actuators]
+    reported = [limits or own for _, own in driven]
+    count = len(driven)
+    stage = VirtualStage(
+        [one for one, _ in driven],
+        np.eye(count) + spread_coupling(count, coupling / 100),
+        hysteretic=spread_coupling(count, hysteretic / 100),
+    )
+    actual = [actual_limits(one, faults) for one in reported]
+    return StageBench(stage, limits=actual, **_bench_options(**options)), reported
+
+
+def _names(actuator: str, axes: int) -> list[str]:
+    """Return the name of the actuator of each axis."""
+    names = actuator.split(",")
+    if len(names) not in (1, axes):
+        raise click.BadParameter(
+            f"got {len(names)} actuators for {axes} axes, need one, or one for each", param_hint="--actuator"
+        )
+    return names * axes if len(names) == 1 else names
+
+
+def _driven(actuator: str) -> tuple[VirtualActuator, tuple[float, float]]:
+    """Return an actuator, and its own limits [V]."""
+    from dehyst.model import Actuator
+    from dehyst.virtual import ModelledActuator
     from dehyst.virtual.modelled import virtual_actuator
 
     driven = virtual_actuator(actuator)
     if isinstance(driven, Actuator):
-        limits, driven = limits or driven.limits, ModelledActuator(driven)
-    reported = limits or (0.0, driven.highest)
-    bench = VirtualBench(
-        driven,
-        limits=actual_limits(reported, faults),
-        slew_rate=slew,
-        wave_points=wave_points,
-        record_points=wave_points,
-        speed=speed,
-        noise=None if noise is None else 1e-9 * noise,
-    )
-    return bench, reported
+        modelled = ModelledActuator(driven)
+        return modelled, driven.limits or (0.0, modelled.highest)
+    return driven, (0.0, driven.highest)
+
+
+def _bench_options(*, slew: float | None, speed: float, noise: float | None, wave_points: int) -> dict[str, Any]:
+    return {
+        "slew_rate": slew,
+        "wave_points": wave_points,
+        "record_points": wave_points,
+        "speed": speed,
+        "noise": None if noise is None else 1e-9 * noise,
+    }
 
 
 def _serve_epics(instrument: VirtualBench, prefix: str, lock: threading.Lock) -> None:

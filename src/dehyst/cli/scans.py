@@ -65,8 +65,6 @@ _NEEDS = {
     "steps": ("levels", "dwell"),
 }
 NAMES = tuple(name for name, _ in _OPTIONS)
-_MICRO = 1e-6
-_MOST_DEGREES = 36_000
 
 
 def scan_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -82,6 +80,7 @@ def named_scan(kind: str, sample_rate: float | None, options: dict[str, Any]) ->
     Raise `RecordError` if an option is missing, does not belong to this scan, or is impossible.
     """
     from dehyst._errors import RecordError
+    from dehyst.waveforms.named import scan_of
 
     given = {name: value for name, value in options.items() if name in NAMES and value is not None}
     missing = [name for name in _NEEDS[kind] if name not in given]
@@ -91,10 +90,7 @@ def named_scan(kind: str, sample_rate: float | None, options: dict[str, Any]) ->
     if foreign:
         takes = ", ".join(map(_flag, _TAKES[kind]))
         raise RecordError(f"{_flag(foreign[0])}: got {given[foreign[0]]!r} with --scan {kind}, which takes {takes}")
-    for name in ("low", "high", "y_low", "y_high", "speed", "acceleration"):
-        if name in given:
-            given[name] *= _MICRO
-    return _MAKERS[kind](given, sample_rate)
+    return scan_of(kind, given, sample_rate)
 
 
 def _flag(name: str) -> str:
@@ -103,78 +99,6 @@ def _flag(name: str) -> str:
 
 def _needs(kind: str) -> str:
     return ", ".join(map(_flag, _NEEDS[kind]))
-
-
-def _triangle(given: dict[str, Any], rate: float | None) -> Scan:
-    from dehyst.waveforms import Triangle
-
-    return Triangle(**given, sample_rate=rate)
-
-
-def _raster(given: dict[str, Any], rate: float | None) -> Scan:
-    from dehyst.waveforms import Raster
-
-    return Raster(**given, sample_rate=rate)
-
-
-def _spiral(given: dict[str, Any], rate: float | None) -> Scan:
-    from dehyst._errors import RecordError
-    from dehyst.waveforms import Spiral
-
-    (x, radius), (y, y_radius) = _middles(given)
-    if abs(radius - y_radius) > 1e-9 * radius:
-        raise RecordError(
-            f"--y-low, --y-high: got a range of {2e6 * y_radius:.6g} um, but x has {2e6 * radius:.6g} um, and a spiral "
-            "is round; give equal ranges"
-        )
-    return Spiral(radius, centre=(x, y), **given, sample_rate=rate)
-
-
-def _lissajous(given: dict[str, Any], rate: float | None) -> Scan:
-    from math import radians
-
-    from dehyst._errors import RecordError
-    from dehyst.waveforms import Lissajous
-
-    (x, a), (y, b) = _middles(given)
-    if "phase" in given:
-        if not abs(given["phase"]) <= _MOST_DEGREES:
-            raise RecordError(
-                f"--phase: got {given['phase']:g}, need an angle in degrees, {-_MOST_DEGREES} to {_MOST_DEGREES}"
-            )
-        given["phase"] = radians(given["phase"])
-    return Lissajous((a, b), centre=(x, y), **given, sample_rate=rate)
-
-
-def _steps(given: dict[str, Any], rate: float | None) -> Scan:
-    from dehyst._errors import RecordError
-    from dehyst.waveforms import Steps
-
-    try:
-        levels = tuple(float(level) * _MICRO for level in given.pop("levels").split(","))
-    except ValueError as error:
-        raise RecordError(f"--levels: {error}; need displacements in um with commas, such as 0,10,20") from error
-    if len(levels) < 2:
-        raise RecordError(f"--levels: got {levels[0] / _MICRO:g} um alone, need at least two, such as 0,10,20")
-    return Steps(levels, seconds=given.pop("edge", None), **given, sample_rate=rate)
-
-
-def _middles(given: dict[str, Any]) -> list[tuple[float, float]]:
-    """Return the middle and half of the range along x and y [m]."""
-    from dehyst.waveforms.scan import between
-
-    x = between(given.pop("low"), given.pop("high"))
-    y = between(given.pop("y_low", x[0]), given.pop("y_high", x[1]), ("y_low", "y_high"))
-    return [(0.5 * (low + high), 0.5 * (high - low)) for low, high in (x, y)]
-
-
-_MAKERS: dict[str, Callable[[dict[str, Any], float | None], Scan]] = {
-    "triangle": _triangle,
-    "raster": _raster,
-    "spiral": _spiral,
-    "lissajous": _lissajous,
-    "steps": _steps,
-}
 
 
 # Arguments of scans with another name on the command line.

@@ -18,8 +18,9 @@ from dehyst.cli.common import (
     refuse_replacing,
     report_option,
 )
+from dehyst.cli.output.terminal import echo, echo_json, worded
 from dehyst.cli.record_files import columns_options, record_in, table_of
-from dehyst.cli.terminal import echo, echo_json, worded
+from dehyst.cli.stages import axes_option, is_stage, show_axes, show_stage
 
 if TYPE_CHECKING:
     from dehyst.records import Record
@@ -33,21 +34,34 @@ _WIDTH, _HEIGHT = 60, 16
 
 @click.command()
 @click.argument("file", type=PATH)
+@click.option("-o", "--output", type=PATH, help="Write the record here, in s, V and um (.csv) or m (.npz).")
 @report_option
+@axes_option()
 @force_option
 @columns_options
 @json_option
-def show(file: Path, report: Path | None, as_json: bool, **options: Any) -> None:
+def show(file: Path, output: Path | None, report: Path | None, axes: str | None, as_json: bool, **options: Any) -> None:
     """Print what a FILE is understood as: columns, units, sample rate, cycles and problems; and draw its loop.
 
     The status is 2 if it is no record; the message holds the options that may make it one.
     """
-    refuse_overwriting([file], report)
+    refuse_overwriting([file], output, report)
+    if is_stage(file):
+        show_stage(file, as_json)
+        return
+    if axes is not None:
+        _show_axes(file, axes, options, as_json)
+        return
     table = table_of(file, options)
     if not as_json:
         _print_columns(table)
     record = record_in(table, file.stem, options)
     rows = _understood(record, options)
+    if output is not None:
+        from dehyst.records import write_record
+
+        refuse_replacing(output)
+        write_record(output, record)
     if report is not None:
         from dehyst.report import write_record_page
 
@@ -68,7 +82,23 @@ def show(file: Path, report: Path | None, as_json: bool, **options: Any) -> None
     echo()
     for line in _plot(record.voltage, record.displacement * 1e6, "voltage (V)", "displacement (um)"):
         echo(line)
-    echo_files(Report=report)
+    echo_files(Record=output, Report=report)
+
+
+def _show_axes(file: Path, axes: str, options: dict[str, Any], as_json: bool) -> None:
+    """Print what each axis of a file is understood as."""
+    record = show_axes(file, axes, options)
+    if as_json:
+        echo_json({axis: _numbers(record.axis(j), table_of(file, options)) for j, axis in enumerate(record.axes)})
+        return
+    _print_columns(table_of(file, options))
+    for j, axis in enumerate(record.axes):
+        echo()
+        echo(f"Axis {axis}")
+        for quantity, _, words in _understood(record.axis(j), options):
+            echo(f"  {quantity + ':':<14}{words}")
+        for sentence in worded(record.axis(j).problems()):
+            echo(f"  - {sentence}")
 
 
 def _print_columns(table: Table) -> None:

@@ -21,6 +21,7 @@ from dehyst.cli.common import (
 )
 from dehyst.cli.played_voltage import PlayedVoltage
 from dehyst.cli.record_files import column_of, columns_options, table_of, time_of_table
+from dehyst.cli.stages import axes_option, is_stage, simulate_axes
 from dehyst.cli.start import (
     given_start,
     home_option,
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 @click.argument("voltage_file", metavar="VOLTAGE", type=PATH)
 @click.option("-o", "--output", type=PATH, required=True, help="Write time, voltage and displacement here (CSV).")
 @click.option("--lag", is_flag=True, help="Delay the displacement by the delay found at identification.")
+@axes_option("those of the records")
 @force_option
 @start_option
 @home_option("Put the shortest homing before the voltages, from 0 V.  [default: no-home]")
@@ -50,6 +52,7 @@ def simulate(
     voltage_file: Path,
     output: Path,
     lag: bool,
+    axes: str | None,
     start: str | Path | None,
     home: bool | None,
     as_json: bool,
@@ -63,6 +66,10 @@ def simulate(
     """
     from dehyst._errors import ModelError
 
+    if is_stage(model):
+        if lag or start is not None or home:
+            raise ModelError("--lag, --start, --home: got one with a stage, which does not take it; leave it out")
+        simulate_axes(model, voltage_file, output, axes, columns, as_json)
     if home and start is not None:
         raise ModelError("--start: got it with --home, which determines the state; leave one out")
     refuse_overwriting([model, voltage_file, *([start] if isinstance(start, Path) else [])], output)

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from dehyst.cli.common import PATH, json_option
-from dehyst.cli.printing import print_fit, print_paper
-from dehyst.cli.terminal import echo, echo_json, progress_line
+from dehyst.cli.output.printing import print_fit, print_paper
+from dehyst.cli.output.terminal import echo, echo_json, progress_line
 
 
 def _folder_option(name: str, last: str) -> Callable[..., Any]:

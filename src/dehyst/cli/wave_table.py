@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from dehyst._text import counted
 from dehyst.cli.common import conclude, refuse_replacing, write_output
+from dehyst.cli.output.terminal import note, progress_line
 from dehyst.cli.played_voltage import path_columns
 from dehyst.cli.scans import in_options
 from dehyst.cli.start import (
@@ -20,7 +21,6 @@ from dehyst.cli.start import (
     start_dict,
     start_error,
 )
-from dehyst.cli.terminal import note, progress_line
 
 if TYPE_CHECKING:
     from dehyst.control import PossibleStart, WaveTable

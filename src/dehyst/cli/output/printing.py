@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dehyst.cli.common import echo_files
-from dehyst.cli.terminal import echo, worded
+from dehyst.cli.output.terminal import echo, worded
 
 if TYPE_CHECKING:
     from dehyst.model import Fit

@@ -16,10 +16,10 @@ import click
 
 from dehyst._io.json_files import finite
 from dehyst._text import escaped
-from dehyst.cli.option_words import in_words_of
+from dehyst.cli.output.option_words import in_words_of
 
-# Between lines of progress where there is no terminal, and before the first one.
-_FEW_SECONDS = 5.0
+# Seconds between lines of progress where there is no terminal, and before the first one; and their name.
+_FEW_SECONDS, _SECONDS_NAME = 5.0, "DEHYST_PROGRESS_SECONDS"
 
 
 class UnprintedError(Exception):
@@ -61,15 +61,22 @@ def progress_line() -> Callable[[str], None]:
 
 def _every_few_seconds() -> Callable[[str], None]:
     """Return a function that prints what it is given if its last line is some seconds old."""
-    last = time.monotonic()
+    last, pause = time.monotonic(), _pause()
 
     def progress(words: str) -> None:
         nonlocal last
-        if words and time.monotonic() - last >= _FEW_SECONDS:
+        if words and time.monotonic() - last >= pause:
             last = time.monotonic()
             note(words)
 
     return progress
+
+
+def _pause() -> float:
+    """Return the seconds between two lines; a program that shows them sets fewer in the environment."""
+    with suppress(ValueError):
+        return float(os.environ.get(_SECONDS_NAME, ""))
+    return _FEW_SECONDS
 
 
 def _fitted(line: str, width: int) -> str:

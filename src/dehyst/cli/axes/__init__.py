@@ -1,0 +1,1 @@
+"""What commands do with several axes of an instrument, or with a stage as C."""

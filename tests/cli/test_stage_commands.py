@@ -1,0 +1,174 @@
+"""Commands with several axes: identify --axes, and the others with a stage file."""
+
+import json
+
+import coupled_stage
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from dehyst.cli import main
+from dehyst.records import read_table, write_columns
+
+AXES = "vx_V:x_um vy_V:y_um"
+
+
+def run(*words, status=0):
+    done = CliRunner().invoke(main, [str(word) for word in words])
+    assert done.exit_code == status, done.output
+    return done.output
+
+
+def result_of(output):
+    """Return JSON values that warnings come before."""
+    return json.loads(output[output.index("{") :])
+
+
+def write(path, record):
+    columns = {f"v{a}_V": record.voltage[:, j] for j, a in enumerate("xy")}
+    columns |= {f"{a}_um": record.displacement[:, j] * 1e6 for j, a in enumerate("xy")}
+    write_columns(path, {"time_s": record.time, **columns})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("stage")
+    training, _ = coupled_stage.excited()
+    write(path / "stage.csv", training)
+    run("identify", path / "stage.csv", "--axes", AXES, "-o", path / "stage.json", "--report", path / "stage.html")
+    return path
+
+
+def test_identify_writes_stage_and_report(folder):
+    stage = json.loads((folder / "stage.json").read_text())
+    assert stage["format"] == "dehyst-stage"
+    assert stage["axes"] == ["x", "y"]
+    assert abs(stage["coupling"][0][1] - 0.04) < 0.002
+    page = (folder / "stage.html").read_text()
+    assert "Coupled axes" in page
+    assert "residual of x" in page or "<svg" in page
+
+
+def test_simulate_and_compensate_undo_each_other(folder):
+    t = np.arange(0, 10, 0.02)
+    path = {"x_um": 7 + 3 * np.sin(t), "y_um": 9 + 4 * np.sin(0.7 * t)}
+    write_columns(folder / "path.csv", {"time_s": t, **path})
+    found = json.loads(run("compensate", folder / "stage.json", folder / "path.csv", "-o", folder / "v.csv", "--json"))
+    assert found["clamped"] == {"x": 0, "y": 0}
+    assert "after a homing of all axes" in found["start"]
+    run("simulate", folder / "stage.json", folder / "v.csv", "-o", folder / "again.csv")
+    again = read_table(folder / "again.csv")
+    for axis in "xy":
+        reached = again.column("displacement", f"{axis}_um")[-len(t) :] * 1e6
+        assert np.allclose(reached, path[f"{axis}_um"], rtol=0, atol=1e-6)
+
+
+def test_axes_are_taken_by_their_names(folder):
+    words = ["compensate", folder / "stage.json", folder / "named-path.csv", "--no-home"]
+    path = {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)}
+    write_columns(folder / "named-path.csv", path)
+    run(*words, "-o", folder / "named.csv")
+    run(*words, "-o", folder / "turned.csv", "--axes", "y=vy_V:y_um x=vx_V:x_um")
+    assert (folder / "named.csv").read_bytes() == (folder / "turned.csv").read_bytes()
+    assert "the stage has x, y" in run(*words, "-o", folder / "n.csv", "--axes", "a=vx_V:x_um b=vy_V:y_um", status=2)
+
+
+def test_bare_columns_are_taken_by_their_names_too(folder):
+    words = ["compensate", folder / "stage.json", folder / "bare-path.csv", "--no-home"]
+    path = {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)}
+    write_columns(folder / "bare-path.csv", path | {"b_um": path["y_um"]})
+    run(*words, "-o", folder / "bare.csv")
+    for number, axes in enumerate(["y_um x_um", "y=b_um x=x_um", "y=b_um x_um"]):
+        run(*words, "-o", folder / f"bare{number}.csv", "--axes", axes)
+        assert (folder / f"bare{number}.csv").read_bytes() == (folder / "bare.csv").read_bytes()
+    output = run(*words, "-o", folder / "n.csv", "--axes", "x_um b_um", status=2)
+    assert "need a column for each of the axes x, y" in output
+    assert "'x=x_um'" in output
+    run("simulate", folder / "stage.json", folder / "bare.csv", "-o", folder / "s.csv")
+    run("simulate", folder / "stage.json", folder / "bare.csv", "-o", folder / "t.csv", "--axes", "vy_V vx_V")
+    assert (folder / "s.csv").read_bytes() == (folder / "t.csv").read_bytes()
+
+
+def test_the_start_of_a_path_is_homed_or_named(folder):
+    t = np.arange(0, 5, 0.02)
+    write_columns(folder / "o.csv", {"time_s": t, "x_um": 5 + np.sin(t), "y_um": 8 + np.sin(t)})
+    words = ["compensate", folder / "stage.json", folder / "o.csv", "--json"]
+    homed = json.loads(run(*words, "--home", "--slew", "300", "-o", folder / "homed.csv"))
+    assert homed["start_errors"]["y"]["largest_difference_percent"] < 1e-6
+    table = read_table(folder / "homed.csv")
+    steps = np.diff(table.column("time"))
+    for axis in "xy":
+        voltage = table.column("voltage", f"v{axis}_V")
+        assert voltage[0] == 0
+        assert np.abs(np.diff(voltage) / steps).max() <= 300 * (1 + 1e-6)
+    words += ["--limits", "0", "100"]
+    open_start = result_of(run(*words, "--home", "-o", folder / "open.csv", status=1))
+    assert open_start["warnings"][0].startswith("y: not certified")
+    named = result_of(run(*words, "--start", "top", "-o", folder / "top.csv"))
+    assert "axis y: the start top needs 120" in named["warnings"][0]
+    assert "start top" in named["start"]
+    assert "leave one out" in run(*words, "--start", "top", "--home", "-o", folder / "n.csv", status=2)
+
+
+def test_an_export_begins_where_its_limits_lead(folder):
+    words = ["export", folder / "stage.json", folder / "c", "--limits", "0", "100", "--no-measure", "--json"]
+    result = result_of(run(*words))
+    assert "axis y: the start top needs 120" in result["warnings"][0]
+    assert "swing the voltage slowly between 0 and 100 V" in (folder / "c" / "README.md").read_text()
+
+
+def test_an_interrupted_identification_of_axes_reports_that_nothing_is_written(folder, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dehyst.stages.identify_stage", interrupted)
+    words = ["identify", folder / "stage.csv", "--axes", AXES, "-o", folder / "never.json"]
+    done = CliRunner().invoke(main, [str(word) for word in words])
+    assert "nothing was written" in done.output
+    assert not (folder / "never.json").exists()
+
+
+def test_a_scan_moves_two_axes(folder):
+    words = ["--scan", "lissajous", "--low", "4", "--high", "9", "--frequency", "0.5"]
+    run("compensate", folder / "stage.json", *words, "-o", folder / "scan.csv")
+    table = read_table(folder / "scan.csv")
+    for axis in "xy":
+        assert np.ptp(table.column("displacement", f"{axis}_um")) > 4e-6
+
+
+def test_a_voltage_beyond_its_limit_ends_with_status_1(folder):
+    words = ["compensate", folder / "stage.json", folder / "stage.csv", "-o", folder / "w.csv", "--limits", "0", "60"]
+    assert "CLAMPED" in run(*words, status=1)
+
+
+def test_show_check_and_insight(folder):
+    assert "condition" in run("show", folder / "stage.json")
+    assert "Axis y" in run("show", folder / "stage.csv", "--axes", AXES)
+    assert "Coupling: as in the model" in run("check", folder / "stage.json", folder / "stage.csv")
+    words = run("insight", folder / "stage.json", folder / "stage.csv", "--repeats", "0")
+    assert "half the interval" in words
+    assert "never moved alone" not in words
+
+
+def test_excite_writes_axes_one_after_the_other_then_together(tmp_path):
+    run("excite", "stage", "100", "80", "--frequency", "0.5", "--cycles", "4", "-o", tmp_path / "play.csv")
+    table = read_table(tmp_path / "play.csv")
+    x, y = (table.column("voltage", f"v{axis}_V") for axis in "xy")
+    assert (x.max(), y.max()) == (100, 80)
+    alone = (x > 1) & (y == 0)
+    assert alone.mean() > 0.2
+    assert ((x > 1) & (y > 1)).mean() > 0.1
+
+
+def test_a_single_axis_warns_of_the_other_voltage(folder):
+    words = ["identify", folder / "stage.csv", "--voltage", "vx_V", "--displacement", "x_um", "--structure", "paper"]
+    done = CliRunner().invoke(main, [str(word) for word in words])
+    assert "follows the voltage 'vy_V'" in done.output
+    assert "--axes" in done.output
+
+
+def test_options_that_a_stage_does_not_take_are_refused(folder):
+    words = ["simulate", folder / "stage.json", folder / "stage.csv", "-o", folder / "s.csv", "--lag"]
+    assert "with a stage" in run(*words, status=2)
+    words = ["identify", folder / "stage.csv", "--axes", AXES, "--traces", folder / "t.npz"]
+    assert "--axes" in run(*words, status=2)
