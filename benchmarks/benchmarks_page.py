@@ -139,6 +139,39 @@ def steps(latency: dict, size: dict) -> list[str]:
     return rows
 
 
+def banks(data: dict) -> list[str]:
+    """Many actuators at once: nanoseconds an actuator and sample, a mirror, bits."""
+    rows = [
+        "",
+        "| Nanoseconds an actuator and sample | compensate | over `numpy.interp` | simulate | over `numpy.interp` |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for name in ("21 knots", "2 knots", "100 elements", "transformer and 8 creep"):
+        for build, what in (("avx2", "AVX2"), ("baseline", "without AVX2")):
+            pair = [data["speed"][f"{do} {name}, {build}"] for do in ("compensate", "simulate")]
+            cells = " | ".join(f"{one['ns']:.1f} | {one['ratio']:.2f}" for one in pair)
+            rows.append(f"| {name}, {what} | {cells} |")
+    bits, scaling = data["bits"], data["scaling"]
+    wrong = sum(count for name, count in bits.items() if "other than" in name)
+    for knots, mirror in data["mirror"].items():
+        rows += [
+            "",
+            f"A mirror of {mirror['actuators']} actuators with springs of {knots}, one core, {mirror['steps']} steps "
+            f"from Python: {mirror['median us']:.0f} us a step (median), {mirror['99.9 % us']:.0f} us in 99.9 %, "
+            f"{mirror['worst us']:.0f} us at worst; {mirror['cores at 1000 Hz']:.2f} of a core at 1 kHz.",
+        ]
+    rows += [
+        "",
+        f"Of {bits['steps']:.0e} steps, {bits['clamped']} of them clamped, and of as many beside a compiled export, "
+        f"{wrong} differ in a bit.",
+        "",
+        f"Two threads are {scaling['compensate']:.2f} times as fast as one (compensate), {scaling['simulate']:.2f} "
+        "times (simulate).",
+        "",
+    ]
+    return rows
+
+
 def saturation(data: dict) -> list[str]:
     """Errors after clamped voltages."""
     volts = f"{data['allowed_V'][1]:.0f} V allowed, {data['needed_V']:.0f} V needed"
@@ -179,7 +212,7 @@ def strangers(data: dict) -> list[str]:
 
 def tables() -> dict[str, list[str]]:
     """Return the page's tables, each by the name of its markers."""
-    names = ("accuracy", "paper", "speed", "latency", "size", "saturation", "calibration", "strangers")
+    names = ("accuracy", "paper", "speed", "latency", "size", "saturation", "calibration", "strangers", "banks")
     data = {name: json.loads((HERE / f"{name}.json").read_text()) for name in names}
     return {
         "accuracy": accuracy(data["accuracy"]),
@@ -188,6 +221,7 @@ def tables() -> dict[str, list[str]]:
         "paper": paper(data["paper"]),
         "speed": speed(data["speed"]),
         "steps": steps(data["latency"], data["size"]),
+        "banks": banks(data["banks"]),
         "saturation": saturation(data["saturation"]),
         "calibrations": calibrations(data["calibration"]),
     }

@@ -1,0 +1,112 @@
+"""Three coupled axes calibrated over a socket: an emulated controller around virtual stages, mechanisms and seeds.
+
+The actuators are no instances of any model. The path is followed by all axes together; its error on each axis is that
+which the sensors measured. One stage has coupling with hysteresis of its own, which must be found out. Writes
+`calibrated_axes.json`.
+"""
+
+import argparse
+import json
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+from strangers import truths
+
+from dehyst.instruments import open_stage_rig
+from dehyst.stages import calibrate_stage
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, StageBench, VirtualStage
+from dehyst.virtual.emulator import Controller, Server
+from dehyst.virtual.stage import spread_coupling
+
+OUTPUT = Path(__file__).parent / "calibrated_axes.json"
+HIGHEST, STROKES, NOISE = (100.0, 120.0, 150.0), (16e-6, 20e-6, 12e-6), 2e-9
+SPEED, RATE = 20.0, 400.0
+GOAL = 0.3
+
+
+class Stranger:
+    """A mechanism of `strangers.truths` as a virtual actuator."""
+
+    def __init__(self, mechanism, stroke, highest):
+        self.mechanism, self.stroke, self.highest = mechanism(), stroke, highest
+
+    def relax(self):
+        """Begin anew."""
+        self.mechanism = type(self.mechanism)()
+
+    def play(self, voltage, *, time, measured=False):
+        """Return the displacement [m]; without noise, whatever `measured` is."""
+        steps = np.ones(len(voltage))
+        return self.stroke * self.mechanism.play(np.asarray(voltage) / self.highest, steps)
+
+
+def own(kind, stroke, highest, **options):
+    return kind(stroke=stroke, highest=highest, noise=0.0, **options)
+
+
+# Name: mechanisms of the axes, seed, and the largest share of hysteretic coupling.
+CASES = {
+    "plays, Preisach, relays": ([PlayActuator, PreisachActuator, truths.Relays], 1, 0.0),
+    "domains, slips, relays (set aside)": ([truths.Domains, truths.StribeckSlip, truths.Relays], 2, 0.0),
+    "Preisach, plays, Preisach": ([PreisachActuator, PlayActuator, PreisachActuator], 3, 0.0),
+    "with a Bouc-Wen actuator": ([PlayActuator, BoucWenActuator, PreisachActuator], 4, 0.0),
+    "hysteretic coupling": ([PlayActuator, PreisachActuator, PlayActuator], 5, 0.04),
+}
+
+
+def actuator(kind, j):
+    made = own if kind.__module__.startswith("dehyst") else Stranger
+    return made(kind, STROKES[j], HIGHEST[j])
+
+
+def measure(name):
+    kinds, seed, hysteretic = CASES[name]
+    rng = np.random.default_rng([18, seed])
+    coupling = np.where(np.eye(3, dtype=bool), 1.0, rng.uniform(0.02, 0.06, (3, 3)) * rng.choice([-1, 1], (3, 3)))
+    stage = VirtualStage(
+        [actuator(kind, j) for j, kind in enumerate(kinds)],
+        coupling,
+        hysteretic=spread_coupling(3, hysteretic),
+        noise=NOISE,
+        seed=seed,
+    )
+    began = time.monotonic()
+    with Server(Controller(StageBench(stage, speed=SPEED)), port=0, lock=threading.Lock()) as server:
+        with open_stage_rig(f"pi://{server.host}:{server.port}/1,2,3") as rig, tempfile.TemporaryDirectory() as folder:
+            result = calibrate_stage(rig, folder)
+        ends = [bench.voltage for bench in server.controller.instrument.benches]
+    row = {
+        "truths": name,
+        "largest_percent": list(result.compensated.largest_percent),
+        "rms_percent": list(result.compensated.rms_percent),
+        "nominal_percent": list(result.nominal.largest_percent),
+        "matrix_error": None if hysteretic else float(np.abs(result.fit.coupling - coupling).max()),
+        "is_matrix": result.fit.is_matrix,
+        "verdict": result.fit.verdict,
+        "voltages_at_end": ends,
+        "seconds": time.monotonic() - began,
+    }
+    print(
+        f"{name:36s} largest {', '.join(f'{e:.3f}' for e in row['largest_percent'])} %  RMS "
+        f"{max(row['rms_percent']):.3f} %  without a model {max(row['nominal_percent']):.1f} %  matrix "
+        f"{'with hysteresis' if hysteretic else format(row['matrix_error'], '.5f')}; found "
+        f"{'a matrix' if row['is_matrix'] else 'more than a matrix'}",
+        flush=True,
+    )
+    return row
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", help="of these names only; nothing is written then")
+    chosen = parser.parse_args().cases
+    rows = [measure(name) for name in chosen or CASES]
+    if not chosen:
+        OUTPUT.write_text(json.dumps({"goal_percent": GOAL, "stages": rows}, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,295 @@
+"""A fleet of 2000 synthetic records: what is found, what is lost when processes die, and what it costs.
+
+`fleets/records.py` makes the records: no truth is a model of dehyst. Writes `fleet.json`.
+"""
+
+import argparse
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+from fleets.records import make
+
+from dehyst.fleet import drifts_of, findings_of, load, open_dataset
+
+OUTPUT = Path(__file__).parent / "fleet.json"
+BY = "serial,session"
+# Records of a run in which processes are killed, of the sample by `auto`, and on paper.
+FEW, AUTO, MANY = 120, 12, 1_000_000
+# Of the comparison of Dask with processes.
+SOME = 400
+DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
+MEASURED = ("cpu_s", "wall_s", "memory_MB")
+ALLOWED_MB = 350
+
+
+def command(dataset: Path, output: Path, *more: str) -> list[str]:
+    return [*DEHYST, "fleet", "identify", str(dataset), "-o", str(output), "--by", BY, *more]
+
+
+def run(dataset: Path, output: Path, *more: str) -> dict:
+    """Wall and processor seconds of a whole run, and what its tasks took."""
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    done = subprocess.run(command(dataset, output, *more), capture_output=True, text=True, check=False)
+    wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    rows = load(output).rows
+    tasks = {name: sum(row[name] for row in rows) for name in ("cpu_s", "wall_s")}
+    return {
+        "records": len(rows),
+        "wall_s": wall,
+        "cpu_s": cpu,
+        "tasks_cpu_s": tasks["cpu_s"],
+        "tasks_wall_s": tasks["wall_s"],
+        "task_cpu_s": {"median": float(np.median([row["cpu_s"] for row in rows])), "mean": tasks["cpu_s"] / len(rows)},
+        "worker_MB": max(row["memory_MB"] for row in rows),
+    }
+
+
+def overhead(result: dict, jobs: int) -> dict:
+    """Add what a run takes over the sum of its tasks: in wall seconds of all processes, and in processor seconds."""
+    result["overhead_wall_percent"] = 100 * (jobs * result["wall_s"] / result["tasks_wall_s"] - 1)
+    result["overhead_cpu_percent"] = 100 * (result["cpu_s"] / result["tasks_cpu_s"] - 1)
+    return result
+
+
+def found(output: Path, truth: list[dict]) -> dict:
+    """Return what the report lists of what is wrong, and of what is not."""
+    fleet = load(output)
+    names = [fleet.name(row) for row in fleet.rows]
+    findings, kinds = findings_of(fleet), {name: one["kind"] for name, one in zip(names, truth, strict=True)}
+    listed = Counter(kinds[name] for name in findings.listed)
+    totals = Counter(kinds.values())
+    refused = Counter(kinds[n] for n, row in zip(names, fleet.rows, strict=True) if row["outcome"] == "refused")
+    copies = {name for group in findings.duplicates for name in group}
+    drifts = drifts_of(fleet, by="serial", over="session")
+    by_kind = {kind: {one["serial"] for one in truth if one["kind"] == kind} for kind in totals}
+    wrong = by_kind["noisy"] | by_kind["drifting"] | by_kind["duplicate"]
+    due = {one.serial for one in drifts.recalibrate}
+    healthy = {one.serial for one in drifts.ageing} - by_kind["ageing"] - wrong
+    return {
+        "kinds": dict(totals),
+        "refused": dict(refused),
+        "dead_refused_with_reason": sum(
+            kinds[n] == "dead" and row["outcome"] == "refused" and bool(row["reason"])
+            for n, row in zip(names, fleet.rows, strict=True)
+        ),
+        "listed": dict(listed),
+        "false_alarm_percent": 100 * listed["healthy"] / totals["healthy"],
+        "duplicates_found": sum(kind == "duplicate" and name in copies for name, kind in kinds.items()),
+        "ageing_serials": len(by_kind["ageing"]),
+        "ageing_found": len(by_kind["ageing"] & due),
+        "healthy_serials": len(healthy),
+        "healthy_to_recalibrate": len(healthy & due),
+    }
+
+
+def shards(output: Path) -> list[Path]:
+    return sorted(output.with_name(f"{output.name}.parts").glob("*/*.json"))
+
+
+def children(pid: int) -> list[int]:
+    found = []
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        found += map(int, task.read_text().split())
+    return [one for child in found for one in (child, *children(child))]
+
+
+def is_worker(pid: int) -> bool:
+    words = Path(f"/proc/{pid}/cmdline").read_bytes()
+    return b"dehyst.fleet.worker" in words or b"spawn_main" in words
+
+
+def started(dataset: Path, output: Path, *more: str) -> subprocess.Popen:
+    """Start a client, and wait until it has some shards."""
+    process = subprocess.Popen(command(dataset, output, *more), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    while process.poll() is None and len(shards(output)) < FEW // 6:
+        time.sleep(0.02)
+    return process
+
+
+def outcome(output: Path, reference: list, done_before: int) -> dict:
+    """Whether each row is there once and the same."""
+    rows = plain_rows(output)
+    return {"rows": len(rows), "exactly_once": rows == reference, "done_before_the_end": done_before}
+
+
+def plain_rows(output: Path) -> list[dict]:
+    return [{name: value for name, value in row.items() if name not in MEASURED} for row in load(output).rows]
+
+
+def killed_workers(dataset: Path, output: Path, reference: list, *more: str) -> dict:
+    process, killed = started(dataset, output, *more), 0
+    while process.poll() is None and killed < 4:
+        for pid in [pid for pid in children(process.pid) if is_worker(pid)][:1]:
+            os.kill(pid, signal.SIGKILL)
+            killed += 1
+        time.sleep(2)
+    process.communicate()
+    return {"killed": killed, **outcome(output, reference, 0)}
+
+
+def killed_client(dataset: Path, output: Path, reference: list, *more: str) -> dict:
+    process = started(dataset, output, *more)
+    workers = children(process.pid)
+    process.kill()
+    process.communicate()
+    time.sleep(5)
+    left = sum(Path(f"/proc/{pid}").exists() for pid in workers)
+    before = len(shards(output))
+    run(dataset, output, *more, "--resume")
+    return {"workers_left": left, **outcome(output, reference, before)}
+
+
+def killed_scheduler(dataset: Path, output: Path, reference: list, folder: Path) -> dict:
+    """Begin a scheduler and two workers as processes of their own, and kill the scheduler."""
+    dask = [sys.executable, "-m", "dask"]
+    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+
+    def begin(name: str) -> tuple[list[subprocess.Popen], str]:
+        file = folder / f"{name}.json"
+        words = [*dask, "scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
+        scheduler = subprocess.Popen(words, **silent)
+        while not (file.exists() and file.read_text().endswith("}")):
+            time.sleep(0.1)
+        address = json.loads(file.read_text())["address"]
+        worker = [*dask, "worker", address, "--nthreads", "1", "--no-dashboard", "--local-directory", str(folder)]
+        return [scheduler, *(subprocess.Popen(worker, **silent) for _ in range(2))], address
+
+    first, address = begin("first")
+    process = started(dataset, output, "--dask", address)
+    first[0].kill()
+    began = time.perf_counter()
+    _, errors = process.communicate()
+    seconds = time.perf_counter() - began
+    end(first)
+    before = len(shards(output))
+    second, address = begin("second")
+    run(dataset, output, "--dask", address, "--resume")
+    end(second)
+    message = errors.decode().strip().splitlines()[-1]
+    return {
+        "client_status": process.returncode,
+        "client_message": message.replace(address, "ADDRESS"),
+        "noticed_s": seconds,
+        **outcome(output, reference, before),
+    }
+
+
+def end(processes: list[subprocess.Popen]) -> None:
+    for process in processes:
+        for pid in children(process.pid):
+            os.kill(pid, signal.SIGKILL)
+        process.kill()
+        process.wait()
+
+
+def on_paper(folder: Path, dataset: Path, output: Path, plain: dict, auto: dict) -> dict:
+    """Calculate a million records from what was measured."""
+    began = time.perf_counter()
+    count = len(open_dataset(dataset, BY.split(",")))
+    index = (time.perf_counter() - began) / count
+    many, groups = folder / "groups.parquet", 5000
+    schema = pyarrow.parquet.read_schema(dataset)
+    few = pyarrow.parquet.ParquetFile(dataset).read_row_group(0).slice(0, 2)
+    with pyarrow.parquet.ParquetWriter(many, schema) as writer:
+        for _ in range(groups):
+            writer.write_table(few)
+    code = (
+        "import pathlib, pyarrow.parquet, sys\n"
+        "def resident():\n"
+        "    return int(pathlib.Path('/proc/self/statm').read_text().split()[1]) * 4\n"
+        "before = resident()\n"
+        "file = pyarrow.parquet.ParquetFile(sys.argv[1])\n"
+        "print(resident() - before, file.metadata.serialized_size)"
+    )
+    text = subprocess.run([sys.executable, "-c", code, many], capture_output=True, text=True, check=True).stdout
+    memory_kb, footer = map(int, text.split())
+    room = ALLOWED_MB - plain["worker_MB"]
+    return {
+        "records": MANY,
+        "plain_core_hours": MANY * plain["task_cpu_s"]["mean"] / 3600,
+        "auto_core_hours": MANY * auto["task_cpu_s"]["mean"] / 3600,
+        "cores_for_a_day": MANY * plain["task_cpu_s"]["mean"] / 86400,
+        "dataset_GB": MANY * dataset.stat().st_size / count / 1e9,
+        "table_GB": MANY * output.stat().st_size / count / 1e9,
+        "index_minutes": MANY * index / 60,
+        "footer_bytes_a_row_group": footer / groups,
+        "footer_memory_bytes_a_row_group": 1e3 * memory_kb / groups,
+        "row_groups_a_file_at_most": int(1e6 * room / (1e3 * memory_kb / groups)),
+        "breaks_first": "the footer of one Parquet file, which each worker holds: split the dataset into files",
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=2000)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--resume", action="store_true", help="measure only what fleet.json lacks")
+    given = parser.parse_args()
+    result: dict = {"processors": os.cpu_count(), "jobs": given.jobs}
+    if given.resume and OUTPUT.exists():
+        result |= json.loads(OUTPUT.read_text())
+    with tempfile.TemporaryDirectory() as name:
+        measure(Path(name), given.count, given.jobs, result)
+
+
+def measure(folder: Path, count: int, jobs: int, result: dict) -> None:
+    """Measure what the result lacks, and write it after each part."""
+    data, few, auto = (folder / f"{what}.parquet" for what in ("data", "few", "auto"))
+    truth, _, _ = make(data, count), make(few, FEW, seed=2), make(auto, AUTO, seed=3)
+
+    def part(name: str, measured: Callable[[], dict]) -> dict:
+        if name not in result:
+            result[name] = measured()
+            OUTPUT.write_text(json.dumps(result, indent=1) + "\n")
+            print(json.dumps({name: result[name]}, indent=1), flush=True)
+        return result[name]
+
+    ways = {"": ("--jobs", str(jobs)), "dask_": ("--dask", "local", "--jobs", str(jobs))}
+    reference = folder / "reference.parquet"
+    run(few, reference, *ways[""])
+    rows = plain_rows(reference)
+    for kind, way in ways.items():
+        output = folder / f"{kind}killed.parquet"
+        part(f"killed_{kind}workers", partial(killed_workers, few, output, rows, *way))
+        output.unlink(missing_ok=True)
+        part(f"killed_{kind}client", partial(killed_client, few, output, rows, *way))
+    part("killed_scheduler", lambda: killed_scheduler(few, folder / "e.parquet", rows, folder))
+    table = folder / "table.parquet"
+    plain = part("processes", lambda: overhead(run(data, table, *ways[""]), jobs))
+    part("found", lambda: found(table, truth))
+    selected = ("--structure", "auto", *ways[""])
+    slow = part("auto_sample", lambda: overhead(run(auto, folder / "auto.table.parquet", *selected), jobs))
+    part("paper", lambda: on_paper(folder, few, reference, plain, slow))
+    part("dask", lambda: with_dask(folder, jobs, ways))
+
+
+def with_dask(folder: Path, jobs: int, ways: dict) -> dict:
+    """Run a part of the fleet by processes, then by Dask, and compare rows and seconds."""
+    data, first, second = (folder / f"{name}.parquet" for name in ("some", "by_processes", "by_dask"))
+    make(data, SOME, seed=4)
+    plain = overhead(run(data, first, *ways[""]), jobs)
+    dask = overhead(run(data, second, *ways["dask_"]), jobs)
+    dask["same_rows"] = plain_rows(second) == plain_rows(first)
+    dask["over_processes_percent"] = 100 * (dask["wall_s"] / plain["wall_s"] - 1)
+    dask["over_processes_cpu_percent"] = 100 * (dask["cpu_s"] / plain["cpu_s"] - 1)
+    return {**dask, "by_processes": plain}
+
+
+if __name__ == "__main__":
+    main()
