@@ -18,6 +18,7 @@ extensions = [
     "sphinx_click",
     "sphinx_gallery.gen_gallery",
     "names",
+    "playground",
 ]
 templates_path = ["_templates"]
 exclude_patterns = ["_templates", "_extensions"]
@@ -29,7 +30,7 @@ highlight_language = "none"
 html_theme = "furo"
 html_title = f"dehyst {version}"
 html_static_path = ["_static"]
-html_css_files = ["site.css"]
+html_css_files = ["site.css", "playground.css"]
 html_copy_source = False
 html_show_sourcelink = False
 

@@ -21,9 +21,11 @@ ORDER = (
     "what_records_leave_open",
     "check_a_month_later",
     "compare_models",
+    "production_line",
     "control_loop",
     "saturating_limits",
     "scan_wave_table",
+    "three_axis_scanner",
     "micrometres",
     "export_to_c",
 )

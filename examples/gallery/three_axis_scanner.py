@@ -1,0 +1,49 @@
+"""
+A three-axis scanner
+====================
+
+Each of three stacks moves all axes a little: one matrix and three actuators describe them, from one record.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import dehyst
+from dehyst.stages import stage_excitation
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling
+
+coupling = np.array([[1, 0.04, -0.02], [0.03, 1, 0.05], [-0.025, 0.06, 1]])
+stacks = [PlayActuator(width=width, noise=0.0) for width in (0.4, 0.5, 0.6)]
+
+
+def play(time, voltage):
+    """Return what sensors on the three axes measure."""
+    moved = [stack.play(column) for stack, column in zip(stacks, voltage.T, strict=True)]
+    noise = np.random.default_rng(0).normal(0, 2e-9, voltage.shape)
+    return dehyst.StageRecord(time, voltage, np.column_stack(moved) @ coupling.T + noise)
+
+
+# %%
+# One axis after the other, then all together with periods that do not repeat. A cycle before is not recorded.
+tops = stage_excitation([200, 200, 200], drive=Sampling(0.5, sample_rate=20), steps=6, cycles=6)
+play(np.arange(41.0), 200 * np.sin(np.linspace(0, np.pi, 41))[:, None] ** 2 * np.ones(3))
+record = play(tops.time, tops.voltage)
+
+# %%
+# The matrix, and three actuators of the paper's class, which is fitted fast.
+fit = dehyst.identify_stage(record, structure="paper")
+print(np.round(fit.coupling, 4))
+print(f"largest error of an entry: {np.abs(fit.coupling - coupling).max():.4f}; {fit.verdict}")
+
+# %%
+# What the voltage of y leaves on x: of a model of x alone, and of the stage.
+alone = dehyst.identify(record.axis(0), structure="paper", throw=False).traces[0]
+whole = fit.fits[0].traces[0]
+figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), sharey=True)
+for axes, trace, title in (left, alone, "x as a single axis"), (right, whole, "x in the stage"):
+    at = np.searchsorted(record.time, trace.time - 1e-9)
+    axes.plot(record.voltage[at, 1], trace.residual * 1e9, ".", ms=2)
+    axes.set(title=title, xlabel="voltage of y (V)")
+left.set_ylabel("residual of x (nm)")
+plt.show()
