@@ -53,13 +53,16 @@ from dehyst.model import (
 from dehyst.records import Record, read, write_record
 
 if TYPE_CHECKING:
+    from dehyst.banks import Bank
     from dehyst.baselines import compare
-    from dehyst.exports import export, export_fmu
+    from dehyst.exports import export, export_fmu, export_wasm
     from dehyst.instruments.calibration import calibrate
+    from dehyst.stages import Stage, StageCompensator, StageFit, StageRecord, identify_stage, read_stage
     from dehyst.uncertainty import insight
 
 __all__ = [
     "Actuator",
+    "Bank",
     "ClampWarning",
     "Command",
     "Compensator",
@@ -83,6 +86,10 @@ __all__ = [
     "SmoothSlip",
     "Snapshot",
     "Spring",
+    "Stage",
+    "StageCompensator",
+    "StageFit",
+    "StageRecord",
     "State",
     "Structure",
     "Trace",
@@ -94,9 +101,12 @@ __all__ = [
     "compare",
     "export",
     "export_fmu",
+    "export_wasm",
     "identify",
+    "identify_stage",
     "insight",
     "read",
+    "read_stage",
     "shortest_homing",
     "wave_table",
     "write_record",
@@ -104,11 +114,19 @@ __all__ = [
 
 # Imported when they are used first: a control loop needs none of them.
 _LATE = {
+    "Bank": "dehyst.banks",
     "calibrate": "dehyst.instruments.calibration",
     "compare": "dehyst.baselines",
     "export": "dehyst.exports",
     "export_fmu": "dehyst.exports",
+    "export_wasm": "dehyst.exports",
+    "Stage": "dehyst.stages",
+    "StageCompensator": "dehyst.stages",
+    "StageFit": "dehyst.stages",
+    "StageRecord": "dehyst.stages",
+    "identify_stage": "dehyst.stages",
     "insight": "dehyst.uncertainty",
+    "read_stage": "dehyst.stages",
 }
 
 

@@ -65,7 +65,8 @@ def c_names():
     """Identifiers of the C sources."""
     return {
         name
-        for path in (*places.CORE_FILES, *(ROOT / "bindings").iterdir(), *(PACKAGE / "exports" / "templates").iterdir())
+        for folder in ("bindings", "bindings/wasm", "src/dehyst/exports/templates")
+        for path in (*places.CORE_FILES, *(ROOT / folder).glob("*.*"))
         for name in re.findall(r"[A-Za-z_]\w+", path.read_text(errors="ignore"))
     }
 

@@ -149,7 +149,7 @@ def test_a_table_of_many_rows_is_cut_and_counted():
 
 
 def test_the_summary_of_a_fit_is_what_the_command_prints(fit, tmp_path, capsys):
-    from dehyst.cli.printing import print_fit
+    from dehyst.cli.output.printing import print_fit
 
     print_fit(fit, None, None)
     assert capsys.readouterr().out == fit.summary() + "\n"
@@ -158,7 +158,7 @@ def test_the_summary_of_a_fit_is_what_the_command_prints(fit, tmp_path, capsys):
 
 
 def test_the_summary_of_an_assessment_is_what_the_command_prints(insight, capsys):
-    from dehyst.cli.printing import print_insight
+    from dehyst.cli.output.printing import print_insight
 
     print_insight(insight, None, None)
     assert capsys.readouterr().out == insight.summary() + "\n"

@@ -23,9 +23,17 @@ PAGES = sorted(places.DOCS.rglob("*.md"))
 EXAMPLES = sorted((places.EXAMPLES / "gallery").glob("*.py"))
 GENERATORS = ("sphinx", "furo", "myst_parser", "numpydoc", "sphinx_gallery", "sphinx_click")
 # Pages whose code runs here; that of the others runs in the tests of what they are about.
-RUN_HERE = ("tutorials/first_stage.md", "how_to/check.md", "how_to/scans.md", "how_to/start_states.md")
+RUN_HERE = (
+    "tutorials/first_stage.md",
+    "how_to/check.md",
+    "how_to/coupled_axes.md",
+    "how_to/many_actuators.md",
+    "how_to/scans.md",
+    "how_to/start_states.md",
+)
 RUN_ELSEWHERE = (
     "how_to/control.md",
+    "how_to/fleet.md",
     "how_to/instruments.md",
     "how_to/python.md",
     "how_to/simulink.md",
@@ -87,7 +95,9 @@ def laboratory(tmp_path_factory):
     record, other = demo.record_loops(PlayActuator(plays=60))
     write_record(folder / "loops.csv", record)
     write_record(folder / "new.csv", other)
-    dehyst.identify(record, structure="paper").actuator.save(folder / "model.json")
+    actuator = dehyst.identify(record, structure="paper").actuator
+    actuator.save(folder / "model.json")
+    dehyst.Stage((actuator, actuator), [[1, 0.04], [0.03, 1]]).save(folder / "stage.json")
     return folder
 
 

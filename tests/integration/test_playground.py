@@ -1,0 +1,91 @@
+"""The page of the site that runs: its actuator is the virtual one, dehyst follows, a straight scale factor does not."""
+
+import re
+import runpy
+import shutil
+import subprocess
+
+import numpy as np
+import places
+import pytest
+
+from dehyst.virtual import PlayActuator
+
+EXTENSIONS = places.DOCS / "_extensions"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+def test_the_actuator_of_the_page_is_the_virtual_one(tmp_path):
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed: the page's script cannot be run (Debian: nodejs)")
+    pytest.importorskip("sphinx", reason="needs the extra docs")
+    voltage = np.concatenate([np.linspace(200, 0, 200), np.random.default_rng(0).uniform(0, 200, 2000)])
+    truth = PlayActuator()
+    truth.play(np.linspace(0, 200, 400))
+    expected = truth.play(voltage, measured=False)
+    shutil.copy(EXTENSIONS / "play_actuator.js", tmp_path / "play_actuator.mjs")
+    voltage.tofile(tmp_path / "voltage")
+    (tmp_path / "program.mjs").write_text(
+        'import fs from "node:fs";\nimport { PlayActuator } from "./play_actuator.mjs";\n'
+        "const bytes = fs.readFileSync('voltage'), actuator = new PlayActuator();\n"
+        "const voltage = new Float64Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length));\n"
+        "for (let v = 0; v <= 200; v += 0.5) actuator.play(v);\n"
+        "fs.writeFileSync('reached', voltage.map((v) => actuator.play(v)));\n"
+    )
+    subprocess.run(["node", "program.mjs"], cwd=tmp_path, check=True)
+    assert np.allclose(np.fromfile(tmp_path / "reached"), expected, rtol=0, atol=1e-12 * truth.stroke)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """The page's own part, with its script."""
+    pytest.importorskip("sphinx", reason="needs the extra docs")
+    text = (places.DOCS / "tutorials" / "try_it.md").read_text()
+    body = re.search(r'<div id="playground">.*</div>', text, re.DOTALL)[0]
+    folder = tmp_path_factory.mktemp("site")
+    script = runpy.run_path(str(EXTENSIONS / "playground.py"))["script"]()
+    assert re.search(r"^(import|export) |import\.meta", script, re.MULTILINE) is None
+    (folder / "playground.js").write_text(script)
+    style = (places.DOCS / "_static" / "playground.css").read_text()
+    page = (
+        f'<!DOCTYPE html><meta charset="utf-8"><style>{style}</style>{body}<script src="playground.js" defer></script>'
+    )
+    (folder / "page.html").write_text(page)
+    return folder / "page.html"
+
+
+def percents(page):
+    return [float(text.split(", ")[1][:-2]) for text in page.locator("output").all_inner_texts()]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
+@pytest.mark.parametrize("motion", ["reduce", "no-preference"])
+def test_dehyst_follows_and_a_straight_scale_factor_does_not(file, motion):
+    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(reduced_motion=motion)
+        complaints = []
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto(file.as_uri())
+        page.locator("#playground.ready").wait_for()
+        button = page.locator("button")
+        assert button.inner_text() == ("Run" if motion == "reduce" else "Pause")
+        for shape in ("sine", "triangle", "beat", "stairs"):
+            page.locator("select").select_option(shape)
+            page.wait_for_timeout(200)
+            straight, own = percents(page)
+            assert straight > 5 and own < 1, shape
+        canvas = page.locator("canvas").last
+        if motion != "reduce":
+            before = canvas.screenshot()
+            page.wait_for_timeout(200)
+            assert canvas.screenshot() != before
+            button.click()
+        # At rest a slider computes its motion at once.
+        before = canvas.screenshot()
+        page.get_by_label("Frequency (Hz)").fill("3")
+        assert canvas.screenshot() != before
+        browser.close()
+    assert complaints == []
