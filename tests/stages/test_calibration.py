@@ -12,8 +12,8 @@ from dehyst.cli import main
 from dehyst.instruments import DeviceError
 from dehyst.records import read
 from dehyst.stages import StagePlan, calibrate_stage
-from dehyst.stages.calibration import STAGE_STEPS, stage_entries, stage_steps
-from dehyst.stages.tracking import StagePathPlanner
+from dehyst.stages.calibration.experiment import STAGE_STEPS, stage_entries, stage_steps
+from dehyst.stages.calibration.tracking import StagePathPlanner
 
 PLAN = StagePlan(steps=6, cycles=8)
 

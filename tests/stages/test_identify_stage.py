@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst.stages.coupling import coupling_by_plays
-from dehyst.stages.play_columns import PlayColumns
+from dehyst.stages.coupling.matrix import coupling_by_plays
+from dehyst.stages.coupling.play_columns import PlayColumns
 
 OFF = ~np.eye(2, dtype=bool)
 

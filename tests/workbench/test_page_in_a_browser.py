@@ -118,12 +118,17 @@ def test_points_are_moved_by_pointer_and_by_keys(journey):
     page.check("input[value=points]")
     page.wait_for_selector(".points tbody tr")
     before = values(page)
+    cells = page.locator(".points tbody tr").nth(1).locator("input")
+    written = [cell.input_value() for cell in cells.all()]
     canvas = page.locator("#path canvas[role=img]").first
     canvas.focus()
     page.keyboard.press("n")
     page.keyboard.press("n")
     page.keyboard.press("ArrowUp")
     page.keyboard.press("Shift+ArrowRight")
+    # The table is drawn at the next frame.
+    for cell, value in zip(cells.all(), written, strict=True):
+        sync_api.expect(cell).not_to_have_value(value)
     after = values(page)
     assert after[1][0] > before[1][0] and after[1][1] > before[1][1]
     assert [after[0], *after[2:]] == [before[0], *before[2:]]

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst._text import escaped
+from dehyst.cli.axes.assess import check_axes
+from dehyst.cli.axes.inputs import axes_option, is_stage
 from dehyst.cli.common import PATH, echo_files, force_option, json_option, read_model, refuse_replacing
 from dehyst.cli.output.terminal import echo, echo_json, note, worded
 from dehyst.cli.record_files import columns_options, read_records
-from dehyst.cli.stages import axes_option, check_axes, is_stage
 
 if TYPE_CHECKING:
     from dehyst.identification import CheckHistory, Recheck

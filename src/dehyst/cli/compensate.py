@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst._text import counted
+from dehyst.cli.axes.compensate import compensate_axes
+from dehyst.cli.axes.inputs import axes_option, is_stage
 from dehyst.cli.common import (
     PATH,
     conclude,
@@ -25,7 +27,6 @@ from dehyst.cli.output.terminal import progress_line
 from dehyst.cli.played_voltage import WantedPath, path_columns, path_voltages
 from dehyst.cli.record_files import COLUMNS, column_of, columns_options, table_of, time_of_table
 from dehyst.cli.scans import NAMES, errors_in_options, named_scan, scan_options
-from dehyst.cli.stages import axes_option, compensate_axes, is_stage
 from dehyst.cli.start import Request, given_start, home_option, start_option
 from dehyst.cli.wave_table import refuse_cycles, tabulate
 from dehyst.cli.zero import outside_reach, refuse_astray, scan_from_zero, zero_of_path, zero_option

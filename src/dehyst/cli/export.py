@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst.cli.axes.export import export_axes, footprint_rows
+from dehyst.cli.axes.inputs import is_stage
 from dehyst.cli.common import PATH, conclude, json_option, limits_option, read_model, refuse_overwriting
-from dehyst.cli.stages import is_stage
 from dehyst.cli.start import given_start, start_or_top_option, start_words
 from dehyst.records.formats.file_content import MOST
 

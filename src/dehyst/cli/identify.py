@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst.cli.axes.identify import identify_axes, neighbour_remarks
+from dehyst.cli.axes.inputs import axes_option
 from dehyst.cli.common import (
     PATH,
     ManyToValidate,
@@ -26,7 +28,6 @@ from dehyst.cli.common import (
 from dehyst.cli.output.printing import print_fit
 from dehyst.cli.output.terminal import echo_json, note, progress_line, worded
 from dehyst.cli.record_files import COLUMNS, columns_options, read_records
-from dehyst.cli.stages import axes_option, identify_axes, neighbour_remarks
 from dehyst.cli.zero import zero_option, zeroed
 
 if TYPE_CHECKING:

@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from dehyst.cli.axes.assess import insight_axes
+from dehyst.cli.axes.inputs import axes_option, is_stage
 from dehyst.cli.common import (
     PATH,
     command_line,
@@ -23,7 +25,6 @@ from dehyst.cli.common import (
 from dehyst.cli.output.printing import print_insight
 from dehyst.cli.output.terminal import echo_json, note, progress_line
 from dehyst.cli.record_files import columns_options, path_of, read_records
-from dehyst.cli.stages import axes_option, insight_axes, is_stage
 from dehyst.cli.start import Request
 from dehyst.cli.zero import outside_reach, zero_of_path, zero_option
 

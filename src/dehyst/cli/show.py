@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst._text import counted
+from dehyst.cli.axes.assess import show_axes, show_stage
+from dehyst.cli.axes.inputs import axes_option, is_stage
 from dehyst.cli.common import (
     PATH,
     command_line,
@@ -20,7 +22,6 @@ from dehyst.cli.common import (
 )
 from dehyst.cli.output.terminal import echo, echo_json, worded
 from dehyst.cli.record_files import columns_options, record_in, table_of
-from dehyst.cli.stages import axes_option, is_stage, show_axes, show_stage
 
 if TYPE_CHECKING:
     from dehyst.records import Record

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst._text import counted
+from dehyst.cli.axes.inputs import axes_option, is_stage
+from dehyst.cli.axes.simulate import simulate_axes
 from dehyst.cli.common import (
     PATH,
     conclude,
@@ -21,7 +23,6 @@ from dehyst.cli.common import (
 )
 from dehyst.cli.played_voltage import PlayedVoltage
 from dehyst.cli.record_files import column_of, columns_options, table_of, time_of_table
-from dehyst.cli.stages import axes_option, is_stage, simulate_axes
 from dehyst.cli.start import (
     given_start,
     home_option,

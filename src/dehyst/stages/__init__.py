@@ -1,7 +1,7 @@
 """Stages: several coupled axes, y = C h(v): their records, identification, simulation and compensation."""
 
 from dehyst.stages.assessment import StageInsight, StageRecheck, check_stage, stage_insight
-from dehyst.stages.calibration import StageCalibration, StagePlan, calibrate_stage
+from dehyst.stages.calibration.experiment import StageCalibration, StagePlan, calibrate_stage
 from dehyst.stages.compensator import StageCompensator
 from dehyst.stages.excitation import StageExcitation, stage_excitation
 from dehyst.stages.firmware import ExportedStage, export_stage

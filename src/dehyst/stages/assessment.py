@@ -12,9 +12,9 @@ from scipy.stats import norm
 from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst.identification import Recheck, check
-from dehyst.stages.coupling import BARELY, INSEPARABLE, coupling_by_plays, separate_motion
+from dehyst.stages.coupling.matrix import BARELY, INSEPARABLE, coupling_by_plays, separate_motion
+from dehyst.stages.coupling.play_columns import PlayColumns
 from dehyst.stages.decoupling import apply
-from dehyst.stages.play_columns import PlayColumns
 from dehyst.stages.record import StageRecord
 from dehyst.stages.stage import Stage
 from dehyst.stages.summary import matrix_lines

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._types import Array, Mask
+from dehyst._types import Array
 from dehyst._validation import interval, vector
-from dehyst.control import ClampWarning, Command, Compensator, Snapshot, VoltageLimits
+from dehyst.control import ClampWarning, Compensator, Snapshot, VoltageLimits
 from dehyst.control.clamping import Clamps, stray_sentence
 from dehyst.model import Actuator, State
 from dehyst.stages.axis_compensator import AxisCompensator
@@ -21,11 +21,7 @@ from dehyst.stages.decoupling import apply, dot, reachable
 from dehyst.stages.stage import Limits, SlewRates, Stage
 from dehyst.stages.stage_trace import StageTrace
 from dehyst.stages.starts import start_within
-
-# Passes over a whole path in which clamped axes correct the free ones.
-_PASSES = 12
-# Of the stroke: changes that are rounding.
-_SETTLED = 1e-12
+from dehyst.stages.whole_path import follow
 
 
 class StageCompensator:
@@ -278,67 +274,7 @@ class StageCompensator:
         wanted = self.stage.columns(displacement, "displacement", "m")
         if not len(wanted):
             raise ModelError("displacement: got no samples, need one at least")
-        targets = apply(self.stage.decoupling, wanted)
-        commands = self._follow(targets, time, extrapolate)
-        clamped = np.column_stack([one.clamped for one in commands])
-        settled = _SETTLED * max(float(np.ptp(wanted)), np.finfo(np.float64).tiny)
-        for _ in range(_PASSES if clamped.any() and len(commands) > 1 else 0):
-            reached = np.column_stack([one.displacement for one in commands])
-            corrected = self._corrected(targets, wanted, reached, clamped)
-            if np.abs(corrected - targets).max() <= settled:
-                break
-            changed = (corrected != targets).any(axis=0)
-            targets = corrected
-            commands = self._follow(targets, time, extrapolate, commands, changed.tolist())
-            clamped |= np.column_stack([one.clamped for one in commands])
-        return self._trace(wanted, commands)
-
-    def _follow(
-        self,
-        targets: Array,
-        time: ArrayLike | None,
-        extrapolate: bool,
-        before: Sequence[Command] = (),
-        changed: Sequence[bool] = (),
-    ) -> list[Command]:
-        """Return the command of each axis for its targets; those `before` where nothing has changed."""
-        commands = []
-        for j, (axis, one) in enumerate(zip(self.stage.axes, self._axes, strict=True)):
-            if before and not changed[j]:
-                commands.append(before[j])
-                continue
-            # After the first pass the targets are in the neighbourhood of those that were checked.
-            try:
-                commands.append(one.trajectory(targets[:, j], time=time, extrapolate=extrapolate or bool(before)))
-            except ModelError as error:
-                raise ModelError(f"axis {axis}: {error}") from error
-        return commands
-
-    def _corrected(self, targets: Array, wanted: Array, reached: Array, clamped: Mask) -> Array:
-        """Return targets with which the axes that are free reach what is wanted of them."""
-        corrected = targets.copy()
-        for i in np.flatnonzero(clamped.any(axis=1)).tolist():
-            known = {j: float(reached[i, j]) for j in np.flatnonzero(clamped[i]).tolist()}
-            moved = reachable(self._table, wanted[i].tolist(), known)
-            for j, row in enumerate(self._table):
-                if j not in known:
-                    corrected[i, j] = dot(row, moved)
-        return corrected
-
-    def _trace(self, wanted: Array, commands: Sequence[Command]) -> StageTrace:
-        reached = apply(self.stage.coupling, np.column_stack([one.displacement for one in commands]))
-        exact = np.column_stack([one.followed for one in commands]).all()
-        clamped = np.column_stack([one.clamped for one in commands])
-        warnings = [f"{axis}: {w}" for axis, one in zip(self.stage.axes, commands, strict=True) for w in one.warnings]
-        return StageTrace(
-            voltage=np.column_stack([one.voltage for one in commands]),
-            displacement=wanted if exact else reached,
-            states=tuple(one.state for one in commands),
-            clamped=clamped,
-            missed=np.zeros(len(commands)) if exact else np.abs(wanted - reached).max(axis=0, initial=0.0),
-            warnings=tuple(warnings),
-            followed=bool(exact),
-        )
+        return follow(self.stage, self._axes, wanted, time, extrapolate)
 
     def _values(self, values: ArrayLike, what: str) -> list[float]:
         numbers = vector(values, what)

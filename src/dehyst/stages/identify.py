@@ -14,13 +14,19 @@ from dehyst._types import Array, Progress
 from dehyst._version import __version__
 from dehyst.identification import identify
 from dehyst.model import Fit
-from dehyst.stages.axis_checks import refuse_still_or_equal, refuse_unmoved
-from dehyst.stages.axis_traces import AxisTraces
-from dehyst.stages.coupling import Coupling, coupling_by_models, coupling_by_plays, refuse_inseparable, separate_motion
-from dehyst.stages.cross_talk import cross_talk
+from dehyst.stages.coupling.axis_checks import refuse_still_or_equal, refuse_unmoved
+from dehyst.stages.coupling.axis_traces import AxisTraces
+from dehyst.stages.coupling.cross_talk import cross_talk
+from dehyst.stages.coupling.matrix import (
+    Coupling,
+    coupling_by_models,
+    coupling_by_plays,
+    refuse_inseparable,
+    separate_motion,
+)
+from dehyst.stages.coupling.play_columns import PlayColumns
 from dehyst.stages.decoupling import apply, inverse
 from dehyst.stages.fit import AxisError, CrossTalk, StageFit
-from dehyst.stages.play_columns import PlayColumns
 from dehyst.stages.record import StageRecord
 from dehyst.stages.stage import Stage
 

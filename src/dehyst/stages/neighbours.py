@@ -9,8 +9,8 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.model import Trace
-from dehyst.stages.cross_talk import held_out_gain
-from dehyst.stages.play_columns import block_means, motion_of
+from dehyst.stages.coupling.cross_talk import held_out_gain
+from dehyst.stages.coupling.play_columns import block_means, motion_of
 
 _SPANS, _MOST_ROWS = 24, 12_000
 # Worth a warning: so much of the stroke (RMS), on time that was held out, by so many times the scatter.

@@ -123,7 +123,7 @@ def _axes(fit: StageFit, records: Sequence[StageRecord]) -> list[str]:
 
 
 def _residuals(fit: StageFit, records: Sequence[StageRecord]) -> list[Array]:
-    from dehyst.stages.axis_traces import AxisTraces
+    from dehyst.stages.coupling.axis_traces import AxisTraces
 
     return [AxisTraces.of(record, fit.fits, k, fit.coupling).residual(fit.coupling) for k, record in enumerate(records)]
 

@@ -1,1 +1,1 @@
-"""What commands do with several axes of an instrument, or with a stage as C."""
+"""What commands do with several axes: records and paths of a stage, its rig, and its C."""

@@ -65,7 +65,7 @@ def _refuse_replacing(folder: Path) -> None:
     """Refuse a folder in which results would replace foreign files."""
     from dehyst._io.marks import format_of
     from dehyst.instruments.calibration.session import FORMAT
-    from dehyst.stages.calibration import STAGE_RESULTS
+    from dehyst.stages.calibration.experiment import STAGE_RESULTS
 
     if format_of(folder / "campaign.json") != FORMAT:
         refuse_replacing(*(folder / name for name in (*STAGE_RESULTS, REPORT)))
@@ -74,7 +74,7 @@ def _refuse_replacing(folder: Path) -> None:
 def _run(rig: AbstractStageRig, output: Path, plan: StagePlan) -> StageCalibration:
     from dehyst.cli.output.live import display
     from dehyst.stages import calibrate_stage, write_stage_report
-    from dehyst.stages.calibration import STAGE_STEPS
+    from dehyst.stages.calibration.experiment import STAGE_STEPS
 
     for line in _plan_lines(rig, plan):
         note(line)
@@ -88,7 +88,7 @@ def _run(rig: AbstractStageRig, output: Path, plan: StagePlan) -> StageCalibrati
 
 def _print_plan(rig: AbstractStageRig, plan: StagePlan, as_json: bool) -> None:
     """Print what would be sent."""
-    from dehyst.stages.calibration import stage_entries
+    from dehyst.stages.calibration.experiment import stage_entries
 
     if as_json:
         echo_json(
@@ -112,7 +112,7 @@ def _print_plan(rig: AbstractStageRig, plan: StagePlan, as_json: bool) -> None:
 
 
 def _plan_lines(rig: AbstractStageRig, plan: StagePlan) -> list[str]:
-    from dehyst.stages.calibration import stage_entries
+    from dehyst.stages.calibration.experiment import stage_entries
 
     entries = stage_entries(rig, plan)
     lines = [

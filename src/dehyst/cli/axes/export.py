@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dehyst.cli.axes.compensate import starts_of
 from dehyst.cli.common import conclude
-from dehyst.cli.stages import starts_of
 
 if TYPE_CHECKING:
     from dehyst.exports import Footprint

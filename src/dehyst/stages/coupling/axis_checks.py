@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from dehyst._errors import RecordError
-from dehyst.stages.play_columns import PlayColumns
+from dehyst.stages.coupling.play_columns import PlayColumns
 from dehyst.stages.record import StageRecord
 
 # Two displacements are the same if they differ by less, of the stroke: by the rounding of a file.

@@ -9,8 +9,8 @@ import numpy as np
 
 from dehyst._types import Array, Mask
 from dehyst.model import Fit
+from dehyst.stages.coupling.play_columns import span_levels
 from dehyst.stages.decoupling import apply, inverse
-from dehyst.stages.play_columns import span_levels
 from dehyst.stages.record import StageRecord
 
 # Of the range of a voltage: it stands while it moves by less.

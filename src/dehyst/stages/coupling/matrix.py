@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
-from dehyst.stages.play_columns import PlayColumns
+from dehyst.stages.coupling.play_columns import PlayColumns
 from dehyst.stages.record import StageRecord
 
 # Of the energy of the columns: a ridge against columns that the record hardly moves.

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.stages.axis_traces import AxisTraces
+from dehyst.stages.coupling.axis_traces import AxisTraces
+from dehyst.stages.coupling.play_columns import PlayColumns, block_means
 from dehyst.stages.fit import CrossTalk
-from dehyst.stages.play_columns import PlayColumns, block_means
 
 # Parts of the records that are held out in turn, each of some spans.
 _FOLDS, _SPANS = 6, 24

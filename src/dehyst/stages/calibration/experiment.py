@@ -17,13 +17,13 @@ from dehyst.instruments import AbstractStageRig
 from dehyst.instruments.calibration import ProgressListener
 from dehyst.instruments.calibration.protocol import sample_rate_for
 from dehyst.instruments.calibration.session import NullProgress
+from dehyst.stages.calibration.session import StageSession
+from dehyst.stages.calibration.tracking import StagePathPlanner, StageRun, TrackedStage
 from dehyst.stages.excitation import StageExcitation, stage_excitation
 from dehyst.stages.fit import StageFit
 from dehyst.stages.identify import identify_stage
 from dehyst.stages.record import StageRecord
-from dehyst.stages.session import StageSession
 from dehyst.stages.stage import Stage
-from dehyst.stages.tracking import StagePathPlanner, StageRun, TrackedStage
 from dehyst.waveforms import Sampling, raised_cosine
 from dehyst.waveforms.excitation import positive
 

@@ -1,0 +1,1 @@
+"""The coupling matrix of a stage, and what is more than a matrix."""
