@@ -3,6 +3,7 @@
 import http.client
 import json
 import random
+import re
 import string
 import time
 
@@ -291,3 +292,17 @@ def test_a_thousand_random_requests_do_no_harm(bench, client):
     state = client.get("/api/state")
     assert state.status_code == 200
     assert bench.process.poll() is None
+
+
+def test_the_page_lists_all_its_scripts_and_nothing_else_is_beside_them(client):
+    page = client.get("/").text
+    scripts = re.findall(r'<link rel="modulepreload" href="(/page/[a-z_]+\.js)">', page)
+    texts = {path: client.get(path).text for path in scripts}
+    imported = {
+        f"/page/{name}"
+        for text in texts.values()
+        for name in re.findall(r'^import .*"(?:\./|/page/)([a-z_]+\.js)"', text, re.M)
+    }
+    assert imported | {"/page/app.js"} == set(scripts)
+    for path in ("/page/", "/page/x.js", "/page/index.html", "/page/../server.py", "/page/%2e%2e/server.py"):
+        assert client.get(path).status_code == 404

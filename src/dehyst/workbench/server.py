@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from starlette.applications import Starlette
 from starlette.responses import FileResponse, JSONResponse, Response
-from starlette.routing import Mount, Route, WebSocketRoute
-from starlette.staticfiles import StaticFiles
+from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocketDisconnect
 
 from dehyst._errors import DehystError
@@ -22,6 +21,7 @@ from dehyst.workbench import results
 from dehyst.workbench.answers import TooLargeError, answered, archived, body_of
 from dehyst.workbench.events import Events
 from dehyst.workbench.folder import Folder
+from dehyst.workbench.page_files import PageFiles
 from dehyst.workbench.requests import RequestError, number_of
 from dehyst.workbench.rig_desk import RigDesk
 from dehyst.workbench.scan_preview import requested, scan_columns
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.websockets import WebSocket
 
-PAGE = Path(__file__).with_name("page")
 # The computer's own table may have others, and the page's types are not guessed by browsers.
 mimetypes.add_type("text/javascript", ".js")
 mimetypes.add_type("text/css", ".css")
@@ -64,11 +63,10 @@ class Workbench:
 
     def app(self) -> Starlette:
         """Return the application."""
-        get, post = ["GET"], ["POST"]
+        get, post, page = ["GET"], ["POST"], PageFiles()
         routes = [
-            Route("/", self.index, methods=get),
-            Route("/page/dehyst.js", self.wrapper, methods=get),
-            Mount("/page", StaticFiles(directory=PAGE)),
+            Route("/", page.index, methods=get),
+            Route("/page/{name}", page.file, methods=get),
             Route("/api/state", self.get_state, methods=get),
             WebSocketRoute("/api/events", self.news),
             Route("/api/records", self.upload, methods=["PUT"]),
@@ -110,16 +108,6 @@ class Workbench:
             return
         with suppress(DehystError):
             self.session.add_calibrated(place, read_json(self.session.folder.path / place / "calibration.json"))
-
-    async def index(self, _: Request) -> Response:
-        """Return the page."""
-        return FileResponse(PAGE / "index.html")
-
-    async def wrapper(self, _: Request) -> Response:
-        """Return the script that runs a model in the page."""
-        from dehyst.exports.shipped import shipped
-
-        return Response(shipped("compensator.js"), media_type="text/javascript")
 
     async def get_state(self, _: Request) -> Response:
         """Return the state."""
