@@ -26,8 +26,8 @@ from dehyst.fleet import drifts_of, findings_of, load, open_dataset
 
 OUTPUT = Path(__file__).parent / "fleet.json"
 BY = "serial,session"
-# Records of a run in which processes are killed, of the sample by `auto`, and on paper.
-FEW, AUTO, MANY = 120, 12, 1_000_000
+# Records of a run in which processes are killed, and on paper.
+FEW, MANY = 120, 1_000_000
 # Of the comparison of Dask with processes.
 SOME = 400
 DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
@@ -250,8 +250,8 @@ def main() -> None:
 
 def measure(folder: Path, count: int, jobs: int, result: dict) -> None:
     """Measure what the result lacks, and write it after each part."""
-    data, few, auto = (folder / f"{what}.parquet" for what in ("data", "few", "auto"))
-    truth, _, _ = make(data, count), make(few, FEW, seed=2), make(auto, AUTO, seed=3)
+    data, few = (folder / f"{what}.parquet" for what in ("data", "few"))
+    truth, _ = make(data, count), make(few, FEW, seed=2)
 
     def part(name: str, measured: Callable[[], dict]) -> dict:
         if name not in result:
@@ -273,8 +273,9 @@ def measure(folder: Path, count: int, jobs: int, result: dict) -> None:
     table = folder / "table.parquet"
     plain = part("processes", lambda: overhead(run(data, table, *ways[""]), jobs))
     part("found", lambda: found(table, truth))
-    selected = ("--structure", "auto", *ways[""])
-    slow = part("auto_sample", lambda: overhead(run(auto, folder / "auto.table.parquet", *selected), jobs))
+    selected, wide = ("--structure", "auto", *ways[""]), folder / "auto.parquet"
+    slow = part("auto", lambda: overhead(run(data, wide, *selected), jobs))
+    part("auto_found", lambda: found(wide, truth))
     part("paper", lambda: on_paper(folder, few, reference, plain, slow))
     part("dask", lambda: with_dask(folder, jobs, ways))
 

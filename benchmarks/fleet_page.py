@@ -28,18 +28,26 @@ def table(result: dict) -> str:
 
 
 def findings(result: dict) -> list[str]:
-    found = result["found"]
-    kinds, listed = found["kinds"], found["listed"]
-    rows = [
-        ("dead", kinds["dead"], f"{found['dead_refused_with_reason']} refused with a reason"),
-        ("noisy", kinds["noisy"], f"{listed.get('noisy', 0)} listed"),
-        ("drifting", kinds["drifting"], f"{listed.get('drifting', 0)} listed"),
-        ("duplicate", kinds["duplicate"], f"{found['duplicates_found']} found"),
-        ("healthy", kinds["healthy"], f"{listed.get('healthy', 0)} listed: {found['false_alarm_percent']:.2g} %"),
-        ("serials that age", found["ageing_serials"], f"{found['ageing_found']} to recalibrate"),
-        ("healthy serials", found["healthy_serials"], f"{found['healthy_to_recalibrate']} to recalibrate"),
-    ]
-    return ["| of | number | found |", "| --- | --- | --- |", *(f"| {a} | {b} | {c} |" for a, b, c in rows)]
+    """Return the table of what is wrong with records, and what plain and automatic identification find."""
+    plain, wide = (found_words(result[name]) if name in result else {} for name in ("found", "auto_found"))
+    kinds, one = result["found"]["kinds"], result["found"]
+    serials = {"serials that age": one["ageing_serials"], "healthy serials": one["healthy_serials"]}
+    numbers = {kind: kinds[kind] for kind in ("dead", "noisy", "drifting", "duplicate", "healthy")} | serials
+    rows = [f"| {kind} | {number} | {plain[kind]} | {wide.get(kind, '')} |" for kind, number in numbers.items()]
+    return ["| of | number | found by `plain` | by `--structure auto` |", "| --- | --- | --- | --- |", *rows]
+
+
+def found_words(found: dict) -> dict[str, str]:
+    listed = found["listed"]
+    return {
+        "dead": f"{found['dead_refused_with_reason']} refused with a reason",
+        "noisy": f"{listed.get('noisy', 0)} listed",
+        "drifting": f"{listed.get('drifting', 0)} listed",
+        "duplicate": f"{found['duplicates_found']} found",
+        "healthy": f"{listed.get('healthy', 0)} listed: {found['false_alarm_percent']:.2g} %",
+        "serials that age": f"{found['ageing_found']} to recalibrate",
+        "healthy serials": f"{found['healthy_to_recalibrate']} to recalibrate",
+    }
 
 
 def kills(result: dict) -> list[str]:
@@ -52,7 +60,7 @@ def kills(result: dict) -> list[str]:
 
 
 def costs(result: dict) -> list[str]:
-    runs = {"processes": "processes", "dask": "`--dask local`", "auto_sample": "processes, `--structure auto`"}
+    runs = {"processes": "processes", "dask": "`--dask local`", "auto": "processes, `--structure auto`"}
     rows = [
         f"| {words} | {one['records']} | {one['wall_s']:.0f} s | {one['task_cpu_s']['mean']:.2f} s | "
         f"{one['overhead_wall_percent']:.1f} % | {one['overhead_cpu_percent']:.1f} % | {one['worker_MB']:.0f} MB |"
