@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -78,40 +78,66 @@ def identify_stage(
         remarks = refuse_inseparable(training, own)
         refuse_unmoved(columns, names)
         coupling = coupling_by_plays(columns)
-    passes = 0
-    while True:
-        passes, used = passes + 1, coupling.matrix
-        fits = _axis_fits(training, held_out, coupling.matrix, options, _counted(report, passes))
-        if any(fit.actuator is None for fit in fits):
-            return _failed(fits, coupling, own, names, passes, remarks)
-        traces = [AxisTraces.of(record, fits, k, coupling.matrix) for k, record in enumerate(training)]
-        refined = _refined(traces, coupling.share)
-        change = np.abs(refined.matrix - coupling.matrix) * strokes[None, :] / strokes[:, None]
-        coupling = replace(refined, matrix=coupling.matrix) if change.max() <= _SETTLED else refined
-        if change.max() <= _SETTLED or passes == _MOST_PASSES:
-            break
-    final = coupling.matrix
+    found = _in_turn(training, held_out, coupling, strokes, options, report)
+    if not found.traces:
+        return _failed(found, own, names, remarks)
+    final = found.coupling.matrix
     report("what is left of the coupling")
-    talk = cross_talk(columns, traces, final, strokes)
-    beside = [AxisTraces.of(record, fits, k, used) for k, record in enumerate([*training, *held_out])]
+    talk = cross_talk(columns, found.traces, final, strokes)
+    beside = [AxisTraces.of(one, found.fits, k, found.used) for k, one in enumerate([*training, *held_out])]
     roles = ["training"] * len(training) + ["validation"] * len(held_out)
     errors = tuple(e for one, role in zip(beside, roles, strict=True) for e in _errors(one, role, final, strokes))
     stage = Stage(
-        tuple(fit.actuator for fit in fits),
+        tuple(fit.actuator for fit in found.fits),
         final,
         names,
         provenance={
             "dehyst": __version__,
             "records": [{"name": one.name, **one.meta} for one in training],
-            "passes": passes,
-            "coupling_uncertainty": coupling.uncertainty.tolist(),
+            "passes": found.passes,
+            "coupling_uncertainty": found.coupling.uncertainty.tolist(),
             "is_matrix": not bool(talk.beyond.any()),
         },
     )
     remarks += _talk_remarks(talk, names)
+    uncertainty, share = found.coupling.uncertainty, found.coupling.share
     return StageFit(
-        stage, fits, final, coupling.uncertainty, coupling.share, talk, errors, own, passes, tuple(remarks), names
+        stage, found.fits, final, uncertainty, share, talk, errors, own, found.passes, tuple(remarks), names
     )
+
+
+class _InTurn(NamedTuple):
+    """The fit of each axis; the final coupling, and the one `used` for these fits; traces only if all have a model."""
+
+    fits: tuple[Fit, ...]
+    coupling: Coupling
+    used: Array
+    traces: list[AxisTraces]
+    passes: int
+
+
+def _in_turn(
+    training: Sequence[StageRecord],
+    held_out: Sequence[StageRecord],
+    coupling: Coupling,
+    strokes: Array,
+    options: dict[str, Any],
+    report: Progress,
+) -> _InTurn:
+    """Identify the axes and refine the coupling in turn, until it settles."""
+    for passes in range(1, _MOST_PASSES + 1):
+        used = coupling.matrix
+        fits = _axis_fits(training, held_out, used, options, _counted(report, passes))
+        if any(fit.actuator is None for fit in fits):
+            return _InTurn(fits, coupling, used, [], passes)
+        traces = [AxisTraces.of(record, fits, k, used) for k, record in enumerate(training)]
+        refined = _refined(traces, coupling.share)
+        change = np.abs(refined.matrix - used) * strokes[None, :] / strokes[:, None]
+        if change.max() <= _SETTLED:
+            coupling = replace(refined, matrix=used)
+            break
+        coupling = refined
+    return _InTurn(fits, coupling, used, traces, passes)
 
 
 def _axis_fits(
@@ -190,13 +216,13 @@ def _talk_remarks(talk: CrossTalk, names: Sequence[str]) -> list[str]:
     ]
 
 
-def _failed(
-    fits: tuple[Fit, ...], coupling: Coupling, own: Array, names: tuple[str, ...], passes: int, remarks: list[str]
-) -> StageFit:
+def _failed(found: _InTurn, own: Array, names: tuple[str, ...], remarks: list[str]) -> StageFit:
+    coupling = found.coupling
     nothing = np.zeros_like(coupling.matrix)
     talk = CrossTalk(nothing, nothing, nothing, nothing.astype(bool))
+    uncertainty, share = coupling.uncertainty, coupling.share
     return StageFit(
-        None, fits, coupling.matrix, coupling.uncertainty, coupling.share, talk, (), own, passes, tuple(remarks), names
+        None, found.fits, coupling.matrix, uncertainty, share, talk, (), own, found.passes, tuple(remarks), names
     )
 
 
