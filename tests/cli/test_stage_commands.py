@@ -110,6 +110,22 @@ def test_the_start_of_a_path_is_homed_or_named(folder):
     assert "leave one out" in run(*words, "--start", "top", "--home", "-o", folder / "n.csv", status=2)
 
 
+def test_an_axis_has_limits_and_a_slew_rate_of_its_own(folder):
+    t = np.arange(0, 5, 0.02)
+    write_columns(folder / "own.csv", {"time_s": t, "x_um": 5 + np.sin(t), "y_um": 8 + np.sin(t)})
+    words = ["compensate", folder / "stage.json", folder / "own.csv", "-o", folder / "own-v.csv", "--home"]
+    run(*words, "--slew", "300", "--axis-slew", "x", "150", "--axis-limits", "y", "0", "119")
+    table = read_table(folder / "own-v.csv")
+    steps = np.diff(table.column("time"))
+    voltage = {axis: table.column("voltage", f"v{axis}_V") for axis in "xy"}
+    steepest = {axis: np.abs(np.diff(values) / steps).max() for axis, values in voltage.items()}
+    assert steepest["x"] <= 150 * (1 + 1e-6) < steepest["y"] <= 300 * (1 + 1e-6)
+    assert voltage["y"].max() <= 119
+    assert "need one of x, y" in run(*words, "--axis-slew", "z", "150", status=2)
+    single = run("calibrate", "sim://play", "--axis-slew", "1", "100", "--dry-run", status=2)
+    assert "is for several axes; give --slew" in single
+
+
 def test_an_export_begins_where_its_limits_lead(folder):
     words = ["export", folder / "stage.json", folder / "c", "--limits", "0", "100", "--no-measure", "--json"]
     result = result_of(run(*words))

@@ -293,5 +293,11 @@ class TestAddresses:
     def test_limits_are_for_all_axes_or_for_each(self):
         with served() as (server, _), rig_of(server, limits=(0, 50)) as rig:
             assert [one.high for one in rig.limits] == [50.0] * 3
+        own = {"limits": [(0, 50), None, (0, 40)], "slew_rate": [200.0, None, 100.0]}
+        with served() as (server, _), rig_of(server, **own) as rig:
+            assert [one.high for one in rig.limits] == [50.0, LIMITS[1][1], 40.0]
+            assert rig.slew_rate[[0, 2]].tolist() == [200.0, 100.0]
+        with served() as (server, _), pytest.raises(RigError, match="got 2 numbers for 3 axes"):
+            open_stage_rig(f"pi://127.0.0.1:{server.port}/1,2,3", slew_rate=[1.0, 2.0])
         with served() as (server, _), pytest.raises(RigError, match="got 2 pairs for 3 axes"):
             open_stage_rig(f"pi://127.0.0.1:{server.port}/1,2,3", limits=LIMITS[:2])

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst.cli.axes.calibrate import calibrate_axes
+from dehyst.cli.axes.inputs import axis_bounds_options, refuse_axis_bounds
 from dehyst.cli.common import (
     PATH,
     command_line,
@@ -48,6 +49,7 @@ REPORT = "report.html"
 )
 @limits_option("the device's", "Range of the voltage.")
 @click.option("--slew", type=float, metavar="V/S", help="Largest slew rate.  [default: the whole range in 0.1 s]")
+@axis_bounds_options
 @click.option("--frequency", type=float, default=1.0, show_default=True, metavar="HZ", help="Loops a second.")
 @click.option("--hold", type=float, metavar="S", help="Hold at each step, for creep.  [default: three cycles]")
 @click.option(
@@ -71,8 +73,6 @@ def calibrate(
     rig: str,
     output: Path,
     axes: str | None,
-    limits: tuple[float, float] | None,
-    slew: float | None,
     dry_run: bool,
     as_json: bool,
     **options: Any,
@@ -86,8 +86,10 @@ def calibrate(
     begins again.
     """
     if axes is not None or _several(rig):
-        calibrate_axes(rig, output, axes, (limits, slew), options, dry_run=dry_run, as_json=as_json)
+        calibrate_axes(rig, output, axes, options, dry_run=dry_run, as_json=as_json)
         return
+    refuse_axis_bounds(options)
+    limits, slew = options.pop("limits"), options.pop("slew")
     from dehyst.instruments import open_rig
     from dehyst.instruments.calibration import Plan
     from dehyst.instruments.voltage_file import read_voltage

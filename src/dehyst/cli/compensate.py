@@ -10,7 +10,7 @@ import click
 
 from dehyst._text import counted
 from dehyst.cli.axes.compensate import compensate_axes
-from dehyst.cli.axes.inputs import axes_option, is_stage
+from dehyst.cli.axes.inputs import axes_option, axis_bounds_options, is_stage, refuse_axis_bounds
 from dehyst.cli.common import (
     PATH,
     conclude,
@@ -50,6 +50,7 @@ _HOME = (
 @click.option("-o", "--output", type=PATH, required=True, help="Write time, displacement and voltage here (CSV).")
 @limits_option()
 @slew_option
+@axis_bounds_options
 @scan_options
 @click.option("--axis", type=click.Choice(["x", "y"]), help="Axis of the scan that MODEL moves.  [default: x]")
 @click.option("--cycles", type=int, metavar="N", help="Cycles of the scan.  [default: 1]")
@@ -100,6 +101,7 @@ def compensate(
     if is_stage(model):
         with errors_in_options():
             compensate_axes(model, trajectory, output, scan, axes, options)
+    refuse_axis_bounds(options)
     _refuse_unused(scan, options)
     table = options.pop("cycle")
     inputs = [path for path in (model, trajectory, options["start"]) if isinstance(path, Path)]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dehyst.cli.axes.export import export_axes, footprint_rows
-from dehyst.cli.axes.inputs import is_stage
+from dehyst.cli.axes.inputs import axis_bounds_options, is_stage, refuse_axis_bounds
 from dehyst.cli.common import PATH, conclude, json_option, limits_option, read_model, refuse_overwriting
 from dehyst.cli.start import given_start, start_or_top_option, start_words
 from dehyst.records.formats.file_content import MOST
@@ -38,6 +38,7 @@ _NEAR = 0.01
 )
 @limits_option()
 @click.option("--slew", type=float, metavar="V/S", help="Largest slew rate; needs --period.")
+@axis_bounds_options
 @click.option("--period", type=float, metavar="S", help="Seconds between steps; a model that depends on time needs it.")
 @click.option("--preview", is_flag=True, help="Compensate delay and inertia too; displacements are then given ahead.")
 @click.option(
@@ -80,6 +81,7 @@ def export(
     kind: Any,
     start: str | Path,
     as_json: bool,
+    **axis_bounds: Any,
 ) -> None:
     """Write a MODEL's compensator as C into DIR: files, numbers, a README, and a trace that `make check` replays.
 
@@ -96,9 +98,10 @@ def export(
             raise click.UsageError("a stage is exported as C; give a folder, and leave out --fmu and --kind")
         if number != "double" or preview:
             raise click.UsageError("--number float and --preview are for single actuators; leave them out")
-        bounds = {"limits": limits, "slew": slew, "period": period}
+        bounds = {"limits": limits, "slew": slew, "period": period, **axis_bounds}
         export_axes(model, directory, start, bounds, name=name, measure=measure, force=force, as_json=as_json)
         return
+    refuse_axis_bounds(axis_bounds)
     if fmu is None and directory.suffix == ".fmu":
         raise click.UsageError(f"{directory}: got a name that ends in .fmu without --fmu; give --fmu or another folder")
     as_wasm = directory.suffix == ".wasm"

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 from dehyst._errors import DehystError, RigError
 from dehyst.instruments.base import AbstractRig
-from dehyst.instruments.stage import AbstractStageRig
+from dehyst.instruments.stage import AbstractStageRig, AxisLimits, AxisSlewRates
 
 _Options = dict[str, Any]
 _FORMS = (
@@ -76,8 +76,8 @@ def open_stage_rig(
     address: str,
     axes: Sequence[str] | None = None,
     *,
-    limits: Sequence[tuple[float, float]] | tuple[float, float] | None = None,
-    slew_rate: float | None = None,
+    limits: AxisLimits = None,
+    slew_rate: AxisSlewRates = None,
 ) -> AbstractStageRig:
     """Open several axes of the rig at an address, over one connection.
 
@@ -89,8 +89,8 @@ def open_stage_rig(
         Names of the axes, unless they are in the address.
     limits : (float, float) or sequence of (float, float), optional
         Allowed voltages [V], of all axes or of each; they are narrowed to those of the device.
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s] of every axis; the device's where that is lower.
+    slew_rate : float or sequence of float, optional
+        Largest abs(dv/dt) [V/s], of all axes or of each; the device's where that is lower.
 
     Raises
     ------

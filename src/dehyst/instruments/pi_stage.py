@@ -14,7 +14,14 @@ from dehyst.instruments.gcs_link import AbstractGcsLink, TcpLink
 from dehyst.instruments.pi import PATIENCE, PORT, PiRig
 from dehyst.instruments.pi_discovery import WaveTraits
 from dehyst.instruments.pi_waves import PiClock, PiWaves
-from dehyst.instruments.stage import AbstractStageRig, StageSamples, limits_of_axes
+from dehyst.instruments.stage import (
+    AbstractStageRig,
+    AxisLimits,
+    AxisSlewRates,
+    StageSamples,
+    limits_of_axes,
+    slew_rates_of_axes,
+)
 
 
 class PiStageRig(AbstractStageRig):
@@ -31,8 +38,8 @@ class PiStageRig(AbstractStageRig):
         Names of the axes.
     limits : (float, float) or sequence of (float, float), optional
         Allowed voltages [V], of all axes or of each; the controller's own where they are narrower.
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s] of every axis.
+    slew_rate : float or sequence of float, optional
+        Largest abs(dv/dt) [V/s], of all axes or of each.
     patience : float
         Seconds without a new sample after which a recorder has stopped.
     """
@@ -42,14 +49,16 @@ class PiStageRig(AbstractStageRig):
         link: AbstractGcsLink,
         axes: Sequence[str],
         *,
-        limits: Sequence[tuple[float, float]] | tuple[float, float] | None = None,
-        slew_rate: float | None = None,
+        limits: AxisLimits = None,
+        slew_rate: AxisSlewRates = None,
         patience: float = PATIENCE,
     ) -> None:
         client = GcsClient(link)
         rigs = [
-            PiRig(client, axis=axis, limits=allowed, slew_rate=slew_rate, patience=patience)
-            for axis, allowed in zip(axes, limits_of_axes(limits, len(axes)), strict=True)
+            PiRig(client, axis=axis, limits=allowed, slew_rate=steepest, patience=patience)
+            for axis, allowed, steepest in zip(
+                axes, limits_of_axes(limits, len(axes)), slew_rates_of_axes(slew_rate, len(axes)), strict=True
+            )
         ]
         super().__init__(
             client.name, rigs, longest=min((rig.longest or 0 for rig in rigs), default=0), identity=client.identity
@@ -75,8 +84,8 @@ class PiStageRig(AbstractStageRig):
         port: int = PORT,
         *,
         axes: Sequence[str],
-        limits: Sequence[tuple[float, float]] | tuple[float, float] | None = None,
-        slew_rate: float | None = None,
+        limits: AxisLimits = None,
+        slew_rate: AxisSlewRates = None,
         timeout: float = 5.0,
         patience: float = PATIENCE,
     ) -> Self:

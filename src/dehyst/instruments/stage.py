@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from types import TracebackType
-from typing import NamedTuple, Self, final
+from typing import Any, NamedTuple, Self, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +31,9 @@ class StageSamples(NamedTuple):
 
 
 StageListener = Callable[[StageSamples], None]
+# Of all axes, or of each; None for an axis: those of the device.
+AxisLimits: TypeAlias = Sequence[tuple[float, float] | None] | tuple[float, float] | None
+AxisSlewRates: TypeAlias = Sequence[float | None] | float | None
 
 
 class AbstractStageRig(ABC):
@@ -283,13 +286,23 @@ def _error_of(action: Callable[[], None]) -> Exception | None:
     return None
 
 
-def limits_of_axes(
-    given: Sequence[tuple[float, float]] | tuple[float, float] | None, count: int
-) -> list[tuple[float, float] | None]:
+def limits_of_axes(given: AxisLimits, count: int) -> list[tuple[float, float] | None]:
     """Return the limits [V] that the user allows of each of `count` axes, `given` once or for each; raises RigError."""
-    if given is None:
-        return [None] * count
-    table = np.array(given, dtype=np.float64).reshape(-1, 2)
-    if len(table) not in (1, count):
-        raise RigError(f"limits: got {len(table)} pairs for {count} axes, need one, or one for each")
-    return [(low, high) for low, high in (table.tolist() * count)[:count]]
+    pairs: list[Any] = [None] * count if given is None else list(given)
+    if len(pairs) == 2 and not any(isinstance(one, Sequence | np.ndarray) or one is None for one in pairs):
+        pairs = [tuple(pairs)]
+    pairs = pairs * count if len(pairs) == 1 else pairs
+    if len(pairs) != count:
+        raise RigError(f"limits: got {len(pairs)} pairs for {count} axes, need one, or one for each")
+    return [None if one is None else (float(one[0]), float(one[1])) for one in pairs]
+
+
+def slew_rates_of_axes(given: AxisSlewRates, count: int) -> list[float | None]:
+    """Return the slew rate [V/s] that the user allows of each of `count` axes, `given` once or for each.
+
+    Raise `RigError` if there is another number of them.
+    """
+    rates = list(given) if isinstance(given, Sequence | np.ndarray) else [given] * count
+    if len(rates) != count:
+        raise RigError(f"slew_rate: got {len(rates)} numbers for {count} axes, need one, or one for each")
+    return [None if one is None else float(one) for one in rates]

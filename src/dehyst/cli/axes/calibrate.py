@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst.cli.axes.inputs import bounds_of
 from dehyst.cli.common import command_line, refuse_replacing
 from dehyst.cli.output.instrument_errors import note_narrower, reported_errors
 from dehyst.cli.output.terminal import echo, echo_json, note
@@ -24,7 +25,6 @@ def calibrate_axes(
     rig: str,
     output: Path,
     axes: str | None,
-    bounds: tuple[tuple[float, float] | None, float | None],
     options: dict[str, Any],
     *,
     dry_run: bool,
@@ -35,17 +35,17 @@ def calibrate_axes(
     from dehyst.stages import StagePlan
 
     _refuse_single(options)
-    limits, slew = bounds
     plan = StagePlan(frequency=options["frequency"], goal=options["goal"])
-    names = None if axes is None else [name.strip() for name in axes.split(",")]
+    names = [name.strip() for name in (axes or rig.rpartition("/")[2]).split(",")]
+    limits, slew = bounds_of(names, options)
     if not dry_run:
         _refuse_replacing(output)
     with (
         reported_errors(output, again=False),
         open_stage_rig(rig, names, limits=limits, slew_rate=slew) as instrument,
     ):
-        for one in instrument.rigs:
-            note_narrower(one, limits, slew, one.axis)
+        for one, allowed, steepest in zip(instrument.rigs, limits, slew, strict=True):
+            note_narrower(one, allowed, steepest, one.axis)
         if dry_run:
             _print_plan(instrument, plan, as_json)
             return

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dehyst._text import counted
-from dehyst.cli.axes.inputs import OWN_START, columns_of, load, named
+from dehyst.cli.axes.inputs import OWN_START, bounds_of, columns_of, load, named
 from dehyst.cli.common import conclude, refuse_overwriting, refuse_replacing, write_output
 from dehyst.cli.record_files import table_of, time_of_table
 from dehyst.cli.scans import named_scan
@@ -58,15 +59,10 @@ def _compensator(stage: Stage, clock: dict[str, Any], options: dict[str, Any]) -
     """Return the compensator with the limits, slew rate and start of the options, and remarks on the start."""
     from dehyst.stages import StageCompensator
 
-    count, limits, slew, start = len(stage.axes), options["limits"], options["slew"], options["start"]
+    limits, slew = bounds_of(stage.axes, options)
+    start = options["start"]
     states, remarks = (None, []) if start is None else starts_of(stage, start, limits)
-    compensator = StageCompensator(
-        stage,
-        limits=None if limits is None else [limits] * count,
-        slew_rate=None if slew is None else [slew] * count,
-        period=_period(clock),
-        states=states,
-    )
+    compensator = StageCompensator(stage, limits=limits, slew_rate=slew, period=_period(clock), states=states)
     return compensator, remarks
 
 
@@ -93,8 +89,10 @@ def _print(stage: Stage, followed: _Followed, warnings: list[str], output: Path,
     conclude(as_json, result, lines, warnings)
 
 
-def starts_of(stage: Stage, start: str | Path, limits: tuple[float, float] | None) -> tuple[list[State], list[str]]:
-    """Return the named state of each actuator, or where limits [V] do not reach it one that they do, and remarks."""
+def starts_of(
+    stage: Stage, start: str | Path, limits: Sequence[tuple[float, float] | None]
+) -> tuple[list[State], list[str]]:
+    """Return the named state of each actuator, or if its limits [V] do not reach it one that they do; and remarks."""
     from dehyst._errors import ModelError
     from dehyst.control import PossibleStart
     from dehyst.stages.starts import start_within
@@ -102,8 +100,8 @@ def starts_of(stage: Stage, start: str | Path, limits: tuple[float, float] | Non
     if not isinstance(start, str):
         raise ModelError(f"--start {start}: a stage begins in a named state; give top, bottom or the like")
     states, remarks = [], []
-    for axis, one in zip(stage.axes, stage.actuators, strict=True):
-        allowed, state = limits or one.limits, PossibleStart.named(one, start).state  # type: ignore[arg-type]
+    for axis, one, given in zip(stage.axes, stage.actuators, limits, strict=True):
+        allowed, state = given or one.limits, PossibleStart.named(one, start).state  # type: ignore[arg-type]
         states.append(state if allowed is None else start_within(one, state, allowed))
         if allowed is not None and states[-1] is not state:
             low, high = allowed

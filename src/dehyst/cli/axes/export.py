@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dehyst.cli.axes.compensate import starts_of
+from dehyst.cli.axes.inputs import bounds_of
 from dehyst.cli.common import conclude
 
 if TYPE_CHECKING:
@@ -28,15 +29,9 @@ def export_axes(
     from dehyst.stages import Stage, StageCompensator, export_stage
 
     stage = Stage.load(model)
-    count, limits, slew = len(stage.axes), bounds["limits"], bounds["slew"]
+    limits, slew = bounds_of(stage.axes, bounds)
     states, remarks = starts_of(stage, start, limits)
-    compensator = StageCompensator(
-        stage,
-        period=bounds["period"],
-        limits=None if limits is None else [limits] * count,
-        slew_rate=None if slew is None else [slew] * count,
-        states=states,
-    )
+    compensator = StageCompensator(stage, period=bounds["period"], limits=limits, slew_rate=slew, states=states)
     named = {} if name is None else {"name": name}
     exported = export_stage(compensator, directory, force=force, measure=measure, **named)
     if measure and exported.unmeasured is not None:

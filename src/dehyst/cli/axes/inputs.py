@@ -26,6 +26,45 @@ def axes_option(default: str = "") -> Callable[[Callable[..., None]], Callable[.
     return click.option("--axes", metavar="COLUMNS", help=f"{_TEXT}.{default and f'  [default: {default}]'}")
 
 
+def axis_bounds_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add limits and slew rates of single axes of several."""
+    limits = click.option(
+        "--axis-limits",
+        type=(str, float, float),
+        multiple=True,
+        metavar="AXIS LOW HIGH",
+        help="Of several axes, voltages allowed for this one; may be repeated.",
+    )
+    slew = click.option(
+        "--axis-slew",
+        type=(str, float),
+        multiple=True,
+        metavar="AXIS V/S",
+        help="Of several axes, largest slew rate of this one; may be repeated.",
+    )
+    return limits(slew(command))
+
+
+def refuse_axis_bounds(options: dict[str, Any]) -> None:
+    """Remove limits and slew rates of single axes from options; refuse them, for there is one axis only."""
+    for name, plain in (("axis_limits", "--limits"), ("axis_slew", "--slew")):
+        if options.pop(name):
+            raise click.UsageError(f"--{name.replace('_', '-')}: is for several axes; give {plain}")
+
+
+def bounds_of(axes: Sequence[str], options: dict[str, Any]) -> tuple[list[Any], list[Any]]:
+    """Return limits [V] and slew rate [V/s] of each axis: its own, or those of all, or None."""
+    tables = []
+    for own, common in (("axis_limits", options["limits"]), ("axis_slew", options["slew"])):
+        table = dict.fromkeys(axes, common)
+        for axis, *values in options[own]:
+            if axis not in table:
+                raise click.UsageError(f"--{own.replace('_', '-')}: got the axis {axis}, need one of {', '.join(axes)}")
+            table[axis] = tuple(values) if len(values) > 1 else values[0]
+        tables.append(list(table.values()))
+    return tables[0], tables[1]
+
+
 def is_stage(path: Path) -> bool:
     """Return whether a file is a stage, by its format alone."""
     from dehyst._io.marks import format_of
