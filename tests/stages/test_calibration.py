@@ -23,12 +23,16 @@ class Listener:
 
     def __init__(self, stop=None):
         self.steps, self.count, self._stop = [], 0, stop
+        self.largest = {}
 
     def step(self, name, seconds=0.0):
         self.steps.append(name)
 
     def samples(self, samples, expected=None, stroke=None):
         self.count += samples.time.size
+        if expected is not None:
+            error = 100 * np.nan_to_num(np.abs(samples.displacement - expected)).max() / stroke
+            self.largest[self.steps[-1]] = max(error, self.largest.get(self.steps[-1], 0))
         if self._stop is not None and self.steps[-1] == self._stop and samples.voltage.max() > 30:
             raise KeyboardInterrupt
 
@@ -54,6 +58,12 @@ def test_every_axis_follows_the_path_to_three_thousandths(calibrated):
     assert result.fit.is_matrix
     # All axes move together through most of their strokes.
     assert np.all(np.ptp(result.compensated.wanted, axis=0) > 0.65 * result.compensated.strokes)
+
+
+def test_the_progress_shows_the_axis_that_is_farthest_off(calibrated):
+    result, _, listener, _ = calibrated
+    for name, path in (("nominal", result.nominal), ("compensated", result.compensated)):
+        assert listener.largest[name] >= max(path.largest_percent) * (1 - 1e-12)
 
 
 def test_voltages_stay_within_limits_and_end_at_safe_values(calibrated):

@@ -61,7 +61,9 @@ def talk_lines(fit: StageFit) -> Iterator[str]:
     i, j = np.unravel_index(int(np.argmax(talk.size)), talk.size.shape)
     largest = f"at most {100 * talk.size[i, j]:.2g} % of the stroke (RMS, {axes[j]} into {axes[i]})"
     floor = f"{100 * float(talk.floor.max()):.2g} %"
-    if fit.is_matrix:
+    if not talk.size.any():
+        yield f"Coupling is a matrix: beside it no voltage moves another axis; {floor} of the stroke (RMS) would count."
+    elif fit.is_matrix:
         yield f"Coupling is a matrix: beside it a voltage moves another axis by {largest}; {floor} would count."
     else:
         yield f"Coupling is NOT a matrix: beside it a voltage moves another axis by {largest}; {floor} counts."

@@ -260,7 +260,7 @@ def calibrate_stage(
     rate, session = plan.sample_rate(rig), StageSession(folder, rig, listener)
 
     def tracked(run: StageRun) -> TrackedStage:
-        played = session.record(run.voltage, rate, run.name, wanted=run.wanted, stroke=float(run.strokes[0]))
+        played = session.record(run.voltage, rate, run.name, wanted=run.wanted, strokes=run.strokes)
         return TrackedStage.of(run, played, rig.rows(len(run.voltage)))
 
     with rig.safely():

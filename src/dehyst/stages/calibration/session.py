@@ -30,7 +30,7 @@ class StageSession:
     folder : path
     rig : AbstractStageRig
     listener : ProgressListener
-        Receives the samples of the first axis.
+        Receives the samples of the axis that is farthest off its path; of the first one where there is no path.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class StageSession:
         name: str,
         *,
         wanted: Array | None = None,
-        stroke: float | None = None,
+        strokes: Array | None = None,
     ) -> StageRecord:
         """Play voltages on all axes and write their records.
 
@@ -67,8 +67,8 @@ class StageSession:
             Of the record and its files.
         wanted : (n, axes) array, optional
             Wanted displacements [m], for the listener; NaN where none is wanted.
-        stroke : float, optional
-            Reference of its error [m] on the first axis.
+        strokes : (axes,) array, optional
+            References of their errors [m]; needed with `wanted`.
         """
         demand_disk_space(self.records, len(self.rig.axes) * len(voltage))
         if not self.sequence:
@@ -86,7 +86,13 @@ class StageSession:
                 indices = rows[files[0].samples : files[0].samples + samples.time.size]
                 for j, recording in enumerate(files):
                     recording.add(_axis(samples, j))
-                self._listener.samples(_axis(samples, 0), None if wanted is None else wanted[indices, 0], stroke)
+                if wanted is None or strokes is None:
+                    self._listener.samples(_axis(samples, 0))
+                    return
+                # Nothing is wanted during a homing.
+                error = np.nan_to_num(np.abs(samples.displacement - wanted[indices])) / strokes
+                worst = int(error.max(axis=0).argmax())
+                self._listener.samples(_axis(samples, worst), wanted[indices, worst], float(strokes[worst]))
 
             played = self.rig.play(voltage, sample_rate, listen, name=name)
             for j, recording in enumerate(files):
