@@ -39,7 +39,7 @@ later = time[-1] + (1 + np.arange(len(steps))) / rate
 measured = stage.play(steps.voltage, time=later)
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
 left.plot(steps.time, 1e6 * measured)
-left.set(xlabel="time (s)", ylabel="measured displacement (um)")
+left.set(xlabel="time (s)", ylabel="measured displacement (µm)")
 for name, actuator in ("plain", plain.actuator), ("with creep", fit.actuator):
     state, _ = state_after(actuator, record)  # the staircase follows the record at once
     error = measured - actuator.simulate(steps.voltage, time=later, state=state).displacement

@@ -38,7 +38,7 @@ for row in wanted:
     start = time.perf_counter()
     bank.step(row, out=out)
     seconds.append(time.perf_counter() - start)
-print(f"{1e6 * np.median(seconds):.0f} us a step, of 1000 us")
+print(f"{1e6 * np.median(seconds):.0f} µs a step, of 1000 µs")
 
 # %%
 # What the mirror would do: the voltages of the bank, played on the same actuators, and those of a constant gain.
@@ -55,8 +55,9 @@ for name in ("constant gain", "compensated"):
 # These actuators are the models themselves, so that the compensated error is zero but for rounding; of measured ones it
 # is the error of the models.
 figure, axes = plt.subplots()
-axes.plot(np.arange(200), errors["constant gain"][:, ::400], linewidth=0.8)
-axes.plot(np.arange(200), errors["compensated"][:, ::400], color="black", linewidth=1.2)
-axes.set_xlabel("time [ms]")
-axes.set_ylabel("error [nm], every 400th actuator; black: compensated")
+for (name, error), colour in zip(errors.items(), ("C1", "black"), strict=True):
+    lines = axes.plot(np.arange(200), error[:, ::400], color=colour, linewidth=0.8)
+    lines[0].set_label(name)
+axes.set(xlabel="time (ms)", ylabel="error of every 400th actuator (nm)")
+axes.legend()
 plt.show()

@@ -60,5 +60,5 @@ for row in fleet.rows:
         axes.plot(row["stroke_um"], row["width50_um"], "o", color="C1" if far else "C0")
         if far:
             axes.annotate(f" {fleet.name(row)}", (row["stroke_um"], row["width50_um"]))
-axes.set(xlabel="stroke (um)", ylabel="width of the loop at half the voltage (um)")
+axes.set(xlabel="stroke (µm)", ylabel="width of the loop at half the voltage (µm)")
 plt.show()

@@ -44,7 +44,7 @@ for label, voltage in ("limits in the loop", aware), ("clipped afterwards", clip
     error = 100 * (reached - wanted) / stage.stroke
     below.plot(error, label=label)
     print(f"{label}: {np.abs(error[after]).max():.2f} % of the stroke at most, after the saturation")
-above.set_ylabel("displacement (um)")
+above.set_ylabel("displacement (µm)")
 above.legend(ncols=3)
 below.set(xlabel="sample", ylabel="error (% of the stroke)", ylim=(-12, 4))
 plt.show()

@@ -35,7 +35,7 @@ for phase, colour in colours.items():
     below.plot(played.time[part], 1e6 * reached[part], color=colour)
 above.set_ylabel("voltage (V)")
 above.legend(ncols=3)
-below.set(xlabel="time (s)", ylabel="displacement (um)")
+below.set(xlabel="time (s)", ylabel="displacement (µm)")
 plt.show()
 
 cycles = played.phase == 2

@@ -42,7 +42,7 @@ figure, (above, below) = plt.subplots(2, 1, figsize=(8, 6), sharex=True)
 above.plot(1e6 * wanted, color="black", label="wanted")
 above.plot(1e6 * (linear - zero), label="by a constant ratio")
 above.plot(1e6 * (compensated - zero), "--", label="compensated")
-above.set_ylabel("displacement (um)")
+above.set_ylabel("displacement (µm)")
 above.legend(ncols=3)
 for label, reached in ("by a constant ratio", linear), ("compensated", compensated):
     error = 100 * (reached - zero - wanted) / stage.stroke
