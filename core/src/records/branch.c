@@ -222,10 +222,12 @@ static int along(dehyst_branch *b, dehyst_real *elongation, dehyst_real drive, d
     int tries, events = 0;
     for (tries = 0; tries < TRIES; tries++) {
         const smooth_parts parts = smooth_after(smooth, elongation, direction, w - start, after);
-        const dehyst_real slope = straight.slope + stiffness + parts.slope;
+        /* Not of the drive: a division that does not wait for it. */
+        const dehyst_real softness = 1 / (straight.slope + stiffness + parts.slope);
         const dehyst_real rest =
             drive - (straight.v + straight.slope * (w - origin)) - stiffness * (w - start) - parts.v;
-        const dehyst_real step = rest / slope, more = -direction * parts.bend * step / (2 * slope);
+        const dehyst_real step = rest * softness;
+        const dehyst_real more = step * (-direction * parts.bend * softness / 2);
         const dehyst_real at = w;
         if (direction * (w + step - straight.event) > 0) {
             if (!within_reach(straight.event) || ++events > FEW_EVENTS) return 0;
