@@ -224,11 +224,11 @@ def _chart(costs: Array, usual: float, spread: float) -> ControlChart:
 
 def _costs(fleet: Fleet, by: str, over: str, order: Order) -> Iterator[tuple[Any, tuple[Any, ...], Array, Array]]:
     """Yield serial, sessions, costs and changes of the stroke [%] of each serial with two sessions or more."""
-    paths: dict[Any, dict[Any, Actuator]] = defaultdict(dict)
+    paths: dict[Any, dict[Any, tuple[Actuator, float]]] = defaultdict(dict)
     counts = _counts(fleet, by)
     for row, actuator in fleet.models():
         group = paths[row[by]]
-        group[row[over]] = actuator
+        group[row[over]] = actuator, row["cycle_s"]
         counts[row[by]] -= 1
         # The models of a serial are dropped once it is complete.
         if not counts[row[by]]:
@@ -244,12 +244,13 @@ def _counts(fleet: Fleet, by: str) -> dict[Any, int]:
     return counts
 
 
-def _compared(group: list[tuple[Any, Actuator]]) -> tuple[tuple[Any, ...], Array, Array]:
-    oldest = group[0][1]
+def _compared(group: list[tuple[Any, tuple[Actuator, float]]]) -> tuple[tuple[Any, ...], Array, Array]:
+    """Compare models at the rate of the oldest record: at another one, creep that no record showed would count."""
+    _, (oldest, seconds) = group[0]
     costs, signed = [], []
-    for _, later in group[1:]:
+    for _, (later, _) in group[1:]:
         limits = _common(oldest, later)
-        kept, now = played(oldest, limits), played(later, limits)
+        kept, now = played(oldest, limits, seconds), played(later, limits, seconds)
         stroke = float(np.ptp(now))
         off = now - kept
         # The zero of the sensor is no part of the cost.

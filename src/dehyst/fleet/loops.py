@@ -7,14 +7,17 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.model import Actuator
 
-# Samples of a rise or a fall; seconds of a cycle of a model that moves in time, by default.
-_SAMPLES, _SECONDS = 200, 10.0
+# Samples of a rise or a fall.
+_SAMPLES = 200
 # Parts of the voltages' range at which the width of the loop is taken, and tops of the falling loops of the path.
 PLACES, _TOPS = (0.25, 0.5, 0.75), (1.0, 1.0, 0.75, 0.5, 0.25)
 
 
-def played(actuator: Actuator, limits: tuple[float, float], seconds: float = _SECONDS) -> Array:
-    """Return the displacement [m] along `path` after one cycle through the limits, 0 at the path's first sample."""
+def played(actuator: Actuator, limits: tuple[float, float], seconds: float) -> Array:
+    """Return the displacement [m] along `path` after one cycle through the limits, 0 at the path's first sample.
+
+    A cycle of a model that moves in time takes `seconds`.
+    """
     voltage = path(limits)
     time = seconds / (2 * _SAMPLES) * np.arange(voltage.size) if actuator.needs_time else None
     start = actuator.turned(float(actuator.spring.displacement[0]), rising=False, extrapolate=True)
@@ -30,7 +33,7 @@ def path(limits: tuple[float, float]) -> Array:
     return np.asarray(low + (high - low) * np.concatenate(parts))
 
 
-def widths(actuator: Actuator, limits: tuple[float, float], seconds: float = _SECONDS) -> list[float]:
+def widths(actuator: Actuator, limits: tuple[float, float], seconds: float) -> list[float]:
     """Return how far falling and rising displacement differ [m] on the major loop at the voltages `PLACES`."""
     y, v = played(actuator, limits, seconds)[: 2 * _SAMPLES + 1], path(limits)[: 2 * _SAMPLES + 1]
     rising, falling = slice(0, _SAMPLES + 1), slice(2 * _SAMPLES, _SAMPLES - 1, -1)

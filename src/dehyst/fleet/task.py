@@ -111,6 +111,7 @@ def _described(fit: Fit, record: Record) -> dict[str, Any]:
         "stroke_um": 1e6 * error.stroke,
         **{f"width{place}_um": 1e6 * value for place, value in zip((25, 50, 75), width, strict=True)},
         "drift_percent": error.drifted_percent + 0.0,
+        "cycle_s": seconds,
         "coefficients": coefficients_of(actuator),
         MODEL: actuator.as_dict(),
     }
