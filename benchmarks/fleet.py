@@ -28,8 +28,8 @@ OUTPUT = Path(__file__).parent / "fleet.json"
 BY = "serial,session"
 # Records of a run in which processes are killed, and on paper.
 FEW, MANY = 120, 1_000_000
-# Of the comparison of Dask with processes.
-SOME = 400
+# Of the comparison of Dask with processes, and of the ageing by `auto`.
+SOME, OTHERS = 400, 600
 DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
 MEASURED = ("cpu_s", "wall_s", "memory_MB")
 ALLOWED_MB = 350
@@ -76,11 +76,6 @@ def found(output: Path, truth: list[dict]) -> dict:
     totals = Counter(kinds.values())
     refused = Counter(kinds[n] for n, row in zip(names, fleet.rows, strict=True) if row["outcome"] == "refused")
     copies = {name for group in findings.duplicates for name in group}
-    drifts = drifts_of(fleet, by="serial", over="session")
-    by_kind = {kind: {one["serial"] for one in truth if one["kind"] == kind} for kind in totals}
-    wrong = by_kind["noisy"] | by_kind["drifting"] | by_kind["duplicate"]
-    due = {one.serial for one in drifts.recalibrate}
-    healthy = {one.serial for one in drifts.ageing} - by_kind["ageing"] - wrong
     return {
         "kinds": dict(totals),
         "refused": dict(refused),
@@ -91,6 +86,17 @@ def found(output: Path, truth: list[dict]) -> dict:
         "listed": dict(listed),
         "false_alarm_percent": 100 * listed["healthy"] / totals["healthy"],
         "duplicates_found": sum(kind == "duplicate" and name in copies for name, kind in kinds.items()),
+    }
+
+
+def aged(output: Path, truth: list[dict]) -> dict:
+    """Return which serials `dehyst fleet drift` wants to recalibrate."""
+    drifts = drifts_of(load(output), by="serial", over="session")
+    by_kind = {kind: {one["serial"] for one in truth if one["kind"] == kind} for kind in {one["kind"] for one in truth}}
+    wrong = by_kind["noisy"] | by_kind["drifting"] | by_kind["duplicate"]
+    due = {one.serial for one in drifts.recalibrate}
+    healthy = {one.serial for one in drifts.ageing} - by_kind["ageing"] - wrong
+    return {
         "ageing_serials": len(by_kind["ageing"]),
         "ageing_found": len(by_kind["ageing"] & due),
         "healthy_serials": len(healthy),
@@ -273,11 +279,21 @@ def measure(folder: Path, count: int, jobs: int, result: dict) -> None:
     table = folder / "table.parquet"
     plain = part("processes", lambda: overhead(run(data, table, *ways[""]), jobs))
     part("found", lambda: found(table, truth))
+    part("aged", lambda: aged(table, truth))
     selected, wide = ("--structure", "auto", *ways[""]), folder / "auto.parquet"
     slow = part("auto", lambda: overhead(run(data, wide, *selected), jobs))
     part("auto_found", lambda: found(wide, truth))
+    part("auto_aged", lambda: auto_aged(folder, selected))
     part("paper", lambda: on_paper(folder, few, reference, plain, slow))
     part("dask", lambda: with_dask(folder, jobs, ways))
+
+
+def auto_aged(folder: Path, selected: tuple[str, ...]) -> dict:
+    """Identify other serials by auto, and see which have aged."""
+    data, output = folder / "others.parquet", folder / "others.table.parquet"
+    truth = make(data, OTHERS, seed=8)
+    run(data, output, *selected)
+    return aged(output, truth)
 
 
 def with_dask(folder: Path, jobs: int, ways: dict) -> dict:

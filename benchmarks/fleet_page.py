@@ -29,25 +29,29 @@ def table(result: dict) -> str:
 
 def findings(result: dict) -> list[str]:
     """Return the table of what is wrong with records, and what plain and automatic identification find."""
-    plain, wide = (found_words(result[name]) if name in result else {} for name in ("found", "auto_found"))
-    kinds, one = result["found"]["kinds"], result["found"]
-    serials = {"serials that age": one["ageing_serials"], "healthy serials": one["healthy_serials"]}
-    numbers = {kind: kinds[kind] for kind in ("dead", "noisy", "drifting", "duplicate", "healthy")} | serials
-    rows = [f"| {kind} | {number} | {plain[kind]} | {wide.get(kind, '')} |" for kind, number in numbers.items()]
-    return ["| of | number | found by `plain` | by `--structure auto` |", "| --- | --- | --- | --- |", *rows]
+    plain, wide = result["found"], result["auto_found"]
+    rows = [
+        f"| {kind} | {plain['kinds'][kind]} | {words(plain)} | {words(wide)} |"
+        for kind, words in {
+            "dead": lambda one: f"{one['dead_refused_with_reason']} refused with a reason",
+            "noisy": lambda one: f"{one['listed'].get('noisy', 0)} listed",
+            "drifting": lambda one: f"{one['listed'].get('drifting', 0)} listed",
+            "duplicate": lambda one: f"{one['duplicates_found']} found",
+            "healthy": lambda one: f"{one['listed'].get('healthy', 0)} listed: {one['false_alarm_percent']:.2g} %",
+        }.items()
+    ]
+    head = ["| of | number | found by `plain` | by `--structure auto` |", "| --- | --- | --- | --- |"]
+    return [*head, *rows, "", *ageing(result)]
 
 
-def found_words(found: dict) -> dict[str, str]:
-    listed = found["listed"]
-    return {
-        "dead": f"{found['dead_refused_with_reason']} refused with a reason",
-        "noisy": f"{listed.get('noisy', 0)} listed",
-        "drifting": f"{listed.get('drifting', 0)} listed",
-        "duplicate": f"{found['duplicates_found']} found",
-        "healthy": f"{listed.get('healthy', 0)} listed: {found['false_alarm_percent']:.2g} %",
-        "serials that age": f"{found['ageing_found']} to recalibrate",
-        "healthy serials": f"{found['healthy_to_recalibrate']} to recalibrate",
-    }
+def ageing(result: dict) -> list[str]:
+    """Return the table of what `dehyst fleet drift` wants to recalibrate."""
+    rows = [
+        f"| `{name}` | {one['ageing_found']} of {one['ageing_serials']} | "
+        f"{one['healthy_to_recalibrate']} of {one['healthy_serials']} |"
+        for name, one in (("plain", result["aged"]), ("auto", result["auto_aged"]))
+    ]
+    return ["| to recalibrate | serials that age | healthy serials |", "| --- | --- | --- |", *rows]
 
 
 def kills(result: dict) -> list[str]:

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,6 +43,9 @@ class Ageing:
         [% of the stroke].
     usual : float
         Largest cost [% of the stroke] that is still usual in the fleet: three deviations above the median.
+    own : float
+        What the oldest and the last model miss of their own records, together [% of the stroke]: two models of one
+        actuator may differ by so much.
     """
 
     serial: Any
@@ -52,6 +55,7 @@ class Ageing:
     chart: ControlChart
     goal: float
     usual: float
+    own: float
 
     @property
     def alarms(self) -> Mask:
@@ -60,8 +64,11 @@ class Ageing:
 
     @property
     def outside(self) -> bool:
-        """Whether that is so at the last session, and its cost is unusual: one bad record in the past is no ageing."""
-        return bool(self.alarms[-1]) and float(self.costs[-1]) > self.usual
+        """Whether that is so at the last session, and its cost is neither usual nor what the models themselves miss.
+
+        One bad record in the past is no ageing.
+        """
+        return bool(self.alarms[-1]) and float(self.costs[-1]) > max(self.usual, self.own)
 
     @property
     def recalibrate(self) -> bool:
@@ -89,6 +96,7 @@ class Ageing:
             "ewma": self.chart.average.tolist(),
             "limit": self.chart.limits.tolist(),
             "cusum": self.chart.above.tolist(),
+            "own_errors_percent": self.own,
             "outside": self.outside,
             "recalibrate": self.recalibrate,
         }
@@ -182,13 +190,13 @@ def drifts_of(fleet: Fleet, *, by: str, over: str, goal: float = GOAL) -> Drifts
         words = "; ".join(("nothing to compare", *remarks))
         raise FileFormatError(f"{fleet.path}: no '{by}' has two values of '{over}' with a model; {words}")
     # What noise and repeatability cost: the first comparison of each serial, most of which have not aged.
-    first = np.array([costs[0] for _, _, costs, _ in found])
+    first = np.array([costs[0] for _, _, costs, _, _ in found])
     usual = float(np.median(first))
     measured = 1.4826 * float(np.median(np.abs(first - usual)))
     spread = max(measured, _LEAST * goal)
     ageing = tuple(
-        Ageing(serial, dates, costs, signed, _chart(costs, usual, spread), goal, usual + 3 * spread)
-        for serial, dates, costs, signed in found
+        Ageing(serial, dates, costs, signed, _chart(costs, usual, spread), goal, usual + 3 * spread, own)
+        for serial, dates, costs, signed, own in found
     )
     ends = min(sessions, key=order.key), max(sessions, key=order.key)
     return Drifts(ageing, goal, usual, measured, spread, over, order.name, ends, remarks)
@@ -222,13 +230,23 @@ def _chart(costs: Array, usual: float, spread: float) -> ControlChart:
     return ControlChart.of("cost", np.arange(float(costs.size)), costs, (costs - usual) / spread)
 
 
-def _costs(fleet: Fleet, by: str, over: str, order: Order) -> Iterator[tuple[Any, tuple[Any, ...], Array, Array]]:
-    """Yield serial, sessions, costs and changes of the stroke [%] of each serial with two sessions or more."""
-    paths: dict[Any, dict[Any, tuple[Actuator, float]]] = defaultdict(dict)
+class _Model(NamedTuple):
+    """A model of one session: seconds of a cycle of its record, and its largest error [% of the stroke]."""
+
+    actuator: Actuator
+    seconds: float
+    error: float
+
+
+def _costs(
+    fleet: Fleet, by: str, over: str, order: Order
+) -> Iterator[tuple[Any, tuple[Any, ...], Array, Array, float]]:
+    """Yield serial, sessions, costs, changes of the stroke [%] and own errors of each serial with two sessions."""
+    paths: dict[Any, dict[Any, _Model]] = defaultdict(dict)
     counts = _counts(fleet, by)
     for row, actuator in fleet.models():
         group = paths[row[by]]
-        group[row[over]] = actuator, row["cycle_s"]
+        group[row[over]] = _Model(actuator, row["cycle_s"], row["largest_percent"])
         counts[row[by]] -= 1
         # The models of a serial are dropped once it is complete.
         if not counts[row[by]]:
@@ -244,19 +262,20 @@ def _counts(fleet: Fleet, by: str) -> dict[Any, int]:
     return counts
 
 
-def _compared(group: list[tuple[Any, tuple[Actuator, float]]]) -> tuple[tuple[Any, ...], Array, Array]:
+def _compared(group: list[tuple[Any, _Model]]) -> tuple[tuple[Any, ...], Array, Array, float]:
     """Compare models at the rate of the oldest record: at another one, creep that no record showed would count."""
-    _, (oldest, seconds) = group[0]
+    (_, oldest), (_, last) = group[0], group[-1]
     costs, signed = [], []
-    for _, (later, _) in group[1:]:
-        limits = _common(oldest, later)
-        kept, now = played(oldest, limits, seconds), played(later, limits, seconds)
+    for _, later in group[1:]:
+        limits = _common(oldest.actuator, later.actuator)
+        kept, now = (played(one.actuator, limits, oldest.seconds) for one in (oldest, later))
         stroke = float(np.ptp(now))
         off = now - kept
         # The zero of the sensor is no part of the cost.
         costs.append(100 * float(np.ptp(off)) / 2 / stroke)
         signed.append(100 * (stroke - float(np.ptp(kept))) / stroke)
-    return tuple(session for session, _ in group), np.array(costs), np.array(signed)
+    sessions = tuple(session for session, _ in group)
+    return sessions, np.array(costs), np.array(signed), oldest.error + last.error
 
 
 def _common(first: Actuator, second: Actuator) -> tuple[float, float]:
