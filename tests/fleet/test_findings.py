@@ -266,8 +266,16 @@ def test_costs_that_are_low_again_are_not_out_of_limits():
     # Later sessions that cost less than usual, and one bad record long ago.
     for costs in ([5.0, 0.0, 0.0, 0.0], [9.0, 5.0, 5.0, 5.0]):
         chart = _chart(np.array(costs), 5.0, 0.1)
-        one = Ageing("A", (0, 1, 2, 3, 4), np.array(costs), np.zeros(4), chart, 6.0, 5.3)
+        one = Ageing("A", (0, 1, 2, 3, 4), np.array(costs), np.zeros(4), chart, 6.0, 5.3, 0.1)
         assert chart.outside and not one.outside and not one.recalibrate
+
+
+def test_costs_below_what_the_models_miss_of_their_own_records_are_no_ageing():
+    costs = np.full(4, 0.6)
+    chart = _chart(costs, 0.1, 0.1)
+    rough, exact = (Ageing("A", (0, 1, 2, 3, 4), costs, np.zeros(4), chart, 1.0, 0.4, own) for own in (0.65, 0.3))
+    assert not rough.recalibrate
+    assert exact.recalibrate
 
 
 def test_models_of_one_session_count_once_and_are_remarked(table, tmp_path):
