@@ -1,4 +1,4 @@
-"""What a bank is made of: a compensator for each actuator, from values for all or for each."""
+"""What is given to a bank: what it is made of, a compensator for each actuator, and its samples."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
+from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import Compensator
 from dehyst.model import Actuator, State
@@ -68,3 +70,26 @@ def positive(threads: int) -> int:
     if count < 1 or count != int(count):
         raise ModelError(f"threads: got {threads}, need a whole number from 1 on")
     return int(count)
+
+
+def table_of(values: ArrayLike, what: str, count: int) -> Array:
+    """Return samples (n, count); raise `ModelError` if they have another shape, or one is no finite number."""
+    given = np.asarray(values)
+    if given.dtype.kind not in "iuf":
+        raise ModelError(f"{what}: got an array of {given.dtype}, need numbers")
+    table = np.ascontiguousarray(given, dtype=np.float64)
+    if table.ndim != 2 or table.shape[1] != count:
+        got = table.shape[1:] if table.ndim == 2 and what == "displacement" else table.shape
+        raise ModelError(f"{what}: got the shape {got}, need a column for each of {count} actuators")
+    if not np.isfinite(table).all():
+        t, i = np.argwhere(~np.isfinite(table))[0]
+        raise ModelError(f"{what}: sample {t} of actuator {i} is {table[t, i]}, need finite numbers")
+    return table
+
+
+def fitting(out: Array, count: int) -> Array:
+    """Return `out`, into which a sample (count,) can be written; raise `ModelError` if it cannot."""
+    fits = isinstance(out, np.ndarray) and out.shape == (count,) and out.dtype == np.float64
+    if not (fits and out.flags.c_contiguous and out.flags.writeable):
+        raise ModelError(f"out: need a writeable array of {count} float64 in a row")
+    return out

@@ -16,7 +16,7 @@ from dehyst._errors import ModelError
 from dehyst._native import BankCore, BankMemory, CoreState, Loop, checked, has_avx2
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.banks.arguments import compensators, listed, positive, reason_alone
+from dehyst.banks.arguments import compensators, fitting, listed, positive, reason_alone, table_of
 from dehyst.banks.state import BankClamps, BankState
 from dehyst.control import ClampWarning, VoltageLimits
 from dehyst.control.clamping import stray_sentence
@@ -124,8 +124,8 @@ class Bank:
         row = np.asarray(displacement)
         if row.shape != (len(self),):
             raise ModelError(f"displacement: got the shape {row.shape}, need one for each of {len(self)} actuators")
-        wanted = self._table(row[None], "displacement")
-        result = np.empty((1, len(self))) if out is None else self._own(out)[None]
+        wanted = table_of(row[None], "displacement", len(self))
+        result = np.empty((1, len(self))) if out is None else fitting(out, len(self))[None]
         self._run(wanted, result, plays=False)
         self._report(wanted)
         voltage: Array = result[0] if out is None else out
@@ -150,7 +150,7 @@ class Bank:
         ClampWarning
             As `step`.
         """
-        wanted = self._table(displacement, "displacement")
+        wanted = table_of(displacement, "displacement", len(self))
         self._refuse_strays(wanted)
         result = np.empty(wanted.shape)
         self._run(wanted, result, plays=False)
@@ -171,7 +171,7 @@ class Bank:
             If the shape is wrong or a value not finite: the memory is unchanged. If a voltage leads farther than can
             be computed with: it moved nothing.
         """
-        played = self._table(voltage, "voltage")
+        played = table_of(voltage, "voltage", len(self))
         result = np.empty(played.shape)
         before = self._memory.counts[2].sum()
         self._run(played, result, plays=True)
@@ -203,7 +203,7 @@ class Bank:
         if not isinstance(state, BankState):
             raise ModelError(f"state: got {type(state).__name__}, need the state of a bank")
         state.demand_like(self.state)
-        self._demand_carts(state)
+        state.demand_carts(self.actuators, self._laned)
         before = {i: loop.row() for i, loop in self._loops.items()}
         try:
             for i, loop in self._loops.items():
@@ -300,34 +300,6 @@ class Bank:
             state.carts[: one.carts.size, i] = one.carts
             state.creep[: branches[i], i] = one.strains[: branches[i]]
         return state
-
-    def _demand_carts(self, state: BankState) -> None:
-        for i in self._laned:
-            actuator = self.actuators[i]
-            far = np.abs(state.displacement[i] - state.carts[: len(actuator.slip), i]) - actuator.slip.breakaway
-            if np.any(far > 1e-12 * actuator.slip.breakaway + 1e-14 * abs(state.displacement[i])):
-                raise ModelError(
-                    f"state: a cart of actuator {i} lies farther from its displacement than its breakaway elongation"
-                )
-
-    def _table(self, values: ArrayLike, what: str) -> Array:
-        given = np.asarray(values)
-        if given.dtype.kind not in "iuf":
-            raise ModelError(f"{what}: got an array of {given.dtype}, need numbers")
-        table = np.ascontiguousarray(given, dtype=np.float64)
-        if table.ndim != 2 or table.shape[1] != len(self):
-            got = table.shape[1:] if table.ndim == 2 and what == "displacement" else table.shape
-            raise ModelError(f"{what}: got the shape {got}, need a column for each of {len(self)} actuators")
-        if not np.isfinite(table).all():
-            t, i = np.argwhere(~np.isfinite(table))[0]
-            raise ModelError(f"{what}: sample {t} of actuator {i} is {table[t, i]}, need finite numbers")
-        return table
-
-    def _own(self, out: Array) -> Array:
-        fits = isinstance(out, np.ndarray) and out.shape == (len(self),) and out.dtype == np.float64
-        if not (fits and out.flags.c_contiguous and out.flags.writeable):
-            raise ModelError(f"out: need a writeable array of {len(self)} float64 in a row")
-        return out
 
     def _refuse_strays(self, displacement: Array) -> None:
         low, high = self._plausible()

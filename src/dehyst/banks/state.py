@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
+from dehyst.model import Actuator
 
 
 class BankClamps(NamedTuple):
@@ -71,3 +72,13 @@ class BankState:
                 raise ModelError(f"state: {name} holds a value that is not finite")
         if set(self.alone) != set(other.alone) or self.actuators not in ("", other.actuators):
             raise ModelError("state: it is of a bank of other actuators; take the state of a bank made in the same way")
+
+    def demand_carts(self, actuators: Sequence[Actuator], columns: NDArray[np.intp]) -> None:
+        """Raise `ModelError` if a cart of an actuator in `columns` is farther from its displacement than possible."""
+        for i in columns:
+            actuator = actuators[i]
+            far = np.abs(self.displacement[i] - self.carts[: len(actuator.slip), i]) - actuator.slip.breakaway
+            if np.any(far > 1e-12 * actuator.slip.breakaway + 1e-14 * abs(self.displacement[i])):
+                raise ModelError(
+                    f"state: a cart of actuator {i} lies farther from its displacement than its breakaway elongation"
+                )
