@@ -270,7 +270,7 @@ def test_costs_that_are_low_again_are_not_out_of_limits():
         assert chart.outside and not one.outside and not one.recalibrate
 
 
-def test_costs_below_what_the_models_miss_of_their_own_records_are_no_ageing():
+def test_costs_below_what_the_models_are_expected_to_miss_are_no_ageing():
     costs = np.full(4, 0.6)
     chart = _chart(costs, 0.1, 0.1)
     rough, exact = (Ageing("A", (0, 1, 2, 3, 4), costs, np.zeros(4), chart, 1.0, 0.4, own) for own in (0.65, 0.3))

@@ -44,8 +44,8 @@ class Ageing:
     usual : float
         Largest cost [% of the stroke] that is still usual in the fleet: three deviations above the median.
     own : float
-        What the oldest and the last model miss of their own records, together [% of the stroke]: two models of one
-        actuator may differ by so much.
+        What the oldest and the last model are expected to miss, together [% of the stroke]: two models of one actuator
+        may differ by so much.
     """
 
     serial: Any
@@ -231,7 +231,10 @@ def _chart(costs: Array, usual: float, spread: float) -> ControlChart:
 
 
 class _Model(NamedTuple):
-    """A model of one session: seconds of a cycle of its record, and its largest error [% of the stroke]."""
+    """A model of one session: seconds of a cycle of its record, and its largest error [% of the stroke].
+
+    The error is that of its record, or the one that is expected along other paths where that is larger.
+    """
 
     actuator: Actuator
     seconds: float
@@ -246,7 +249,8 @@ def _costs(
     counts = _counts(fleet, by)
     for row, actuator in fleet.models():
         group = paths[row[by]]
-        group[row[over]] = _Model(actuator, row["cycle_s"], row["largest_percent"])
+        error = max(row["largest_percent"], row["expected_percent"] or 0.0)
+        group[row[over]] = _Model(actuator, row["cycle_s"], error)
         counts[row[by]] -= 1
         # The models of a serial are dropped once it is complete.
         if not counts[row[by]]:
