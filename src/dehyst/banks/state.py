@@ -74,7 +74,7 @@ class BankState:
             raise ModelError("state: it is of a bank of other actuators; take the state of a bank made in the same way")
 
     def demand_carts(self, actuators: Sequence[Actuator], columns: NDArray[np.intp]) -> None:
-        """Raise `ModelError` if a cart of an actuator in `columns` is farther from its displacement than possible."""
+        """Raise `ModelError` if a cart of `actuators` in `columns` is farther from its displacement than possible."""
         for i in columns:
             actuator = actuators[i]
             far = np.abs(self.displacement[i] - self.carts[: len(actuator.slip), i]) - actuator.slip.breakaway

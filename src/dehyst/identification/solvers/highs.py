@@ -43,10 +43,8 @@ def _highs_model(
     lp.a_matrix_.start_ = np.arange(n + 1) * m
     lp.a_matrix_.index_ = np.tile(np.arange(m), n)
     lp.a_matrix_.value_ = np.ascontiguousarray(rows.T).ravel()
-    make_highs: Any = highspy.Highs
-    highs = make_highs()
+    highs = _silent_highs()
     for option, value in (
-        ("output_flag", False),
         ("threads", 1),
         ("solver", solver),
         ("random_seed", 0),
@@ -55,6 +53,20 @@ def _highs_model(
     ):
         highs.setOptionValue(option, value)
     highs.passModel(lp)
+    return highs
+
+
+def _silent_highs() -> Any:
+    """Return a HiGHS that prints nothing: from 1.16 on its constructor prints a header unless the output is off."""
+    import highspy
+
+    class Silent(highspy.Highs):
+        def enableCallbacks(self) -> None:  # noqa: N802 - HiGHS's name; its constructor calls it first
+            self.setOptionValue("output_flag", False)
+            super().enableCallbacks()  # type: ignore[no-untyped-call]
+
+    highs = Silent()  # type: ignore[no-untyped-call]
+    highs.setOptionValue("output_flag", False)
     return highs
 
 
