@@ -151,6 +151,21 @@ async def test_a_model_without_a_verdict_has_failed(stage):
 
 
 @played
+async def test_a_model_is_not_ready_before_its_ranges_are_known(stage):
+    seen = []
+
+    def ranges(_):
+        seen.append(next(iter(stage.session.models.values())).status)
+        return [0.0, 100.0], [0.0, 10.0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dehyst.workbench.session.ranges", ranges)
+        entry = await stage.model(Finished(0, FIT))
+    assert seen == ["identifying"]
+    assert (entry.status, entry.range_v, entry.range_um) == ("ready", [0.0, 100.0], [0.0, 10.0])
+
+
+@played
 async def test_the_first_end_asks_for_the_best_so_far_the_second_stops(stage):
     record = await stage.record()
     entry = stage.session.identify({"train": [record.id]})

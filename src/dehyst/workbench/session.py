@@ -140,9 +140,10 @@ class WorkbenchSession:
             entry.seconds, entry.progress, entry.provisional = time.monotonic() - began, "", False
             if finished.result is not None:
                 write_json(self.folder.path / entry.fit, finished.result)
-            fill_model(entry, finished)
-            if entry.status == "ready":
+            if finished.result is not None and finished.result.get("verdict") is not None:
+                # Before the entry is ready: a page uses the ranges of every model that is.
                 entry.range_v, entry.range_um = await asyncio.to_thread(ranges, self.folder.path / file)
+            fill_model(entry, finished)
 
         self.jobs.start("identify", entry.id, words, done, progress)
         return entry
