@@ -33,8 +33,8 @@ class Lines {
 };
 
 // Whether the core computes an actuator in lanes.
-bool in_lanes(const Wide &wide) {
-    return wide.tables.grades.size == 0 && wide.tables.smooth.size == 0 && !wide.tables.inertia;
+bool in_lanes(const Core &core) {
+    return core.tables.grades.size == 0 && core.tables.smooth.size == 0 && !core.tables.inertia;
 }
 
 struct Bank {
@@ -42,29 +42,33 @@ struct Bank {
     Lines table;
     std::vector<unsigned char> cell;
     std::vector<void *> block;
-    std::vector<dehyst_compensator> compensators;
-    std::vector<const dehyst_compensator *> pointers;
+    std::vector<dehyst_model> compensators;
+    std::vector<const dehyst_model *> pointers;
     dehyst_bank bank{};
     double tap = 1;
     bool busy = false;
 
     // decay, gain: of all branches, one actuator after the other. limits: low, high and change in rows.
-    Bank(nb::list wides, Input decay_, Input gain_, Rows limits) : decay(copy(decay_)), gain(copy(gain_)) {
-        const size_t m = nb::len(wides);
+    Bank(nb::list cores, Input decay_, Input gain_, Rows limits) : decay(copy(decay_)), gain(copy(gain_)) {
+        const size_t m = nb::len(cores);
         demand_size(m);
         if (m == 0 || limits.shape(0) != 3 || limits.shape(1) != m || gain.size() != decay.size())
             demand(DEHYST_ERR_SIZE);
         size_t branch = 0;
         for (size_t i = 0; i < m; i++) {
-            const Wide &wide = nb::cast<const Wide &>(wides[i]);
-            if (!in_lanes(wide) || branch + wide.stiffness.size() > decay.size()) demand(DEHYST_ERR_SIZE);
+            const Core &core = nb::cast<const Core &>(cores[i]);
+            if (!in_lanes(core) || branch + core.stiffness.size() > decay.size()) demand(DEHYST_ERR_SIZE);
             dehyst_step step{decay.data() + branch, gain.data() + branch, {}};
-            branch += wide.stiffness.size();
-            compensators.push_back({wide.tables, step, limits(0, i), limits(1, i), limits(2, i), 1, &tap, 0, 0, 0, 0, 0});
+            branch += core.stiffness.size();
+            dehyst_model model{};
+            model.actuator = core.tables, model.step = step;
+            model.low = limits(0, i), model.high = limits(1, i), model.change = limits(2, i);
+            model.taps = 1, model.tap = &tap;
+            compensators.push_back(model);
         }
         if (branch != decay.size()) demand(DEHYST_ERR_SIZE);
-        for (dehyst_compensator &one : compensators) {
-            demand(dehyst_compensator_tabulate(&one));
+        for (dehyst_model &one : compensators) {
+            demand(dehyst_model_tabulate(&one));
             pointers.push_back(&one);
         }
         bank.sizes = dehyst_bank_sizes_of(int(m), pointers.data());
@@ -121,7 +125,7 @@ struct Bank {
     // Rows of carts and of strains that the memory has.
     std::tuple<int, int> rows() const {
         size_t branches = 0;
-        for (const dehyst_compensator &one : compensators) branches = std::max(branches, size_t(one.actuator.branches));
+        for (const dehyst_model &one : compensators) branches = std::max(branches, size_t(one.actuator.branches));
         return {bank.sizes.elements, int(branches)};
     }
 };

@@ -9,7 +9,7 @@ std::tuple<Matrix, Output> strains(Input path, Bounds bounds, Grid decay, Grid g
     std::vector<double> d = copy(strain);
     const size_t n = path.size(), j = d.size();
     const std::vector<double> none;
-    const Wide::Steps steps{bounds, decay, gain, Grid(none.data(), {decay.shape(0), 0})};
+    const Core::Steps steps{bounds, decay, gain, Grid(none.data(), {decay.shape(0), 0})};
     const size_t count = steps.size(n, j, false);
     std::unique_ptr<double[]> out(new double[n * j + 1]);
     const double *source = path.data();
@@ -79,19 +79,13 @@ NB_MODULE(_core, m) {
     m.doc() = "The C core of dehyst; use it through dehyst._native.";
     nb::exception<CoreError>(m, "CoreError", PyExc_ValueError);
     nb::class_<Core>(m, "Core")
-        .def(nb::init<Input, Input, Input, Input>(), nb::arg("rho"), nb::arg("kappa"), nb::arg("knot"),
-             nb::arg("value"))
+        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input>())
         .def("compensate", &Core::compensate)
         .def("simulate", &Core::simulate)
-        .def("depth", &Core::depth)
         .def("voltage", &Core::voltage)
+        .def("depth", &Core::depth)
         .def("spring_at", &Core::spring_at)
         .def("spring_inverse", &Core::spring_inverse);
-    nb::class_<Wide>(m, "Wide")
-        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input>())
-        .def("compensate", &Wide::compensate)
-        .def("simulate", &Wide::simulate)
-        .def("voltage", &Wide::voltage);
     bind_loop(m);
     bind_bank(m);
     m.def("slip_elongations", &slip_elongations);

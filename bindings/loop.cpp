@@ -8,43 +8,78 @@ namespace {
 
 // The memory of a loop as one row of numbers, so that it can be saved, restored and compared bit for bit.
 struct Loop {
-    const Wide &wide;
-    std::vector<double> decay, gain, tap, inputs, spare;
-    std::unique_ptr<Wide::Memory> memory;
-    dehyst_compensator compensator{};
+    const Core &core;
+    std::vector<double> decay, gain, tap, memory, start;
+    dehyst_model model{};
     dehyst_loop loop{};
     nb::object on_clamp;
     bool reported[2] = {false, false};
     bool busy = false;
 
     // numbers: low, high, change, lag, keep, from_old, from_new.
-    Loop(const Wide &wide_, Input decay_, Input gain_, Input transition, Input tap_, Input numbers,
+    Loop(const Core &core_, Input decay_, Input gain_, Input transition, Input tap_, Input numbers,
          nb::object on_clamp_)
-        : wide(wide_), decay(copy(decay_)), gain(copy(gain_)), tap(copy(tap_)), inputs(tap.size()),
-          spare(wide.base.rho.size()), on_clamp(on_clamp_) {
-        const bool inertia = wide.tables.inertia;
-        if (decay.size() != wide.stiffness.size() || gain.size() != decay.size() || numbers.size() != 7 ||
+        : core(core_), decay(copy(decay_)), gain(copy(gain_)), tap(copy(tap_)), on_clamp(on_clamp_) {
+        const bool inertia = core.tables.inertia;
+        if (decay.size() != core.stiffness.size() || gain.size() != decay.size() || numbers.size() != 7 ||
             transition.size() != (inertia ? 8 : 0))
             demand(DEHYST_ERR_SIZE);
         const double *row = transition.data(), *x = numbers.data();
         dehyst_step step{decay.data(), gain.data(), {}};
         if (inertia) step.transition = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
-        compensator = {wide.tables, step, x[0], x[1], x[2], int(tap.size()), tap.data(), x[3], x[4], x[5], x[6], 0};
-        demand(dehyst_compensator_tabulate(&compensator));
+        model.actuator = core.tables, model.step = step;
+        model.low = x[0], model.high = x[1], model.change = x[2];
+        model.taps = int(tap.size()), model.tap = tap.data();
+        model.lag = x[3], model.keep = x[4], model.from_old = x[5], model.from_new = x[6];
+        demand(dehyst_model_tabulate(&model));
     }
     Loop(const Loop &) = delete;
 
+    // Numbers of a start: carts, then strains of creep and elongations.
+    void set_start(double w, Input cart, Input strain, Input motion) {
+        const size_t n = core.rho.size(), j = core.stiffness.size();
+        if (cart.size() != n || strain.size() != j + core.length.size() || motion.size() != (model.actuator.inertia ? 2 : 0))
+            demand(DEHYST_ERR_SIZE);
+        start = copy(cart);
+        start.insert(start.end(), strain.data(), strain.data() + strain.size());
+        model.start = {w, w, 0, start.data(), start.data() + n, start.data() + n + j};
+        if (model.actuator.inertia) model.start.y = motion(0), model.start.rate = motion(1);
+    }
     void begin(double w, Input cart, Input strain, Input motion) {
         demand_idle();
-        auto begun = wide.memory(w, cart, strain, motion);
+        set_start(w, cart, strain, motion);
+        std::vector<double> room(dehyst_memory_size(&model));
         dehyst_loop fresh{};
-        fresh.state = begun->state;
-        fresh.inputs = inputs.data();
-        fresh.candidate.cart = spare.data();
-        demand(dehyst_loop_begin(&compensator, &fresh));
+        demand(dehyst_loop_begin(&model, &fresh, room.data()));
         loop = fresh;
-        memory = std::move(begun);
+        memory = std::move(room);
     }
+    // The model as a block, with the start that it has there.
+    nb::bytes block(double w, Input cart, Input strain, Input motion, double period, int ahead) {
+        set_start(w, cart, strain, motion);
+        model.period = period, model.ahead = ahead;
+        std::vector<unsigned char> bytes(dehyst_model_save(&model, nullptr, 0));
+        dehyst_model_save(&model, bytes.data(), bytes.size());
+        return nb::bytes(reinterpret_cast<const char *>(bytes.data()), bytes.size());
+    }
+    // A snapshot as firmware writes it; the model needs its `id`, from block.
+    nb::bytes save() const {
+        demand_free();
+        std::vector<unsigned char> bytes(DEHYST_SNAPSHOT(core.rho.size(), core.stiffness.size(), core.length.size(), tap.size()));
+        dehyst_loop_save(&model, &loop, memory.data(), bytes.data(), bytes.size());
+        return nb::bytes(reinterpret_cast<const char *>(bytes.data()), bytes.size());
+    }
+    void restore(nb::bytes bytes) {
+        demand_free();
+        demand(dehyst_loop_restore(&model, &loop, memory.data(), reinterpret_cast<const unsigned char *>(bytes.c_str()),
+                                   bytes.size()));
+    }
+    unsigned long id() const { return model.id; }
+
+    double *carts() { return memory.data() + (loop.half ? core.rho.size() : 0); }
+    double *strains() { return memory.data() + 2 * core.rho.size(); }
+    size_t strains_size() const { return core.stiffness.size() + core.length.size(); }
+    double *inputs() { return strains() + strains_size(); }
 
     // A clamp is reported before the voltage counts as sent, once of each kind: the listener may still raise.
     void check_offer(double u) {
@@ -62,18 +97,18 @@ struct Loop {
 
     double offer(double u) {
         demand_free();
-        const double v = dehyst_loop_offer(&compensator, &loop, u);
+        const double v = dehyst_loop_offer(&model, &loop, memory.data(), u);
         if (loop.offer != DEHYST_CANDIDATE) check_offer(u);
         return v;
     }
     void commit(double v) {
         demand_free();
-        if (!dehyst_loop_accepts(&compensator, v)) throw CoreError("nothing like the limits");
-        dehyst_loop_commit(&compensator, &loop, v);
+        if (!dehyst_loop_accepts(&model, v)) throw CoreError("nothing like the limits");
+        dehyst_loop_commit(&model, &loop, memory.data(), v);
     }
     double step(double u) {
         const double v = offer(u);
-        dehyst_loop_commit(&compensator, &loop, v);
+        dehyst_loop_commit(&model, &loop, memory.data(), v);
         return v;
     }
     // Another thread may request a step while the interpreter lock is released: that raises.
@@ -87,7 +122,7 @@ struct Loop {
     }
     void demand_free() const {
         demand_idle();
-        if (!memory) throw std::runtime_error("this loop has not begun");
+        if (memory.empty()) throw std::runtime_error("this loop has not begun");
     }
 
     Output run(Input u) {
@@ -98,7 +133,7 @@ struct Loop {
         {
             const Busy mark(busy);
             nb::gil_scoped_release release;
-            dehyst_loop_run(&compensator, &loop, source, out.get(), long(n));
+            dehyst_loop_run(&model, &loop, memory.data(), source, out.get(), long(n));
         }
         return own<Output>(std::move(out), {n});
     }
@@ -115,10 +150,10 @@ struct Loop {
         nb::gil_scoped_release release;
         for (size_t t = 0; t < n; t++, from += row, to += row) {
             if (plays) {
-                dehyst_loop_play(&compensator, &loop, *from);
-                *to = wide.tables.inertia ? loop.state.y : loop.state.memory.y;
+                dehyst_loop_play(&model, &loop, memory.data(), *from);
+                *to = dehyst_loop_displacement(&model, &loop);
             } else {
-                *to = dehyst_loop_step(&compensator, &loop, *from);
+                *to = dehyst_loop_step(&model, &loop, memory.data(), *from);
             }
         }
     }
@@ -128,31 +163,30 @@ struct Loop {
         const size_t n = u.size();
         std::unique_ptr<double[]> v(new double[n + 1]), w(new double[n + 1]), offers(new double[n + 1]);
         for (size_t t = 0; t < n; t++) {
-            v[t] = dehyst_loop_offer(&compensator, &loop, u.data()[t]);
+            v[t] = dehyst_loop_offer(&model, &loop, memory.data(), u.data()[t]);
             offers[t] = loop.offer;
-            dehyst_loop_commit(&compensator, &loop, v[t]);
-            w[t] = loop.state.memory.y;
+            dehyst_loop_commit(&model, &loop, memory.data(), v[t]);
+            w[t] = loop.w;
         }
         return {own<Output>(std::move(v), {n}), own<Output>(std::move(w), {n}), own<Output>(std::move(offers), {n})};
     }
 
     // Every number that a step reads, as the core made it.
     nb::dict tables() const {
-        const dehyst_compensator &c = compensator;
+        const dehyst_model &c = model;
         const double *phi = c.step.transition.phi, *before = c.step.transition.before, *after = c.step.transition.after;
-        const Core &base = wide.base;
         nb::dict found;
         auto put = [&](const char *name, const std::vector<double> &values) { found[name] = as_array(values); };
-        put("rho", base.rho), put("kappa", base.kappa);
-        put("knot", base.knot), put("value", base.value), put("slope", base.slope);
-        put("grade_knot", wide.grade_knot), put("grade_value", wide.grade_value), put("grade_slope", wide.grade_slope);
-        put("tau_voltage", wide.tau_voltage), put("tau_drive", wide.tau_drive);
-        put("tau_slope", wide.tau_slope), put("tau_inverse", wide.tau_inverse);
-        put("creep", wide.stiffness), put("decay", decay), put("gain", gain);
-        put("length", wide.length), put("back", wide.back), put("smooth", wide.smooth);
+        put("rho", core.rho), put("kappa", core.kappa);
+        put("knot", core.knot), put("value", core.value), put("slope", core.slope);
+        put("grade_knot", core.grade_knot), put("grade_value", core.grade_value), put("grade_slope", core.grade_slope);
+        put("tau_voltage", core.tau_voltage), put("tau_drive", core.tau_drive);
+        put("tau_slope", core.tau_slope), put("tau_inverse", core.tau_inverse);
+        put("creep", core.stiffness), put("decay", decay), put("gain", gain);
+        put("length", core.length), put("back", core.back), put("smooth", core.smooth);
         put("tap", tap);
-        if (wide.tables.inertia) {
-            put("inertia", {wide.tables.series, wide.tables.share});
+        if (core.tables.inertia) {
+            put("inertia", {core.tables.series, core.tables.share});
             put("transition", {phi[0], phi[1], phi[2], phi[3], before[0], before[1], after[0], after[1]});
         } else {
             put("inertia", {}), put("transition", {});
@@ -165,46 +199,44 @@ struct Loop {
     std::tuple<unsigned long, unsigned long, unsigned long> counts() const {
         return {loop.limited, loop.slewed, loop.refused};
     }
-    std::tuple<double, Output, Output, Output> state() const {
+    std::tuple<double, Output, Output, Output> state() {
         demand_free();
-        const std::vector<double> motion{loop.state.y, loop.state.rate};
-        const double *cart = loop.state.memory.cart;
-        return {loop.state.memory.y, as_array({cart, cart + spare.size()}), as_array(memory->strain),
-                as_array(wide.tables.inertia ? motion : std::vector<double>())};
+        const std::vector<double> motion{loop.y, loop.rate};
+        return {loop.w, as_array({carts(), carts() + core.rho.size()}), as_array({strains(), inputs()}),
+                as_array(core.tables.inertia ? motion : std::vector<double>())};
     }
 
-    // What a state lacks to go on bit for bit: amplifier, mass and what was inputs.
-    Output rest() const {
+    // What a state lacks to go on bit for bit: amplifier, mass and what was wanted.
+    Output rest() {
         demand_free();
-        std::vector<double> row{loop.sent,        loop.acting,      loop.intended[0],
-                                loop.intended[1], loop.state.input, loop.state.rate};
-        row.insert(row.end(), inputs.begin(), inputs.end());
+        std::vector<double> row{loop.sent, loop.acting, loop.intended[0], loop.intended[1], loop.input, loop.rate};
+        row.insert(row.end(), inputs(), inputs() + tap.size());
         return as_array(row);
     }
     void go_on(Input row, unsigned long limited, unsigned long slewed, unsigned long refused) {
         demand_free();
-        if (row.size() != 6 + inputs.size()) demand(DEHYST_ERR_SIZE);
+        if (row.size() != 6 + tap.size()) demand(DEHYST_ERR_SIZE);
         for (size_t i = 0; i < row.size(); i++)
             if (!std::isfinite(row(i))) demand(DEHYST_ERR_FINITE);
         // The push and the velocity of a mass, as `dehyst_check` bounds its place.
         const double farthest = 1 / DEHYST_EPSILON / DEHYST_EPSILON;
         if (std::fabs(row(4)) > farthest || std::fabs(row(5)) > farthest) demand(DEHYST_ERR_FINITE);
         loop.sent = row(0), loop.acting = row(1), loop.intended[0] = row(2), loop.intended[1] = row(3);
-        loop.state.input = row(4), loop.state.rate = row(5);
-        std::copy(row.data() + 6, row.data() + row.size(), inputs.begin());
+        loop.input = row(4), loop.rate = row(5);
+        std::copy(row.data() + 6, row.data() + row.size(), inputs());
         loop.limited = limited, loop.slewed = slewed, loop.refused = refused;
         loop.offer = DEHYST_NOTHING;
     }
 
     // All that decides what comes next, and nothing that does not, one number after the other.
     template <typename Visit> void visit(Visit each) {
-        each(loop.state.memory.y);
-        for (size_t i = 0; i < spare.size(); i++) each(loop.state.memory.cart[i]);
-        for (double &one : memory->strain) each(one);
-        if (wide.tables.inertia) each(loop.state.y), each(loop.state.rate), each(loop.state.input);
+        each(loop.w);
+        for (size_t i = 0; i < core.rho.size(); i++) each(carts()[i]);
+        for (size_t i = 0; i < strains_size(); i++) each(strains()[i]);
+        if (core.tables.inertia) each(loop.y), each(loop.rate), each(loop.input);
         each(loop.sent);
-        if (compensator.lag > 0) each(loop.acting), each(loop.intended[0]), each(loop.intended[1]);
-        for (size_t m = 0; m + 1 < inputs.size(); m++) each(inputs[m]);
+        if (model.lag > 0) each(loop.acting), each(loop.intended[0]), each(loop.intended[1]);
+        for (size_t m = 0; m + 1 < tap.size(); m++) each(inputs()[m]);
     }
     Output row() {
         demand_free();
@@ -222,13 +254,15 @@ struct Loop {
         const double *next = row.data();
         visit([&](double &one) { one = *next++; });
         loop.offer = DEHYST_NOTHING;
-        demand(dehyst_check(&wide.tables, &loop.state));
+        const dehyst_state state{{loop.w, carts()}, strains(),  strains() + core.stiffness.size(),
+                                 loop.y,            loop.rate, loop.input};
+        demand(dehyst_check(&core.tables, &state));
     }
 
     // Functions of a row: what was in the loop before does not count, what is in it after is of no use.
     double offered(Input row, double u) {
         place(row);
-        const double v = dehyst_loop_offer(&compensator, &loop, u);
+        const double v = dehyst_loop_offer(&model, &loop, memory.data(), u);
         if (loop.offer == DEHYST_REFUSED) check_offer(u);
         return v;
     }
@@ -246,7 +280,7 @@ struct Loop {
     double reached(Input row, double v) {
         place(row);
         follow(v);
-        return wide.tables.inertia ? loop.state.y : loop.state.memory.y;
+        return dehyst_loop_displacement(&model, &loop);
     }
     Output moved(Input row_, double v) {
         place(row_);
@@ -267,7 +301,7 @@ double plain(nb::handle number) {
 
 void bind_loop(nb::module_ &m) {
     nb::class_<Loop>(m, "Loop")
-        .def(nb::init<const Wide &, Input, Input, Input, Input, Input, nb::object>(), nb::keep_alive<1, 2>())
+        .def(nb::init<const Core &, Input, Input, Input, Input, Input, nb::object>(), nb::keep_alive<1, 2>())
         .def("begin", &Loop::begin)
         .def("offer", [](Loop &loop, nb::handle u) { return loop.offer(plain(u)); })
         .def("commit", &Loop::commit)
@@ -286,5 +320,9 @@ void bind_loop(nb::module_ &m) {
         .def("offered", &Loop::offered)
         .def("stepped", &Loop::stepped)
         .def("reached", &Loop::reached)
-        .def("moved", &Loop::moved);
+        .def("moved", &Loop::moved)
+        .def("block", &Loop::block)
+        .def("id", &Loop::id)
+        .def("save", &Loop::save)
+        .def("restore", &Loop::restore);
 }

@@ -19,24 +19,8 @@ public:
     using std::runtime_error::runtime_error;
 };
 
-inline const char *sentence(dehyst_status status) {
-    switch (status) {
-    case DEHYST_OK: return "done";
-    case DEHYST_ERR_SIZE: return "fewer than two knots, or arrays of different lengths";
-    case DEHYST_ERR_FINITE: return "a value that is not finite";
-    case DEHYST_ERR_ORDER: return "knots, spring voltages and breakaway elongations must strictly increase";
-    case DEHYST_ERR_SIGN: return "stiffnesses must be >= 0 and breakaway elongations > 0";
-    case DEHYST_ERR_STATE:
-        return "a cart lies farther from the displacement than its breakaway elongation, or a smooth element is longer "
-               "than its length";
-    case DEHYST_ERR_CAPACITY: return "the stack of reversals is too short";
-    case DEHYST_ERR_UNREACHABLE: return "no history from rest leaves carts like these";
-    }
-    return "unknown status";
-}
-
 inline void demand(dehyst_status status) {
-    if (status != DEHYST_OK) throw CoreError(sentence(status));
+    if (status != DEHYST_OK) throw CoreError(dehyst_status_text(status));
 }
 
 // Sizes that the core's int holds, also where tables have rows and columns.
@@ -45,121 +29,58 @@ inline void demand_size(size_t rows, size_t columns = 1) {
     if (columns > 0 && rows > LARGEST_TABLE / columns) throw CoreError("tables larger than the core can index");
 }
 
+// An actuator of any parts; the C functions choose the fast path of those that it has.
 struct Core {
-    std::vector<double> rho, kappa, knot, value, slope, edge, intercept, stiffness;
-    dehyst_plain tables;
+    std::vector<double> rho, kappa, knot, value, slope, edge, intercept, slip_stiffness;
+    std::vector<double> grade_knot, grade_value, grade_slope, tau_voltage, tau_drive, tau_slope, tau_inverse, stiffness;
+    std::vector<double> length, back, smooth;
+    dehyst_actuator tables{};
 
-    Core(Input rho_, Input kappa_, Input knot_, Input value_)
-        : rho(copy(rho_)), kappa(copy(kappa_)), knot(copy(knot_)), value(copy(value_)) {
-        const size_t n = rho.size();
-        demand_size(n), demand_size(knot.size());
-        if (kappa.size() != n || value.size() != knot.size() || knot.size() < 2) demand(DEHYST_ERR_SIZE);
-        slope.resize(knot.size() - 1);
-        edge.resize(n + 1), intercept.resize(n + 1), stiffness.resize(n + 1);
-        double inverse_step = 0;
-        demand(dehyst_curve_tabulate(int(knot.size()), knot.data(), value.data(), slope.data()));
-        demand(dehyst_slip_tabulate(int(n), rho.data(), kappa.data(), edge.data(), intercept.data(), stiffness.data(),
-                                    &inverse_step));
-        tables.slip = {int(n),           rho.data(),       kappa.data(), edge.data(),
-                         intercept.data(), stiffness.data(), inverse_step};
-        tables.spring = {int(knot.size()), knot.data(), value.data(), slope.data()};
+    Core(Input rho_, Input kappa_, Input knot_, Input value_, Input grade_knot_, Input grades, Input tau_voltage_,
+         Input tau_drive_, Input stiffness_, Input inertia, Input length_, Input closing, Input smooth_)
+        : rho(copy(rho_)), kappa(copy(kappa_)), knot(copy(knot_)), value(copy(value_)), grade_knot(copy(grade_knot_)),
+          grade_slope(copy(grades)), tau_voltage(copy(tau_voltage_)), tau_drive(copy(tau_drive_)),
+          stiffness(copy(stiffness_)), length(copy(length_)), back(length.size()), smooth(copy(smooth_)) {
+        const size_t n = rho.size(), m = grade_knot.empty() ? 0 : grade_knot.size() - 1;
+        demand_size(n + 1, m + 1), demand_size(knot.size()), demand_size(tau_voltage.size());
+        demand_size(stiffness.size()), demand_size(length.size());
+        if (kappa.size() != n || value.size() != knot.size() || knot.size() < 2 || grade_slope.size() != n * m ||
+            tau_voltage.size() != tau_drive.size() || closing.size() != length.size() ||
+            smooth.size() != length.size() || (inertia.size() != 0 && inertia.size() != 2))
+            demand(DEHYST_ERR_SIZE);
+        tabulate_elements(int(n), int(m));
+        tabulate_transformer(int(tau_voltage.size()));
+        tables.branches = int(stiffness.size()), tables.creep_stiffness = stiffness.data();
+        tables.inertia = inertia.size() > 0;
+        if (tables.inertia) tables.series = inertia(0), tables.share = inertia(1);
+        demand(dehyst_smooth_tabulate(int(length.size()), length.data(), closing.data(), back.data()));
+        tables.smooth = {int(length.size()), length.data(), back.data(), smooth.data()};
     }
     Core(const Core &) = delete;
 
-    std::vector<double> carts(double y, Input cart) const {
-        std::vector<double> own_cart = copy(cart);
-        if (own_cart.size() != rho.size()) demand(DEHYST_ERR_SIZE);
-        dehyst_plain_state state{y, own_cart.data()};
-        demand(dehyst_plain_check(&tables, &state));
-        return own_cart;
+    void tabulate_elements(int n, int m) {
+        slope.resize(knot.size() - 1);
+        edge.resize(n + 1), intercept.resize(n + 1), slip_stiffness.resize(n + 1);
+        double inverse_step = 0;
+        demand(dehyst_curve_tabulate(int(knot.size()), knot.data(), value.data(), slope.data()));
+        demand(dehyst_slip_tabulate(n, rho.data(), kappa.data(), edge.data(), intercept.data(), slip_stiffness.data(),
+                                    &inverse_step));
+        tables.plain.slip = {n, rho.data(), kappa.data(), edge.data(), intercept.data(), slip_stiffness.data(),
+                             inverse_step};
+        tables.plain.spring = {int(knot.size()), knot.data(), value.data(), slope.data()};
+        if (m == 0) return;
+        grade_slope.resize(size_t(n + 1) * m), grade_value.resize(size_t(n + 1) * (m + 1));
+        demand(dehyst_grades_tabulate(n, m, grade_knot.data(), grade_slope.data(), grade_value.data()));
+        tables.grades = {m, grade_knot.data(), grade_value.data(), grade_slope.data()};
     }
-
-    using Run = void(const dehyst_plain *, dehyst_plain_state *, dehyst_stack *, const double *, double *, long);
-    using Step = double(const dehyst_plain *, dehyst_plain_state *, double);
-
-    std::tuple<Output, double, Output> run(Run *function, Step *step, Input in, double y, Input cart,
-                                           bool stack) const {
-        std::vector<double> own_cart = carts(y, cart);
-        dehyst_plain_state state{y, own_cart.data()};
-        const size_t n = in.size();
-        std::unique_ptr<double[]> out(new double[n + 1]);
-        const double *source = in.data();
-        {
-            nb::gil_scoped_release release;
-            if (stack) {
-                std::vector<dehyst_reversal> reversals(DEHYST_STACK_CAPACITY(rho.size()));
-                dehyst_stack work{int(reversals.size()), 0, 1, 0, 0, reversals.data()};
-                function(&tables, &state, &work, source, out.get(), long(n));
-            } else {
-                for (size_t t = 0; t < n; t++) out[t] = step(&tables, &state, source[t]);
-            }
-        }
-        return {own<Output>(std::move(out), {n}), state.y, as_array(own_cart)};
+    void tabulate_transformer(int k) {
+        if (k == 0) return;
+        tau_slope.resize(k), tau_inverse.resize(k);
+        demand(dehyst_curve_tabulate(k, tau_voltage.data(), tau_drive.data(), tau_slope.data()));
+        demand(dehyst_curve_tabulate(k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()));
+        tables.transformer = {k, tau_voltage.data(), tau_drive.data(), tau_slope.data()};
+        tables.inverse_transformer = {k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()};
     }
-
-    auto compensate(Input in, double y, Input cart, bool stack) const {
-        return run(dehyst_plain_compensate_run, dehyst_plain_compensate, in, y, cart, stack);
-    }
-    auto simulate(Input in, double y, Input cart, bool stack) const {
-        return run(dehyst_plain_simulate_run, dehyst_plain_simulate, in, y, cart, stack);
-    }
-
-    int depth(Input history, double y, Input cart) const {
-        std::vector<double> own_cart = carts(y, cart), out(history.size() + 1);
-        dehyst_plain_state state{y, own_cart.data()};
-        std::vector<dehyst_reversal> reversals(DEHYST_STACK_CAPACITY(rho.size()));
-        dehyst_stack work{int(reversals.size()), 0, 1, 0, 0, reversals.data()};
-        demand(dehyst_stack_encode(&tables, &state, &work));
-        dehyst_stack_compensate(&tables, &work, history.data(), out.data(), long(history.size()));
-        return work.depth;
-    }
-
-    double voltage(double y, Input cart) const {
-        std::vector<double> own_cart = carts(y, cart);
-        dehyst_plain_state state{y, own_cart.data()};
-        return dehyst_plain_voltage(&tables, &state);
-    }
-    double spring_at(double y) const { return dehyst_curve_at(&tables.spring, y); }
-    double spring_inverse(double v) const { return dehyst_curve_inverse(&tables.spring, v); }
-};
-
-struct Wide {
-    Core base;
-    std::vector<double> grade_knot, grade_value, grade_slope, tau_voltage, tau_drive, tau_slope, tau_inverse, stiffness;
-    std::vector<double> length, back, smooth;
-    dehyst_actuator tables;
-
-    Wide(Input rho, Input kappa, Input knot, Input value, Input grade_knot_, Input grades, Input tau_voltage_,
-         Input tau_drive_, Input stiffness_, Input inertia, Input length_, Input closing, Input smooth_)
-        : base(rho, kappa, knot, value), grade_knot(copy(grade_knot_)), grade_slope(copy(grades)),
-          tau_voltage(copy(tau_voltage_)), tau_drive(copy(tau_drive_)), stiffness(copy(stiffness_)),
-          length(copy(length_)), back(length.size()), smooth(copy(smooth_)) {
-        const size_t n = base.rho.size(), m = grade_knot.empty() ? 0 : grade_knot.size() - 1;
-        if (grade_slope.size() != n * m || tau_voltage.size() != tau_drive.size()) demand(DEHYST_ERR_SIZE);
-        if (closing.size() != length.size() || smooth.size() != length.size()) demand(DEHYST_ERR_SIZE);
-        demand_size(n + 1, m + 1), demand_size(tau_voltage.size()), demand_size(stiffness.size());
-        demand_size(length.size());
-        tables = {base.tables, {0, nullptr, nullptr, nullptr}, {0, nullptr, nullptr, nullptr},
-                {0, nullptr, nullptr, nullptr}, int(stiffness.size()), stiffness.data(), inertia.size() > 0, 0, 0,
-                {int(length.size()), length.data(), back.data(), smooth.data()}};
-        if (inertia.size() != 0 && inertia.size() != 2) demand(DEHYST_ERR_SIZE);
-        if (tables.inertia) tables.series = inertia(0), tables.share = inertia(1);
-        demand(dehyst_smooth_tabulate(int(length.size()), length.data(), closing.data(), back.data()));
-        if (m > 0) {
-            grade_slope.resize((n + 1) * m), grade_value.resize((n + 1) * (m + 1));
-            demand(dehyst_grades_tabulate(int(n), int(m), grade_knot.data(), grade_slope.data(), grade_value.data()));
-            tables.grades = {int(m), grade_knot.data(), grade_value.data(), grade_slope.data()};
-        }
-        if (!tau_voltage.empty()) {
-            const int k = int(tau_voltage.size());
-            tau_slope.resize(k), tau_inverse.resize(k);
-            demand(dehyst_curve_tabulate(k, tau_voltage.data(), tau_drive.data(), tau_slope.data()));
-            demand(dehyst_curve_tabulate(k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()));
-            tables.transformer = {k, tau_voltage.data(), tau_drive.data(), tau_slope.data()};
-            tables.inverse_transformer = {k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()};
-        }
-    }
-    Wide(const Wide &) = delete;
 
     // In one array: the strains of creep, then the elongations of smooth elements.
     struct Memory {
@@ -170,7 +91,7 @@ struct Wide {
     std::unique_ptr<Memory> memory(double w, Input cart, Input strain, Input motion) const {
         auto own_memory = std::make_unique<Memory>();
         own_memory->cart = copy(cart), own_memory->strain = copy(strain);
-        if (own_memory->cart.size() != base.rho.size() ||
+        if (own_memory->cart.size() != rho.size() ||
             own_memory->strain.size() != stiffness.size() + length.size() || motion.size() != (tables.inertia ? 2 : 0))
             demand(DEHYST_ERR_SIZE);
         own_memory->state = {{w, own_memory->cart.data()}, own_memory->strain.data(),
@@ -237,7 +158,7 @@ struct Wide {
         const double *source = in.data(), *added = extra.size() ? extra.data() : nullptr;
         {
             nb::gil_scoped_release release;
-            Workspace work(base.rho.size(), base.knot.size(), length.size(), stack);
+            Workspace work(rho.size(), knot.size(), length.size(), stack);
             for (size_t r = 0; r < count; r++) {
                 const dehyst_step step = steps.at(r);
                 const long first = steps.first(r);
@@ -258,7 +179,7 @@ struct Wide {
         const double *source = in.data(), *force = load.size() ? load.data() : nullptr;
         {
             nb::gil_scoped_release release;
-            Workspace work(base.rho.size(), base.knot.size(), length.size(), stack);
+            Workspace work(rho.size(), knot.size(), length.size(), stack);
             for (size_t r = 0; r < count; r++) {
                 const dehyst_step step = steps.at(r);
                 const long first = steps.first(r);
@@ -273,6 +194,20 @@ struct Wide {
         auto own_memory = memory(w, cart, strain, motion);
         return dehyst_voltage(&tables, &own_memory->state);
     }
+    // Entries on the stack of reversals after a history.
+    int depth(Input history, double w, Input cart) const {
+        std::vector<double> own_cart = copy(cart), out(history.size() + 1);
+        if (own_cart.size() != rho.size()) demand(DEHYST_ERR_SIZE);
+        dehyst_plain_state state{w, own_cart.data()};
+        demand(dehyst_plain_check(&tables.plain, &state));
+        std::vector<dehyst_reversal> reversals(DEHYST_STACK_CAPACITY(rho.size()));
+        dehyst_stack work{int(reversals.size()), 0, 1, 0, 0, reversals.data()};
+        demand(dehyst_stack_encode(&tables.plain, &state, &work));
+        dehyst_stack_compensate(&tables.plain, &work, history.data(), out.data(), long(history.size()));
+        return work.depth;
+    }
+    double spring_at(double y) const { return dehyst_curve_at(&tables.plain.spring, y); }
+    double spring_inverse(double v) const { return dehyst_curve_inverse(&tables.plain.spring, v); }
 };
 
 #endif

@@ -1,17 +1,12 @@
-# Writes the core as two files, dehyst.c and dehyst.h: what an export copies and the Python package compiles.
+# Writes the sources of the core as one file, dehyst.c: what an export copies and the Python package compiles.
 #
 #     cmake -D CORE=<this folder> -D OUT=<folder> -D SOURCES=<sources in order> -P amalgamate.cmake
 #
 # The text depends on the sources alone. Private headers are put in once, where they are first included.
 function(without_includes text result)
-  string(REGEX REPLACE "#include \"(internal|dehyst_config)\\.h\"\n+" "" text "${text}")
+  string(REGEX REPLACE "#include \"internal\\.h\"\n+" "" text "${text}")
   set(${result} "${text}" PARENT_SCOPE)
 endfunction()
-
-file(READ "${CORE}/include/dehyst.h" header)
-file(READ "${CORE}/include/dehyst_config.h" config)
-string(REPLACE "#include \"dehyst_config.h\"\n" "${config}" header "${header}")
-file(WRITE "${OUT}/dehyst.h" "${header}")
 
 set(text "/* The core of dehyst in one file, put together from core/src. Do not edit. */\n")
 foreach(source internal.h ${SOURCES})

@@ -16,10 +16,13 @@ MODULE = ROOT / "src/dehyst/exports/templates/core.wasm"
 SECTION = "dehyst.sources"
 # The core's sources in the order of its amalgamation, then the functions that JavaScript calls.
 SOURCES = (
-    *(f"core/src/{name}.c" for name in ("slip", "graded", "smooth", "step", "compensator")),
+    *(f"core/src/{name}.c" for name in ("slip", "graded", "smooth", "step", "compensator", "block")),
     "bindings/wasm/module.c",
 )
-HEADERS = ("core/include/dehyst_config.h", "core/include/dehyst.h", "core/src/internal.h")
+HEADERS = (
+    *(f"core/include/{name}.h" for name in ("dehyst_config", "dehyst", "dehyst_model")),
+    "core/src/internal.h",
+)
 # No fused multiply-add and no library: the bits are Python's. A stack that overflows meets the end of the memory.
 OPTIONS = (
     *("--target=wasm32", "-std=c99", "-Os", "-flto", "-ffp-contract=off"),

@@ -1,18 +1,10 @@
-/* The core for WebAssembly: one module for every model, the sizes come with the numbers.
+/* The core for WebAssembly: one module for every model, which comes as a block (dehyst_model_load).
  *
- * JavaScript calls `reserve`, copies a model's numbers there and calls `open`, which checks sizes and numbers; then
- * `begin`, and a step a period or whole blocks. An instance has one model. If `open` or `begin` does not return
- * DEHYST_OK, nothing else may be called.
- *
- * The numbers, little-endian: ten unsigned (version, N, K, M, B, J, L, taps, inertia, 0), then doubles: rho and kappa
- * [N]; knot and value [K]; with grades knot [M + 1] and slope [N M]; voltage and drive of tau [B]; stiffness, decay and
- * gain of creep [J]; length, back and stiffness of smooth elements [L]; taps; with inertia beta, theta and the
- * transition [8]; low, high, change, lag, keep, from_old, from_new; the start: w, y, y'/omega, carts [N], strains [J],
- * elongations [L]. */
+ * JavaScript calls `reserve`, copies the block there and calls `open`, which checks it; then `begin`, and a step a period
+ * or whole blocks. An instance has one model. If `open` or `begin` does not return DEHYST_OK, nothing else may be
+ * called. */
 #include "internal.h"
 
-#define VERSION 1
-#define HEADER 10
 #define MOST_BYTES (1u << 28)
 #define PAGE 65536u
 #define BLOCK 4096
@@ -20,9 +12,9 @@
 
 extern unsigned char __heap_base;
 
-static dehyst_compensator model;
+static dehyst_model model;
 static dehyst_loop *loop;
-static const dehyst_real *begin_place, *begin_cart, *begin_strain, *begin_elongation, *grade_slope;
+static dehyst_real *memory;
 static dehyst_real *inputs, *voltages, *displacements;
 static unsigned char *offers;
 static unsigned reserved, state_begin, state_end;
@@ -60,172 +52,36 @@ EXPORT(unsigned char *, reserve)(unsigned bytes)
     return at;
 }
 
-/* Return whether the sizes are those of a model that fills the reserved bytes, all of it numbers. */
-static dehyst_status check_numbers(const unsigned *size)
-{
-    const dehyst_real *x;
-    unsigned long long n, k, m, b, j, l, t, count;
-    int i;
-    if (reserved < 4 * HEADER || size[0] != VERSION || size[8] > 1) return DEHYST_ERR_SIZE;
-    for (i = 1; i < HEADER; i++)
-        if (size[i] > MOST_BYTES / 8) return DEHYST_ERR_SIZE;
-    n = size[1], k = size[2], m = size[3], b = size[4], j = size[5], l = size[6], t = size[7];
-    count = 3 * n + 2 * k + (m > 0 ? m + 1 : 0) + n * m + 2 * b + 4 * j + 4 * l + t + (size[8] ? 10 : 0) + 10;
-    if (k < 2 || b == 1 || t < 1 || 8 * count + 4 * HEADER != reserved) return DEHYST_ERR_SIZE;
-    for (x = (const dehyst_real *)(size + HEADER); count > 0; x++, count--)
-        if (!is_finite(*x)) return DEHYST_ERR_FINITE;
-    return DEHYST_OK;
-}
-
-static const dehyst_real *next(const dehyst_real **from, unsigned n)
-{
-    const dehyst_real *at = *from;
-    *from += n;
-    return at;
-}
-
-static void curve_from(dehyst_curve *curve, unsigned size, const dehyst_real *knot, const dehyst_real *value)
-{
-    curve->size = (int)size;
-    curve->knot = knot;
-    curve->value = value;
-    curve->slope = reals(size);
-}
-
-/* Point into the numbers of the elements and the springs, and give room for their tables. */
-static const dehyst_real *place_elements(dehyst_actuator *a, const unsigned *size, const dehyst_real *at)
-{
-    const unsigned n = size[1], m = size[3];
-    const unsigned long long rows = m > 0 ? n + 1ull : 0;
-    const dehyst_real *x;
-    a->plain.slip.size = (int)n;
-    a->plain.slip.rho = next(&at, n);
-    a->plain.slip.kappa = next(&at, n);
-    a->plain.slip.edge = reals(n + 1ull);
-    a->plain.slip.intercept = reals(n + 1ull);
-    a->plain.slip.stiffness = reals(n + 1ull);
-    x = next(&at, size[2]);
-    curve_from(&a->plain.spring, size[2], x, next(&at, size[2]));
-    a->grades.size = (int)m;
-    a->grades.knot = next(&at, m > 0 ? m + 1 : 0);
-    a->grades.value = reals(rows * (m + 1ull));
-    a->grades.slope = reals(rows * m);
-    grade_slope = next(&at, n * m);
-    x = next(&at, size[4]);
-    curve_from(&a->transformer, size[4], x, next(&at, size[4]));
-    curve_from(&a->inverse_transformer, size[4], a->transformer.value, x);
-    return at;
-}
-
-/* Point into the numbers of creep, smooth elements, taps and a mass. */
-static const dehyst_real *place_motion(dehyst_actuator *a, const unsigned *size, const dehyst_real *at)
-{
-    dehyst_transition *to = &model.step.transition;
-    int i;
-    a->branches = (int)size[5];
-    a->creep_stiffness = next(&at, size[5]);
-    model.step.decay = next(&at, size[5]);
-    model.step.gain = next(&at, size[5]);
-    a->smooth.size = (int)size[6];
-    a->smooth.length = next(&at, size[6]);
-    a->smooth.back = next(&at, size[6]);
-    a->smooth.stiffness = next(&at, size[6]);
-    model.taps = (int)size[7];
-    model.tap = next(&at, size[7]);
-    a->inertia = (int)size[8];
-    if (!a->inertia) return at;
-    a->series = *at++;
-    a->share = *at++;
-    for (i = 0; i < 4; i++) to->phi[i] = *at++;
-    for (i = 0; i < 2; i++) to->before[i] = *at++;
-    for (i = 0; i < 2; i++) to->after[i] = *at++;
-    return at;
-}
-
-static void place_loop(const unsigned *size, const dehyst_real *at)
-{
-    model.low = *at++;
-    model.high = *at++;
-    model.change = *at++;
-    model.lag = *at++;
-    model.keep = *at++;
-    model.from_old = *at++;
-    model.from_new = *at++;
-    begin_place = next(&at, 3);
-    begin_cart = next(&at, size[1]);
-    begin_strain = next(&at, size[5]);
-    begin_elongation = next(&at, size[6]);
-}
-
 /* Give room for blocks of samples and, in one piece so that it can be saved and put back, for all that changes. */
-static dehyst_status place_memory(const unsigned *size)
+static dehyst_status place_memory(void)
 {
-    const unsigned long long n = size[1], j = size[5], l = size[6];
-    dehyst_real *x;
     inputs = reals(BLOCK);
     voltages = reals(BLOCK);
     displacements = reals(BLOCK);
     offers = room(BLOCK);
     state_begin = (unsigned)top;
     loop = room(sizeof *loop);
-    x = reals(2 * n + j + l + size[7]);
+    memory = reals(dehyst_memory_size(&model));
     state_end = (unsigned)top;
-    if (!memory_fits()) return DEHYST_ERR_SIZE;
-    loop->state.memory.cart = x;
-    loop->candidate.cart = x + n;
-    loop->state.strain = x + 2 * n;
-    loop->state.elongation = x + 2 * n + j;
-    loop->inputs = x + 2 * n + j + l;
-    return DEHYST_OK;
+    return memory_fits() ? DEHYST_OK : DEHYST_ERR_ROOM;
 }
 
-static dehyst_status tabulate_curve(dehyst_curve *curve)
-{
-    if (curve->size == 0) return DEHYST_OK;
-    return dehyst_curve_tabulate(curve->size, curve->knot, curve->value, (dehyst_real *)curve->slope);
-}
-
-static dehyst_status tabulate_grades(int n, dehyst_grades *grades)
-{
-    dehyst_real *slope = (dehyst_real *)grades->slope;
-    long i;
-    if (grades->size == 0) return DEHYST_OK;
-    for (i = 0; i < (long)n * grades->size; i++) slope[i] = grade_slope[i];
-    return dehyst_grades_tabulate(n, grades->size, grades->knot, slope, (dehyst_real *)grades->value);
-}
-
-/* Check what no function of the core checks: numbers of which Python has made other ones. */
-static dehyst_status check_motion(const dehyst_actuator *a)
-{
-    int i;
-    for (i = 0; i < a->branches; i++)
-        if (model.step.decay[i] < 0 || model.step.decay[i] > 1 || model.step.gain[i] < 0) return DEHYST_ERR_SIGN;
-    for (i = 0; i < a->smooth.size; i++) {
-        const dehyst_real share = a->smooth.back[i] * a->smooth.length[i];
-        if (!(a->smooth.length[i] > 0) || !(share >= 0 && share <= 1 + 8 * DEHYST_EPSILON)) return DEHYST_ERR_SIGN;
-    }
-    return DEHYST_OK;
-}
-
-/* Read the model that was copied to the reserved place. The core computes its tables, bit for bit Python's. */
+/* Read the block that was copied to the reserved place. The core computes its tables, bit for bit Python's. */
 EXPORT(dehyst_status, open)(void)
 {
-    const unsigned *size = (const unsigned *)first_byte();
-    dehyst_actuator *a = &model.actuator;
-    dehyst_slip *slip = &a->plain.slip;
-    dehyst_status status = check_numbers(size);
+    const unsigned char *block = (const unsigned char *)first_byte();
+    unsigned long count;
+    dehyst_real *tables;
+    dehyst_status status = dehyst_model_room(block, reserved, &count);
     if (status != DEHYST_OK) return status;
-    place_loop(size, place_motion(a, size, place_elements(a, size, (const dehyst_real *)(size + HEADER))));
-    if ((status = place_memory(size)) != DEHYST_OK) return status;
-    status = dehyst_slip_tabulate(slip->size, slip->rho, slip->kappa, (dehyst_real *)slip->edge,
-                                  (dehyst_real *)slip->intercept, (dehyst_real *)slip->stiffness, &slip->inverse_step);
-    if (status == DEHYST_OK) status = tabulate_curve(&a->plain.spring);
-    if (status == DEHYST_OK) status = tabulate_grades(slip->size, &a->grades);
-    if (status == DEHYST_OK) status = tabulate_curve(&a->transformer);
-    if (status == DEHYST_OK) status = tabulate_curve(&a->inverse_transformer);
-    if (status == DEHYST_OK) status = check_motion(a);
-    return status == DEHYST_OK ? dehyst_compensator_tabulate(&model) : status;
+    tables = reals(count);
+    if (!memory_fits()) return DEHYST_ERR_ROOM;
+    status = dehyst_model_load(block, reserved, tables, count, &model);
+    return status == DEHYST_OK ? place_memory() : status;
 }
+
+/* Return a status in words, which end with a 0. */
+EXPORT(const char *, words)(dehyst_status status) { return dehyst_status_text(status); }
 
 /* Replace limits and largest change of a period; `begin` is to follow. */
 EXPORT(dehyst_status, limit)(dehyst_real low, dehyst_real high, dehyst_real change)
@@ -233,34 +89,17 @@ EXPORT(dehyst_status, limit)(dehyst_real low, dehyst_real high, dehyst_real chan
     model.low = low;
     model.high = high;
     model.change = change;
-    return dehyst_compensator_tabulate(&model);
+    return dehyst_model_tabulate(&model);
 }
 
 /* Begin from the model's own start. */
-EXPORT(dehyst_status, begin)(void)
-{
-    const dehyst_actuator *a = &model.actuator;
-    dehyst_state *state = &loop->state;
-    int i;
-    for (i = 0; i < a->plain.slip.size; i++) state->memory.cart[i] = loop->candidate.cart[i] = begin_cart[i];
-    for (i = 0; i < a->branches; i++) state->strain[i] = begin_strain[i];
-    for (i = 0; i < a->smooth.size; i++) state->elongation[i] = begin_elongation[i];
-    state->memory.y = begin_place[0];
-    state->y = begin_place[1];
-    state->rate = begin_place[2];
-    state->input = 0;
-    return dehyst_loop_begin(&model, loop);
-}
-
-EXPORT(dehyst_real, displacement)(void)
-{
-    return model.actuator.inertia ? loop->state.y : loop->state.memory.y;
-}
+EXPORT(dehyst_status, begin)(void) { return dehyst_loop_begin(&model, loop, memory); }
+EXPORT(dehyst_real, displacement)(void) { return dehyst_loop_displacement(&model, loop); }
 
 /* Return the voltage for u; not a number if u is refused, and then nothing is on offer. */
 EXPORT(dehyst_real, offer)(dehyst_real u)
 {
-    const dehyst_real v = dehyst_loop_offer(&model, loop, u);
+    const dehyst_real v = dehyst_loop_offer(&model, loop, memory, u);
     if (loop->offer != DEHYST_REFUSED) return v;
     loop->offer = DEHYST_NOTHING;
     return __builtin_nan("");
@@ -270,18 +109,18 @@ EXPORT(dehyst_real, offer)(dehyst_real u)
 EXPORT(dehyst_real, step)(dehyst_real u)
 {
     const dehyst_real v = wasm_offer(u);
-    if (v == v) dehyst_loop_commit(&model, loop, v);
+    if (v == v) dehyst_loop_commit(&model, loop, memory, v);
     return v;
 }
 
 EXPORT(int, accepts)(dehyst_real v) { return dehyst_loop_accepts(&model, v); }
-EXPORT(void, commit)(dehyst_real v) { dehyst_loop_commit(&model, loop, v); }
+EXPORT(void, commit)(dehyst_real v) { dehyst_loop_commit(&model, loop, memory, v); }
 
 /* Move the actuator by any voltage and return its displacement; not a number if v is not one: nothing moves. */
 EXPORT(dehyst_real, play)(dehyst_real v)
 {
     if (!is_finite(v)) return __builtin_nan("");
-    dehyst_loop_play(&model, loop, v);
+    dehyst_loop_play(&model, loop, memory, v);
     return wasm_displacement();
 }
 
@@ -303,18 +142,15 @@ EXPORT(unsigned, state_end)(void) { return state_end; }
 
 static unsigned within_block(unsigned n) { return n < BLOCK ? n : BLOCK; }
 
-/* Take n steps; with `jump` the first voltage may differ from the last one by any amount. */
-EXPORT(void, run)(unsigned n, int jump)
+/* Take n steps. */
+EXPORT(void, run)(unsigned n)
 {
-    const dehyst_real change = model.change;
     unsigned t;
-    if (jump && n > 0) model.change = DEHYST_LARGEST;
     for (t = 0; t < within_block(n); t++) {
-        voltages[t] = dehyst_loop_offer(&model, loop, inputs[t]);
+        voltages[t] = dehyst_loop_offer(&model, loop, memory, inputs[t]);
         offers[t] = (unsigned char)(loop->offer - DEHYST_CANDIDATE);
-        dehyst_loop_commit(&model, loop, voltages[t]);
+        dehyst_loop_commit(&model, loop, memory, voltages[t]);
         displacements[t] = wasm_displacement();
-        model.change = change;
     }
 }
 

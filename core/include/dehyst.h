@@ -1,224 +1,70 @@
-/* dehyst: hysteresis of a piezoelectric actuator, voltage <-> displacement, exact in both directions.
+/* dehyst: hysteresis of a piezoelectric actuator in a loop: wanted displacement [m] in, voltage [V] out, once a period.
  *
- * With y the displacement and v the voltage (the paper's F = T v seen at the terminals, y = (keq/km) x):
+ *     static dehyst_model model;                           exported (piezo.c), or loaded: dehyst_model_load
+ *     static dehyst_loop loop;
+ *     static dehyst_real memory[SIZE];                     DEHYST_MEMORY(...), or dehyst_memory_size(&model)
+ *     dehyst_loop_begin(&model, &loop, memory);            once
+ *     volts = dehyst_loop_step(&model, &loop, memory, u);  every period
  *
- *     v = sum_i kappa_i s_i + eta(y),      s_i = y - b_i,      b_i <- min(max(b_i, y - rho_i), y + rho_i)
- *
- *   kappa_i  stiffness of Maxwell-slip element i [V/m], >= 0      rho_i  its breakaway elongation [m], > 0, increasing
- *   b_i      position of cart i [m]                               eta    the parallel spring [V], increasing, piecewise
- *                                                                        linear, continued so beyond its knots
- *
- * y -> v (compensate) is explicit. v -> y (simulate) has exactly one solution and is solved segment by segment, with
- * neither tolerance nor time step: N clips a sample, constant memory, from any state.
- *
- * No heap, no input or output, no globals. Every array belongs to the caller; its size is in brackets. Parameters are
- * const and may live in flash. Checks may fail, steps cannot; a step takes bounded time. A sample that is not a number
- * moves nothing.
- *
- * An exported model (piezo.h) holds all tables and calls the functions dehyst_loop_*. To use the core by hand: fill a
- * dehyst_actuator, call the functions *_tabulate for its tables, fill a dehyst_compensator and a dehyst_loop, call
- * dehyst_compensator_tabulate and dehyst_loop_begin, then dehyst_loop_step once a period.
+ * No heap, no input or output, no globals. A model is const and may live in flash. A loop and its memory have no
+ * pointers: they may be copied by = or memcpy, and kept. Only dehyst_loop_begin and dehyst_loop_restore can fail; every
+ * call takes bounded time. A displacement that is not a number moves nothing. Equations: dehyst_model.h.
  */
 #ifndef DEHYST_H
 #define DEHYST_H
 
 #include "dehyst_config.h"
 
+#include <float.h>
+
 #ifdef __cplusplus
 extern "C" {
 #endif
 
+#define DEHYST_VERSION "0.1.0"
+/* Blocks of another format are refused. */
+#define DEHYST_MODEL_FORMAT 1
+#define DEHYST_SNAPSHOT_FORMAT 1
+
+typedef DEHYST_REAL dehyst_real;
+/* What depends on the number type. A file that was compiled for another one does not link. */
+#define DEHYST_TYPED_(name, type) name##_##type
+#define DEHYST_TYPED(name, type) DEHYST_TYPED_(name, type)
+#define DEHYST_SINGLE_double 0
+#define DEHYST_SINGLE_float 1
+#define DEHYST_SINGLE DEHYST_TYPED(DEHYST_SINGLE, DEHYST_REAL)
+#define DEHYST_EPSILON_double DBL_EPSILON
+#define DEHYST_EPSILON_float FLT_EPSILON
+#define DEHYST_EPSILON DEHYST_TYPED(DEHYST_EPSILON, DEHYST_REAL)
+#define DEHYST_LARGEST_double DBL_MAX
+#define DEHYST_LARGEST_float FLT_MAX
+#define DEHYST_LARGEST DEHYST_TYPED(DEHYST_LARGEST, DEHYST_REAL)
+#define dehyst_loop_begin DEHYST_TYPED(dehyst_loop_begin, DEHYST_REAL)
+
 typedef enum dehyst_status {
     DEHYST_OK = 0,
     DEHYST_ERR_SIZE = -1,        /* fewer than two knots, a negative count, or a null array */
-    DEHYST_ERR_FINITE = -2,      /* not a number, or infinite */
-    DEHYST_ERR_ORDER = -3,       /* knots, spring voltages or breakaway elongations not strictly increasing */
+    DEHYST_ERR_FINITE = -2,      /* not a number, infinite, or too large to compute with */
+    DEHYST_ERR_ORDER = -3,       /* knots, spring voltages, breakaway elongations or limits not strictly increasing */
     DEHYST_ERR_SIGN = -4,        /* a negative stiffness, or a breakaway elongation that is not positive */
     DEHYST_ERR_STATE = -5,       /* a cart farther from y than its breakaway elongation, or a smooth element longer
                                   * than its length */
     DEHYST_ERR_CAPACITY = -6,    /* fewer reversals than DEHYST_STACK_CAPACITY(N) */
-    DEHYST_ERR_UNREACHABLE = -7  /* carts that no history from rest leaves: use the carts until they are wiped out */
+    DEHYST_ERR_UNREACHABLE = -7, /* carts that no history from rest leaves: use the carts until they are wiped out */
+    DEHYST_ERR_LENGTH = -8,      /* a block that is cut off or too long, or sizes that do not fit it */
+    DEHYST_ERR_KIND = -9,        /* not a block of this kind */
+    DEHYST_ERR_FORMAT = -10,     /* a block of another format */
+    DEHYST_ERR_CHECKSUM = -11,   /* a block of which a bit has changed */
+    DEHYST_ERR_ROOM = -12,       /* less room than the block needs */
+    DEHYST_ERR_MODEL = -13       /* a snapshot of another model */
 } dehyst_status;
 
-/* A strictly increasing piecewise-linear curve, continued linearly beyond its ends. */
-typedef struct dehyst_curve {
-    int size;                 /* knots, >= 2 */
-    const dehyst_real *knot;  /* [size] */
-    const dehyst_real *value; /* [size] */
-    const dehyst_real *slope; /* [size - 1] from dehyst_curve_tabulate */
-} dehyst_curve;
+/* Return the version of the core that was compiled, DEHYST_VERSION. */
+const char *dehyst_version(void);
+/* Return a status in words. */
+const char *dehyst_status_text(dehyst_status status);
 
-/* N Maxwell-slip elements in parallel. The last four members are from dehyst_slip_tabulate; steps do not read them. */
-typedef struct dehyst_slip {
-    int size;                     /* N >= 0 */
-    const dehyst_real *rho;       /* [N] breakaway elongations [m] */
-    const dehyst_real *kappa;     /* [N] stiffnesses [V/m] */
-    const dehyst_real *edge;      /* [N + 1] 2 rho_i, then the largest number */
-    const dehyst_real *intercept; /* [N + 1] 2 phi(u / 2) = intercept_i + stiffness_i u between edges i - 1 and i */
-    const dehyst_real *stiffness; /* [N + 1] */
-    dehyst_real inverse_step;     /* 1 / edge_0 on a uniform grid, else 0 */
-} dehyst_slip;
-
-/* Maxwell-slip elements beside a spring: the plain actuator of the equation above. */
-typedef struct dehyst_plain {
-    dehyst_slip slip;
-    dehyst_curve spring;
-} dehyst_plain;
-
-/* Memory of Maxwell-slip elements. */
-typedef struct dehyst_plain_state {
-    dehyst_real y;     /* [m] */
-    dehyst_real *cart; /* [N] [m] */
-} dehyst_plain_state;
-
-/* Graded elements: psi_i(y) - psi_i(b_i) in place of kappa_i s_i; the stiffness depends on where the cart sits. The
- * psi_i have common knots and are continued beyond them. */
-typedef struct dehyst_grades {
-    int size;                 /* M segments; 0: the elements are plain */
-    const dehyst_real *knot;  /* [M + 1] */
-    const dehyst_real *value; /* [(N + 1) (M + 1)] psi_i at the knots, 0 at the first; the last row is their sum */
-    const dehyst_real *slope; /* [(N + 1) M] kappa_im >= 0; the last row is their sum */
-} dehyst_grades;
-
-/* Smooth elements (Dahl; Bouc and Wen): k_l q_l with |q_l| <= length_l and, closing from 1/2 to 1,
- * dq = dy (1 - |q / length| (closing sgn(q dy) + 1 - closing)). */
-typedef struct dehyst_smooth {
-    int size;                     /* L; 0: none */
-    const dehyst_real *length;    /* [L] > 0 */
-    const dehyst_real *back;      /* [L] (2 closing - 1) / length, from dehyst_smooth_tabulate */
-    const dehyst_real *stiffness; /* [L] k_l [V/m], >= 0 */
-} dehyst_smooth;
-
-/* The whole actuator: tau(v) = sum_i [psi_i(w) - psi_i(b_i)] + eta(w) + sum_j c_j d_j + sum_l k_l q_l + beta (w - y).
- *
- * Its slip elements are `plain.slip`. With grades these give only N and the breakaway elongations; kappa is not read.
- * On each branch of the major loop the right-hand side must increase; then it increases on every branch. */
-typedef struct dehyst_actuator {
-    dehyst_plain plain;
-    dehyst_grades grades;
-    dehyst_curve transformer;           /* tau; size 0: none */
-    dehyst_curve inverse_transformer;   /* the same knots, axes exchanged */
-    int branches;                       /* J >= 0 of creep */
-    const dehyst_real *creep_stiffness; /* [J] c_j [V/m], >= 0 */
-    int inertia;                        /* 0: y is w, and beta and theta are not read */
-    dehyst_real series;                 /* beta [V/m], >= 0 */
-    dehyst_real share;                  /* theta = beta / (K + beta), K a mean slope of eta */
-    dehyst_smooth smooth;
-} dehyst_actuator;
-
-/* One step of y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q, exact for q = w - theta y + F_ext/kc linear in
- * time: (y, y'/omega) <- phi (y, y'/omega) + before q_old + after q_new. Without duration phi is 1, the others 0. */
-typedef struct dehyst_transition {
-    dehyst_real phi[4], before[2], after[2];
-} dehyst_transition;
-
-/* Coefficients of a step of time, from the caller: d_j <- decay_j d_j + gain_j (w_new - w_old). For w linear in time
- * decay = exp(-dt/tau_j) and gain = (1 - decay) tau_j/dt; both are 1 for a step without duration. */
-typedef struct dehyst_step {
-    const dehyst_real *decay; /* [J] */
-    const dehyst_real *gain;  /* [J] */
-    dehyst_transition transition;
-} dehyst_step;
-
-typedef struct dehyst_state {
-    dehyst_plain_state memory; /* w and the carts */
-    dehyst_real *strain;       /* [J] d_j [m] */
-    dehyst_real *elongation;   /* [L] q_l [m] of smooth elements */
-    dehyst_real y, rate;       /* with inertia, y and y'/omega [m] */
-    dehyst_real input;         /* q [m]; a first step without duration computes it */
-} dehyst_state;
-
-/* Check a curve and compute its slopes.
- * @param slope [size - 1] the result */
-dehyst_status dehyst_curve_tabulate(int size, const dehyst_real *knot, const dehyst_real *value, dehyst_real *slope);
-/* Check n elements and compute the tables that dehyst_records.h reads.
- * @param edge, intercept, stiffness [n + 1] the results
- * @param inverse_step [1] the result */
-dehyst_status dehyst_slip_tabulate(int n, const dehyst_real *rho, const dehyst_real *kappa, dehyst_real *edge,
-                                   dehyst_real *intercept, dehyst_real *stiffness, dehyst_real *inverse_step);
-/* Check n graded elements of m segments and compute their values.
- * @param slope [(n + 1) m] its first n rows are read, its last row is a result; the sums may be zero in places
- * @param value [(n + 1) (m + 1)] the result */
-dehyst_status dehyst_grades_tabulate(int n, int m, const dehyst_real *knot, dehyst_real *slope, dehyst_real *value);
-/* Check n smooth elements and compute `back`.
- * @param closing [n]
- * @param back [n] the result */
-dehyst_status dehyst_smooth_tabulate(int n, const dehyst_real *length, const dehyst_real *closing, dehyst_real *back);
-
-/* Check that a state is one that the plain actuator can be in. */
-dehyst_status dehyst_plain_check(const dehyst_plain *plain, const dehyst_plain_state *state);
-/* Check the numbers of creep, smooth elements and mass, and that a state is one that the actuator can be in. */
-dehyst_status dehyst_check(const dehyst_actuator *actuator, const dehyst_state *state);
-
-/* Return the value of a curve at x. */
-dehyst_real dehyst_curve_at(const dehyst_curve *curve, dehyst_real x);
-/* Return where a curve has a value. */
-dehyst_real dehyst_curve_inverse(const dehyst_curve *curve, dehyst_real value);
-
-/* Move the carts [N] to where a displacement of y leaves them. */
-void dehyst_slip_move(const dehyst_slip *slip, dehyst_real *cart, dehyst_real y);
-/* Move the carts along a path and return the elongations s_i = y - b_i.
- * @param y [n] the path
- * @param out [n N] the result, a row a sample */
-void dehyst_slip_elongations(const dehyst_slip *slip, dehyst_real *cart, const dehyst_real *y, dehyst_real *out,
-                             long n);
-/* Change elongations [L] by a motion over `by`, exact for a motion of any length. */
-void dehyst_smooth_move(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real by);
-/* Change elongations along a path that begins at y and return them.
- * @param path [n]
- * @param out [n L] the result, a row a sample */
-void dehyst_smooth_elongations(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
-                               const dehyst_real *path, dehyst_real *out, long n);
-
-/* Return the voltage that holds a plain actuator in its state. */
-dehyst_real dehyst_plain_voltage(const dehyst_plain *plain, const dehyst_plain_state *state);
-/* Move a plain actuator to y and return the voltage that brings it there (Eq. 11), in O(N). */
-dehyst_real dehyst_plain_compensate(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_real y);
-/* Move a plain actuator by a voltage and return its displacement, in O(N) for each change of slope on the way. */
-dehyst_real dehyst_plain_simulate(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_real v);
-
-/* A displacement, what a step to it needs, and the memory after that step. */
-typedef struct dehyst_candidate {
-    dehyst_real w;     /* [m], given */
-    dehyst_real v;     /* [V] */
-    dehyst_real *cart; /* [N] carts after the step; dehyst_commit exchanges this array with the state's */
-    int hint;          /* segment of the spring, 0 at first */
-} dehyst_candidate;
-
-/* Return the voltage that holds an actuator in its state. */
-dehyst_real dehyst_voltage(const dehyst_actuator *actuator, const dehyst_state *state);
-/* Return what creep and a mass add to the slope of the voltage over w within a step [V/m]. */
-dehyst_real dehyst_step_stiffness(const dehyst_actuator *actuator, const dehyst_step *step);
-/* Compute the voltage of a candidate; the state stays.
- * @param stiffness from dehyst_step_stiffness
- * @param candidate its w is read, the rest is the result */
-void dehyst_evaluate(const dehyst_actuator *actuator, const dehyst_step *step, const dehyst_state *state,
-                     dehyst_real stiffness, dehyst_candidate *candidate);
-/* Move to a candidate that was just evaluated in this state, and return the displacement y. */
-dehyst_real dehyst_commit(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
-                          dehyst_candidate *candidate);
-/* Move by a voltage and return the displacement y. If v leads farther than can be computed, only time moves; the result
- * is then that far displacement or not a number.
- * @param stiffness from dehyst_step_stiffness */
-dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
-                                 dehyst_real stiffness, dehyst_real v);
-
-/* A compensator in a loop: wanted displacement in, voltage within limits out, at equal steps of time.
- *
- * The target of w is sum_m tap_m u_(t-m), u the wanted displacements, newest first: the taps hold what a delay and a
- * mass require, and u is then given ahead. An amplifier that lags by `lag` periods acts with
- * a_t = keep a_(t-1) + from_old v_(t-1) + from_new v_t. */
-typedef struct dehyst_compensator {
-    dehyst_actuator actuator;
-    dehyst_step step;       /* of one period */
-    dehyst_real low, high;  /* limits of v [V] */
-    dehyst_real change;     /* largest change of v in a period [V]; DEHYST_LARGEST: any */
-    int taps;               /* >= 1 */
-    const dehyst_real *tap; /* [taps] */
-    dehyst_real lag;        /* 0: none, and the next three are not read */
-    dehyst_real keep, from_old, from_new;
-    dehyst_real stiffness; /* from dehyst_compensator_tabulate */
-} dehyst_compensator;
+typedef struct dehyst_model dehyst_model;
 
 /* How the voltage on offer came about. */
 typedef enum dehyst_offer {
@@ -229,40 +75,53 @@ typedef enum dehyst_offer {
     DEHYST_REFUSED = 4    /* the wanted displacement is not a number: the last voltage is held */
 } dehyst_offer;
 
+/* All that changes in a loop, but its memory. */
 typedef struct dehyst_loop {
-    dehyst_state state;
-    dehyst_real *inputs;        /* [taps] wanted displacements, newest first */
-    dehyst_real sent;           /* the last voltage */
-    dehyst_real acting;         /* what the amplifier makes of it */
-    dehyst_real intended[2];    /* the last two voltages that were to act */
-    dehyst_real wanted;         /* on offer: the wanted displacement u, */
-    dehyst_candidate candidate; /* its candidate, */
-    dehyst_real voltage;        /* and the voltage within limits */
+    dehyst_real w, y, rate; /* displacement of the elements; with inertia, that of the mass y and y'/omega [m] */
+    dehyst_real input;      /* with inertia, its input at the last step [m] */
+    dehyst_real sent;       /* the last voltage */
+    dehyst_real acting;     /* what the amplifier makes of it */
+    dehyst_real intended[2]; /* the last two voltages that were to act */
+    dehyst_real wanted;      /* on offer: the wanted displacement, */
+    dehyst_real target;      /* the w that this needs, */
+    dehyst_real candidate;   /* the voltage of that w, */
+    dehyst_real voltage;     /* and the voltage within limits */
     dehyst_offer offer;
+    int segment;                            /* of the spring, where the next search begins */
+    int half;                               /* which of the two halves of the carts is the present one */
     unsigned long limited, slewed, refused; /* numbers of committed samples */
 } dehyst_loop;
 
-/* Check a compensator and compute its `stiffness`. */
-dehyst_status dehyst_compensator_tabulate(dehyst_compensator *compensator);
-/* Begin from loop->state, at rest at the voltage that holds it, as if its displacement had always been wanted. If that
- * voltage lies outside the limits, the nearest limit counts as sent.
- * @param loop its state, inputs and candidate.cart are given, the rest is the result */
-dehyst_status dehyst_loop_begin(const dehyst_compensator *compensator, dehyst_loop *loop);
+/* Numbers of the memory of a loop: carts of n elements, twice, strains of j creep branches, elongations of l smooth
+ * elements, and the last t wanted displacements. */
+#define DEHYST_MEMORY(n, j, l, t) (2 * (n) + (j) + (l) + (t))
+/* Bytes of a snapshot of it. */
+#define DEHYST_SNAPSHOT(n, j, l, t) (32 + 8 * (8 + (n) + (j) + (l) + (t)))
+
+/* Begin from the start of the model, at rest at the voltage that holds it, as if its displacement had always been
+ * wanted. If that voltage lies outside the limits, the nearest limit counts as sent. */
+dehyst_status dehyst_loop_begin(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory);
+/* Return the voltage for u, which then counts as sent. */
+dehyst_real dehyst_loop_step(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real u);
 /* Return the voltage for u; nothing moves until it is committed. */
-dehyst_real dehyst_loop_offer(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u);
-/* Return whether v is plausible as a sent voltage: outside the limits by at most the distance between them. */
-int dehyst_loop_accepts(const dehyst_compensator *compensator, dehyst_real v);
-/* End a period with the voltage v that was sent: the one on offer, or another. A voltage that is not accepted counts as
- * refused, and the last one acts on. */
-void dehyst_loop_commit(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v);
+dehyst_real dehyst_loop_offer(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real u);
+/* End a period with the voltage v that was sent: the one on offer, or another. A voltage that is not accepted, see
+ * dehyst_loop_accepts, counts as refused, and the last one, loop->sent, acts on. */
+void dehyst_loop_commit(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real v);
 /* End a period with any voltage: the actuator alone, without limits. A voltage that leads farther than can be computed
  * moves nothing and counts as refused. */
-void dehyst_loop_play(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v);
-/* Offer and commit; return the voltage. */
-dehyst_real dehyst_loop_step(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u);
-/* Take n steps: u [n] to v [n]. */
-void dehyst_loop_run(const dehyst_compensator *compensator, dehyst_loop *loop, const dehyst_real *u, dehyst_real *v,
-                     long n);
+void dehyst_loop_play(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real v);
+/* Return the displacement of the actuator after all voltages that were sent. */
+dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop);
+/* Write a snapshot, which any processor restores bit for bit; nothing that is on offer is kept.
+ * @param bytes [DEHYST_SNAPSHOT(...)] the result
+ * @return their number, or 0 if `size` is less */
+unsigned long dehyst_loop_save(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
+                               unsigned char *bytes, unsigned long size);
+/* Go on from a snapshot of the same model, for instance after a reset. It is checked as a whole; if it is refused,
+ * nothing changes. */
+dehyst_status dehyst_loop_restore(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory,
+                                  const unsigned char *bytes, unsigned long size);
 
 #ifdef __cplusplus
 }

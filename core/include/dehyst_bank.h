@@ -9,7 +9,7 @@
 #ifndef DEHYST_BANK_H
 #define DEHYST_BANK_H
 
-#include "dehyst.h"
+#include "dehyst_model.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -31,11 +31,11 @@ typedef struct dehyst_bank_sizes {
 /* Where the tables of a block of lanes are; private to the core. */
 struct dehyst_block;
 
-/* Tables of M actuators. All were checked by dehyst_compensator_tabulate; they have neither grades nor smooth elements,
+/* Tables of M actuators. All were checked by dehyst_model_tabulate; they have neither grades nor smooth elements,
  * no inertia, no lag and one tap of 1. */
 typedef struct dehyst_bank {
     dehyst_bank_sizes sizes;
-    const dehyst_compensator *const *compensator; /* [M] */
+    const dehyst_model *const *compensator; /* [M] */
     const dehyst_real *table;                     /* [dehyst_bank_table_size] from dehyst_bank_tabulate */
     const unsigned char *cell;                    /* [dehyst_bank_cells_size] from dehyst_bank_tabulate */
     const struct dehyst_block *block;             /* [dehyst_bank_blocks_size bytes] from dehyst_bank_tabulate */
@@ -53,7 +53,7 @@ typedef struct dehyst_bank_state {
 } dehyst_bank_state;
 
 /* Return the sizes that hold M actuators. */
-dehyst_bank_sizes dehyst_bank_sizes_of(int m, const dehyst_compensator *const *compensator);
+dehyst_bank_sizes dehyst_bank_sizes_of(int m, const dehyst_model *const *compensator);
 /* Return how many numbers the tables have. */
 long dehyst_bank_table_size(const dehyst_bank_sizes *sizes);
 long dehyst_bank_cells_size(const dehyst_bank_sizes *sizes);

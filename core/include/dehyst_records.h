@@ -8,7 +8,7 @@
 #ifndef DEHYST_RECORDS_H
 #define DEHYST_RECORDS_H
 
-#include "dehyst.h"
+#include "dehyst_model.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -1,8 +1,33 @@
 #include "internal.h"
 
-dehyst_status dehyst_compensator_tabulate(dehyst_compensator *compensator)
+const char *dehyst_version(void) { return DEHYST_VERSION; }
+
+const char *dehyst_status_text(dehyst_status status)
 {
-    const dehyst_compensator *c = compensator;
+    switch (status) {
+    case DEHYST_OK: return "done";
+    case DEHYST_ERR_SIZE: return "fewer than two knots, or arrays of different lengths";
+    case DEHYST_ERR_FINITE: return "a value that is not finite, or too large";
+    case DEHYST_ERR_ORDER: return "knots, spring voltages, breakaway elongations and limits must strictly increase";
+    case DEHYST_ERR_SIGN: return "stiffnesses must be >= 0 and breakaway elongations > 0";
+    case DEHYST_ERR_STATE:
+        return "a cart lies farther from the displacement than its breakaway elongation, or a smooth element is longer "
+               "than its length";
+    case DEHYST_ERR_CAPACITY: return "the stack of reversals is too short";
+    case DEHYST_ERR_UNREACHABLE: return "no history from rest leaves carts like these";
+    case DEHYST_ERR_LENGTH: return "the block is cut off or too long";
+    case DEHYST_ERR_KIND: return "the bytes are not a block of this kind";
+    case DEHYST_ERR_FORMAT: return "the block has another format than this version reads";
+    case DEHYST_ERR_CHECKSUM: return "the checksum of the block does not fit: it has changed";
+    case DEHYST_ERR_ROOM: return "there is less room than the block needs";
+    case DEHYST_ERR_MODEL: return "the snapshot is of another model";
+    }
+    return "unknown status";
+}
+
+dehyst_status dehyst_model_tabulate(dehyst_model *model)
+{
+    const dehyst_model *c = model;
     int m;
     if (c->taps < 1 || c->tap == NULL) return DEHYST_ERR_SIZE;
     for (m = 0; m < c->taps; m++)
@@ -10,60 +35,116 @@ dehyst_status dehyst_compensator_tabulate(dehyst_compensator *compensator)
     if (!is_finite(c->low) || !is_finite(c->high) || !is_finite(c->lag)) return DEHYST_ERR_FINITE;
     if (!(c->high > c->low)) return DEHYST_ERR_ORDER;
     if (!(c->change > 0) || c->lag < 0) return DEHYST_ERR_SIGN;
-    compensator->stiffness = dehyst_step_stiffness(&c->actuator, &c->step);
-    return is_finite(compensator->stiffness) ? DEHYST_OK : DEHYST_ERR_FINITE;
+    model->stiffness = dehyst_step_stiffness(&c->actuator, &c->step);
+    return is_finite(model->stiffness) ? DEHYST_OK : DEHYST_ERR_FINITE;
 }
 
-static dehyst_real nearest_allowed(const dehyst_compensator *compensator, dehyst_real v)
+static dehyst_real nearest_allowed(const dehyst_model *model, dehyst_real v)
 {
-    v = v < compensator->low ? compensator->low : v;
-    return v > compensator->high ? compensator->high : v;
+    v = v < model->low ? model->low : v;
+    return v > model->high ? model->high : v;
 }
 
-dehyst_status dehyst_loop_begin(const dehyst_compensator *compensator, dehyst_loop *loop)
+unsigned long dehyst_memory_size(const dehyst_model *model)
 {
-    const dehyst_actuator *actuator = &compensator->actuator;
-    dehyst_status status = dehyst_check(actuator, &loop->state);
-    dehyst_real y, v;
+    const dehyst_actuator *a = &model->actuator;
+    return (unsigned long)DEHYST_MEMORY(a->plain.slip.size, a->branches, a->smooth.size, model->taps);
+}
+
+/* Return the state of a loop, and put where its wanted displacements are in `inputs`. */
+static dehyst_state state_of(const dehyst_model *model, const dehyst_loop *loop, dehyst_real *memory,
+                             dehyst_real **inputs)
+{
+    const int n = model->actuator.plain.slip.size;
+    dehyst_state state;
+    state.memory.y = loop->w;
+    state.memory.cart = memory + (loop->half ? n : 0);
+    state.strain = memory + 2 * n;
+    state.elongation = state.strain + model->actuator.branches;
+    state.y = loop->y;
+    state.rate = loop->rate;
+    state.input = loop->input;
+    *inputs = state.elongation + model->actuator.smooth.size;
+    return state;
+}
+
+/* Take over what a step has changed; the carts may be in the other half now. */
+static void keep_state(dehyst_loop *loop, const dehyst_state *state, const dehyst_real *memory)
+{
+    loop->w = state->memory.y;
+    loop->half = state->memory.cart != memory;
+    loop->y = state->y;
+    loop->rate = state->rate;
+    loop->input = state->input;
+}
+
+/* Put the start of the model into a loop and its memory. */
+static dehyst_state start_state(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory,
+                                dehyst_real **inputs)
+{
+    const dehyst_actuator *a = &model->actuator;
+    const dehyst_start *start = &model->start;
+    const int n = a->plain.slip.size;
+    dehyst_state state;
+    int i;
+    loop->w = start->w;
+    loop->y = a->inertia ? start->y : 0;
+    loop->rate = a->inertia ? start->rate : 0;
+    loop->input = a->inertia ? start->w - a->share * start->y : 0;
+    loop->half = 0;
+    for (i = 0; i < n; i++) memory[i] = memory[n + i] = start->cart[i];
+    state = state_of(model, loop, memory, inputs);
+    for (i = 0; i < a->branches; i++) state.strain[i] = start->strain[i];
+    for (i = 0; i < a->smooth.size; i++) state.elongation[i] = start->elongation[i];
+    return state;
+}
+
+dehyst_status dehyst_loop_begin(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory)
+{
+    dehyst_real *inputs, v;
+    const dehyst_state state = start_state(model, loop, memory, &inputs);
+    const dehyst_status status = dehyst_check(&model->actuator, &state);
     int m;
     if (status != DEHYST_OK) return status;
-    if (loop->inputs == NULL || (actuator->plain.slip.size > 0 && loop->candidate.cart == NULL)) return DEHYST_ERR_SIZE;
-    v = dehyst_voltage(actuator, &loop->state);
+    v = dehyst_voltage(&model->actuator, &state);
     if (!is_finite(v)) return DEHYST_ERR_FINITE;
-    loop->state.input = actuator->inertia ? loop->state.memory.y - actuator->share * loop->state.y : 0;
-    y = actuator->inertia ? loop->state.y : loop->state.memory.y;
-    for (m = 0; m < compensator->taps; m++) loop->inputs[m] = y;
-    loop->sent = nearest_allowed(compensator, v);
-    loop->acting = loop->intended[0] = loop->intended[1] = loop->candidate.v = loop->voltage = loop->sent;
-    loop->wanted = y;
-    loop->candidate.w = loop->state.memory.y;
-    loop->candidate.hint = 0;
+    loop->wanted = dehyst_loop_displacement(model, loop);
+    for (m = 0; m < model->taps; m++) inputs[m] = loop->wanted;
+    loop->sent = nearest_allowed(model, v);
+    loop->acting = loop->intended[0] = loop->intended[1] = loop->candidate = loop->voltage = loop->sent;
+    loop->target = loop->w;
+    loop->segment = 0;
     loop->offer = DEHYST_NOTHING;
     loop->limited = loop->slewed = loop->refused = 0;
     return DEHYST_OK;
 }
 
-/* Return the target of w for u, the newest input. */
-static dehyst_real filtered(const dehyst_compensator *compensator, const dehyst_loop *loop, dehyst_real u)
+dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop)
 {
-    dehyst_real w = compensator->tap[0] * u;
+    return model->actuator.inertia ? loop->y : loop->w;
+}
+
+/* Return the target of w for u, the newest input. */
+static dehyst_real filtered(const dehyst_model *model, const dehyst_real *inputs, dehyst_real u)
+{
+    dehyst_real w = model->tap[0] * u;
     int m;
-    for (m = 1; m < compensator->taps; m++) w += compensator->tap[m] * loop->inputs[m - 1];
+    for (m = 1; m < model->taps; m++) w += model->tap[m] * inputs[m - 1];
     return w;
 }
 
 /* Return the voltage with which a lagging amplifier acts with `acting`: lag times slope more, the slope by a parabola
  * through the last two. */
-static dehyst_real ahead_of_lag(const dehyst_compensator *compensator, const dehyst_loop *loop, dehyst_real acting)
+static dehyst_real ahead_of_lag(const dehyst_model *model, const dehyst_loop *loop, dehyst_real acting)
 {
     const dehyst_real three = 3 * acting - 4 * loop->intended[0] + loop->intended[1];
-    return acting + compensator->lag * (three / 2);
+    return acting + model->lag * (three / 2);
 }
 
 /* Return v within slew rate and limits. Limits come last: the slew rate must not push a voltage out of them. */
-static dehyst_real allowed(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v)
+static dehyst_real allowed(const dehyst_model *model, dehyst_loop *loop, dehyst_real v)
 {
-    const dehyst_compensator *c = compensator;
+    const dehyst_model *c = model;
     if (magnitude(v - loop->sent) > c->change) {
         loop->offer = DEHYST_SLEWED;
         v = v > loop->sent ? loop->sent + c->change : loop->sent - c->change;
@@ -72,90 +153,112 @@ static dehyst_real allowed(const dehyst_compensator *compensator, dehyst_loop *l
     return nearest_allowed(c, v);
 }
 
-dehyst_real dehyst_loop_offer(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u)
+dehyst_real dehyst_loop_offer(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real u)
 {
-    const dehyst_compensator *c = compensator;
-    dehyst_real v;
+    dehyst_real *inputs, v;
+    const dehyst_state state = state_of(model, loop, memory, &inputs);
+    dehyst_candidate candidate;
+    candidate.w = model->taps > 1 ? filtered(model, inputs, u) : u;
     loop->wanted = u;
-    loop->candidate.w = c->taps > 1 ? filtered(c, loop, u) : u;
-    loop->voltage = nearest_allowed(c, loop->sent);
+    loop->target = candidate.w;
+    loop->voltage = nearest_allowed(model, loop->sent);
     loop->offer = DEHYST_REFUSED;
-    if (!is_finite(loop->candidate.w)) return loop->voltage;
-    dehyst_evaluate(&c->actuator, &c->step, &loop->state, c->stiffness, &loop->candidate);
-    v = c->lag > 0 ? ahead_of_lag(c, loop, loop->candidate.v) : loop->candidate.v;
+    if (!is_finite(candidate.w)) return loop->voltage;
+    candidate.cart = memory + (loop->half ? 0 : model->actuator.plain.slip.size);
+    candidate.hint = loop->segment;
+    dehyst_evaluate(&model->actuator, &model->step, &state, model->stiffness, &candidate);
+    loop->candidate = candidate.v;
+    loop->segment = candidate.hint;
+    v = model->lag > 0 ? ahead_of_lag(model, loop, candidate.v) : candidate.v;
     if (!is_finite(v)) return loop->voltage;
     loop->offer = DEHYST_CANDIDATE;
-    return loop->voltage = allowed(c, loop, v);
+    return loop->voltage = allowed(model, loop, v);
+}
+
+/* Move to the candidate, of which the carts are in the other half of the memory. */
+static void move_as_offered(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_state *state)
+{
+    dehyst_candidate candidate;
+    candidate.w = loop->target;
+    candidate.v = loop->candidate;
+    candidate.cart = memory + (loop->half ? 0 : model->actuator.plain.slip.size);
+    candidate.hint = loop->segment;
+    dehyst_commit(&model->actuator, &model->step, state, &candidate);
 }
 
 /* Move by the voltage v, which is not the candidate's. */
-static void follow(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v, int as_wanted)
+static void follow(const dehyst_model *model, dehyst_loop *loop, dehyst_state *state, dehyst_real v, int as_wanted)
 {
-    const dehyst_compensator *c = compensator;
     dehyst_real acts = v;
-    if (c->lag > 0) {
-        acts = c->keep * loop->acting + c->from_old * loop->sent + c->from_new * v;
+    if (model->lag > 0) {
+        acts = model->keep * loop->acting + model->from_old * loop->sent + model->from_new * v;
         loop->acting = acts;
         loop->intended[1] = loop->intended[0];
-        loop->intended[0] = as_wanted ? loop->candidate.v : acts;
+        loop->intended[0] = as_wanted ? loop->candidate : acts;
     }
-    if (!within_reach(dehyst_simulate_step(&c->actuator, &c->step, &loop->state, c->stiffness, acts))) loop->refused++;
+    if (!within_reach(dehyst_simulate_step(&model->actuator, &model->step, state, model->stiffness, acts)))
+        loop->refused++;
 }
 
-static void end_period(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v)
+static void end_period(const dehyst_model *model, dehyst_loop *loop, dehyst_real *inputs, dehyst_real v)
 {
     int m;
-    for (m = compensator->taps - 1; m > 0; m--) loop->inputs[m] = loop->inputs[m - 1];
-    if (loop->offer != DEHYST_NOTHING && is_finite(loop->wanted)) loop->inputs[0] = loop->wanted;
+    for (m = model->taps - 1; m > 0; m--) inputs[m] = inputs[m - 1];
+    if (loop->offer != DEHYST_NOTHING && is_finite(loop->wanted)) inputs[0] = loop->wanted;
     loop->sent = v;
     loop->offer = DEHYST_NOTHING;
 }
 
-int dehyst_loop_accepts(const dehyst_compensator *compensator, dehyst_real v)
+int dehyst_loop_accepts(const dehyst_model *model, dehyst_real v)
 {
-    const dehyst_real range = compensator->high - compensator->low;
-    return is_finite(v) && v >= compensator->low - range && v <= compensator->high + range;
+    const dehyst_real range = model->high - model->low;
+    return is_finite(v) && v >= model->low - range && v <= model->high + range;
 }
 
-void dehyst_loop_commit(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v)
+void dehyst_loop_commit(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real v)
 {
-    const dehyst_compensator *c = compensator;
     const int as_offered = loop->offer != DEHYST_NOTHING && v == loop->voltage;
-    const int as_wanted = as_offered && loop->offer == DEHYST_CANDIDATE && within_reach(loop->candidate.w);
-    if (as_wanted && !(c->lag > 0)) {
-        dehyst_commit(&c->actuator, &c->step, &loop->state, &loop->candidate);
+    const int as_wanted = as_offered && loop->offer == DEHYST_CANDIDATE && within_reach(loop->target);
+    dehyst_real *inputs;
+    dehyst_state state = state_of(model, loop, memory, &inputs);
+    if (as_wanted && !(model->lag > 0)) {
+        move_as_offered(model, loop, memory, &state);
     } else {
         if (as_offered) {
             loop->limited += loop->offer == DEHYST_LIMITED;
             loop->slewed += loop->offer == DEHYST_SLEWED;
             loop->refused += loop->offer == DEHYST_REFUSED;
-        } else if (!dehyst_loop_accepts(c, v)) {
+        } else if (!dehyst_loop_accepts(model, v)) {
             loop->refused++;
             v = loop->sent;
         }
-        follow(c, loop, v, as_wanted);
+        follow(model, loop, &state, v, as_wanted);
     }
-    end_period(c, loop, v);
+    keep_state(loop, &state, memory);
+    end_period(model, loop, inputs, v);
 }
 
-void dehyst_loop_play(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real v)
+void dehyst_loop_play(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real v)
 {
+    dehyst_real *inputs;
+    dehyst_state state = state_of(model, loop, memory, &inputs);
     loop->offer = DEHYST_NOTHING;
     if (!is_finite(v)) v = loop->sent;
-    follow(compensator, loop, v, 0);
-    end_period(compensator, loop, v);
+    follow(model, loop, &state, v, 0);
+    keep_state(loop, &state, memory);
+    end_period(model, loop, inputs, v);
 }
 
-dehyst_real dehyst_loop_step(const dehyst_compensator *compensator, dehyst_loop *loop, dehyst_real u)
+dehyst_real dehyst_loop_step(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real u)
 {
-    const dehyst_real v = dehyst_loop_offer(compensator, loop, u);
-    dehyst_loop_commit(compensator, loop, v);
+    const dehyst_real v = dehyst_loop_offer(model, loop, memory, u);
+    dehyst_loop_commit(model, loop, memory, v);
     return v;
 }
 
-void dehyst_loop_run(const dehyst_compensator *compensator, dehyst_loop *loop, const dehyst_real *u, dehyst_real *v,
-                     long n)
+void dehyst_loop_run(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, const dehyst_real *u,
+                     dehyst_real *v, long n)
 {
     long t;
-    for (t = 0; t < n; t++) v[t] = dehyst_loop_step(compensator, loop, u[t]);
+    for (t = 0; t < n; t++) v[t] = dehyst_loop_step(model, loop, memory, u[t]);
 }

@@ -2,7 +2,7 @@
 #ifndef DEHYST_INTERNAL_H
 #define DEHYST_INTERNAL_H
 
-#include "dehyst.h"
+#include "dehyst_model.h"
 
 #include <stddef.h>
 
@@ -52,6 +52,8 @@ typedef struct branch_segment {
     dehyst_real v, slope, event;
 } branch_segment;
 
+/* Check n elements as dehyst_slip_tabulate does, without its tables. */
+dehyst_status dehyst_slip_check(int n, const dehyst_real *rho, const dehyst_real *kappa);
 branch_segment dehyst_plain_look_ahead(const dehyst_plain *plain, const dehyst_plain_state *state, dehyst_real y,
                                        dehyst_real direction);
 dehyst_real dehyst_grades_voltage(const dehyst_actuator *actuator, const dehyst_plain_state *state);

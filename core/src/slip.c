@@ -30,16 +30,28 @@ dehyst_status dehyst_curve_tabulate(int size, const dehyst_real *knot, const deh
     return DEHYST_OK;
 }
 
+dehyst_status dehyst_slip_check(int n, const dehyst_real *rho, const dehyst_real *kappa)
+{
+    dehyst_real voltage = 0, stiffness = 0;
+    int i;
+    if (n < 0 || (n > 0 && (rho == NULL || kappa == NULL))) return DEHYST_ERR_SIZE;
+    if (!all_finite(rho, n) || !all_finite(kappa, n)) return DEHYST_ERR_FINITE;
+    for (i = 0; i < n; i++) {
+        if (!(rho[i] > 0) || kappa[i] < 0) return DEHYST_ERR_SIGN;
+        voltage += 2 * kappa[i] * rho[i];
+    }
+    if (!is_increasing(rho, n)) return DEHYST_ERR_ORDER;
+    for (i = n - 1; i >= 0; i--) stiffness += kappa[i];
+    return is_finite(voltage) && is_finite(stiffness) ? DEHYST_OK : DEHYST_ERR_FINITE;
+}
+
 dehyst_status dehyst_slip_tabulate(int n, const dehyst_real *rho, const dehyst_real *kappa, dehyst_real *edge,
                                    dehyst_real *intercept, dehyst_real *stiffness, dehyst_real *inverse_step)
 {
+    const dehyst_status status = dehyst_slip_check(n, rho, kappa);
     int i;
-    if (n < 0 || edge == NULL || intercept == NULL || stiffness == NULL || inverse_step == NULL) return DEHYST_ERR_SIZE;
-    if (n > 0 && (rho == NULL || kappa == NULL)) return DEHYST_ERR_SIZE;
-    if (!all_finite(rho, n) || !all_finite(kappa, n)) return DEHYST_ERR_FINITE;
-    for (i = 0; i < n; i++)
-        if (!(rho[i] > 0) || kappa[i] < 0) return DEHYST_ERR_SIGN;
-    if (!is_increasing(rho, n)) return DEHYST_ERR_ORDER;
+    if (status != DEHYST_OK) return status;
+    if (edge == NULL || intercept == NULL || stiffness == NULL || inverse_step == NULL) return DEHYST_ERR_SIZE;
     edge[n] = DEHYST_LARGEST;
     stiffness[n] = 0;
     for (i = n - 1; i >= 0; i--) {
@@ -48,7 +60,6 @@ dehyst_status dehyst_slip_tabulate(int n, const dehyst_real *rho, const dehyst_r
     }
     intercept[0] = 0;
     for (i = 0; i < n; i++) intercept[i + 1] = intercept[i] + 2 * kappa[i] * rho[i];
-    if (!is_finite(intercept[n]) || !is_finite(stiffness[0])) return DEHYST_ERR_FINITE;
     *inverse_step = n > 0 ? 1 / edge[0] : 0;
     for (i = 0; i < n; i++)
         if (magnitude(edge[i] - (dehyst_real)(i + 1) * edge[0]) > (dehyst_real)1e-6 * edge[0]) *inverse_step = 0;

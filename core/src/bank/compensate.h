@@ -47,7 +47,7 @@ INLINE void compensate_block(const dehyst_bank *bank, const dehyst_bank_state *s
     mask = both(mask, both(at_most(load(t->low), drive), at_most(drive, load(t->high))));
     mask = both(mask, reachable(w));
     if (t->branches > 0) creep_moves(t, memory->strain, by, mask);
-    end_block(bank, state, t, memory, actuator, width, mask, w, drive, drive, u, v, 0, scratch);
+    end_block(bank, state, memory, actuator, width, mask, w, drive, drive, u, v, 0, scratch);
 }
 
 #endif

@@ -148,36 +148,29 @@ INLINE lanes transformed(const block_tables *t, const block_curve *curve, lanes 
 INLINE lanes reachable(lanes a) { return at_most(size_of(a), all_of(DEHYST_FARTHEST)); }
 
 /* Take one sample of a lane in the scalar core: `plays` voltages, or compensates. */
-static dehyst_real by_itself(const dehyst_bank *bank, const dehyst_bank_state *state, const block_tables *t,
-                             const block_memory *memory, int actuator, int l, dehyst_real in, int plays,
-                             dehyst_real *scratch)
+static dehyst_real by_itself(const dehyst_bank *bank, const dehyst_bank_state *state, const block_memory *memory,
+                             int actuator, int l, dehyst_real in, int plays, dehyst_real *scratch)
 {
-    const dehyst_compensator *c = bank->compensator[actuator];
+    const dehyst_model *c = bank->compensator[actuator];
     const int n = c->actuator.plain.slip.size, branches = c->actuator.branches;
-    dehyst_real *cart = scratch, *spare = scratch + t->elements, *strain = spare + t->elements;
-    dehyst_real *input = strain + t->branches;
+    dehyst_real *strain = scratch + 2 * n;
     dehyst_loop loop;
     dehyst_real out;
     int i;
     memset(&loop, 0, sizeof loop);
-    for (i = 0; i < n; i++) cart[i] = memory->cart[i * LANES + l];
+    for (i = 0; i < n; i++) scratch[i] = memory->cart[i * LANES + l];
     for (i = 0; i < branches; i++) strain[i] = memory->strain[i * LANES + l];
-    input[0] = memory->y[l];
-    loop.state.memory.y = memory->y[l];
-    loop.state.memory.cart = cart;
-    loop.state.strain = strain;
-    loop.inputs = input;
-    loop.candidate.cart = spare;
+    strain[branches] = loop.w = memory->y[l];
     loop.sent = loop.acting = memory->sent[l];
     if (plays) {
-        dehyst_loop_play(c, &loop, in);
-        out = loop.state.memory.y;
+        dehyst_loop_play(c, &loop, scratch, in);
+        out = loop.w;
     } else {
-        out = dehyst_loop_step(c, &loop, in);
+        out = dehyst_loop_step(c, &loop, scratch, in);
     }
-    for (i = 0; i < n; i++) memory->after[i * LANES + l] = loop.state.memory.cart[i];
+    for (i = 0; i < n; i++) memory->after[i * LANES + l] = scratch[(loop.half ? n : 0) + i];
     for (i = 0; i < branches; i++) memory->strain[i * LANES + l] = strain[i];
-    memory->y[l] = loop.state.memory.y;
+    memory->y[l] = loop.w;
     memory->sent[l] = loop.sent;
     state->limited[actuator] += (long long)loop.limited;
     state->slewed[actuator] += (long long)loop.slewed;
@@ -187,7 +180,7 @@ static dehyst_real by_itself(const dehyst_bank *bank, const dehyst_bank_state *s
 
 /* End a step: lanes of the mask at w, with voltages `sent`; the others, as far as they have an actuator, by themselves.
  * @param shown what the lanes of the mask return */
-INLINE void end_block(const dehyst_bank *bank, const dehyst_bank_state *state, const block_tables *t,
+INLINE void end_block(const dehyst_bank *bank, const dehyst_bank_state *state,
                              block_memory *memory, int actuator, int width, lanes mask, lanes w, lanes sent,
                              lanes shown, const dehyst_real *restrict in, dehyst_real *restrict out, int plays,
                              dehyst_real *scratch)
@@ -202,7 +195,7 @@ INLINE void end_block(const dehyst_bank *bank, const dehyst_bank_state *state, c
         store(memory->y, choose(mask, w, load(memory->y)));
         store(memory->sent, choose(mask, sent, load(memory->sent)));
         for (l = 0; l < LANES; l++)
-            if (left >> l & 1) out[l] = by_itself(bank, state, t, memory, actuator + l, l, in[l], plays, scratch);
+            if (left >> l & 1) out[l] = by_itself(bank, state, memory, actuator + l, l, in[l], plays, scratch);
     }
     exchange(memory);
 }

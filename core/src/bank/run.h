@@ -13,7 +13,8 @@ INLINE void simulate_block(const dehyst_bank *bank, const dehyst_bank_state *sta
                            dehyst_real *restrict y, dehyst_real *scratch)
 {
     int l;
-    for (l = 0; l < width; l++) y[l] = by_itself(bank, state, t, memory, actuator + l, l, v[l], 1, scratch);
+    (void)t;
+    for (l = 0; l < width; l++) y[l] = by_itself(bank, state, memory, actuator + l, l, v[l], 1, scratch);
     exchange(memory);
 }
 #endif

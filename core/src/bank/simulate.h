@@ -171,7 +171,7 @@ INLINE void simulate_block(const dehyst_bank *bank, const dehyst_bank_state *sta
     for (i = 0; i < t->elements * LANES; i += LANES)
         store(memory->after + i, carts_after(load(cart + i), w, load(t->rho + i)));
     if (t->branches > 0) creep_moves(t, memory->strain, minus(w, start), found);
-    end_block(bank, state, t, memory, actuator, width, found, w, played, w, v, y, 1, scratch);
+    end_block(bank, state, memory, actuator, width, found, w, played, w, v, y, 1, scratch);
 }
 
 #endif

@@ -78,7 +78,7 @@ static int cells_fit(const dehyst_curve *curve, int cells)
 }
 
 /* Return how many cells the curves of a bank need; 0 if few bends are as well counted, or cells do not help. */
-static int cells_for(const dehyst_bank_sizes *sizes, const dehyst_compensator *const *compensator)
+static int cells_for(const dehyst_bank_sizes *sizes, const dehyst_model *const *compensator)
 {
     const int knots = larger(sizes->knots, sizes->bends);
     int cells, i, fit;
@@ -94,7 +94,7 @@ static int cells_for(const dehyst_bank_sizes *sizes, const dehyst_compensator *c
     return 0;
 }
 
-dehyst_bank_sizes dehyst_bank_sizes_of(int m, const dehyst_compensator *const *compensator)
+dehyst_bank_sizes dehyst_bank_sizes_of(int m, const dehyst_model *const *compensator)
 {
     dehyst_bank_sizes sizes = {m, 0, 2, 0, 0, 0};
     int i;
@@ -242,7 +242,7 @@ typedef struct search_limits {
     dehyst_real tolerance, far, stiffest;
 } search_limits;
 
-static search_limits search_limits_of(const dehyst_compensator *c)
+static search_limits search_limits_of(const dehyst_model *c)
 {
     const dehyst_slip *slip = &c->actuator.plain.slip;
     const dehyst_curve *spring = &c->actuator.plain.spring;
@@ -262,7 +262,7 @@ static search_limits search_limits_of(const dehyst_compensator *c)
     return limits;
 }
 
-static void fill_lane(const block_tables *t, int l, const dehyst_compensator *c)
+static void fill_lane(const block_tables *t, int l, const dehyst_model *c)
 {
     const dehyst_slip *slip = c != NULL ? &c->actuator.plain.slip : NULL;
     const int n = c != NULL ? slip->size : 0, branches = c != NULL ? c->actuator.branches : 0;

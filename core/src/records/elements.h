@@ -161,18 +161,18 @@ void BUILD(dehyst_elements_simulate)(const dehyst_plain *plain, dehyst_plain_sta
     for (i = 0; i < lanes.size; i++) stiffest += lanes.kappa[i];
     slope = stiffest;
     for (t = 0; t < n; t++) {
-        const dehyst_real d = v[t] < held ? -1 : 1;
+        const dehyst_real given = v[t], d = given < held ? -1 : 1; /* v and y may be one array */
         dehyst_real low = 0, high = DEHYST_LARGEST, way, goal = x;
         int tries;
-        if (!(v[t] != held) || !is_finite(v[t])) {
+        if (!(given != held) || !is_finite(given)) {
             y[t] = x;
             continue;
         }
         /* Where a motion turns, all elements stick. */
-        way = d * (v[t] - held) / (d == last ? slope : stiffest);
+        way = d * (given - held) / (d == last ? slope : stiffest);
         for (tries = 0; tries < TRIES; tries++) {
             const place_on_branch at = branch_at(&lanes, &cells, x + d * way, d);
-            const dehyst_real rest = d * (v[t] - at.v);
+            const dehyst_real rest = d * (given - at.v);
             dehyst_real next = way + rest / at.slope;
             slope = at.slope;
             if (rest >= 0 && next - way <= at.room) {
@@ -189,7 +189,7 @@ void BUILD(dehyst_elements_simulate)(const dehyst_plain *plain, dehyst_plain_sta
             dehyst_plain_state by_itself;
             by_itself.y = x;
             by_itself.cart = lanes.cart;
-            goal = dehyst_plain_simulate(plain, &by_itself, v[t]);
+            goal = dehyst_plain_simulate(plain, &by_itself, given);
             if (!within_reach(goal)) {
                 y[t] = goal;
                 continue;
@@ -198,7 +198,7 @@ void BUILD(dehyst_elements_simulate)(const dehyst_plain *plain, dehyst_plain_sta
         for (i = 0; i < lanes.size; i += LANES)
             EACH(l) lanes.cart[i + l] = cart_after(lanes.cart[i + l], goal, lanes.rho[i + l]);
         y[t] = x = goal;
-        held = v[t];
+        held = given;
         last = d;
     }
     read_lanes(&lanes, plain->slip.size, state->cart);

@@ -2,7 +2,7 @@
 #ifndef DEHYST_TURNING_H
 #define DEHYST_TURNING_H
 
-#include "dehyst.h"
+#include "dehyst_model.h"
 
 /* More elements are not worth it. */
 #define DEHYST_MOST_LANED 128

@@ -1,0 +1,290 @@
+/* Models and snapshots as blocks: what was saved is loaded bit for bit; what was broken is refused, or computes what is
+ * finite and within limits. dehyst_blocks [CASES [SEED]]; run it under sanitizers. */
+#include "dehyst_model.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define ELEMENTS 9
+#define KNOTS 6
+#define GRADES 3
+#define BENDS 4
+#define BRANCHES 3
+#define SMOOTH 2
+#define TAPS 3
+#define STEPS 60
+#define HEADER 64
+
+static unsigned long long seed = 1;
+
+/* splitmix64 */
+static unsigned long long bits(void)
+{
+    unsigned long long z = (seed += 0x9E3779B97F4A7C15u);
+    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
+    z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
+    return z ^ (z >> 31);
+}
+
+static unsigned long below(unsigned long n) { return (unsigned long)(bits() % n); }
+static double between(double low, double high) { return low + (high - low) * ((double)(bits() >> 11) * 0x1p-53); }
+
+static void demand(int holds, const char *what, long got)
+{
+    if (holds) return;
+    printf("%s: %ld\n", what, got);
+    exit(1);
+}
+
+static void *room(size_t bytes)
+{
+    void *found = malloc(bytes + 1);
+    demand(found != NULL, "no memory", (long)bytes);
+    return found;
+}
+
+/* All arrays of a model that is written by hand. */
+typedef struct bench {
+    dehyst_real rho[ELEMENTS], kappa[ELEMENTS], knot[KNOTS], value[KNOTS], slope[KNOTS];
+    dehyst_real grade_knot[GRADES + 1], grade_slope[(ELEMENTS + 1) * GRADES];
+    dehyst_real grade_value[(ELEMENTS + 1) * (GRADES + 1)];
+    dehyst_real volts[BENDS], drive[BENDS], tau[BENDS], inverse[BENDS];
+    dehyst_real creep[BRANCHES], decay[BRANCHES], gain[BRANCHES], length[SMOOTH], back[SMOOTH], smooth[SMOOTH];
+    dehyst_real tap[TAPS], cart[ELEMENTS], strain[BRANCHES], elongation[SMOOTH];
+    dehyst_model model;
+} bench;
+
+static void fill(dehyst_real *x, int n, double low, double high)
+{
+    while (n-- > 0) *x++ = (dehyst_real)between(low, high);
+}
+
+static void rise(dehyst_real *x, int n, double from, double by)
+{
+    int i;
+    for (i = 0; i < n; i++) x[i] = (dehyst_real)(from + by * (i + between(0.1, 0.9)));
+}
+
+static void give_curve(dehyst_curve *curve, int size, const dehyst_real *knot, const dehyst_real *value,
+                       dehyst_real *slope)
+{
+    curve->size = size;
+    curve->knot = knot;
+    curve->value = value;
+    curve->slope = slope;
+    demand(dehyst_curve_tabulate(size, knot, value, slope) == DEHYST_OK, "a curve", size);
+}
+
+static void give_motion(bench *b, dehyst_model *m)
+{
+    const dehyst_real closing[SMOOTH] = {1, (dehyst_real)0.6};
+    dehyst_actuator *a = &m->actuator;
+    fill(b->creep, BRANCHES, 0, 1);
+    fill(b->decay, BRANCHES, 0.2, 0.99);
+    fill(b->gain, BRANCHES, 0.5, 1);
+    fill(b->length, SMOOTH, 0.05, 0.5);
+    fill(b->smooth, SMOOTH, 0, 1);
+    a->branches = BRANCHES;
+    a->creep_stiffness = b->creep;
+    m->step.decay = b->decay;
+    m->step.gain = b->gain;
+    demand(dehyst_smooth_tabulate(SMOOTH, b->length, closing, b->back) == DEHYST_OK, "smooth elements", SMOOTH);
+    a->smooth.size = SMOOTH;
+    a->smooth.length = b->length;
+    a->smooth.back = b->back;
+    a->smooth.stiffness = b->smooth;
+}
+
+/* A random model with random parts. */
+static void make(bench *b)
+{
+    dehyst_model *m = &b->model;
+    dehyst_actuator *a = &m->actuator;
+    int i;
+    memset(b, 0, sizeof *b);
+    rise(b->rho, ELEMENTS, 0, 0.5 / ELEMENTS);
+    fill(b->kappa, ELEMENTS, 0, 2);
+    rise(b->knot, KNOTS, 0, 1.0 / KNOTS);
+    rise(b->value, KNOTS, 0, 10.0 / KNOTS);
+    a->plain.slip.size = ELEMENTS;
+    a->plain.slip.rho = b->rho;
+    a->plain.slip.kappa = b->kappa;
+    give_curve(&a->plain.spring, KNOTS, b->knot, b->value, b->slope);
+    if (bits() & 1) {
+        rise(b->grade_knot, GRADES + 1, 0, 1.0 / GRADES);
+        for (i = 0; i < ELEMENTS * GRADES; i++) b->grade_slope[i] = (dehyst_real)(0.1 + 0.01 * (i % GRADES));
+        demand(dehyst_grades_tabulate(ELEMENTS, GRADES, b->grade_knot, b->grade_slope, b->grade_value) == DEHYST_OK,
+               "grades", GRADES);
+        a->grades.size = GRADES;
+        a->grades.knot = b->grade_knot;
+        a->grades.slope = b->grade_slope;
+        a->grades.value = b->grade_value;
+    }
+    if (bits() & 1) {
+        rise(b->volts, BENDS, -1, 3);
+        rise(b->drive, BENDS, -1, 3);
+        give_curve(&a->transformer, BENDS, b->volts, b->drive, b->tau);
+        give_curve(&a->inverse_transformer, BENDS, b->drive, b->volts, b->inverse);
+    }
+    if (bits() & 1) give_motion(b, m);
+    m->low = 2;
+    m->high = 7;
+    m->change = bits() & 1 ? DEHYST_LARGEST : 2;
+    m->taps = bits() & 1 ? 1 : TAPS;
+    m->tap = b->tap;
+    fill(b->tap, TAPS, 0, 0.1);
+    b->tap[0] = 1;
+    m->from_new = 1;
+    m->period = (dehyst_real)1e-3;
+    m->ahead = m->taps / 2;
+    for (i = 0; i < ELEMENTS; i++) b->cart[i] = (dehyst_real)0.5;
+    m->start.w = m->start.y = (dehyst_real)0.5;
+    m->start.cart = b->cart;
+    m->start.strain = b->strain;
+    m->start.elongation = b->elongation;
+    demand(dehyst_model_tabulate(m) == DEHYST_OK, "a model", m->taps);
+}
+
+static unsigned char *saved(dehyst_model *model, unsigned long *size)
+{
+    unsigned char *bytes;
+    *size = dehyst_model_save(model, NULL, 0);
+    bytes = room(*size);
+    demand(dehyst_model_save(model, bytes, *size) == *size, "a block has another size", (long)*size);
+    return bytes;
+}
+
+/* Load a block and, if it is accepted, make steps; return the status. */
+static dehyst_status run(const unsigned char *bytes, unsigned long size, dehyst_real *volts)
+{
+    /* Sanitizers see a byte beyond: the block is copied to its exact size. */
+    unsigned char *copy = room(size);
+    unsigned long count, i;
+    dehyst_status status;
+    dehyst_model model;
+    dehyst_loop loop;
+    dehyst_real *tables, *memory;
+    memcpy(copy, bytes, size);
+    status = dehyst_model_room(copy, size, &count);
+    if (status == DEHYST_OK) {
+        tables = malloc(count * sizeof *tables);
+        demand(tables != NULL, "no memory", (long)count);
+        demand(dehyst_model_load(copy, size, tables, count - 1, &model) == DEHYST_ERR_ROOM, "room", (long)count);
+        status = dehyst_model_load(copy, size, tables, count, &model);
+        if (status == DEHYST_OK) {
+            memory = room(dehyst_memory_size(&model) * sizeof *memory);
+            demand(dehyst_loop_begin(&model, &loop, memory) == DEHYST_OK, "an accepted block does not begin", 0);
+            for (i = 0; i < STEPS; i++) {
+                volts[i] = dehyst_loop_step(&model, &loop, memory, (dehyst_real)(0.5 + 0.6 * sin(0.3 * (double)i)));
+                demand(volts[i] >= model.low && volts[i] <= model.high, "a voltage outside the limits", (long)i);
+            }
+            free(memory);
+        }
+        free(tables);
+    }
+    free(copy);
+    return status;
+}
+
+/* CRC-32 as the core's, so that a changed block is not refused for its checksum. */
+static void seal(unsigned char *bytes, unsigned long size)
+{
+    unsigned long sum = 0xFFFFFFFFul, i;
+    int k;
+    for (i = 16; i < size; i++) {
+        sum ^= bytes[i];
+        for (k = 0; k < 8; k++) sum = sum >> 1 ^ (sum & 1 ? 0xEDB88320ul : 0);
+    }
+    sum = ~sum & 0xFFFFFFFFul;
+    for (k = 0; k < 4; k++) bytes[12 + k] = (unsigned char)(sum >> 8 * k);
+}
+
+static void load_what_was_saved(bench *b, const unsigned char *bytes, unsigned long size)
+{
+    dehyst_real got[STEPS], memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, TAPS)];
+    dehyst_loop loop;
+    int i;
+    demand(run(bytes, size, got) == DEHYST_OK, "a sound block is refused", (long)run(bytes, size, got));
+    demand(dehyst_loop_begin(&b->model, &loop, memory) == DEHYST_OK, "begin", 0);
+    for (i = 0; i < STEPS; i++)
+        demand(dehyst_loop_step(&b->model, &loop, memory, (dehyst_real)(0.5 + 0.6 * sin(0.3 * i))) == got[i],
+               "another voltage than before", i);
+}
+
+static void refuse_what_was_broken(const unsigned char *bytes, unsigned long size, unsigned char *broken)
+{
+    static const unsigned char strange[][8] = {{0, 0, 0, 0, 0, 0, 0xF8, 0x7F}, {0, 0, 0, 0, 0, 0, 0xF0, 0xFF},
+                                               {255, 255, 255, 255, 255, 255, 0xEF, 0x7F}, {1, 0, 0, 0, 0, 0, 0, 0},
+                                               {0, 0, 0, 0, 0, 0, 0, 0x80}};
+    dehyst_real volts[STEPS];
+    unsigned long at;
+    memcpy(broken, bytes, size);
+    at = below(8 * size);
+    broken[at / 8] ^= (unsigned char)(1u << at % 8);
+    demand(run(broken, size, volts) != DEHYST_OK, "a changed bit is accepted", (long)at);
+    demand(run(bytes, below(size), volts) != DEHYST_OK, "a block that is cut off is accepted", (long)size);
+    /* With a checksum that fits: refused, or a model that keeps to its limits. */
+    seal(broken, size);
+    run(broken, size, volts);
+    memcpy(broken, bytes, size);
+    memcpy(broken + HEADER + 8 * below((size - HEADER) / 8), strange[below(5)], 8);
+    seal(broken, size);
+    run(broken, size, volts);
+    memcpy(broken, bytes, size);
+    for (at = 0; at < 4; at++) broken[16 + 4 * below(12) + at] = (unsigned char)(bits() % 7 == 0 ? bits() : 0);
+    seal(broken, size);
+    run(broken, size, volts);
+}
+
+static void go_on_from_snapshots(bench *b)
+{
+    unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, TAPS)];
+    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, TAPS)], fresh[sizeof memory / sizeof *memory];
+    const dehyst_model *m = &b->model;
+    dehyst_loop loop, other;
+    unsigned long size, at;
+    int i;
+    dehyst_loop_begin(m, &loop, memory);
+    for (i = 0; i < STEPS; i++) dehyst_loop_step(m, &loop, memory, (dehyst_real)between(-0.2, 1.2));
+    size = dehyst_loop_save(m, &loop, memory, kept, sizeof kept);
+    dehyst_loop_begin(m, &other, fresh);
+    at = below(8 * size);
+    kept[at / 8] ^= (unsigned char)(1u << at % 8);
+    demand(dehyst_loop_restore(m, &other, fresh, kept, size) != DEHYST_OK, "a changed snapshot", (long)at);
+    demand(other.sent == other.voltage && other.w == m->start.w, "a refused snapshot has changed the loop", (long)at);
+    kept[at / 8] ^= (unsigned char)(1u << at % 8);
+    demand(dehyst_loop_restore(m, &other, fresh, kept, below(size)) != DEHYST_OK, "a snapshot cut off", (long)size);
+    demand(dehyst_loop_restore(m, &other, fresh, kept, size) == DEHYST_OK, "a snapshot", (long)size);
+    for (i = 0; i < STEPS; i++) {
+        const dehyst_real u = (dehyst_real)between(-0.2, 1.2);
+        demand(dehyst_loop_step(m, &loop, memory, u) == dehyst_loop_step(m, &other, fresh, u), "other bits", i);
+    }
+    b->model.id++;
+    demand(dehyst_loop_restore(m, &other, fresh, kept, size) == DEHYST_ERR_MODEL, "another model's snapshot", 0);
+}
+
+int main(int count, char **word)
+{
+    const long cases = count > 1 ? atol(word[1]) : 300;
+    bench *b = room(sizeof *b);
+    long n;
+    if (count > 2) seed = strtoull(word[2], NULL, 10);
+    for (n = 0; n < cases; n++) {
+        unsigned long size;
+        unsigned char *bytes, *broken;
+        int k;
+        make(b);
+        bytes = saved(&b->model, &size);
+        broken = room(size);
+        load_what_was_saved(b, bytes, size);
+        for (k = 0; k < 20; k++) refuse_what_was_broken(bytes, size, broken);
+        go_on_from_snapshots(b);
+        free(broken);
+        free(bytes);
+    }
+    free(b);
+    printf("%ld models, saved, broken and loaded\n", cases);
+    return 0;
+}
